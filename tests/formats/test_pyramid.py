@@ -349,8 +349,8 @@ def test_where_a_chunk_of_bounds_is_missing_nothing_is_known(
 ) -> None:
     """And what is there is drawn; also of older stores, whose missing chunks read as zeros."""
     if filled:
-        array = make._Making._array
-        monkeypatch.setattr(make._Making, "_array", lambda *given, **more: array(*given, **(more | {"fill": 0})))
+        array = make._Writing._array
+        monkeypatch.setattr(make._Writing, "_array", lambda *given, **more: array(*given, **(more | {"fill": 0})))
     data = np.zeros((300, 24, 24), np.uint8)
     data[270:290, 6:18, 6:18] = 200
     path = tmp_path / "v.zarr"

@@ -1,4 +1,4 @@
-"""Which of the volumes of a file is read, decided from its header before any sample is."""
+"""The choice among the volumes of a file, made from its header before samples are read."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Series:
     Parameters
     ----------
     id : str
-        By which ``series=`` chooses it.
+        The value of ``series=`` that chooses it.
     text : str
-        What the source says of it, for listings.
+        A description, for listings.
     shape : tuple of int
-        Samples along each axis, as the array would be indexed; empty where that takes reading it.
+        Of the array; empty if that is not known without reading it.
     """
 
     id: str
@@ -35,23 +35,23 @@ class Series:
     shape: tuple[int, ...] = ()
 
     def __str__(self) -> str:
-        """As people read it: "cells (float32, 20 × 64 × 64)"."""
+        """For listings: "cells (float32, 20 × 64 × 64)"."""
         about = ", ".join(part for part in (self.text, " × ".join(map(str, self.shape))) if part)
         return f"{self.id} ({about})" if about else self.id
 
 
 @dataclass(frozen=True)
 class Pick:
-    """What a `Choice` takes of a file's leading axes.
+    """What a `Choice` picks along a file's leading axes.
 
     Parameters
     ----------
     index : tuple of int or slice
-        For each leading axis: the samples to load are ``samples[index]``. A slice keeps its axis.
+        For each leading axis; ``samples[index]`` are to be loaded. A slice keeps its axis.
     about : dict
-        Arguments of `Volume` for what is picked; `leading` among them where several volumes are.
+        Arguments of `Volume` for the pick, with `leading` if it is several volumes.
     finish : callable
-        From the samples loaded to those that are wanted: the same, or a channel computed of all.
+        From the loaded samples to the result: the same, or a channel computed from all.
     """
 
     index: tuple[int | slice, ...]
@@ -75,14 +75,14 @@ class Choice:
     whole: bool = False
 
     def __call__(self, source: str, leading: Leading, guessed: str = "") -> Pick:
-        """What is taken of the volumes of `source`, which messages name.
+        """The pick among the volumes of `source` (a name for messages).
 
-        `guessed` says how axes were understood that the file does not explain; it is part of the warning.
+        `guessed` says how axes were interpreted that the file does not explain; it is part of the warning.
 
         Raises
         ------
         OptionError
-            An axis that the file does not have, or a place out of range: the message says how many there are.
+            The file has no such axis, or the index is out of range; the message says what there is.
         """
         places = dict(self.given)
         if "volume" in places and "volume" not in leading.axes:
@@ -116,7 +116,7 @@ class Choice:
                 index.append(0)
                 if count > 1:
                     left.append(axis)
-        self._tell(source, leading, left, index, guessed)
+        self._warn(source, leading, left, index, guessed)
         taken = {axis: at for axis, at in zip(leading.axes, index, strict=True) if not isinstance(at, slice)}
         fixed = leading.without(*(axis for axis in leading.axes if axis not in taken))
         about = fixed.about(list(taken.values()))
@@ -128,7 +128,7 @@ class Choice:
         at = sum(isinstance(i, slice) for i in index[: leading.axes.index("channel")]) if computed else 0
         return Pick(tuple(index), about, (lambda data: leading.combined(data, at)) if computed else (lambda data: data))
 
-    def _tell(self, source: str, leading: Leading, left: list[str], index: list[int | slice], guessed: str) -> None:
+    def _warn(self, source: str, leading: Leading, left: list[str], index: list[int | slice], guessed: str) -> None:
         if left:
             places = {axis: at for axis, at in zip(leading.axes, index, strict=True) if axis in left}
             taken = ", ".join(
@@ -156,27 +156,27 @@ def chosen_series(
     main: int | None = None,
     first: bool = True,
 ) -> int:
-    """The place among `series` of the one that `choice` is the number or the `id` of.
+    """The index in `series` of `choice`, which is a number or an `id`.
 
-    Without a choice it is the only one of the `main` first ones, which come before what nobody means who does not say so.
+    Without a choice, it is the first of the `main` first series; the others must be chosen.
 
     Raises
     ------
     OptionError
-        There is none such.
+        There is no such series.
     DataError
-        There are several, none was chosen, and the `first` is no better than another.
+        There are several, none was chosen, and the `first` is not preferred.
 
     Warns
     -----
     ClvolWarning
         There are several, and the first is taken.
     """
-    told = ", ".join(f"{n}: {one}" for n, one in enumerate(series[:_LISTED]))
-    told += f", … ({len(series)})" if len(series) > _LISTED else ""
+    listed = ", ".join(f"{n}: {one}" for n, one in enumerate(series[:_LISTED]))
+    listed += f", … ({len(series)})" if len(series) > _LISTED else ""
     if choice is None:
         if (len(series) if main is None else main or len(series)) > 1:
-            message = f"{source} holds {len(series)} {what}: {told}"
+            message = f"{source} holds {len(series)} {what}: {listed}"
             if not first:
                 raise DataError(f"{message}; choose one by series=")
             warn(f"{message}; the first was read: choose by series=")
@@ -187,21 +187,21 @@ def chosen_series(
     number = int(choice) if isinstance(choice, str) and choice.isdecimal() else choice
     if isinstance(number, str) or not 0 <= whole("series", number) < len(series):
         if len(series) == 1:
-            raise OptionError(f"series must be 0 or the name, for {source} holds one: {told}; got {choice!r}")
+            raise OptionError(f"series must be 0 or the name, for {source} holds one: {listed}; got {choice!r}")
         raise OptionError(
-            f"series must be one of the {len(series)} {what} of {source}, by number from 0 or name: {told}; got {choice!r}"
+            f"series must be one of the {len(series)} {what} of {source}, by number from 0 or name: {listed}; got {choice!r}"
         )
     return number
 
 
 def chosen_level(source: str, sizes: Sequence[Sequence[int]], level: int) -> int:
-    """The place of a level among the `sizes` that there are, the largest first; `OptionError` where there is none such."""
+    """Check the index of a level among `sizes`, the largest first."""
     number = whole("level", level)
     if not 0 <= number < len(sizes):
         if len(sizes) == 1:
             raise OptionError(f"level must be 0, for {source} holds the image in one size; got {level}")
-        told = ", ".join(" × ".join(map(str, size)) for size in sizes)
+        listed = ", ".join(" × ".join(map(str, size)) for size in sizes)
         raise OptionError(
-            f"level must be 0 to {len(sizes) - 1}, for {source} holds the image in {len(sizes)} sizes: {told}; got {level}"
+            f"level must be 0 to {len(sizes) - 1}, for {source} holds the image in {len(sizes)} sizes: {listed}; got {level}"
         )
     return number

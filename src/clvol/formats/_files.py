@@ -1,4 +1,4 @@
-"""What every format module shares: typed errors, counts of bytes, and what a format can hold."""
+"""What format modules share: errors, byte counts, dtypes that a format can hold."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ Reader = Callable[..., Content]
 Writer = Callable[[Volume, Path], None]
 
 _CHUNK = 1 << 20
-_TRIED = 4096  # chunks, in search of one that is damaged
-_GZIP_RESERVED = 0xE0  # of the flags of a member
-_XZ, _XZ_FOOTER, _XZ_BITS = b"\xfd7zXZ\0", 12, 63  # what a stream begins with; bytes of its end; bits of its numbers
+_TRIED = 4096  # chunks to try, in search of a damaged one
+_GZIP_RESERVED = 0xE0  # flags of a member that must be 0
+_XZ, _XZ_FOOTER, _XZ_BITS = b"\xfd7zXZ\0", 12, 63  # magic bytes; bytes of the footer; bits of a number
 
 
 @contextmanager
 def foreign_errors(what: str, reason: Callable[[Exception], str] = str) -> Iterator[None]:
-    """Turn whatever a library raises into a `FormatError` that says what was being done."""
+    """Turn what a library raises into a `FormatError` that says what was being done."""
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # absurd numbers are refused, and need no warning
+        with np.errstate(over="ignore", invalid="ignore"):  # absurd numbers are refused later
             yield
     except (ClvolError, ClvolWarning, MemoryError):
-        raise  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
+        raise  # sizes were checked before: a MemoryError is the machine's, not the file's
     except Exception as error:
         raise FormatError(f"cannot {what}: {reason(error) or type(error).__name__}") from error
 
@@ -64,7 +64,7 @@ def storable(data: NDArray[Any], dtypes: Sequence[str]) -> NDArray[Any]:
 
 
 def scaled(data: NDArray[Any], slope: float, offset: float) -> NDArray[Any]:
-    """``slope * data + offset`` in float64, or `data` themselves where that is what it means."""
+    """``slope * data + offset`` in float64; `data` itself for a slope of 1 and an offset of 0."""
     if slope == 1 and offset == 0:
         return data
     values = data.astype(np.float64)
@@ -80,7 +80,7 @@ def scaled(data: NDArray[Any], slope: float, offset: float) -> NDArray[Any]:
 
 
 def require_default(volume: Volume, names: Sequence[str], instead: str) -> None:
-    """Raise if one of the attributes `names`, which the format cannot hold, would be lost."""
+    """Raise if one of the attributes `names`, which the format cannot hold, is not the default."""
     default = Volume(volume.data)
     lost = [name for name in names if not np.array_equal(getattr(volume, name), getattr(default, name))]
     if lost:
@@ -89,7 +89,7 @@ def require_default(volume: Volume, names: Sequence[str], instead: str) -> None:
 
 
 def sample_count(shape: Sequence[int]) -> int:
-    """How many samples `shape` has; it never overflows, unlike ``np.prod``."""
+    """Number of samples of `shape`; unlike ``np.prod``, it never overflows."""
     return math.prod(int(n) for n in shape)
 
 
@@ -103,13 +103,13 @@ def require_bytes(source: object, found: int, shape: Sequence[int], dtype: DType
 
 
 def bytes_at(shape: Sequence[int], index: Sequence[int | slice], dtype: np.dtype[Any]) -> int:
-    """Bytes of the samples at an index of an array, which may leave out its last axes."""
+    """Bytes of the samples at an index of an array; the index may omit last axes."""
     taken = (len(range(n)[at]) for n, at in zip(shape, index, strict=False) if isinstance(at, slice))
     return sample_count([*taken, *shape[len(index) :]]) * dtype.itemsize
 
 
 def damaged_chunk(array: Any, index: Sequence[int | slice]) -> tuple[int, ...] | None:
-    """Which chunk, the first among those at an index of an array, cannot be read by itself; None if it was not found."""
+    """The first chunk at an index of an array that cannot be read; None if none is found."""
     box = [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(array.shape, index, strict=True)]
     places = (range(part[0] // edge, part[-1] // edge + 1) for part, edge in zip(box, array.chunks, strict=True))
     for at in itertools.islice(itertools.product(*places), _TRIED):
@@ -121,13 +121,13 @@ def damaged_chunk(array: Any, index: Sequence[int | slice]) -> tuple[int, ...] |
 
 
 def require_members(source: object, archive: zipfile.ZipFile, *, replaced: bool = False) -> None:
-    """Raise before a member of an archive is unpacked: each must have a name of its own, and no absurd size.
+    """Check an archive before any member is unpacked: names must be unique, and sizes plausible.
 
-    Members may be `replaced` by later ones of the same name: so does zarr whenever attributes change.
+    If `replaced`, members may be replaced by later ones of the same name, as zarr does when attributes change.
     """
     members = archive.infolist()
     if replaced:
-        for member in members:  # that which is hidden by a damaged name of another is not replaced
+        for member in members:  # a member hidden by another's damaged name is not replaced
             if member.compress_type == zipfile.ZIP_STORED:
                 archive.open(member).close()
         members = list({member.filename: member for member in members}.values())
@@ -139,22 +139,22 @@ def require_members(source: object, archive: zipfile.ZipFile, *, replaced: bool 
         if member.compress_type == zipfile.ZIP_STORED and member.file_size != member.compress_size:
             raise FormatError(f"{source} must hold what it says; {member.filename[:80]!r} is stored with two sizes")
         announce(f"{source}[{member.filename[:80]}]", member.file_size, member.compress_size)
-        with archive.open(member):  # compares the name with that of the directory
+        with archive.open(member):  # compares the name with the directory's
             pass
 
 
 def gunzipped_size(stream: IO[bytes], limit: int) -> int:
-    """How many bytes the gzip `stream` holds; its checksums are checked, for it is read to its end.
+    """Unpacked bytes of a gzip stream, which is read to its end, so that its checksums are verified.
 
     Raises
     ------
     FormatError
-        More than `limit` bytes: what has no end is not unpacked.
+        There are more than `limit` bytes.
     """
     start = stream.tell()
     head = stream.read(4)
     stream.seek(start)
-    if len(head) == 4 and head[3] & _GZIP_RESERVED:  # RFC 1952, 2.3.1.2; SimpleITK refuses it too, and leaves the file open
+    if len(head) == 4 and head[3] & _GZIP_RESERVED:  # RFC 1952, 2.3.1.2; SimpleITK refuses it too, but leaves the file open
         raise FormatError(f"what is packed by gzip must be so as its standard has it; its flags are {head[3]:#04x}")
     with gzip.GzipFile(fileobj=stream) as unpacked:
         found = _count(unpacked.read, limit)
@@ -164,11 +164,11 @@ def gunzipped_size(stream: IO[bytes], limit: int) -> int:
 
 
 def inflated_size(stream: IO[bytes], packed: int, limit: int, *, exact: bool = False) -> int:
-    """How many bytes the next `packed` bytes of `stream` (zlib or gzip) hold, counted up to just past `limit`.
+    """Unpacked bytes of the next `packed` bytes of `stream` (zlib or gzip), counted up to just past `limit`.
 
-    Where they are `exact`, nothing may follow the packed samples among them.
+    If `exact`, nothing may follow the compressed samples.
     """
-    inflater = zlib.decompressobj(47)  # 47: either kind of header
+    inflater = zlib.decompressobj(47)  # a header of zlib or of gzip
     end = stream.tell() + packed
 
     def read(size: int) -> bytes:
@@ -186,7 +186,7 @@ def inflated_size(stream: IO[bytes], packed: int, limit: int, *, exact: bool = F
 
 
 def xz_size(stream: IO[bytes], start: int, length: int) -> int:
-    """How many bytes a stream in XZ of `length` bytes holds, according to the index at its end, of which the checksums are checked.
+    """Unpacked bytes of an XZ stream of `length` bytes, from the index at its end, whose checksums are verified.
 
     Source: The .xz File Format, version 1.2.1, 2.1.2 (the footer) and 4 (the index).
     """
@@ -212,11 +212,11 @@ def xz_size(stream: IO[bytes], start: int, length: int) -> int:
             value = shift = 0
         elif shift > _XZ_BITS:
             raise FormatError(f"numbers in what is packed as XZ must have up to {_XZ_BITS} bits; it is damaged")
-    return sum(numbers[2 : 1 + 2 * numbers[0] : 2])  # the number of blocks; of each the bytes before and after unpacking
+    return sum(numbers[2 : 1 + 2 * numbers[0] : 2])  # the number of blocks, then for each its packed and unpacked bytes
 
 
 def _count(read: Callable[[int], bytes], limit: int) -> int:
-    """Count the bytes that `read` gives without keeping them: libraries fill what is missing with zeros."""
+    """Count the bytes that `read` returns, for libraries fill missing ones with zeros."""
     total = 0
     while total <= limit and (chunk := read(_CHUNK)):
         total += len(chunk)

@@ -1,4 +1,4 @@
-"""Reading the text headers of MetaImage and NRRD, with limits."""
+"""Text headers of MetaImage and NRRD, read within limits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 
 
 def line(stream: IO[bytes], name: str) -> str | None:
-    """The next line without its end, None at the end of the file."""
+    """The next line without its end; None at the end of the file."""
     raw = stream.readline(_MAX_LINE + 1)
     if len(raw) > _MAX_LINE or stream.tell() > MAX_HEADER:
         raise FormatError(f"{name} must have a header of lines up to {_MAX_LINE} bytes, {MAX_HEADER} in all")
@@ -28,9 +28,9 @@ def line(stream: IO[bytes], name: str) -> str | None:
 
 
 def numbers(name: str, key: str, text: str, count: int, *, nan: bool = False) -> tuple[float, ...]:
-    """`count` finite numbers in `text`, or what `nan` allows: libraries read as far as they understand, and take the rest for 0.
+    """`count` finite numbers in `text`, or also nan if `nan`. Libraries would read what they cannot parse as 0.
 
-    None is larger than any length or place needs to be, for libraries multiply them.
+    Numbers are limited to `_LARGEST`, for libraries multiply them.
     """
     words = text.split()
     known = text.isascii() and all(re.fullmatch(_NUMBER, word) or (nan and word.lower() == "nan") for word in words)
@@ -42,7 +42,7 @@ def numbers(name: str, key: str, text: str, count: int, *, nan: bool = False) ->
 
 
 def whole(name: str, key: str, text: str, low: int, count: int = 1) -> tuple[int, ...]:
-    """`count` whole numbers of at least `low` in `text`; written with digits only, as every reader takes them."""
+    """`count` whole numbers of at least `low` in `text`, of digits only, which every reader parses alike."""
     words = text.split()
     if len(words) != count or not all(word.removeprefix("-").isdecimal() and word.isascii() for word in words):
         raise FormatError(f"{name} must give {count} whole numbers for {key!r}; got {text[:80]!r}")
@@ -53,9 +53,9 @@ def whole(name: str, key: str, text: str, low: int, count: int = 1) -> tuple[int
 
 
 def data_path(header: Path, text: str) -> Path:
-    """The one file with the samples of a detached header: it must be there, and in the folder of the header or below.
+    """The file with the samples of a detached header, which must lie in the folder of the header or below.
 
-    A hostile header would have any file on this machine read, and shown. One that is trusted may name a file anywhere.
+    Otherwise a hostile header could have any file of this machine read and shown. A trusted header may name any file.
     """
     # ITK passes a pattern to sprintf, and reads "-" from the terminal.
     if not text or text == "-" or "%" in text or text.split()[0].upper() == "LIST":

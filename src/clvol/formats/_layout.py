@@ -1,4 +1,4 @@
-"""What each axis of an array counts, and which of its samples are the volumes that were chosen."""
+"""The meaning of each axis of an array, and the volumes that were chosen of it."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
 from clvol.interop.kinds import Content
 from clvol.units import scale, unit_name
-from clvol.volume.volumes import AXES, Leading
+from clvol.volume.volumes import Leading
 
 __all__ = ["Layout", "decoded", "lay_out", "place", "scaled_window", "shrunk", "uniform", "unnamed"]
 
 _UNNAMED = {1: ("volume",), 2: ("time", "channel"), 3: ("time", "position", "channel")}
-_OFF = 1e-3  # of a step, by which coordinates may be off and count as evenly spaced; float32 has that of long axes
+_OFF = 1e-3  # deviation of evenly spaced coordinates, in steps; float32 has that on long axes
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What each axis of an array counts.
+    """The meaning of each axis of an array.
 
     Parameters
     ----------
     axes : tuple of str
-        One of `AXES`, "z", "y" or "x" each; "" for an axis of one sample that counts nothing.
+        One of `AXES`, "z", "y" or "x" each; "" for an axis of one sample without a meaning.
     shape : tuple of int
         Of the array.
     guessed : str
-        How axes were understood that their source does not explain, for people.
+        How axes were interpreted that their source does not explain, for messages.
     """
 
     axes: tuple[str, ...]
@@ -55,12 +55,12 @@ class Layout:
 
     @property
     def in_colour(self) -> Leading:
-        """What the leading axes count, where the channels are red, green, blue (and alpha)."""
+        """The leading axes, with channels red, green, blue (and alpha)."""
         rgb = Leading.of_rgb(self.shape[self.axes.index("channel")])
         return Leading(self.leading, self.counts, rgb.names, rgb.colors, rgb=True)
 
     def channels_of(self, dtype: np.dtype[Any]) -> Leading:
-        """What the leading axes count, where channels without names are colours (bytes) or components (floating)."""
+        """The leading axes; channels without names are colours (bytes) or components of vectors (floating)."""
         n = self.shape[self.axes.index("channel")] if "channel" in self.axes else 0
         if dtype == np.uint8 and n in (3, 4):
             return self.in_colour
@@ -77,9 +77,9 @@ class Layout:
         load: Callable[[tuple[int | slice, ...]], NDArray[Any] | Window],
         leading: Leading | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """The samples that `choose` takes, [..., z, y, x], and what is known of them; `load` gives the array at an index.
+        """The samples that `choose` picks, [..., z, y, x], and arguments of `Volume`; `load` returns the array at an index.
 
-        Of a `Window` of the array they are one too. `leading` may have the axes in another order, that of the samples.
+        If `load` returns a `Window`, so does this. `leading` may have the axes in the order that the samples shall have.
         """
         known = leading or Leading(self.leading, self.counts)
         pick = choose(source, known, self.guessed)
@@ -97,23 +97,22 @@ class Layout:
 def lay_out(
     source: str, words: Sequence[str], shape: Sequence[int], keep: Sequence[str] = ("z",), asked: Collection[str] = ()
 ) -> Layout:
-    """The layout of an array whose axes have these names, "" where they have none.
+    """The layout of an array whose axes have these names, or "".
 
-    Axes without a known name are taken for those of x, y and z that are missing, from the last axis on, and for volumes, times,
-    positions and channels before these; `guessed` says so, but where three axes or fewer have no names at all. What the caller
-    `asked` for there is: who chooses a channel explains an axis of volumes, or of slices. Axes of one sample are left out, but
-    x, y and those to `keep`.
+    Axes without a known name become the missing ones of x, y and z, from the last axis on, then volumes, times, positions and
+    channels; `guessed` says so, unless no axis has a name and there are at most three. An axis that the caller `asked` for exists:
+    choosing a channel makes channels of volumes, or of slices. Axes of one sample are dropped, except x, y and those to `keep`.
 
     Raises
     ------
     DataError
-        There are no rows and columns, or more axes than can be counted.
+        There are no rows and columns, or too many axes.
     """
     if len(shape) < 2 or len(words) != len(shape):
         raise DataError(f"{source} must hold an image or a volume; got an array of shape {tuple(shape)}")
     axes = [meaning(word) for word in words]
     for i, axis in enumerate(axes):
-        if axis and axis in axes[:i]:  # of two axes of one meaning the first counts volumes
+        if axis and axis in axes[:i]:  # of two axes with one meaning, the first counts volumes
             axes[axes.index(axis)] = ""
     named = any(axes)
     unknown = [i for i, axis in enumerate(axes) if not axis and (shape[i] > 1 or not named)]
@@ -143,9 +142,9 @@ def lay_out(
 
 
 def unnamed(shape: Sequence[int], dtype: np.dtype[Any]) -> list[str]:
-    """Words for the axes of an array that has none: "", but "channel" for a last one that is much shorter than the others.
+    """Names for the axes of an array without names: "", but "channel" for a last axis that is much shorter than the others.
 
-    Of images and single volumes that is so only where it looks like colours: three or four bytes.
+    Of images and single volumes, only for three or four bytes, which look like colours.
     """
     short = (3, 4) if len(shape) == 3 and dtype == np.uint8 else (2, 3, 4) if len(shape) > 3 else ()
     last = len(shape) > 2 and shape[-1] in short and min(shape[-3:-1]) > max(short)
@@ -153,7 +152,7 @@ def unnamed(shape: Sequence[int], dtype: np.dtype[Any]) -> list[str]:
 
 
 def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:
-    """First value and step of evenly spaced coordinates; None where they are not."""
+    """First value and step of coordinates; None if they are not evenly spaced."""
     values = np.asarray(coordinates)
     if values.ndim != 1 or values.dtype.kind not in "iuf" or len(values) < 2:
         return None
@@ -166,9 +165,9 @@ def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:
 
 
 def place(layout: Layout, lines: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> dict[str, Any]:
-    """Where a grid lies on whose axes samples have these first coordinates and steps, in these units.
+    """Geometry of a grid from the first coordinate and the step along its axes, and their units.
 
-    Axes without a line begin at 0, and have a step of 1; units are brought to one, if they are lengths.
+    Without these, an axis begins at 0 with a step of 1. Lengths are converted to one unit.
     """
     axes = [axis for axis in "xyz" if axis in layout.axes]
     names = {axis: unit_name(units.get(axis, "")) for axis in axes}
@@ -188,7 +187,7 @@ def place(layout: Layout, lines: Mapping[str, tuple[float, float]], units: Mappi
 
 
 def shrunk(base: Content, content: Content) -> Content:
-    """A size of an image of which nothing is said but its shape, where the largest one lies."""
+    """A smaller size of an image, without metadata of its own, placed where the largest one, `base`, lies."""
     (data, about), (_, first) = content, base
     factors = [n / m for n, m in zip(base[0].shape[::-1], data.shape[::-1], strict=True)]
     spacing = [s * factor for s, factor in zip(first["spacing"], factors, strict=True)]
@@ -198,14 +197,14 @@ def shrunk(base: Content, content: Content) -> Content:
 
 
 def scaled_window(window: Window, slope: float, offset: float) -> Window:
-    """``slope * sample + offset``, as `scaled` has it, of samples that are read when they are needed."""
+    """As `scaled`, of samples that are read on demand."""
     return window if slope == 1 and offset == 0 else window.mapped(lambda part: scaled(part, slope, offset))
 
 
 def decoded(data: Any, attributes: Mapping[str, Any]) -> Any:
-    """Samples as the conventions of netCDF say: missing ones NaN, the others scaled and shifted.
+    """Samples by the conventions of netCDF: missing ones NaN, the others scaled and shifted.
 
-    Of a `Window` all are floating where some could be missing.
+    Those of a `Window` are floating if any could be missing.
     """
 
     def given(name: str, default: float) -> float:

@@ -1,13 +1,13 @@
-"""Pyramids of volumes in Zarr stores, made brick by brick: smaller sizes, bounds of the function.
+"""Pyramids: OME-Zarr stores with a volume in several sizes, and bounds of its function; written brick by brick.
 
-| module    | what                                                                             |
-|-----------|----------------------------------------------------------------------------------|
-| `levels`  | which sizes there are, and sums along axes for parts of them                       |
-| `reduce`  | the next size, streamed along z                                                   |
+| module    | what                                                            |
+|-----------|-----------------------------------------------------------------|
+| `levels`  | the sizes, and the sums that reduce an axis                     |
+| `reduce`  | the next size, streamed along z                                 |
 | `blocks`  | minima and maxima of the function in blocks of cells, by bricks |
-| `cache`   | chunks that were unpacked                                                          |
-| `journal` | the unfinished store, and what of it is done                                      |
-| `make`    | `pyramid`                                                                         |
+| `source`  | what identifies the source                                      |
+| `journal` | the unfinished store, and which of its parts are done           |
+| `make`    | `pyramid`                                                       |
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Minima and maxima of the function in blocks of cells, by bricks with margins."""
+"""Minima and maxima of the function in blocks of cells, computed by bricks with margins."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from clvol.volume.volume import Volume
 
 __all__ = ["Bricks", "coarser", "outwards", "require_bounded"]
 
-_LEFT_OUT = 1e-9  # of the range, what samples beyond a brick's margin would change
-_APART = 1e-6  # of the range, by which functions of bricks may differ from one of a whole
-_BYTES = 16  # of a sample of a brick: samples, coefficients, and what the host holds of them
+_LEFT_OUT = 1e-9  # influence of the samples outside a brick's margin, relative to the range
+_APART = 1e-6  # difference between the functions of a brick and of the volume, relative to the range
+_BYTES = 16  # per sample of a brick: samples and coefficients on the device, and the host's copies
 _MIB = 1 << 20
 
 
 def require_bounded(filter: Filter, boundary: Boundary) -> None:
-    """Raise `OptionError` for a function that bricks do not have: hybrids, and boundary rules that have values of their own."""
+    """Raise `OptionError` for hybrids, and for boundary rules that do not continue the samples: bricks cannot bound these."""
     if filter.magnified_by is not None:
         raise OptionError(f"bounds are of filters with one kernel; got the hybrid {filter.name!r}")
     if boundary.period is None or boundary.outside not in ("rule", "clamp"):
@@ -40,7 +40,7 @@ def require_bounded(filter: Filter, boundary: Boundary) -> None:
 
 
 def margin(filter: Filter) -> int:
-    """Samples around a brick that its function depends on."""
+    """Samples around a brick that its function depends on, up to `_LEFT_OUT`."""
     rows = [filter.along(axis) for axis in range(len(filter.smoothing) if isinstance(filter.smoothing, tuple) else 1)]
     nearest = max((float(np.abs(row.poles).max(initial=0.0)) for row in rows if row.prefilter), default=0.0)
     reach = math.ceil(math.log(_LEFT_OUT) / math.log(nearest)) if nearest > 0 else 0
@@ -57,9 +57,9 @@ class Bricks:
     size : tuple of int
         Samples along x, y and z.
     filter, boundary : Filter, Boundary
-        Of the function, as `require_bounded` lets through.
+        Of the function; `require_bounded` accepts them.
     edge : int
-        Blocks along an edge of a brick.
+        Edge of a brick, in blocks.
     device : Device
 
     Attributes
@@ -80,7 +80,7 @@ class Bricks:
         self._read, self._size, self._filter, self._boundary, self._device = read, tuple(size), filter, boundary, device
         self.edge = edge
         self.count = blocks_of(size)
-        # blocks of minmax.py begin where blocks of samples do, if the filter's cells lie between samples
+        # if the filter's cells lie between samples, blocks of `MinMax` begin where our blocks do
         halo = filter.support // 2 + 1 + 1
         self._margin = margin(filter)
         if filter.support % 2 == 0:
@@ -88,38 +88,38 @@ class Bricks:
 
     @staticmethod
     def edge_for(filter: Filter, budget: int) -> int:
-        """Blocks along an edge of bricks that a budget holds: 32, 16 or 8.
+        """The largest edge of bricks that fits into a budget: 32, 16 or 8 blocks.
 
         Raises
         ------
         OptionError
-            It does not hold the least.
+            None fits.
         """
         for edge in (32, 16, 8):
             needed = Bricks.bytes_of(filter, edge)
-            if needed <= (budget if edge == 8 else budget // 2):  # the other half for chunks that neighbours share
+            if needed <= (budget if edge == 8 else budget // 2):  # the other half is for chunks that neighbours share
                 return edge
         plain = filter_at(filter, 1)
         least, without = (-(-Bricks.bytes_of(row, edge) // _MIB) + FIXED // _MIB for row in (filter, plain))
-        told = f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
+        text = f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
         if without < least:
-            told += f": that of {filter.name} is wide, filter {plain.name} needs {without} MiB"
-        raise OptionError(told)
+            text += f": that of {filter.name} is wide, filter {plain.name} needs {without} MiB"
+        raise OptionError(text)
 
     @staticmethod
     def bytes_of(filter: Filter, edge: int) -> int:
-        """What a brick takes while it is worked on."""
+        """Memory of a brick while it is computed."""
         return int(_BYTES * (edge * BLOCK + 2 * margin(filter) + 8) ** 3)
 
     def places(self) -> Iterator[tuple[tuple[int, int], ...]]:
-        """The blocks of each brick, from one to before another along x, y and z."""
+        """The ranges of blocks of each brick, along x, y and z."""
         spans = [[(a, min(a + self.edge, n)) for a in range(0, n, self.edge)] for n in self.count]
         return ((x, y, z) for z, y, x in itertools.product(*spans[::-1]))
 
     def bounds(self, place: tuple[tuple[int, int], ...]) -> tuple[NDArray[np.float64], tuple[float, float]]:
-        """Minima and maxima in the blocks of a brick, [z, y, x, 2], and those of its samples.
+        """Minima and maxima in the blocks of a brick, [z, y, x, 2], and of its samples.
 
-        Those are rounded to nothing yet, and hold the function as any device of clvol evaluates it, of this brick or of one piece.
+        They bound the function as any device evaluates it, by bricks or not. They are not rounded yet: see `outwards`.
         """
         m = self._margin
         own = [(a * BLOCK, min(b * BLOCK + 1, n)) for (a, b), n in zip(place, self._size, strict=True)]
@@ -151,20 +151,20 @@ class Bricks:
         for axis in (2, 1, 0):
             found = _merged(found, axis, [(a - begin[axis], b - begin[axis]) for a, b in rows[axis]])
         values = np.asarray(stored.values(found) if not stored.identity else found, np.float64)
-        pad = np.where((found != 0).any(-1), spread, 0.0)  # nothing but zeros is nothing but zeros
+        pad = np.where((found != 0).any(-1), spread, 0.0)  # where all is zero, the function is exactly zero
         values[..., 0] -= pad
         values[..., 1] += pad
         return values, value_range
 
     def _places(self, first: int, last: int, n: int) -> NDArray[np.int64]:
-        """The samples that stand for those from `first` to before `last`, some past the outer ones."""
+        """The samples at indices `first` to `last`, of which those outside the volume are folded into it."""
         i = np.arange(first, last)
         return np.clip(i, 0, n - 1) if self._boundary.outside == "clamp" else self._boundary.folded(i, n)
 
     def _rows(self, axis: int, first: int, last: int, halo: int) -> list[tuple[int, int]]:
-        """Which blocks of `CELLS` cells of coefficients, from one to before another, have what lies in each of some blocks."""
+        """For each block, the range of blocks of `MinMax` (`CELLS` cells of coefficients) that covers it."""
         n, begin = self._size[axis], first * BLOCK - self._margin
-        shift = halo - self._filter.support / 2 + 1  # block b holds positions from CELLS b - shift on
+        shift = halo - self._filter.support / 2 + 1  # block b of `MinMax` begins at position CELLS b - shift
         rows = []
         for block in range(first, last):
             low = block * BLOCK - begin - 0.5 * (block == 0)
@@ -174,7 +174,7 @@ class Bricks:
         return rows
 
     def _part(self, rows: list[list[tuple[int, int]]], shape: tuple[int, ...]) -> tuple[list[int], tuple[Cell, Cell]]:
-        """The first of these blocks along z, y and x, and the cells that they all have, as `MinMax` takes them."""
+        """The first of these blocks along z, y and x, and the range of cells of all, for `MinMax`."""
         begin = [row[0][0] for row in rows]
         x, y, z = (CELLS * one for one in begin[::-1])
         i, j, k = (min(CELLS * row[-1][1], n - self._filter.support + 1) for row, n in zip(rows[::-1], shape[::-1], strict=True))
@@ -182,13 +182,13 @@ class Bricks:
 
 
 def _merged(found: NDArray[Any], axis: int, rows: list[tuple[int, int]]) -> NDArray[Any]:
-    """Blocks brought together along an axis, from one to before another at a time."""
+    """Bounds of ranges of blocks along an axis."""
     parts = (found[(slice(None),) * axis + (slice(a, b),)] for a, b in rows)
     return np.stack([np.stack([part[..., 0].min(axis), part[..., 1].max(axis)], -1) for part in parts], axis)
 
 
 def _taken(data: NDArray[Any], places: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """``data[np.ix_(*places)]`` in one go: most of what is taken lies in a row along each axis, and the rest is little."""
+    """``data[np.ix_(*places)]``, fast where most places along each axis are consecutive."""
     if all(np.array_equal(at, np.arange(n)) for at, n in zip(places, data.shape, strict=True)):
         return data
     result = np.empty([len(at) for at in places], data.dtype)
@@ -202,7 +202,7 @@ def _taken(data: NDArray[Any], places: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _spans(at: NDArray[Any]) -> list[tuple[slice, slice | NDArray[Any]]]:
-    """Places along an axis as the longest row of neighbours, and what comes before and after it; each with where it is put."""
+    """The longest run of consecutive places as a slice, and the places before and after it; each with its slice of the result."""
     ends = np.flatnonzero(np.diff(at) != 1) + 1
     runs = np.split(at, ends)
     longest = int(np.argmax([len(run) for run in runs]))
@@ -214,7 +214,7 @@ def _spans(at: NDArray[Any]) -> list[tuple[slice, slice | NDArray[Any]]]:
 
 
 def outwards(values: NDArray[np.float64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Minima rounded down and maxima rounded up."""
+    """Bounds in `dtype`: minima rounded down, maxima rounded up."""
     with np.errstate(over="ignore"):
         made = values.astype(dtype)
     low, high = made[..., 0], made[..., 1]
@@ -224,7 +224,7 @@ def outwards(values: NDArray[np.float64], dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def coarser(blocks: NDArray[Any]) -> NDArray[Any]:
-    """Two blocks along each axis brought together."""
+    """Bounds of blocks twice as large along each axis."""
     for axis in range(3):
         odd = blocks.shape[axis] % 2
         if odd:

@@ -1,4 +1,4 @@
-"""Which sizes a pyramid has, and what becomes of an axis from one to the next."""
+"""The sizes of a pyramid, and how an axis is reduced from one to the next."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Method: TypeAlias = Literal["least-squares", "average", "nearest"]
 METHODS: tuple[Method, ...] = ("least-squares", "average", "nearest")
 
 ORDER = (1, 2, 0)
-"""In which [z, y, x] are reduced, one after the other, whatever part is made: sums round alike."""
+"""Axes of [z, y, x] in the order of their reduction, the same for every part: sums round alike."""
 
 FIXED = 96 << 20
-"""Bytes of a budget that Zarr and the device take beside what is counted."""
+"""Bytes of a budget for what Zarr and the device take uncounted."""
 
-_ALIKE = 1.5  # times the smallest spacing: axes whose samples lie further apart wait until the others do too
+_ALIKE = 1.5  # times the smallest spacing; axes with a larger one are not reduced yet
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Level:
     size : tuple of int
         Samples along x, y and z.
     steps : tuple of int
-        Samples of the size before, 1 or 2, for one of its own, along x, y and z.
+        Samples of the size before per sample, 1 or 2, along x, y and z.
     factors : tuple of int
-        Those of the first.
+        Samples of the first size per sample.
     """
 
     size: tuple[int, int, int]
@@ -47,19 +47,19 @@ class Level:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """As an array has it."""
+        """Along z, y and x."""
         return self.size[2], self.size[1], self.size[0]
 
     @property
     def offset(self) -> tuple[float, ...]:
-        """Where the first sample lies, in samples of the first size: in the middle of those that it stands for."""
+        """Position of the first sample, in samples of the first size: the centre of those that it stands for."""
         return tuple((factor - 1) / 2 for factor in self.factors)
 
 
 def levels_of(size: Sequence[int], spacing: Sequence[float], count: int | None, enough: int) -> list[Level]:
-    """The sizes of a pyramid, the volume's own first: `count` of them, or until no axis has more than `enough` samples.
+    """The sizes of a pyramid, the volume's first: `count` of them, or until no axis has more than `enough` samples.
 
-    Each halves those axes whose samples lie nearest to each other: slices far apart are first reached by the others.
+    Each halves the axes with the smallest spacing, so that anisotropic volumes become isotropic first.
     """
     x, y, z = size
     found = [Level((x, y, z))]
@@ -82,12 +82,12 @@ def _three(numbers: Sequence[int]) -> tuple[int, int, int]:
 
 
 def filter_at(filter: Filter, number: int) -> Filter:
-    """That of a size: smoothed the first, interpolating those after it."""
+    """The filter of a size: smoothing for the first, interpolating for the others."""
     return filter if number == 0 or not filter.smoothing else filter.smoothed(0.0)
 
 
 def require_reducible(method: Method, filter: Filter, boundary: Boundary) -> None:
-    """Raise `OptionError` for a function to which no spline of fewer samples is nearest."""
+    """Raise `OptionError` for a function without a nearest spline of fewer samples."""
     if method == "least-squares" and (filter.magnified_by is not None or (filter.prefilter and boundary.period is None)):
         raise OptionError(
             f"least-squares reduction takes a filter with one kernel, and a boundary rule that continues the samples; "
@@ -96,7 +96,7 @@ def require_reducible(method: Method, filter: Filter, boundary: Boundary) -> Non
 
 
 def sums_for(method: Method, filter: Filter, boundary: Boundary, step: int, n: int, double: bool) -> Sums | None:
-    """What becomes of an axis of `n` samples; None where it stays. `filter` is what it is along this axis."""
+    """The sums that reduce an axis of `n` samples; None if it stays. `filter` is the one along this axis."""
     if step == 1:
         return None
     m = -(-n // step)
@@ -105,5 +105,5 @@ def sums_for(method: Method, filter: Filter, boundary: Boundary, step: int, n: i
     first = step * np.arange(m)
     if method == "nearest":
         return Sums(n, first[:, None].astype(np.int32), np.ones((m, 1)))
-    places = np.minimum(first[:, None] + np.arange(step), n - 1).astype(np.int32)  # the last of an odd number stands alone
+    places = np.minimum(first[:, None] + np.arange(step), n - 1).astype(np.int32)  # of an odd number, the last stands alone
     return Sums(n, places, np.full(places.shape, 1 / step))

@@ -1,4 +1,4 @@
-"""`pyramid`: a volume of any size as an OME-Zarr store of several sizes, with bounds of the function beside them."""
+"""`pyramid` writes a volume of any size as an OME-Zarr store of several sizes, with bounds of its function."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ VERSIONS = ("0.4", "0.5")
 COMPRESSORS = ("lz4", "zstd", "none")
 _SUFFIXES = (".zarr",)
 _CHUNK = 64
-_BLOCKS = 32  # of bounds, along an edge of a chunk
-_FEW = 8  # blocks along an axis from which no coarser ones are kept
-_OF_SOURCE = 3  # of the budget, the part for chunks of the source that are kept: half of it is for those that are being read
-_LARGE = 16  # of the budget, one part in so many for a chunk of the source that is unpacked: those that take more are kept
-_COST = {"reduce": 1.0, "bounds": 2.0}  # of a sample, about, for telling how much is done
+_BLOCKS = 32  # blocks of bounds along an edge of a chunk
+_FEW = 8  # blocks along an axis at which coarsening of bounds stops
+_OF_SOURCE = 3  # a third of the budget caches chunks of the source; half of that is for those being read
+_LARGE = 16  # chunks of the source that take a 16th of the budget to unpack are cached
+_COST = {"reduce": 1.0, "bounds": 2.0}  # work per sample, about, for the progress
 
 
 def pyramid(
@@ -67,40 +67,40 @@ def pyramid(
     device: Device | str | int | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> LazyVolume:
-    """Write a volume as an OME-Zarr store of several sizes, with bounds of its function beside them.
+    """Write a volume as an OME-Zarr store of several sizes, with bounds of its function.
 
-    It goes through the volume by parts, and reads each sample about once. The store appears when it is complete. If the process is
-    killed before, or interrupted, the same call goes on where it stopped.
+    The volume is read by parts, each sample about once. The store appears when it is complete. If the process is killed or
+    interrupted before, the same call resumes.
 
     Parameters
     ----------
     source : LazyVolume, Volume, path or array-like
-        The volume; of `clvol.open`, if it is larger than memory. A path is opened so, if its format allows it.
+        The volume; from `clvol.open` if it is larger than memory, as a path is opened if its format allows it.
     path : path-like
         A folder that does not exist yet, ``*.zarr``.
     filter : str or Filter, optional
-        Of the function that the smaller sizes are nearest to, and that is bounded. Default: what pictures have, "bspline3(auto)",
-        its λ settled by samples in the middle of the volume; "nearest" for labels.
+        Of the function that the smaller sizes approximate, and that is bounded. Default: that of pictures, "bspline3(auto)", its λ
+        chosen from samples in the middle of the volume; "nearest" for labels.
     boundary : str or Boundary
-        What stands past the outer samples.
+        How samples continue outside.
     method : {"least-squares", "average", "nearest"}, optional
-        How smaller sizes come about. "least-squares": the spline nearest to that of the size before, in the mean square; "average":
-        the mean of two samples along each axis; "nearest": every second sample, the default for labels, which are never blended.
+        How a size follows from the one before. "least-squares": the spline nearest to it, in the mean square; "average": means of
+        two samples along each axis; "nearest": every second sample, the default for labels, which are never blended.
     levels : int, optional
-        Sizes, the volume's own included; by default until none has more samples along an axis than a chunk. Axes are halved whose
-        samples lie nearest to each other.
+        Number of sizes, with the volume's own; by default until no axis has more samples than a chunk. The axes with the smallest
+        spacing are halved first.
     chunks, shards : int or sequence of int
-        Samples along x, y and z that are stored together, and those in one file (Zarr 3, version "0.5" only).
+        Samples along x, y and z in a chunk, and in a file (Zarr 3, version "0.5" only).
     compressor : {"lz4", "zstd", "none"}
-        By way of Blosc, whose shuffle suits samples. "zstd" makes stores about a tenth smaller, and takes twice the time.
+        By Blosc, with a shuffle that suits samples. "zstd" makes stores about a tenth smaller, and takes twice the time.
     bounds : bool
-        Whether to keep minima and maxima of the function in blocks of 8³ cells, and of coarser ones. Renderers do not read what
+        Whether to store minima and maxima of the function in blocks of 8³ cells, and in coarser ones. Renderers do not read what
         these exclude, and `LazyVolume.limits` are exact.
     version : {"0.4", "0.5"}
         Of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
     budget : int, optional
-        Bytes of memory beyond what Python takes; default 2 GiB, or half of what is available if that is less, or more where a chunk
-        of the source has to be unpacked that takes as much.
+        Bytes of memory beyond what Python takes. Default: 2 GiB or half of the memory available, whichever is less, but enough to
+        unpack a chunk of the source.
     overwrite : bool
         Whether to replace what is at `path`, and what another unfinished call left beside it.
     device : Device, str or int, optional
@@ -116,11 +116,11 @@ def pyramid(
     Raises
     ------
     FormatError
-        Something is at `path`, or another call left an unfinished store beside it; `path` lies in the source, or holds it; samples
-        cannot be read, or not be written.
+        `path` exists, or another call left an unfinished store beside it; `path` lies in the source, or holds it; samples cannot be
+        read or written.
     OptionError
-        An argument is none of what is allowed; the budget is too small (the message says for what); the filter is a hybrid, or its
-        translates cannot be told apart; the boundary rule does not continue the samples.
+        An argument is not allowed; the budget is too small (the message says for what); the filter is a hybrid, or its translates
+        are linearly dependent; the boundary rule does not continue the samples.
     DataError
         The source is no volume, or samples are NaN or infinite (see `LazyVolume`: ``missing=``).
     MissingDependencyError
@@ -128,8 +128,8 @@ def pyramid(
 
     Notes
     -----
-    Smaller sizes keep the dtype: whole numbers are rounded, and clipped. Their filter is the one that is given, without smoothing:
-    the noise is gone where the first size was smoothed. Samples are the same to the last bit whatever the budget and the chunks.
+    Smaller sizes keep the dtype: whole numbers are rounded and clipped. Their filter is `filter` without smoothing, for the noise
+    went with the first size. Samples are the same to the last bit whatever the budget and the chunks.
 
     Examples
     --------
@@ -152,7 +152,7 @@ def pyramid(
         Bricks.edge_for(plan.filter, room)
     with foreign_errors(f"write {path}"), Journal(target, plan.command(volume), flag("overwrite", overwrite)) as journal:
         if not journal.finished:
-            _Making(volume, plan, journal, room, progress, cache).run()
+            _Writing(volume, plan, journal, room, progress, cache).run()
             journal.complete()
         elif progress is not None:
             progress(1.0)
@@ -177,13 +177,13 @@ def _lazy(source: Any) -> LazyVolume:
 
 
 def _kept(volume: LazyVolume, room: int) -> tuple[LazyVolume, Chunks | None]:
-    """A volume of dask, whose chunks are computed whenever they are read, or of large chunks, with some of them kept."""
+    """The volume, with a cache where reading a chunk again is expensive: dask computes it, and a large one is unpacked."""
     one, lines, most = stored_in_one(volume.data), lines_of(volume.data), room // _OF_SOURCE // 2
     computed = hasattr(volume.data, "__dask_graph__")
     if lines is None or not (computed or _LARGE * UNPACKING * one > room):
         return volume, None
     if computed and one <= most:
-        one = 0  # in the half for those that are being read
+        one = 0  # it fits into the half for chunks being read
 
     def read(at: tuple[slice, slice, slice]) -> NDArray[Any]:
         z, y, x = at
@@ -196,19 +196,19 @@ def _kept(volume: LazyVolume, room: int) -> tuple[LazyVolume, Chunks | None]:
 
 
 def _room(budget: int | None, volume: LazyVolume) -> int:
-    """Bytes for what a part takes."""
+    """The budget without what Zarr and the device take uncounted."""
     if budget is not None and whole("budget", budget, 1) <= FIXED:
         raise OptionError(f"budget must be more than {FIXED >> 20} MiB; got {budget >> 20} MiB")
     given = budget_for(volume, budget)
     return given - FIXED if budget is not None else max(FIXED, given - FIXED)
 
 
-# -- what is made ------------------------------------------------------------------------------------------------------
+# -- the plan ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """All that decides what is made."""
+    """All that decides what is written."""
 
     filter: Filter
     boundary: Boundary
@@ -223,11 +223,11 @@ class _Plan:
     labels: bool
 
     def filter_at(self, number: int) -> Filter:
-        """Of a size: smoothed the first, interpolating those after it."""
+        """The filter of a size: smoothing for the first, interpolating for the others."""
         return filter_at(self.filter, number)
 
     def command(self, volume: LazyVolume) -> dict[str, Any]:
-        """What must be the same for another process to go on."""
+        """What must be the same for another process to resume."""
         grid = volume.grid
         return {
             "version": f"{VERSION}, {self.version}",
@@ -290,11 +290,11 @@ def _edges(what: str, given: int | Sequence[int]) -> tuple[int, int, int]:
     return x, y, z
 
 
-# -- making it ---------------------------------------------------------------------------------------------------------
+# -- writing -----------------------------------------------------------------------------------------------------------
 
 
-class _Making:
-    """Makes what a plan says, part by part."""
+class _Writing:
+    """Writes what a plan says, part by part."""
 
     def __init__(
         self,
@@ -313,18 +313,14 @@ class _Making:
         self._volume, self._plan, self._journal, self._room, self._progress = volume, plan, journal, room, progress
         self._cache, self._read_out = cache, False
         self._format: Literal[2, 3] = 3 if plan.version == "0.5" else 2
-        self._made = 0.0
+        self._spent = 0.0
         sizes = [math.prod(level.size) for level in plan.levels]
         self._all = _COST["reduce"] * sum(sizes[:-1] or sizes) + _COST["bounds"] * sum(sizes) * plan.bounds
         self.dtype = volume.dtype.newbyteorder("=")
 
     def run(self) -> None:
-        """Everything that is not done yet."""
-        root = (
-            self._zarr.create_group(self._journal.store, zarr_format=self._format)
-            if not self._is_there()
-            else self._zarr.open_group(self._journal.store, mode="r+")
-        )
+        """Write all parts that are not done yet."""
+        root = self._zarr.open_group(self._journal.store, mode="a", zarr_format=self._format)
         arrays = [
             self._array(root, str(i), level.shape, self.dtype, self._plan.chunks, self._plan.shards)
             for i, level in enumerate(self._plan.levels)
@@ -341,9 +337,6 @@ class _Making:
             self._keep_one_chunk(str(i), array)
         self._describe(root)
 
-    def _is_there(self) -> bool:
-        return any((self._journal.store / name).is_file() for name in ("zarr.json", ".zgroup"))
-
     def _of_source(self, at: tuple[slice, slice, slice]) -> NDArray[Any]:
         z, y, x = at
         part = self._volume.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
@@ -359,7 +352,7 @@ class _Making:
         shards: Sequence[int] | None = None,
         fill: float = 0,
     ) -> Any:
-        """An array of the store, made if it is not there; `fill` is what a chunk means that is not stored."""
+        """An array of the store, created if necessary; `fill` is the value of chunks that are not stored."""
         if name in group:
             return group[name]
         more = tuple(shape[3:])
@@ -367,7 +360,7 @@ class _Making:
         options: dict[str, Any] = {"compressors": self._codec(dtype)}
         if self._format == 3:
             options["dimension_names"] = ["z", "y", "x", *("bound" for _ in more)]
-            if shards is not None:  # no larger than whole chunks that hold all
+            if shards is not None:  # no larger than the whole chunks that hold the array
                 options["shards"] = tuple(
                     min(s, -(-n // c) * c) // c * c for s, c, n in zip(shards[::-1], chunk[:3], shape[:3], strict=True)
                 )
@@ -389,10 +382,10 @@ class _Making:
 
         return Blosc(cname=self._plan.compressor, clevel=level, shuffle={"shuffle": 1, "bitshuffle": 2}[shuffle])
 
-    def _told(self, cost: float) -> None:
-        self._made += cost
+    def _advance(self, cost: float) -> None:
+        self._spent += cost
         if self._progress is not None:
-            self._progress(min(1.0, self._made / self._all))
+            self._progress(min(1.0, self._spent / self._all))
 
     # -- sizes -----------------------------------------------------------------------------------------------------
 
@@ -408,7 +401,7 @@ class _Making:
         stored = plan.shards or plan.chunks
         deep = min(stored[2], finer.size[2])
         chunks = self._volume.chunks if number == 1 else None
-        if chunks is not None and chunks[2] > deep:  # chunks of the source are unpacked once
+        if chunks is not None and chunks[2] > deep:  # unpack each chunk of the source once
             deep *= -(-chunks[2] // deep)
         units = (stored[0], stored[1], stored[2])
         what = read, finer, level, (x, y, z), self.dtype, kind, units, deep
@@ -421,27 +414,27 @@ class _Making:
             )
             names = [f"{number}/{tile.x[0]}-{tile.x[1]}/{tile.y[0]}-{tile.y[1]}/{first}-{last}" for first, last in blocks]
             left = next((k for k, name in enumerate(names) if name not in self._journal), len(names))
-            self._told(_COST["reduce"] * cost * left)
+            self._advance(_COST["reduce"] * cost * left)
             for name, (place, made) in zip(names[left:], reduction.run(tile, blocks[left:], copy), strict=False):
                 arrays[number][place] = made
                 self._journal.done(name)
-                self._told(_COST["reduce"] * cost)
-        if self._cache is not None:  # the source is not read any more
+                self._advance(_COST["reduce"] * cost)
+        if self._cache is not None:  # the source is not read again
             self._cache.close()
             self._read_out = True
 
     @property
     def _unpacking(self) -> int:
-        """Bytes for a large chunk of the source that is being unpacked."""
+        """Bytes for unpacking a large chunk of the source."""
         return self._cache.unpacking_of_one if self._cache is not None and not self._read_out else 0
 
     @property
     def _held(self) -> int:
-        """Bytes for chunks of the source: those that are kept, and those that are being read."""
+        """Bytes for chunks of the source: cached ones, and those being read."""
         return 2 * self._cache.most + self._unpacking if self._cache is not None else 0
 
     def _within(self, make: Callable[[int], Reduction]) -> Reduction:
-        """What is made of the room beside the chunks of the source that are kept; these go where it asks for all."""
+        """What `make` returns for the room that the cache leaves; the cache is given up if that is too little."""
         held = self._held
         try:
             return make(self._room - held)
@@ -452,7 +445,7 @@ class _Making:
             return make(self._room - self._unpacking)
 
     def _copy(self, array: Any) -> None:
-        """The only size, in whole chunks."""
+        """Copy the source, if it is the only size, in whole chunks."""
         stored = array.shards or array.chunks
         room = self._room - self._held
         several = max(1, int((room / (4 * self.dtype.itemsize * math.prod(stored))) ** (1 / 3)))
@@ -466,14 +459,14 @@ class _Making:
                     if name not in self._journal:
                         array[place] = self._of_source(place)
                         self._journal.done(name)
-                    self._told(_COST["reduce"] * math.prod(one.stop - one.start for one in place))
+                    self._advance(_COST["reduce"] * math.prod(one.stop - one.start for one in place))
         if self._cache is not None:
             self._cache.close()
 
     # -- bounds ----------------------------------------------------------------------------------------------------
 
     def _bound(self, root: Any, number: int, read: Any) -> None:
-        """Bounds of a size."""
+        """Write the bounds of a size."""
         plan, level = self._plan, self._plan.levels[number]
         row = plan.filter_at(number)
         edge = Bricks.edge_for(row, self._room)
@@ -484,7 +477,7 @@ class _Making:
         dtype = np.dtype(np.float64 if wide(self.dtype) else np.float32)
         shape = (*bricks.count[::-1], 2)
         group = root
-        for name in (KEY, "bounds", str(number)):  # zarr makes them at once with the array, and never if it is killed just then
+        for name in (KEY, "bounds", str(number)):  # zarr would create them with the array; if killed in between, never
             group = group.require_group(name)
         blocks = self._array(root, f"{KEY}/bounds/{number}/0", shape, dtype, (bricks.edge,) * 3, fill=np.nan)
         places = list(bricks.places())
@@ -494,11 +487,11 @@ class _Making:
                 values, (low, high) = bricks.bounds(place)
                 blocks[tuple(slice(a, b) for a, b in place[::-1])] = outwards(values, dtype)
                 self._journal.done(name, low=low, high=high)
-            self._told(_COST["bounds"] * math.prod(level.size) / len(places))
+            self._advance(_COST["bounds"] * math.prod(level.size) / len(places))
         self._coarsen(root, number, blocks)
 
     def _coarsen(self, root: Any, number: int, blocks: Any) -> None:
-        """Coarser blocks, each 2³ of those before; few slices of blocks at a time."""
+        """Write bounds of coarser blocks, each of 2³ of those before; a few slices of blocks at a time."""
         step = 1
         while max(blocks.shape[:3]) > _FEW:
             shape = (*(-(-n // 2) for n in blocks.shape[:3]), 2)
@@ -513,13 +506,13 @@ class _Making:
             blocks, step = made, step + 1
 
     def _keep_one_chunk(self, name: str, array: Any) -> None:
-        """Have an array of zeros alone store a chunk of them, so that it can be told from one that was not copied."""
+        """Store a chunk of an array of zeros, to distinguish it from an array that was not copied."""
         folder = self._journal.store / name
         if all(entry.name in ("zarr.json", ".zarray", ".zattrs") for entry in os.scandir(folder)):
             stored = array.with_config({"write_empty_chunks": True})
             stored[tuple(slice(0, edge) for edge in array.shards or array.chunks)] = 0
 
-    # -- what is said of it ----------------------------------------------------------------------------------------
+    # -- metadata --------------------------------------------------------------------------------------------------
 
     def _describe(self, root: Any) -> None:
         plan, grid = self._plan, self._volume.grid
@@ -574,7 +567,7 @@ class _Making:
 
 
 def _label(grid: Volume, version: str) -> dict[str, Any]:
-    """What OME-Zarr says of labels."""
+    """OME-Zarr's metadata of labels."""
     names: Mapping[int, str] = grid.labels if isinstance(grid.labels, Mapping) else {}
     about: dict[str, Any] = {"version": version} if version == "0.4" else {}
     if names:
@@ -584,7 +577,7 @@ def _label(grid: Volume, version: str) -> dict[str, Any]:
 
 
 def _omero(grid: Volume, value_range: tuple[float, float] | None, dtype: np.dtype[Any]) -> dict[str, Any]:
-    """What OME-Zarr says of the only channel."""
+    """OME-Zarr's metadata of the only channel."""
     kind = np.iinfo(dtype) if dtype.kind in "iu" else None
     low, high = value_range or ((float(kind.min), float(kind.max)) if kind else (0.0, 1.0))
     start, end = grid.window or (low, high)

@@ -1,8 +1,8 @@
 """The next size of a pyramid, tile by tile, streamed along z.
 
-A sum of the least-squares reduction takes some 114 samples along each axis, so blocks with a margin in all directions would read
-several times what they make. Here a tile goes through the volume along z: planes are reduced along x and y as they come, and kept
-until no sum along z takes them any more. Each sum has the same terms in the same order as in one piece: there are no seams.
+A least-squares sum takes some 114 samples along each axis, so blocks with margins on all sides would read several times what they
+write. Instead a tile moves through the volume along z: planes are reduced along x and y as they are read, and kept until no sum
+along z needs them. Each sum has the same terms in the same order as without tiles: there are no seams.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _MIB = 1 << 20
 
 @dataclass(frozen=True)
 class Tile:
-    """A column of the next size: its samples along x and y, and how many along z are made at a time.
+    """A column of the next size.
 
     Attributes
     ----------
     x, y : (int, int)
-        The first, and the one behind the last.
+        The first sample, and one past the last.
     """
 
     x: tuple[int, int]
@@ -55,23 +55,23 @@ class Reduction:
     dtype : dtype
         Of the samples.
     kind : type
-        np.float32 or np.float64, in which sums are made.
+        np.float32 or np.float64, for the sums.
     units : tuple of int
-        What tiles are made of, samples of the coarser size along x, y and z: whole chunks, or shards.
+        Tiles consist of whole chunks, or shards, of this many coarser samples along x, y and z.
     deep : int
-        Planes of the finer size that are read at a time.
+        Planes of the finer size to read at a time.
     budget : int
         Bytes.
     device : Device
     cval : float
-        What stands outside, if the boundary rule has such a value.
+        The value outside, if the boundary rule has one.
     beside : int
-        Bytes that are taken beside these, which the message counts in.
+        Bytes in use beside the budget, for the error message.
 
     Raises
     ------
     OptionError
-        The budget does not hold the least; the message says what is.
+        The budget is too small for one column of chunks.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Reduction:
         self.edges = self._fitting(budget, FIXED + beside)
 
     def _fitting(self, budget: int, beside: int) -> tuple[int, int]:
-        """Edges of the tiles along x and y: the largest that the budget holds."""
+        """The largest edges of tiles along x and y that fit into the budget."""
         x, y, _ = (min(-(-n // unit) * unit, n) for n, unit in zip(self.coarser.size, self.units, strict=True))
         while self._bytes(x, y) > budget:
             wide = [(n, axis) for axis, n in enumerate((x, y)) if n > self.units[axis]]
@@ -111,37 +111,37 @@ class Reduction:
         return x, y
 
     def _bytes(self, x: int, y: int) -> int:
-        """What a tile of these edges takes at a time, at most."""
+        """The most memory that a tile of these edges takes."""
         rows = [self._widest(axis, edge) for axis, edge in enumerate((x, y))]
         item, wide = self._dtype.itemsize, np.dtype(self._kind).itemsize
         planes = self._widest(2, min(self.units[2], self.coarser.size[2]))
         raw = rows[0] * rows[1] * min(self.deep, self.finer.size[2])
         return (
-            2 * item * raw  # as read, and the part of it that is copied, or decoded
+            2 * item * raw  # as read, and a copy
             + wide * raw // 2  # reduced along one axis
-            + wide * x * y * (2 * planes + 2 * self.deep)  # kept, and brought together
+            + wide * x * y * (2 * planes + 2 * self.deep)  # kept, and concatenated
             + (2 * wide + item) * x * y * self.units[2]
         )
 
     def _widest(self, axis: int, edge: int) -> int:
-        """Samples that rows of this number take, at most."""
+        """The most samples that `edge` rows take."""
         sums, n = self._sums[axis], self.coarser.size[axis]
         if sums is None:
             return edge
         return max(self._rows(axis, first, min(first + edge, n)).count for first in range(0, n, edge))
 
     def _rows(self, axis: int, first: int, last: int) -> Rows:
-        """What sums along an axis take, and the samples that they stand for, which may be copied."""
+        """The rows of sums along an axis; they read what they sum up, and the samples that they stand for, which may be copied."""
         step = self.coarser.steps[axis]
         return Rows.of(self._sums[axis], first, last, (first * step, min(last * step, self.finer.size[axis])))
 
     def tiles(self) -> list[Tile]:
-        """All of them."""
+        """All tiles."""
         x, y = ([(a, min(a + edge, n)) for a in range(0, n, edge)] for edge, n in zip(self.edges, self.coarser.size, strict=False))
         return [Tile(i, j) for j, i in itertools.product(y, x)]
 
     def blocks(self) -> list[tuple[int, int]]:
-        """Samples along z that are made at a time."""
+        """Ranges of samples along z that are written at a time."""
         return [(a, min(a + self.units[2], self.coarser.size[2])) for a in range(0, self.coarser.size[2], self.units[2])]
 
     def run(
@@ -150,15 +150,15 @@ class Reduction:
         blocks: list[tuple[int, int]],
         copy: Callable[[tuple[slice, slice, slice], NDArray[Any]], object] | None = None,
     ) -> Iterator[tuple[tuple[slice, slice, slice], NDArray[Any]]]:
-        """Samples of the coarser size, and where they belong, block after block along z; each sample is read about once.
+        """Slices and samples of the coarser size, block by block along z; each finer sample is read about once.
 
-        What is read of the tile's own samples is given to `copy` before.
+        `copy` is called with slices and samples of the finer size, as they are read.
         """
         rows = [self._rows(axis, *ends) for axis, ends in enumerate((tile.x, tile.y))]
         n = self.finer.size[2]
         kept: dict[int, NDArray[Any]] = {}
         begun = min((first for first, _ in blocks), default=0) * self.coarser.steps[2] // self.deep
-        copied = set(range(begun))  # when the blocks before were made
+        copied = set(range(begun))  # with the blocks before
         for first, last in blocks:
             along = self._rows(2, first, last)
             needed = {k for a, b in along.runs for k in range(a // self.deep, -(-b // self.deep))}
@@ -178,7 +178,7 @@ class Reduction:
             yield self._made(kept, along, tile, rows)
 
     def _own(self, tile: Tile, rows: list[Rows], span: tuple[int, int]) -> tuple[tuple[slice, slice, slice], tuple[slice, ...]]:
-        """Where the tile's own samples belong in the finer size, and where they lie in what was read."""
+        """Slices of the finer samples that the tile stands for: in the finer size, and in what was read."""
         place, inside = [slice(*span)], [slice(None)]
         for axis, ends in ((1, tile.y), (0, tile.x)):
             step = self.coarser.steps[axis]
@@ -214,5 +214,5 @@ class Reduction:
 
     @property
     def cost(self) -> int:
-        """Samples that are read, about."""
+        """Number of samples read, about."""
         return math.prod(self.finer.size)

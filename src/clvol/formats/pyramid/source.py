@@ -1,4 +1,4 @@
-"""By what the source of a pyramid is known to be the same, when an unfinished one is gone on with."""
+"""What identifies the source of a pyramid, so that an unfinished one is resumed from the same samples only."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ __all__ = ["require_apart", "said_of"]
 
 
 def said_of(volume: LazyVolume) -> str:
-    """What differs if the samples do: of files their sizes and times, of arrays in memory a checksum of all.
+    """A text that changes if the samples do: sizes and times of files, a checksum of arrays in memory.
 
-    Of others (dask's, what is far away) the samples in the middle are all that is looked at, and metadata.
+    Of other sources (dask, remote stores) it covers metadata and the samples in the middle only.
     """
     some = zlib.crc32(np.ascontiguousarray(volume.part().data).tobytes())
     source = volume.data.source if isinstance(volume.data, Chunks) else volume.data
@@ -27,7 +27,7 @@ def said_of(volume: LazyVolume) -> str:
 
 
 def require_apart(volume: LazyVolume, target: Path) -> None:
-    """Raise if a store would be written into that which it is made of, or take the place of a folder that holds this."""
+    """Raise if the target lies in the source, or holds it."""
     place = _place(volume.data)
     place = None if place is None else place.resolve()
     if place is None or place == target:
@@ -49,11 +49,11 @@ def _whole(data: Any) -> str:
         return f"in memory {_checksum(data):08x}"
     if place is not None and place.is_dir():
         return said_of_folder(place / getattr(data, "path", ""))
-    return "the rest not known"
+    return "the rest unknown"
 
 
 def _place(data: Any) -> Path | None:
-    """The file or the folder that samples are in, if that is known."""
+    """The file or folder with the samples, if known."""
     if isinstance(data, Window):
         return data.place
     if isinstance(data, np.ndarray):
@@ -66,7 +66,7 @@ def _place(data: Any) -> Path | None:
 
 
 def _mapped(data: Any) -> Path | None:
-    """The file that an array is a part of."""
+    """The file that an array is mapped from."""
     while isinstance(data, np.ndarray):
         if isinstance(data, np.memmap) and data.filename is not None:
             return Path(data.filename)
