@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
-from clvol.base.checks import enough_memory, number, one_of, reals, require_room, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import enough_memory, number, one_of, require_room, whole
 from clvol.base.errors import OptionError
 from clvol.volume.volume import Volume
 

@@ -20,12 +20,12 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.arrays import as_array
 from clvol.base.checks import number, one_of, whole
 from clvol.base.errors import DataError, GeometryError, MissingDependencyError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop.arrays import as_array
 from clvol.ndimage.engine import Axes, Points, evaluate
 from clvol.spline.field import Precision, fill_value
 

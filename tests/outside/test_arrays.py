@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import clvol
+from clvol.base.arrays import as_array, as_output
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
-from clvol.interop.arrays import as_array, as_output
 
 Array = NDArray[Any]
 

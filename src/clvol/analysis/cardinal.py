@@ -11,7 +11,8 @@ import numpy as np
 from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import reals, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter

@@ -22,7 +22,8 @@ from clvol.analysis.dirichlet import dirichlet_sample, dirichlet_weights
 from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table, column
 from clvol.analysis.timing import seconds_per_sample
-from clvol.base.checks import enough_memory, number, one_of, reals, require_room, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import enough_memory, number, one_of, require_room, whole
 from clvol.base.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import reference
-from clvol.base.checks import enough_memory, reals, require_room, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import enough_memory, require_room, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter

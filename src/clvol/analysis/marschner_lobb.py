@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from clvol.analysis.cardinal import even_filter, pieces
 from clvol.analysis.extremum import maximum
 from clvol.analysis.table import column
-from clvol.base.checks import reals
+from clvol.base.arrays import reals
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.response import frequency_response

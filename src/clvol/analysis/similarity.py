@@ -7,7 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import number, reals
+from clvol.base.arrays import reals
+from clvol.base.checks import number
 from clvol.base.errors import DataError
 
 __all__ = ["ssim"]

@@ -18,7 +18,8 @@ from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.analysis.table import column
-from clvol.base.checks import reals, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter, Number, Polynomial
 from clvol.filter.response import prefilter_response

@@ -13,13 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clvol.base import memory
 from clvol.base.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
-from clvol.interop.arrays import as_array
 
-__all__ = ["as_path", "enough_memory", "flag", "instance", "number", "one_of", "reals", "require_room", "several", "warn", "whole"]
+__all__ = ["as_path", "enough_memory", "flag", "instance", "number", "one_of", "require_room", "several", "warn", "whole"]
 
 _MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
 
@@ -84,21 +81,6 @@ def whole(what: str, value: object, minimum: int | None = None, maximum: int | N
         bounds = {"at least": minimum, "at most": maximum}
         raise OptionError(f"{what} must be a whole number{_allowed(bounds)}; got {value!r}")
     return result
-
-
-def reals(what: str, value: object, rule: str = "real numbers", error: type[ClvolError] = OptionError) -> NDArray[np.float64]:
-    """`value` as an array of float64, not copied where it is one; `error` for strings, complex and masked numbers."""
-    try:
-        array = as_array(value, what, error, rule)
-        known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))
-        if known:
-            if array.dtype != np.float64:
-                memory.require(8 * array.size, f"{what} in float64, {array.size} numbers,")
-            with np.errstate(over="ignore"):
-                return array.astype(np.float64, copy=False)
-    except OverflowError:  # beyond float64
-        pass
-    raise error(f"{what} must be {rule}; got {value!r}")
 
 
 def several(what: str, value: object, rule: str, maximum: int | None = None) -> list[Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from clvol.base.checks import reals
+from clvol.base.arrays import reals
 from clvol.base.errors import OptionError
 
 __all__ = ["color_of"]

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
-from clvol.base.checks import number, reals, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import number, whole
 from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from clvol.base.checks import one_of, reals, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import one_of, whole
 from clvol.base.rounding import in_kind, wide
 from clvol.dask.blocks import Array, Block, Chunks, as_chunks, checked_device, located
 from clvol.dask.filtering import as_volumes, settled_row

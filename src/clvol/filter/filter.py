@@ -22,7 +22,8 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import flag, instance, number, reals, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import flag, instance, number, whole
 from clvol.base.errors import OptionError
 from clvol.base.shown import Facts, Shown
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
-from clvol.base.checks import flag, number, reals, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import flag, number, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.filter import MAX_DEGREE, MAX_TAPS, Array, Filter, Number, Smoothing, as_polynomials, as_smoothing, smoothed
 

@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import reals
+from clvol.base.arrays import reals
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter

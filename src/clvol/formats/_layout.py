@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.axes import AXES, meaning
+from clvol.base.axes import AXES, meaning
 from clvol.base.errors import DataError
+from clvol.base.units import scale, unit_name
 from clvol.bricks.sliced import Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
 from clvol.interop.kinds import Content
-from clvol.units import scale, unit_name
 from clvol.volume.volumes import Leading
 
 __all__ = ["Layout", "decoded", "lay_out", "place", "scaled_window", "shrunk", "uniform", "unnamed"]

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import FormatError
+from clvol.base.units import unit_name
 from clvol.bricks.sliced import Index, Window
 from clvol.formats._choice import Choice, chosen_level
 from clvol.formats._layout import Layout
 from clvol.formats.hdf5 import loaded, member, opened, window
 from clvol.interop.kinds import Content
-from clvol.units import unit_name
 from clvol.volume.volumes import Leading
 
 __all__ = ["lazily", "read"]

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, FormatError, GeometryError
+from clvol.base.frames import Placement, affine_parts, from_ras
 from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
 from clvol.formats.guarded.limits import announce
-from clvol.frames import Placement, affine_parts, from_ras
 from clvol.interop.kinds import Content
 from clvol.interop.nibabel import NIFTI_MILLIMETRES, describe_nifti, same_place
 from clvol.volume.volume import Volume

@@ -11,12 +11,12 @@ from typing import IO
 import numpy as np
 
 from clvol.base.errors import FormatError
+from clvol.base.units import one_unit
 from clvol.formats import _itk
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes
 from clvol.formats._headers import data_path, line, numbers, whole
 from clvol.interop.kinds import Content
-from clvol.units import one_unit
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
 

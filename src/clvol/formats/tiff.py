@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
+from clvol.base.units import METRES, scale, unit_name
 from clvol.bricks.sliced import FlatFile, Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._directories import Directory, directories, segments
@@ -30,7 +31,6 @@ from clvol.formats._layout import Layout, lay_out
 from clvol.formats.guarded.limits import announce
 from clvol.formats.guarded.messages import as_stored, empty
 from clvol.interop.kinds import Content
-from clvol.units import METRES, scale, unit_name
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 

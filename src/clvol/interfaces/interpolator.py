@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
-from clvol.base.checks import reals, several, whole
+from clvol.base.arrays import as_array, reals
+from clvol.base.checks import several, whole
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.device import Device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop.arrays import as_array
 from clvol.ndimage.arguments import as_precision
 from clvol.spline.field import Field, Precision
 from clvol.spline.lease import Lease

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
-from clvol.base.checks import one_of, reals, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import one_of, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device, as_device
 from clvol.interop.images import read_array

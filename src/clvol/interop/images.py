@@ -8,8 +8,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.arrays import as_array
 from clvol.base.errors import DataError
-from clvol.interop.arrays import as_array
 from clvol.interop.itk import ITK, SIMPLEITK
 from clvol.interop.kinds import Content, Kind
 from clvol.interop.napari import NAPARI

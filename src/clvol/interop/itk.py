@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base import memory
+from clvol.base.arrays import as_array
 from clvol.base.errors import DataError, MissingDependencyError
-from clvol.interop.arrays import as_array
+from clvol.base.units import millimetres
 from clvol.interop.kinds import Content, Grid, Kind, Several, channels_and_frames, held_as, interleaved, leading_counts
-from clvol.units import millimetres
 
 __all__ = ["ITK", "SIMPLEITK", "describe_simpleitk", "from_simpleitk", "simpleitk", "to_simpleitk"]
 

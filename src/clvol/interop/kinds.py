@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.axes import AXES, meaning
+from clvol.base.axes import AXES, meaning
 from clvol.base.errors import DataError
 
 __all__ = ["Content", "Grid", "Kind", "Several", "channels_and_frames", "held_as", "interleaved", "leading_axes", "leading_counts"]

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.arrays import as_array
 from clvol.base.errors import DataError, GeometryError
-from clvol.frames import affine_parts
-from clvol.interop.arrays import as_array
+from clvol.base.frames import affine_parts
+from clvol.base.units import axes_unit
 from clvol.interop.kinds import Kind, leading_axes
-from clvol.units import axes_unit
 
 __all__ = ["NAPARI"]
 

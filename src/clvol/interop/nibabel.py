@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, GeometryError, MissingDependencyError
-from clvol.frames import Placement, affine_parts, from_ras, ras_affine
+from clvol.base.frames import Placement, affine_parts, from_ras, ras_affine
+from clvol.base.units import millimetres
 from clvol.interop.kinds import Content, Grid, Kind, Several, channels_and_frames, held_as, leading_counts
-from clvol.units import millimetres
 
 __all__ = ["NIBABEL", "NIFTI_MILLIMETRES", "describe_nibabel", "describe_nifti", "nibabel", "same_place", "to_nibabel"]
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.arrays import as_array
 from clvol.base.errors import DataError
-from clvol.interop.arrays import as_array
 from clvol.interop.kinds import Kind
 
 __all__ = ["VTK"]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.arrays import as_array
 from clvol.base.errors import GeometryError, MissingDependencyError
-from clvol.interop.arrays import as_array
+from clvol.base.units import axes_unit
 from clvol.interop.kinds import Grid, Kind, Several, leading_axes
-from clvol.units import axes_unit
 
 __all__ = ["LABELLED", "OWN", "to_xarray"]
 

@@ -13,11 +13,10 @@ from typing import Any, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base import memory
+from clvol.base import arrays, memory
 from clvol.base.checks import enough_memory, one_of
 from clvol.base.errors import AxisError, DataError, DtypeError, NotFiniteError, OptionError, OptionTypeError, RefusedError
 from clvol.device import Device, as_device
-from clvol.interop import arrays
 from clvol.spline.field import Precision
 
 __all__ = [

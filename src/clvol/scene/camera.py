@@ -10,7 +10,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.checks import instance, number, one_of, reals
+from clvol.base.arrays import reals
+from clvol.base.checks import instance, number, one_of
 from clvol.base.errors import GeometryError
 from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume.volume import Volume

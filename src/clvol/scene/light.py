@@ -9,7 +9,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from clvol.base.checks import number, one_of, reals
+from clvol.base.arrays import reals
+from clvol.base.checks import number, one_of
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, Block, Values

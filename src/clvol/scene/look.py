@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.base.checks import number, reals
+from clvol.base.arrays import reals
+from clvol.base.checks import number
 from clvol.base.errors import OptionError
 from clvol.scene.mode import Mode, as_mode
 from clvol.scene.palette import unit_of

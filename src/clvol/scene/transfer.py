@@ -11,7 +11,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import number, reals
+from clvol.base.arrays import reals
+from clvol.base.checks import number
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import exponent_of, scaled, unscaled

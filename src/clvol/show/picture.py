@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
+from clvol.base.arrays import as_array
 from clvol.base.checks import as_path, number, whole
 from clvol.base.errors import OptionError
 from clvol.base.files import require_suffix, staged
-from clvol.interop.arrays import as_array
 
 __all__ = [
     "SUFFIXES",

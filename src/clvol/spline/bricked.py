@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
+from clvol.base.arrays import as_output
 from clvol.base.checks import whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.base.rounding import in_kind
@@ -30,7 +31,6 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.make import bspline
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop.arrays import as_output
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines
 from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, bytes_of, extent_of

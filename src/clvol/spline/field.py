@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
+from clvol.base.arrays import as_array, as_output
 from clvol.base.checks import one_of, warn, whole
 from clvol.base.errors import DataError, OptionError
+from clvol.base.frames import in_frame
 from clvol.base.rounding import as_kind, in_kind, wide
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.frames import in_frame
-from clvol.interop.arrays import as_array, as_output
 from clvol.interop.dispatch import is_in_parts, lazily
 from clvol.interop.images import read_array
 from clvol.spline.chain import Chain

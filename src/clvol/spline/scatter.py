@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
+from clvol.base.arrays import as_array
 from clvol.base.checks import several, whole
 from clvol.base.errors import DeviceError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary, boundaries
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop.arrays import as_array
 from clvol.spline.build import boundary_defines, filter_defines, point_defines
 from clvol.spline.field import Precision, precision_kind, prefilter
 from clvol.spline.points import Transform

@@ -12,8 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self, TypeAlias
 
-from clvol.axes import AXES
-from clvol.base.checks import number, one_of, reals, whole
+from clvol.base.arrays import reals
+from clvol.base.axes import AXES
+from clvol.base.checks import number, one_of, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.boundary import as_boundary
 from clvol.filter.table import as_filter

@@ -12,12 +12,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import reals
+from clvol.base.arrays import as_array, reals
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.make import bspline
 from clvol.filter.table import as_filter
-from clvol.interop.arrays import as_array
 from clvol.interop.itk import simpleitk
 from clvol.volume.volume import Volume
 

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
-from clvol.base.checks import number, one_of, reals, whole
+from clvol.base.arrays import reals
+from clvol.base.checks import number, one_of, whole
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
-from clvol.frames import in_frame
+from clvol.base.frames import in_frame
 from clvol.interop.images import read_array
 from clvol.interop.itk import to_simpleitk
 from clvol.interop.nibabel import to_nibabel

@@ -10,8 +10,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.axes import AXES
 from clvol.base import memory
+from clvol.base.axes import AXES
 from clvol.base.checks import instance, one_of, whole
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError

@@ -15,6 +15,7 @@ from clvol.base.checks import as_path, flag, one_of, several, whole
 from clvol.base.errors import DataError, MissingDependencyError, OptionError
 from clvol.base.files import require_suffix
 from clvol.base.rounding import wide
+from clvol.base.units import ome_unit
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.source import LazyVolume, Sliced, budget_for
 from clvol.device import Device, as_device
@@ -32,7 +33,6 @@ from clvol.formats.pyramid.levels import FIXED, METHODS, Level, Method, filter_a
 from clvol.formats.pyramid.reduce import Reduction
 from clvol.formats.pyramid.source import require_apart, said_of
 from clvol.formats.zarr import shown
-from clvol.units import ome_unit
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.volume import Volume, as_volume
 

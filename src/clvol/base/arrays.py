@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from clvol.base import memory
 from clvol.base.errors import ClvolError, DataError, OptionError
 
-__all__ = ["as_array", "as_output", "memory_of"]
+__all__ = ["as_array", "as_output", "memory_of", "reals"]
 
 _ON_HOST = {1, 3, 11, 13}  # DLPack's types of device whose memory the host can read: its own, pinned, and managed
 _TO_HOST = {"torch": "tensor.cpu()", "cupy": "array.get()", "jax": "jax.device_get(array)", "jaxlib": "jax.device_get(array)"}
@@ -152,3 +153,18 @@ def _of_tensor(tensor: Any) -> NDArray[Any]:
     """The memory of a tensor of PyTorch on the host."""
     plain = tensor.detach().resolve_conj().resolve_neg()
     return np.asarray((plain.float() if str(plain.dtype) == "torch.bfloat16" else plain).numpy())
+
+
+def reals(what: str, value: object, rule: str = "real numbers", error: type[ClvolError] = OptionError) -> NDArray[np.float64]:
+    """`value` as an array of float64, not copied where it is one; `error` for strings, complex and masked numbers."""
+    try:
+        array = as_array(value, what, error, rule)
+        known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))
+        if known:
+            if array.dtype != np.float64:
+                memory.require(8 * array.size, f"{what} in float64, {array.size} numbers,")
+            with np.errstate(over="ignore"):
+                return array.astype(np.float64, copy=False)
+    except OverflowError:  # beyond float64
+        pass
+    raise error(f"{what} must be {rule}; got {value!r}")
