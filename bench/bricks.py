@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import resource
 import tempfile
 import time
@@ -24,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import clvol
-from clvol.spline.bricked import BrickedField
+from clvol.bricks.field import BrickedField
 
 _CAMERA = clvol.Camera.orbit(30, 20, fit="volume")
 _SIZE = 512, 512
@@ -78,7 +77,7 @@ def out_of_core(store: Path, budget: int) -> list[dict[str, Any]]:
                         "picture": f"{mode}, {'first' if lod is None else 'lod 1' if lod else 'finest'}",
                         "seconds": seconds + some,
                         "bricks": sum(one.reads.bricks for one in drawn),
-                        "of": sum(math.prod(one.counts) for one in drawn),
+                        "of": sum(len(one.bricks) for one in drawn),
                         "samples": sum(one.reads.samples for one in used),
                         "on device MB": sum(one.nbytes for one in used) / 1e6,
                     }

@@ -343,7 +343,7 @@ def fields_drawn(world: World, random: Random) -> Any:
 
 # -- the function between the samples ---------------------------------------------------------------------------------
 
-_SAMPLED: dict[str, Sequence[Any]] = {"fill": (0.0, np.nan), "precision": ("double",), "evaluator": ("taps", "paired")}
+_SAMPLED: dict[str, Sequence[Any]] = {"fill": (0.0, np.nan), "precision": ("double",)}
 
 
 @_deed(40)
@@ -352,14 +352,15 @@ def samples(world: World, random: Random) -> Any:
     options = {} if world.quick else _some(random, _SAMPLED)
     derivative = int(random.integers(3))
     points = _points(volume, random)
-    return clvol.sample(
-        volume,
-        points,
-        derivative=derivative,
-        filter=_one(random, world.filters),
-        boundary=_one(random, world.boundaries),
-        **options,
-    )
+    with as_device(None).limited(evaluator=_one(random, ("auto", "taps", "paired"))):
+        return clvol.sample(
+            volume,
+            points,
+            derivative=derivative,
+            filter=_one(random, world.filters),
+            boundary=_one(random, world.boundaries),
+            **options,
+        )
 
 
 @_deed(20)

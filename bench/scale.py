@@ -24,15 +24,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
 import clvol
 from bench.bricks import Shells
+from clvol.bricks.field import BrickedField
 from clvol.dask.cluster import Cluster, as_cluster
 from clvol.march import cluster as parts
 from clvol.march.bricks import pixels_of
-from clvol.spline.bricked import BrickedField
 
 _CAMERA = clvol.Camera.orbit(30, 20, fit="volume")
 _PIXELS = 512
@@ -165,7 +166,7 @@ def plan(
     field: Any, view: Any, size: tuple[int, int], workers: int, areas: int, *, seen: Any = None, step: float = 0.5
 ) -> list[Task]:
     """The tasks of a picture as `ClusterDrawing` makes them; `seen` says of a brick whether it may matter."""
-    tree = parts.groups_of(field.counts, parts._GROUPS * workers)
+    tree = parts.groups_of(field.bricks.counts, parts._GROUPS * workers)
     groups = list(parts.visible(tree, field, view))
     grid, (width, height) = field.volume.grid, size
     edge = max(parts._SMALLEST, -(-math.isqrt(width * height // areas) // parts._SMALLEST) * parts._SMALLEST)
@@ -251,12 +252,8 @@ def _of_single_threads(workers: int) -> Iterator[Cluster]:
 @contextlib.contextmanager
 def _edge(edge: int) -> Iterator[None]:
     """Bricks of one size, whoever makes them."""
-    original = BrickedField._edge_for
-    setattr(BrickedField, "_edge_for", lambda _, given, **_options: given or edge)  # noqa: B010  # mypy takes no assignment to a method
-    try:
+    with mock.patch("clvol.bricks.field.edge_for", return_value=edge):
         yield
-    finally:
-        setattr(BrickedField, "_edge_for", original)  # noqa: B010
 
 
 def store_of(size: int, folder: Path) -> Path:
@@ -279,7 +276,7 @@ def checked(size: int, counts: Sequence[int], folder: Path) -> list[dict[str, An
         view = _CAMERA.view(field.volume.grid, 1.0)
         plans = {n: plan(field, view, (_PIXELS, _PIXELS), n, parts._AREAS * n) for n in {1, *counts}}
         few = len(plan(field, view, (_FEW, _FEW), 1, parts._AREAS))
-        bricks = math.prod(field.counts)
+        bricks = len(field.bricks)
     with _of_single_threads(1) as cluster:
         costs = fitted(measured(cluster, store, edge), measured(cluster, tiny, edge), dispatched(cluster), plans[1], few, bricks)
     print(costs, flush=True)
@@ -336,14 +333,14 @@ def large(edge_of_volume: int, workers: int, pixels: int, share: float) -> dict[
     volume = clvol.LazyVolume(np.broadcast_to(np.uint16(0), (edge_of_volume,) * 3), limits=(0, 1), labels=False)
     with _edge(128), BrickedField(volume, "linear") as field:
         view = _CAMERA.view(field.volume.grid, 1.0)
-        radius = field.counts[0] / 2
+        radius = field.bricks.counts[0] / 2
 
         def seen(at: tuple[int, ...]) -> bool:  # a shell, as thick as the share asks for
             r = math.dist(at, (radius,) * 3) / radius
             return abs(r - 0.62) < share / (4 * math.pi * 0.62**2) * 8 / 2
 
         groups = parts._GROUPS * workers
-        coarse = field if math.prod(field.counts) <= 60_000 else None
+        coarse = field if len(field.bricks) <= 60_000 else None
         begun = time.perf_counter()
         if coarse is None:  # boxes in place of bricks: the plan is the same, bricks of a box are counted together
             tasks, wanted = _by_boxes(field, view, pixels, workers, share)
@@ -374,7 +371,7 @@ def large(edge_of_volume: int, workers: int, pixels: int, share: float) -> dict[
 
 def _by_boxes(field: Any, view: Any, pixels: int, workers: int, share: float) -> tuple[list[Task], int]:
     """As `plan`, of so many bricks that they are counted by boxes."""
-    tree = parts.groups_of(field.counts, parts._GROUPS * workers)
+    tree = parts.groups_of(field.bricks.counts, parts._GROUPS * workers)
     groups = list(parts.visible(tree, field, view))
     grid = field.volume.grid
     areas = parts._AREAS * workers

@@ -121,7 +121,8 @@ def make() -> Arrays:
             rule = next(rules)
             key = f"points, {d}-D, {row}, {rule}, derivative {derivative}, {evaluator} from {fetch}"
             try:
-                arrays[key] = clvol.sample(samples, points, row, rule, derivative, evaluator=evaluator, fetch=fetch)
+                with as_device(None).limited(evaluator=evaluator, fetch=fetch):
+                    arrays[key] = clvol.sample(samples, points, row, rule, derivative)
             except DeviceError as error:
                 print(f"without {key}: {error}", file=sys.stderr)
         next(rules)

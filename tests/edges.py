@@ -77,7 +77,8 @@ def texels(names: Iterable[str]) -> None:
         field = noise(5, 9, 12)
         at = far_points(field.shape, 33)
         for evaluator in ("paired", "taps"):
-            finite(clvol.sample(field, at, name, evaluator=evaluator, fetch="image"), at)
+            with as_device().limited(evaluator=evaluator, fetch="image"):
+                finite(clvol.sample(field, at, name), at)
             with clvol.Renderer(field, filter=name) as renderer:
                 assert np.isfinite(renderer.render(LOOKS[0], "composite", (9, 7), 0.7, evaluator=evaluator, fetch="image")).all()
 

@@ -16,6 +16,7 @@ LAYERS = [
     "reference response phantoms formats",
     "device",
     "spline",
+    "bricks",
     "ndimage",
     "dask interpolator resizing torch xarray multiscale",
     "march",

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         OptionError,
         OutOfMemoryError,
     )
+    from clvol.bricks.field import BrickedField
     from clvol.bricks.source import LazyVolume
     from clvol.device import Device, devices
     from clvol.filter.boundary import Boundary, boundaries
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
     from clvol.scene.scene import Medium, Scene
     from clvol.scene.transfer import TransferFunction
     from clvol.show.picture import Picture, save, show
-    from clvol.spline.bricked import BrickedField
     from clvol.spline.field import Field, magnify, prefilter, resample, sample
     from clvol.spline.scatter import adjoint
     from clvol.spline.warp import Warped, resample_series, warp
@@ -151,6 +151,7 @@ __all__ = [
 _PLACES = {  # where each name is from; a test holds it to what is imported above
     "base.errors": "ClusterError ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError "
     "OptionError OutOfMemoryError",
+    "bricks.field": "BrickedField",
     "bricks.source": "LazyVolume",
     "device": "Device devices",
     "filter.boundary": "Boundary boundaries",
@@ -174,7 +175,6 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "scene.scene": "Medium Scene",
     "scene.transfer": "TransferFunction",
     "show.picture": "Picture save show",
-    "spline.bricked": "BrickedField",
     "spline.field": "Field magnify prefilter resample sample",
     "spline.scatter": "adjoint",
     "spline.warp": "Warped resample_series warp",

@@ -16,7 +16,8 @@ from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER
-from clvol.spline.field import Field, Precision, fill_value
+from clvol.spline.field import Field, Precision
+from clvol.spline.function import fill_value
 from clvol.spline.scatter import adjoint, linear
 from clvol.volume.volume import Volume
 

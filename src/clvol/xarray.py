@@ -27,7 +27,8 @@ from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.ndimage.engine import Axes, Points, evaluate
-from clvol.spline.field import Precision, fill_value
+from clvol.spline.field import Precision
+from clvol.spline.function import fill_value
 
 try:
     import xarray

@@ -14,6 +14,7 @@ import pytest
 import clvol
 from clvol.base.errors import FormatError
 from clvol.bricks.chunks import Chunks, lines_of
+from clvol.bricks.field import _needs
 from clvol.device import Device
 from clvol.march.bricks import front_to_back
 from tests.bricks.test_source import Counted
@@ -146,7 +147,7 @@ def test_long_chunks_are_unpacked_once_a_picture(chunks: tuple[int, ...], view: 
     ):
         order = front_to_back(field, camera.view(volume.grid))
         across = 2 if chunks[0] == 1 else 1
-        assert len(list(itertools.groupby(brick.at[across] for brick in order))) == field.counts[across]
+        assert len(list(itertools.groupby(brick.at[across] for brick in order))) == field.bricks.counts[across]
         source.unpacked = 0
         picture = renderer.render(camera, "mean", (32, 32), samples=1)
         assert field.reads.bricks > 80  # of 108; the others lie beside the picture
@@ -163,8 +164,9 @@ def test_bricks_are_such_that_long_chunks_are_kept() -> None:
         clvol.BrickedField(clvol.LazyVolume(planes, limits=(0, 1), labels=False), "linear", budget=12 << 20) as one,
         clvol.BrickedField(clvol.LazyVolume(chunks, limits=(0, 1), labels=False), "linear", budget=12 << 20) as other,
     ):
-        assert one._chunks is not None
-        assert one._layer(one.edge) <= one._chunks.most <= 6 << 20
+        kept, needs = one.store._chunks, _needs(one.volume, one.filter, one.boundary)
+        assert kept is not None
+        assert needs.layer(one.edge) <= kept.most <= 6 << 20
         assert one.edge <= other.edge
     with clvol.BrickedField(clvol.LazyVolume(planes, limits=(0, 1), labels=False), "linear", edge=32, budget=1 << 20) as field:
         field([[10.0, 10.0, 10.0], [250.0, 10.0, 10.0], [128.0, 10.0, 100.0]])

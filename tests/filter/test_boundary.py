@@ -131,7 +131,12 @@ def test_prefilter_of_a_row_without_one_is_the_samples() -> None:
 def test_positions_come_to_where_the_function_is_the_same(rule: str, n: int) -> None:
     boundary, rng = as_boundary(rule), np.random.default_rng(n)
     x = np.concatenate([rng.uniform(-3 * n - 30, 4 * n + 30, 100), rng.uniform(-50 * n, 50 * n, 50), [1e18, -1e30]])
-    got = boundary.position(x, n, 12, 3)
+    got, sign = boundary.position(x, n, 12, 3)
+    step = 1e-4
+    slope = (boundary.position(x[:-2] + step, n, 12, 3)[0] - boundary.position(x[:-2] - step, n, 12, 3)[0]) / (2 * step)
+    smooth = np.abs(np.abs(slope) - 1) < 1e-4  # neither a turn nor a jump in between
+    np.testing.assert_allclose(sign[:-2][smooth], slope[smooth], atol=1e-4)
+    assert smooth.mean() > 0.9 or n == 1
     if rule in ("zero", "nearest", "grid-constant"):
         beyond = (x < -15) | (x > n - 1 + 15)
         np.testing.assert_array_equal(got[~beyond], x[~beyond])

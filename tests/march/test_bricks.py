@@ -15,9 +15,9 @@ import pytest
 import clvol
 import clvol.device
 from clvol.base.errors import OptionError, OutOfMemoryError
+from clvol.bricks.field import BrickedField
 from clvol.march.bricks import Pass, front_to_back, level_of, opacity_within
 from clvol.march.renderer import Renderer
-from clvol.spline.bricked import BrickedField
 from clvol.spline.evaluator import DIRECT
 from tests.bricks.test_source import Counted
 
@@ -189,15 +189,15 @@ def test_what_was_read_is_known_better_than_what_is_stored() -> None:
     data[:, :, 17:] = 100
     lazy = clvol.LazyVolume(Counted(data), limits=(0, 100), labels=False, bounds=Known(data))
     with BrickedField(lazy, "linear", edge=8) as field, Renderer(field) as renderer:
-        brick = field.brick((1, 1, 1))  # the jump is 1 sample past it, within what bounds are taken of
-        before = field.bounds_of(brick)
+        brick = field.bricks[1, 1, 1]  # the jump is 1 sample past it, within what bounds are taken of
+        before = field.bounds.of(brick)
         renderer.render(CAMERAS["aslant"], "isosurface", (40, 40), isovalue=50)
-        found = field.bounds_of(brick)
+        found = field.bounds.of(brick)
         assert before is not None
         assert found is not None
         assert before[0] <= found[0] <= found[1] <= before[1]
-        with field.resident(brick) as own:
-            low, high = field.pyramid(own, DIRECT).extremes()
+        with field.store.resident(brick) as own:
+            low, high = field.bounds.pyramid(own, DIRECT).extremes()
         assert found == (max(low, before[0]), min(high, before[1]))
 
 
@@ -332,7 +332,7 @@ def test_levels_that_several_threads_draw_share_a_budget() -> None:
 
     def look() -> None:
         if drawn:
-            with field._residents.lock:  # others count meanwhile
+            with field.store._residents.lock:  # others count meanwhile
                 most[0] = max(most[0], field.nbytes + sum(level.nbytes for level in renderer.levels))
 
     levels = [clvol.LazyVolume(Watched(data[::n, ::n, ::n]), (n, n, n), limits=(0, 1), labels=False) for n in (1, 2)]
@@ -365,7 +365,7 @@ def test_one_field_is_closed_while_another_beside_it_draws() -> None:
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
-                "clvol.spline.residents.Resident.nbytes", property(lambda own: time.sleep(0.0005) or own.coefficients.nbytes)
+                "clvol.bricks.residents.Resident.nbytes", property(lambda own: time.sleep(0.0005) or own.coefficients.nbytes)
             )
             for _ in range(2):
                 other = BrickedField(data, "nearest", edge=12, beside=one)
@@ -413,12 +413,12 @@ def test_the_next_brick_is_read_while_rays_go_through_one(mode: str, monkeypatch
     source = Seen(data)
     volume = clvol.LazyVolume(source, limits=(0, 1), labels=False)
     with BrickedField(volume, "linear", edge=16) as field, Renderer(field) as renderer:
-        assert field.counts == (5, 1, 1)
+        assert field.bricks.counts == (5, 1, 1)
         along = clvol.Camera.look_at((-200.0, 8.0, 8.0), (40.0, 8.0, 8.0), fov=10)
         renderer.render(along, mode, (8, 8), samples=1)  # bounds are known then, and looks
         field.drop()
         until = time.monotonic() + 60
-        while field._residents._ahead:  # what was read ahead for that picture is still on its way
+        while field.store._residents._ahead:  # what was read ahead for that picture is still on its way
             assert time.monotonic() < until
             time.sleep(0.01)
         reads.clear()
@@ -459,7 +459,7 @@ def test_no_brick_hides_one_before_it(volume: clvol.Volume, view: str, filter: s
     camera = CAMERAS[view].view(volume)
     with BrickedField(volume, filter, edge=10) as field:
         order = {brick.at: i for i, brick in enumerate(front_to_back(field, camera))}
-        assert len(order) == np.prod(field.counts)
+        assert len(order) == np.prod(field.bricks.counts)
         rng = np.random.default_rng(0)
         for _ in range(300):  # along a ray bricks come in their order
             start = camera.eye if not camera.orthographic else None
@@ -469,7 +469,7 @@ def test_no_brick_hides_one_before_it(volume: clvol.Volume, view: str, filter: s
             t = np.linspace(0 if start is not None else -200, 300 if start is None else 3, 4000)
             index = volume.world_to_index(at + t[:, None] * way)
             inside = ((index > -0.5) & (index < np.asarray(volume.size) - 0.5)).all(1)
-            bricks = np.clip(np.floor((index[inside] - field.away) / field.edge), 0, np.asarray(field.counts) - 1).astype(int)
+            bricks = np.stack([field.bricks.owners(index[inside, axis], axis) for axis in range(3)], axis=1)
             passed = [order[at] for at, _ in itertools.groupby(map(tuple, bricks.tolist()))]
             assert passed == sorted(passed)
 

@@ -22,13 +22,13 @@ import pytest
 import clvol
 from clvol import cli
 from clvol.base.errors import ClusterError, DataError, DeviceError, FormatError, OptionError
+from clvol.bricks.field import BrickedField
 from clvol.dask import cluster as clusters
 from clvol.dask.cluster import Cluster, as_cluster, worker_device
 from clvol.march import cluster as parts
 from clvol.march.cluster import Group, Shared, groups_of, visible
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
-from clvol.spline.bricked import BrickedField
 from tests.march.test_bricks import BUMPY, CAMERAS, GUIDES, MODES, waves
 
 dask = pytest.importorskip("dask")
@@ -49,7 +49,7 @@ def volume() -> clvol.LazyVolume:
 
 @pytest.fixture(autouse=True)
 def small_bricks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BrickedField, "_edge_for", lambda _, edge, **_options: edge or 16)
+    monkeypatch.setattr("clvol.bricks.field.edge_for", lambda *_, **_options: 16)
 
 
 def both(cluster: Cluster, merge: Any, volume: Any, filter: str, *args: Any, **options: Any) -> tuple[Any, Any]:
@@ -90,7 +90,7 @@ def test_groups_lie_one_behind_the_other(volume: clvol.LazyVolume, name: str) ->
     """Along each ray its samples lie in groups in the order in which they are drawn."""
     with BrickedField(volume, "linear", edge=8) as field:
         view = CAMERAS[name].view(volume.grid, 1.0)
-        groups = list(visible(groups_of(field.counts, 12), field, view))
+        groups = list(visible(groups_of(field.bricks.counts, 12), field, view))
         rng = np.random.default_rng(0)
         size = np.array(volume.size)
         for _ in range(200):
@@ -102,7 +102,7 @@ def test_groups_lie_one_behind_the_other(volume: clvol.LazyVolume, name: str) ->
             points = ends[0] + np.linspace(0, 1, 60)[:, None] * (ends[1] - ends[0])
             numbers = []
             for point in points[((points >= -0.5) & (points <= size - 0.5)).all(1)]:
-                at = np.clip(np.floor((point - field.away) / field.edge), 0, np.array(field.counts) - 1)
+                at = np.clip(np.floor((point - field.bricks.offset) / field.edge), 0, np.array(field.bricks.counts) - 1)
                 numbers.append(next(i for i, g in enumerate(groups) if (at >= g.first).all() and (at < g.stop).all()))
             assert numbers == sorted(numbers)
 
@@ -171,7 +171,7 @@ def test_bricks_are_read_once_and_hidden_ones_never(cluster: Cluster) -> None:
         field = renderer.field
         assert isinstance(field, BrickedField)
         first = renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, samples=1)
-        assert 0 < field.reads.bricks <= 8 < np.prod(field.counts)
+        assert 0 < field.reads.bricks <= 8 < np.prod(field.bricks.counts)
         read = field.reads.bricks
         np.testing.assert_array_equal(renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, samples=1), first)
         assert field.reads.bricks == read  # workers have kept them

@@ -14,6 +14,7 @@ import pytest
 from clvol import reference
 from clvol.base.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.device import Device
+from clvol.filter.filter import Filter
 from clvol.filter.make import bspline
 from clvol.filter.table import as_filter, register_filter
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
@@ -221,18 +222,26 @@ def test_resample_fills(device: Device) -> None:
 
 def test_choice_of_path(device: Device) -> None:
     cubic, mitchell = as_filter("bspline3"), as_filter("mitchell")
-    assert choose_evaluator(device, cubic, "taps", "buffer") == Evaluator(False, False)
+
+    def chosen(row: Filter, evaluator: Any = "auto", fetch: Any = "auto", *, double: bool = False) -> Evaluator:
+        with device.limited(evaluator=evaluator, fetch=fetch):
+            return choose_evaluator(device, row, double=double)
+
+    assert chosen(cubic, "taps", "buffer") == Evaluator(False, False)
     for name in ("paired", "eight-fetch"):
-        assert choose_evaluator(device, cubic, name, "buffer") == Evaluator(True, False)
-    assert choose_evaluator(device, mitchell, "paired", "buffer") == Evaluator(False, False)  # its weights change sign
+        assert chosen(cubic, name, "buffer") == Evaluator(True, False)
+    assert chosen(mitchell, "paired", "buffer") == Evaluator(False, False)  # its weights change sign
+    assert chosen(cubic, double=True) == Evaluator(False, False)
     if device.kind == "cpu":
-        assert choose_evaluator(device, cubic) == Evaluator(False, False)
+        assert chosen(cubic) == Evaluator(False, False)
     if device.has_images:
-        assert choose_evaluator(device, cubic, "taps", "image") == Evaluator(False, True)
+        assert chosen(cubic, "taps", "image") == Evaluator(False, True)
         assert str(Evaluator(True, True)) == "paired from an image"
     for evaluator, fetch in (("none", "auto"), ("auto", "none"), (None, "auto")):
         with pytest.raises(OptionError, match="must be one of auto"):
-            choose_evaluator(device, cubic, evaluator, fetch)  # type: ignore[arg-type]
+            chosen(cubic, evaluator, fetch)
+    with pytest.raises(OptionError, match="images hold float32"):
+        chosen(cubic, fetch="image", double=True)
 
 
 def test_sampler_is_measured(device: Device) -> None:
@@ -258,8 +267,6 @@ BAD_SAMPLE: list[tuple[dict[str, Any], type[ClvolError]]] = [
     ({"filter": "none"}, OptionError),
     ({"filter": 3}, OptionError),
     ({"boundary": "none"}, OptionError),
-    ({"evaluator": "none"}, OptionError),
-    ({"fetch": "none"}, OptionError),
     ({"device": "none"}, OptionError),
     ({"volume": np.ones(3)}, DataError),
     ({"volume": np.ones((1, 1, 1, 1))}, DataError),
@@ -439,7 +446,10 @@ def test_a_field_is_the_functions_and_the_reference(device: Device, shape: tuple
             np.testing.assert_array_equal(got, sample(field, points, derivative=derivative))
             wanted = reference.sample(volume, points, name, "reflect", derivative)
             np.testing.assert_allclose(got, wanted, rtol=0, atol=2e-5 * largest / 0.7**derivative)
-            np.testing.assert_array_equal(at(points, evaluator="paired"), at(points, evaluator="eight-fetch"))
+            with device.limited(evaluator="paired"):
+                paired = at(points)
+            with device.limited(evaluator="eight-fetch"):
+                np.testing.assert_array_equal(at(points), paired)
         size = (9, 4, 8)[:d]
         for ours, theirs in (
             (field.resample(size), resample(volume, size, filter=name, boundary="reflect", device=device)),
@@ -477,7 +487,7 @@ def test_a_closed_field_says_so(device: Device) -> None:
     assert (field.closed, field.nbytes) == (True, 0)
     assert "closed" in repr(field)
     calls = (field, field.gradient, field.hessian, lambda p: sample(field, p), lambda _: field.magnify(2))
-    for call in (*calls, lambda _: field.resample((2, 2, 2)), lambda p: field(p, evaluator="paired")):
+    for call in (*calls, lambda _: field.resample((2, 2, 2))):
         with pytest.raises(OptionError, match="its coefficients were released; make a new one"):
             call([[1.0, 2, 3]])
 

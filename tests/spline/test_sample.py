@@ -86,7 +86,8 @@ def allowed(device: Device, name: str, path: tuple[str, str], derivative: int) -
 def parity(
     device: Device, volume: Volume, points: np.ndarray, name: str, rule: str, derivative: int, path: tuple[str, str]
 ) -> None:
-    got = sample(volume, points, name, rule, derivative, evaluator=path[0], fetch=path[1], device=device)
+    with device.limited(evaluator=path[0], fetch=path[1]):
+        got = sample(volume, points, name, rule, derivative, device=device)
     wanted = reference.sample(volume, points, name, rule, derivative)
     assert got.shape == wanted.shape == points.shape[:-1] + (volume.ndim,) * derivative
     assert got.dtype == np.float32

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.spline.bricked import BrickedField
+from clvol.bricks.field import BrickedField
 
 z, y, x = np.ogrid[:38, :44, :52]
 DATA = (2000 + 900 * np.sin(x / 4) * np.cos(y / 5) * np.sin(z / 6)).astype(np.uint16)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -17,6 +16,7 @@ from clvol.base import html
 from clvol.base.checks import number, whole
 from clvol.base.errors import OptionError
 from clvol.base.files import require_folder, require_suffix, staged
+from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import budget_for
 from clvol.bricks.source import by_bricks as are_by_bricks
 from clvol.cli import speech
@@ -49,7 +49,6 @@ from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.scene.mode import as_mode
 from clvol.show import movies
 from clvol.show.picture import heat, heat_with_scale
-from clvol.spline.bricked import BrickedField, as_lazy
 from clvol.volume.smoothing import filter_for, settled
 
 if TYPE_CHECKING:
@@ -348,7 +347,7 @@ def _bricks_read(shown: BrickedField, volume: clvol.Volume | clvol.LazyVolume, a
     """How much of which size a picture took."""
     sizes = (volume, *volume.levels) if isinstance(volume, clvol.LazyVolume) else (volume,)
     level = next((n for n, one in enumerate(sizes) if one is shown.volume), 0)
-    read, there, shape = shown.reads.bricks, math.prod(shown.counts), list(shown.volume.shape)
+    read, there, shape = shown.reads.bricks, len(shown.bricks), list(shown.volume.shape)
     if as_json:
         return {"level": level, "level_shape": shape, "bricks": there, "bricks_read": read}
     several = f"{level}, {html.numbers(shape)}" if len(sizes) > 1 else ""

@@ -156,7 +156,7 @@ def window_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[in
         return _around_the_seam(positions, n, boundary, before, after)
     if boundary.outside == "overlap":
         outside = (positions < 0) | (positions > n - 1)
-        positions = np.where(outside, boundary.position(positions, n), positions)
+        positions = np.where(outside, boundary.position(positions, n)[0], positions)
     low, high = float(positions.min()), float(positions.max())
     start, stop = min(max(low, 0.0), n - 1), max(min(high, n - 1), 0.0)
     if boundary.outside == "rule" and boundary.fold is not None:
@@ -176,7 +176,7 @@ def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int,
     if not inside.all():
         turns = np.where(inside, 0, np.floor(positions / n))
         turns -= turns.min()
-        positions = np.where(inside, positions, boundary.position(positions, n)) + n * turns
+        positions = np.where(inside, positions, boundary.position(positions, n)[0]) + n * turns
     low, high = math.floor(positions.min()) - before, math.floor(positions.max()) + after + 1
     if high - low >= n:
         return Window((0, n), positions)

@@ -310,7 +310,7 @@ class _Chunks:
                 known &= inside
             if rule.outside == "overlap" or (rule.outside == "rule" and rule.period is not None):
                 beyond = ~inside if rule.fold is None or rule.outside == "overlap" else ~((x >= -0.5) & (x <= n - 0.5))
-                x = np.where(beyond & known, rule.position(np.where(known, x, 0.0), n), x)
+                x = np.where(beyond & known, rule.position(np.where(known, x, 0.0), n)[0], x)
                 if rule.fold is None and rule.outside == "rule":  # before the first sample is behind the last, where windows reach
                     x = np.where(x < 0, np.minimum(x + n, np.nextafter(n, 0)), x)
             placed[k] = x

@@ -36,10 +36,13 @@ from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.ndimage.arguments import AnyDevice
 from clvol.spline.evaluator import DIRECT, choose_evaluator
-from clvol.spline.field import Precision, beyond, coefficients_of, fill_value, grid_for, precision_kind
+from clvol.spline.field import Precision, coefficients_of, precision_kind
+from clvol.spline.function import fill_value
+from clvol.spline.grids import beyond, grid_for
 from clvol.spline.points import Given
-from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, wide_enough
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed
 from clvol.spline.resample import along_axes, resample_axes, resample_coefficients
+from clvol.volume.stored import wide_enough
 from clvol.volume.volume import Volume
 
 __all__ = ["magnify", "resample"]
@@ -306,7 +309,7 @@ class _Grid:
         if self.smooth:
             volume = low_passed(volume, self.steps[::-1], boundary, kind, device)
         given, shape = Given(), tuple(map(len, positions))
-        evaluator = choose_evaluator(device, row, "auto", "auto" if kind == np.float32 else "buffer")
+        evaluator = choose_evaluator(device, row, double=kind == np.float64)
         result = np.empty(shape, kind)
         with coefficients_of(volume, row, boundary, device, kind) as made, device.buffers.lent(result, write=True) as buffer:
             if along_axes(made, DIRECT):

@@ -148,19 +148,23 @@ class Boundary:
         i = i % period
         return i if self.fold is None else np.asarray(np.minimum(i, period - self.fold - i))
 
-    def position(self, x: ArrayLike, n: int, pad: int = 0, reach: int = 0) -> NDArray[np.float64]:
-        """Positions in samples, brought to where all taps are stored; the function there is the same.
+    def position(self, x: ArrayLike, n: int, pad: int = 0, reach: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions whose taps are all stored and where the function is the same as at `x`, and the sign of derivatives there.
 
-        Under "constant" what lies outside keeps its place: it has its value already. `boundary_position` in boundary.cl is the same
-        rule for kernels, and both are that of `scipy.ndimage`, to the last bit.
+        The sign is -1 where the axis is reflected, 1 elsewhere. Under "constant" positions outside stay as they are: the value
+        there is known. `boundary_position` in boundary.cl is the same rule for kernels; both are that of `scipy.ndimage`, to the
+        last bit.
         """
         x, last = np.asarray(x, dtype=np.float64), n - 1
+        forward = np.ones(x.shape)
         if self.outside in ("clamp", "grid-constant") or not self.period:
-            low, high = -(pad + reach), last + pad + reach  # past which all coefficients are the same
+            low, high = -(pad + reach), last + pad + reach  # all coefficients further out are the same
             rest = x - np.floor(x)
-            return np.asarray(np.where(x < low, low - 1 + rest, np.where(x > high, high + rest, x)))
+            return np.asarray(np.where(x < low, low - 1 + rest, np.where(x > high, high + rest, x))), forward
         if self.outside == "constant":
-            return x
+            return x, forward
+        before, after = x < 0, x > last
+        folded = np.zeros(x.shape, np.bool_)
         if self.outside == "overlap":
             length = max(last, 1)
             low, high = x + length * (np.floor(-x / length) + 1), x - length * np.floor(x / length)
@@ -171,9 +175,11 @@ class Boundary:
                 low = x + period * (np.floor(np.maximum(-1 - x, 0) / period) + 1)
             else:
                 low = x + period * np.floor(-x / period)
+                folded = np.where(before, low > -0.5 * period, after & (high >= n))
                 low = np.where(low > -0.5 * period, -low - self.fold, low + period)
                 high = np.where(high >= n, period - high - self.fold, high)
-        return np.asarray(np.clip(np.where(x < 0, low, np.where(x > last, high, x)), -1, n))
+        brought = np.clip(np.where(before, low, np.where(after, high, x)), -1, n)
+        return np.asarray(brought), np.asarray(np.where(folded, -1.0, forward))
 
     def matrix(self, samples: ArrayLike, n: int) -> NDArray[np.float64]:
         """The matrix of eq. (11) on an axis of `n`, for a kernel with these samples at 0, 1, 2, ...; (n, n)."""

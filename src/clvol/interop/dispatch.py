@@ -10,7 +10,7 @@ from typing import ParamSpec, TypeVar
 
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 
-__all__ = ["is_in_parts", "is_lazy", "lazily"]
+__all__ = ["is_in_parts", "is_lazy", "lazily", "with_dask"]
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -24,25 +24,40 @@ def is_lazy(source: object) -> bool:
 
 def is_in_parts(source: object) -> bool:
     """Whether it is a LazyVolume or a BrickedField, which stand on this module."""
-    names = (("clvol.bricks.source", "LazyVolume"), ("clvol.spline.bricked", "BrickedField"))
+    names = (("clvol.bricks.source", "LazyVolume"), ("clvol.bricks.field", "BrickedField"))
     kinds = tuple(kind for module, name in names if (kind := getattr(sys.modules.get(module), name, None)) is not None)
     return isinstance(source, kinds)
 
 
-def lazily(
-    *names: str, dask: bool = True, instead: bool = False
-) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """A function that hands what is not in memory to others of its name.
+def with_dask(*names: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+    """A function that hands arrays of dask to the function of its name in `clvol.dask`, whose result is an array of dask too.
 
-    An array of dask goes to that in `clvol.dask`, whose result is an array of dask too; what `is_in_parts` to that in the module
-    `parts` of the function's package.
+    Parameters
+    ----------
+    *names : str
+        The function's first parameters, which may be arrays of dask.
+    """
+
+    def decorator(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+        @wraps(function)
+        def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+            if any(map(is_lazy, (*arguments[: len(names)], *(options.get(name) for name in names)))):
+                by_dask: Callable[Arguments, Result] = getattr(import_module("clvol.dask"), function.__name__)
+                return by_dask(*arguments, **options)
+            return function(*arguments, **options)
+
+        return either
+
+    return decorator
+
+
+def lazily(*names: str, instead: bool = False) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+    """`with_dask`, and what `is_in_parts` goes to the function of that name in the module `parts` of the function's package.
 
     Parameters
     ----------
     *names : str
         The function's first parameters, as far as arrays of dask are looked for among them; only the first may be in parts.
-    dask : bool
-        Whether there is one for arrays of dask.
     instead : bool
         Whether what is in memory goes to the module `parts` too, if there is no room for what is made of it as a whole.
     """
@@ -50,23 +65,22 @@ def lazily(
     def decorator(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
         parts = function.__module__.rpartition(".")[0] + ".parts"
 
-        def other(module: str) -> Callable[Arguments, Result]:
-            found: Callable[Arguments, Result] = getattr(import_module(module), function.__name__)
-            return found
+        def by_parts(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+            found: Callable[Arguments, Result] = getattr(import_module(parts), function.__name__)
+            return found(*arguments, **options)
 
+        @with_dask(*names)
         @wraps(function)
         def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
-            if dask and any(map(is_lazy, (*arguments[: len(names)], *(options.get(name) for name in names)))):
-                return other("clvol.dask")(*arguments, **options)
             if is_in_parts(arguments[0] if arguments else options.get(names[0])):
-                return other(parts)(*arguments, **options)
+                return by_parts(*arguments, **options)
             if not instead:
                 return function(*arguments, **options)
             try:
                 return function(*arguments, **options)
             except OutOfMemoryError as refused:
                 try:
-                    return other(parts)(*arguments, **options)
+                    return by_parts(*arguments, **options)
                 except (OptionError, DataError, OutOfMemoryError):  # nor is there another way
                     raise refused from None
 

@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 from clvol.base import memory
 from clvol.base.uniform import Values
+from clvol.bricks.field import BrickedField
+from clvol.bricks.grid import Brick
+from clvol.bricks.residents import Resident
 from clvol.bricks.source import Index, LazyVolume
 from clvol.device.program import Program
 from clvol.filter.filter import Filter
@@ -26,7 +29,6 @@ from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_p
 from clvol.scene.camera import View
 from clvol.scene.mode import Composite, Isosurface, Minip, Mip
 from clvol.scene.transfer import TransferFunction
-from clvol.spline.bricked import Brick, BrickedField, Resident
 from clvol.spline.lease import release
 from clvol.spline.minmax import MinMax, minmax_block
 from clvol.volume.volume import Volume
@@ -147,31 +149,33 @@ class BrickedDrawing(Drawing):
         """Rays through bricks, which lie one behind the other."""
         field = self._field
         bricks = self._sorted([brick for brick in bricks if self._may_matter(brick)])
-        field.going_through([brick.at for brick in bricks])
+        field.store.expect(bricks)
         try:
             for number, brick in enumerate(bricks):
                 wanted = self._wanted(passes, brick)
                 if wanted:
-                    with field.resident(brick) as own:
+                    with field.store.resident(brick) as own:
                         for following in bricks[number + 1 : number + 1 + _LOOKED_AHEAD]:
                             if self._wanted(passes, following):
-                                field.read_ahead(following)
+                                field.store.read_ahead(following)
                                 break
-                        minmax = field.pyramid(own, self.frame.evaluator) if self._skipping and self.frame.mode.skips else None
+                        minmax = (
+                            field.bounds.pyramid(own, self.frame.evaluator) if self._skipping and self.frame.mode.skips else None
+                        )
                         if self._may_matter(brick):  # of what was just read more is known
                             for one, area in wanted:
                                 one.march(own, minmax, brick, field, area)
                 if told:
                     told((number + 1) / len(bricks))
         finally:
-            field.forget_ahead()
+            field.store.forget_ahead()
 
     def _sorted(self, bricks: list[Brick]) -> list[Brick]:
         """Bricks as they follow, or those first that may hold the extremes which rays seek: these come in any order."""
         mode = self.frame.mode
         if not (self._skipping and isinstance(mode, (Mip, Minip))):
             return bricks
-        ends = {brick.at: self._field.bounds_of(brick) or (-math.inf, math.inf) for brick in bricks}
+        ends = {brick.at: self._field.bounds.of(brick) or (-math.inf, math.inf) for brick in bricks}
         if isinstance(mode, Mip):
             return sorted(bricks, key=lambda brick: -ends[brick.at][1])
         return sorted(bricks, key=lambda brick: ends[brick.at][0])
@@ -183,9 +187,9 @@ class BrickedDrawing(Drawing):
         """
         field = self._field
         wanted = [(one, area) for one in passes if (area := one.wanted(brick, self._view, field.volume.grid)) is not None]
-        if not wanted or field.has(brick):
+        if not wanted or field.store.has(brick):
             return wanted
-        ends = field.stored_bounds_of(brick) if self._skipping and self.frame.mode.skips else None
+        ends = field.bounds.stored(brick) if self._skipping and self.frame.mode.skips else None
         return wanted if any(one.asks_for(brick, ends, area) for one, area in wanted) else []
 
     def _may_matter(self, brick: Brick) -> bool:
@@ -193,7 +197,7 @@ class BrickedDrawing(Drawing):
         mode = self.frame.mode
         if not (self._skipping and mode.skips):
             return True
-        ends = self._field.bounds_of(brick)
+        ends = self._field.bounds.of(brick)
         if ends is None:
             return True
         low, high = ends
@@ -407,12 +411,12 @@ def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | No
     """
     grid, inverse = field.volume.grid, field.volume.grid.world_to_index_matrix
     ways = []
-    for axis, (first, past) in enumerate(zip(*(box or ((0, 0, 0), field.counts)), strict=True)):
+    for axis, (first, past) in enumerate(zip(*(box or ((0, 0, 0), field.bricks.counts)), strict=True)):
         if view.orthographic:
             forwards = float((inverse @ view.forward)[axis]) >= 0
             ways.append(list(range(first, past)) if forwards else list(range(first, past))[::-1])
             continue
-        eye = (float(view.eye_in(grid)[axis]) - field.away) / field.edge
+        eye = (float(view.eye_in(grid)[axis]) - field.bricks.offset) / field.edge
         own = min(max(math.floor(eye), first), past - 1)
         ways.append([*range(own, past), *range(first, own)[::-1]])  # neighbours, which share chunks, follow each other
     x, y, z = ways
@@ -420,7 +424,7 @@ def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | No
     order = sorted(range(3), key=lambda axis: (field.long_chunks[axis], -along[axis], -axis))
     lists = [(x, y, z)[axis] for axis in order]
     places = (dict(zip(order, at, strict=True)) for at in itertools.product(*lists))
-    return [field.brick((at[0], at[1], at[2])) for at in places]
+    return [field.bricks[at[0], at[1], at[2]] for at in places]
 
 
 def level_of(volume: LazyVolume, view: View, size: tuple[int, int], pixels: float) -> int:
@@ -457,7 +461,7 @@ def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedFi
     """What kernels read of the part that is at hand."""
     stored_from = [first * field.filter.scale for first in brick.first]
     z, y, x = own.coefficients.shape
-    cells_from, cells_to = field.cells_of(brick)
+    cells_from, cells_to = field.bricks.cells(brick)
     first = (0, 0, 0) if minmax is None else minmax.first
     return WINDOW(
         low=brick.low,

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from clvol.base.checks import one_of
 from clvol.base.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
+from clvol.bricks.field import BrickedField
+from clvol.bricks.grid import Brick
 from clvol.bricks.source import Index, LazyVolume, budget_for
 from clvol.dask.cluster import (
     Cluster,
@@ -41,7 +43,6 @@ from clvol.march.frame import Frame, tile_of
 from clvol.march.launch import Progress
 from clvol.scene.camera import View
 from clvol.scene.mode import Composite, Isosurface, Mode
-from clvol.spline.bricked import Brick, BrickedField
 
 __all__ = ["MERGES", "ClusterDrawing", "Group", "Merge", "Shared", "groups_of", "shared_out", "visible"]
 
@@ -75,7 +76,7 @@ class Group:
     def box(self, field: BrickedField) -> Brick:
         """The group's domain, as that of a single brick."""
         x, y, z = (n - 1 for n in self.stop)
-        one, other = field.brick(self.first), field.brick((x, y, z))
+        one, other = field.bricks[self.first], field.bricks[x, y, z]
         return Brick(self.first, one.low, other.high, one.first, other.last)
 
     def bricks(self, field: BrickedField, view: View) -> list[Brick]:
@@ -127,7 +128,7 @@ def visible(tree: _Tree, field: BrickedField, view: View) -> Iterator[Group]:
     if view.orthographic:
         low_first = float((grid.world_to_index_matrix @ view.forward)[tree.axis]) >= 0
     else:
-        low_first = float(view.eye_in(grid)[tree.axis]) < tree.at * field.edge + field.away
+        low_first = float(view.eye_in(grid)[tree.axis]) < field.bricks.plane(tree.at)
     for part in (tree.low, tree.high) if low_first else (tree.high, tree.low):
         yield from visible(part, field, view)
 
@@ -219,7 +220,7 @@ class Shared:
             self.cluster.local_ranks(),
         )
         self.workers = self.cluster.workers
-        self.tree = groups_of(field.counts, _GROUPS * max(1, len(self.workers)))
+        self.tree = groups_of(field.bricks.counts, _GROUPS * max(1, len(self.workers)))
         self.recipe = self.cluster.scatter(recipe, volume.nbytes if volume.in_memory else 0)
 
     def owner(self, group: Group) -> str | None:
@@ -391,7 +392,7 @@ class _Work:
                 f"bricks {bricks[0]} to {bricks[-1]} (x, y, z) of {name} end each worker that reads all of them, but no single one "
                 "does for certain: out of memory, or a fault of what reads"
             )
-        brick = self._shared.field.brick(last)
+        brick = self._shared.field.bricks[last]
         x, y, z = (f"{a}:{b}" for a, b in zip(brick.first, brick.last, strict=True))
         return ClusterError(
             f"brick {last} (x, y, z), samples [{z}, {y}, {x}] of {name}, ends each worker that reads it: out of memory, or a fault "
@@ -539,5 +540,5 @@ def read_bricks(recipe: _Recipe, bricks: Sequence[Index], key: str) -> None:
     with _locked(recipe) as field:
         for number, at in enumerate(bricks):
             client.set_metadata([key], number)
-            with field.resident(field.brick(at)):
+            with field.store.resident(field.bricks[at]):
                 pass

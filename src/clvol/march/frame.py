@@ -21,9 +21,8 @@ from clvol.scene.light import LIGHTS, Material, lights_block
 from clvol.scene.mode import Isosurface, Mode
 from clvol.scene.scene import CLIP, Medium, Scene, clip_block
 from clvol.scene.transfer import TransferFunction
-from clvol.spline.bricked import Whole
 from clvol.spline.build import along_defines
-from clvol.spline.coefficients import Coefficients
+from clvol.spline.coefficients import Coefficients, Whole
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
 from clvol.spline.points import Progress

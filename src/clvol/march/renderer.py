@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from clvol.base import memory
 from clvol.base.checks import instance, number, one_of, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
+from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume, budget_for
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
@@ -37,13 +38,13 @@ from clvol.scene.mode import DEFAULT_MODE, Composite, Isosurface, Mode, as_mode
 from clvol.scene.scene import Box, Medium, Scene, as_scene
 from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import Picture, as_pictures
-from clvol.spline.bricked import BrickedField
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator, require_names
-from clvol.spline.field import RENUMBER, Field, as_field, names_beyond
+from clvol.spline.field import Field, as_field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
 from clvol.spline.points import Progress
 from clvol.volume.smoothing import filter_for
+from clvol.volume.stored import RENUMBER, names_beyond
 from clvol.volume.volume import Volume, as_volume
 
 if TYPE_CHECKING:  # clusters need dask
@@ -139,7 +140,8 @@ class Renderer:
             own_filter = bricked.filter if filter is not None or isinstance(scene, BrickedField) else None
             scene = Medium(bricked.coefficients.volume, filter=own_filter, boundary=bricked.boundary)
         elif isinstance(scene, Field):
-            given_field = as_field(scene, filter, boundary, device)
+            as_field(scene, filter, boundary, device)  # which refuses other options
+            given_field = scene
             if given_field.gaps is not None:
                 raise OptionError(
                     "rendering takes a field without gaps; this one has missing samples: replace them with Volume.filled(), or "
@@ -708,9 +710,7 @@ class Renderer:
         field, looked = self._field_of(mode), self._looked or self.volume
         if isinstance(field, BrickedField) and (fetch == "image" or evaluator not in ("auto", "taps")):
             raise OptionError(f"bricks are read by direct taps from buffers; got evaluator {evaluator!r} and fetch {fetch!r}")
-        way = (
-            DIRECT if isinstance(field, BrickedField) else choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
-        )
+        way = DIRECT if isinstance(field, BrickedField) else _evaluator(field, evaluator, fetch)
         subject = Subject(
             scene,
             field.coefficients,
@@ -911,6 +911,13 @@ def _usual(volume: LazyVolume) -> str | None:
 def _pixels_a_voxel(lod: object) -> float:
     """How many pixels a voxel may span."""
     return 1.0 if isinstance(lod, str) and lod == "auto" else number("lod", lod, minimum=0)
+
+
+def _evaluator(field: Field, evaluator: str, fetch: str) -> Evaluator:
+    """The one that is named, else the one that the device's limits name or that suits it."""
+    named = {"evaluator": evaluator, "fetch": fetch}
+    with field.device.limited(**{name: value for name, value in named.items() if value != "auto"}):
+        return choose_evaluator(field.device, field.filter, bits=_BITS)
 
 
 def _single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:

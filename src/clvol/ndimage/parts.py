@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.errors import UnsupportedError
+from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume
 from clvol.filter.boundary import as_boundary
 from clvol.ndimage.antialiasing import nearest_sums, widths
@@ -36,7 +37,6 @@ from clvol.ndimage.arguments import (
 )
 from clvol.ndimage.engine import BOUNDARIES, converted, row_of
 from clvol.ndimage.interpolation import diagonal, magnified, placed, require_rank, shifted, turned, zoomed
-from clvol.spline.bricked import BrickedField
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, gaussian
 
 __all__ = [
@@ -274,7 +274,9 @@ class _Bricks:
         sums = {axis: gaussian(float(s), self.like.shape[axis], boundary) for axis, s in sigma.items() if s > 0}
         if not sums:
             return self
-        smooth = LazyVolume(own.summed(sums, np.float32, float(self._spline.cval.real)), limits=own.volume.limits, labels=False)
+        smooth = LazyVolume(
+            own.store.summed(sums, np.float32, float(self._spline.cval.real)), limits=own.volume.limits, labels=False
+        )
         field = BrickedField(smooth, own.filter, own.boundary, own.device, beside=own)
         return type(self)(field, self._spline, [field, *self._owned])
 
@@ -283,7 +285,7 @@ class _Bricks:
         spline, progress = self._spline, others.get("progress")
         sums = nearest_sums(self.like.shape, positions, spline, np.float32)
         with self:
-            for block, values, done in self._field.blocks_of(sums, np.float32, float(spline.cval.real)):
+            for block, values, done in self._field.store.blocks(sums, np.float32, float(spline.cval.real)):
                 result[block] = converted(values, result.dtype)
                 if progress:
                     progress(done)

@@ -23,7 +23,7 @@ from clvol.spline.prefilter import prefilter_in_place
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume
 
-__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "addressable", "bundled", "bytes_of", "extent_of"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "Whole", "addressable", "bundled", "bytes_of", "extent_of"]
 
 OPENCL_TYPES = {  # OpenCL's names of NumPy's types
     "b1": "uchar",
@@ -376,6 +376,27 @@ class Coefficients:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.release()
+
+
+class Whole:
+    """Metadata stand-in for the `Coefficients` of a whole volume of which only bricks are resident.
+
+    Attributes
+    ----------
+    volume : Volume
+        Where samples lie, and what is known of them; it holds none.
+    filter, device, stored, size, extent, ndim
+        As of `Coefficients`.
+    """
+
+    def __init__(self, volume: Volume, filter: Filter, extent: NDArray[np.int32], device: Device, stored: Stored) -> None:
+        self.volume, self.filter, self.device, self.stored, self.ndim = volume, filter, device, stored, volume.ndim
+        self.size = np.array([*volume.size, 0], np.int32)
+        self.extent = extent
+
+    def defines(self, evaluator: Evaluator) -> DefineDict:
+        """As of `Coefficients`."""
+        return {**filter_defines(self.filter, np.float32), **evaluator_defines(evaluator, self.filter, self.ndim, self.device)}
 
 
 def bytes_of(size: tuple[int, ...], filter: Filter, boundary: Boundary, kind: type[np.generic]) -> int:

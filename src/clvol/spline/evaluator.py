@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from clvol.base.checks import one_of
-from clvol.base.errors import DeviceError
+from clvol.base.errors import DeviceError, OptionError
 from clvol.device import Device
 from clvol.filter.filter import Filter
 
@@ -53,10 +53,8 @@ def require_names(evaluator: str, fetch: str) -> None:
         raise one_of("fetch", fetch, ("auto", "buffer", "image"))
 
 
-def choose_evaluator(
-    device: Device, filter: Filter, evaluator: str = "auto", fetch: str = "auto", *, bits: float = SAMPLE_BITS
-) -> Evaluator:
-    """The evaluator for a filter on a device: the one that is named here or in its limits, else the one that suits it.
+def choose_evaluator(device: Device, filter: Filter, *, bits: float = SAMPLE_BITS, double: bool = False) -> Evaluator:
+    """The evaluator that the device's limits name, or else the one that suits the device and the filter.
 
     Processors sample images in software, so they read buffers by direct taps. Other devices take paired fetches from
     the texture unit, provided that it was measured to interpolate with at least `bits` bits.
@@ -64,32 +62,31 @@ def choose_evaluator(
     Parameters
     ----------
     device : Device
-        Where the coefficients are.
+        Where the coefficients are. ``with device.limited(evaluator="taps", fetch="buffer"):`` forces a choice.
     filter : Filter
-        One whose weights change sign within a pair of taps is evaluated by direct taps, whatever `evaluator` says.
-    evaluator : {"auto", "taps", "paired", "eight-fetch"}
-        "eight-fetch" is another name for "paired".
-    fetch : {"auto", "buffer", "image"}
-        Where coefficients are read from.
+        If its weights change sign within a pair of taps, it is evaluated by direct taps, whatever the limits say.
     bits : float
-        What "auto" demands of the sampler.
+        The bits of the sampler that "auto" requires.
+    double : bool
+        Whether coefficients are of double precision, which images do not hold.
 
     Raises
     ------
     OptionError
-        `evaluator` or `fetch` is none of these names.
+        The limits name no evaluator or no way to fetch, or images for double precision.
     DeviceError
         ``fetch="image"`` on a device without float images, or paired fetches from an image on a device whose sampler
         does not interpolate.
     """
-    limits = device.limits
-    evaluator, fetch = (own if own != "auto" else usual for own, usual in ((evaluator, limits.evaluator), (fetch, limits.fetch)))
+    evaluator, fetch = device.limits.evaluator, device.limits.fetch
     require_names(evaluator, fetch)
+    if double and fetch == "image":
+        raise OptionError("fetch must be 'buffer' or 'auto' where precision is 'double': images hold float32; got 'image'")
     if fetch == "image" and not device.has_images:
         raise DeviceError(f"fetch='image' needs 3-D float images; {device.name} has none: use fetch='buffer'")
     image = fetch == "image"
     textures = device.kind != "cpu" and fetch != "buffer" and evaluator != "taps"
-    if fetch == "auto" and textures:
+    if fetch == "auto" and textures and not double:
         image = filter.pairable(0) and device.has_images and device.sampler_bits >= bits
     paired = evaluator in _PAIRED or (evaluator == "auto" and image and device.kind != "cpu")
     paired = paired and filter.pairable(0)

@@ -1,80 +1,76 @@
-"""The continuous function of a volume: `Field`, which keeps its coefficients on a device, and functions that use one once."""
+"""The continuous function of a volume in memory: `Field`, with its coefficients on a device; and functions that use one once."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
-from types import TracebackType
-from typing import Any, Literal, Self, TypeAlias, TypeGuard, get_args
+from functools import partial, wraps
+from importlib import import_module
+from typing import Any, ParamSpec, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
-from clvol.base.arrays import as_array, as_output
+from clvol.base.arrays import as_output
 from clvol.base.checks import one_of, warn, whole
-from clvol.base.errors import DataError, OptionError
-from clvol.base.frames import in_frame
-from clvol.base.rounding import as_kind, in_kind, wide
+from clvol.base.errors import DataError, OptionError, OutOfMemoryError
+from clvol.base.rounding import wide
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop.dispatch import is_in_parts, lazily
+from clvol.interop.dispatch import is_in_parts, with_dask
 from clvol.interop.images import read_array
-from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, Lattice, bytes_of
-from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
+from clvol.spline.evaluator import DIRECT, Evaluator, choose_evaluator
+from clvol.spline.function import (
+    CLOSED,
+    ContinuousFunction,
+    Frame,
+    Precision,
+    as_result,
+    described,
+    fill_value,
+    points_in_world,
+    require_no_transform,
+    result_kind,
+)
+from clvol.spline.grids import Anchor, Target, between, beyond, grid_for
 from clvol.spline.lease import Lease
 from clvol.spline.points import Floats, Given, Progress, Reals, Transform, sample_coefficients, sample_grid
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, nearest_spline, steps_along
 from clvol.spline.resample import resample_coefficients
 from clvol.volume.missing import Missing, as_missing, touching
 from clvol.volume.smoothing import filter_for, settled
-from clvol.volume.stored import AS_THEY_ARE, Stored
+from clvol.volume.stored import AS_THEY_ARE, Stored, names_beyond
 from clvol.volume.transform import Transforms, as_chain
 from clvol.volume.volume import Volume, as_volume
-from clvol.volume.volumes import Volumes, as_grid
+from clvol.volume.volumes import Volumes
 
 __all__ = [
-    "RENUMBER",
-    "Anchor",
     "Field",
     "Floats",
-    "Frame",
     "Precision",
     "Progress",
     "Reals",
     "as_field",
-    "as_points",
-    "between",
-    "beyond",
     "coefficients_of",
-    "fill_value",
     "filled",
-    "grid_for",
     "magnify",
-    "names_beyond",
     "opened",
     "precision_kind",
     "prefilter",
     "resample",
-    "result_kind",
     "sample",
 ]
 
-Frame: TypeAlias = Literal["LPS", "RAS"]
-Anchor: TypeAlias = Literal["center", "origin"]
-Precision: TypeAlias = Literal["single", "double"]
 _PRECISIONS: dict[str, type[np.generic]] = {"single": np.float32, "double": np.float64}
-_CHANNELS = 4  # of an image in colour, at most
-_TURN = np.array([-1.0, -1.0, 1.0])  # between LPS and RAS
-RENUMBER = "renumber them, as numpy.unique(data, return_inverse=True) does"
-_CLOSED = "the field was closed, and its coefficients were released; make a new one"
-_LOOKED_AT = 256  # points of which the order of coordinates is guessed
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 
 def coefficients_of(
@@ -122,7 +118,7 @@ def _fill_hybrid(made: Coefficients, by: Filter, data: NDArray[Any]) -> None:
         resample_coefficients(coarse, DIRECT, steps, np.full(d, -halo / scale), made.shape, made.buffer, Given(edge=0.5))
 
 
-class Field:
+class Field(ContinuousFunction):
     """The continuous function of a volume, with its coefficients kept on a device.
 
     Making one uploads and prefilters the volume (section 4.2 of the paper); every call then costs its samples only. The
@@ -220,7 +216,7 @@ class Field:
         present = self.volume if where is None else replace(self.volume, data=self.missing.filled(self.volume.data, where))
         self.coefficients = coefficients_of(present, row, self.boundary, self.device, kind)
         self.filter = self.coefficients.filter
-        self._lease = Lease(_CLOSED)
+        self._lease = Lease(CLOSED)
         self._lease.frees(self.coefficients.release)
         self.gaps = None if where is None else self._gaps_at(where)
         if self.gaps:
@@ -261,39 +257,19 @@ class Field:
         return html.beside(html.curve(*self.filter.plot(33)), html.facts("Field", known))
 
     @property
+    def grid(self) -> Volume:
+        """The volume."""
+        return self.volume
+
+    @property
     def precision(self) -> Precision:
         """Of coefficients and results: "single" or "double"."""
         return "double" if self.coefficients.kind == np.float64 else "single"
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the buffer with the coefficients; 0 once closed. An image (``fetch="image"``) takes as many again."""
+        """Bytes of the buffer with the coefficients; 0 once closed. An image takes as many again."""
         return 0 if self.closed else self.coefficients.nbytes + (self.gaps.nbytes if self.gaps else 0)
-
-    @property
-    def closed(self) -> bool:
-        """Whether `close` was called."""
-        return self._lease.closed
-
-    def close(self) -> None:
-        """Free the device's memory. Results stay valid; asking for more raises `OptionError`.
-
-        What other threads are computing, or whoever calls this from a callback, goes on to its end, and the memory is freed then.
-        """
-        self._lease.close()
-
-    def in_use(self) -> AbstractContextManager[None]:
-        """For the time of a block `close` frees nothing.
-
-        Raises
-        ------
-        OptionError
-            The field was closed before.
-        DeviceError
-            This is the child of a fork, where no OpenCL device works.
-        """
-        self.device.require_usable()
-        return self._lease.held()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled is what the field is made of; another process makes its coefficients anew, on its device of the same name."""
@@ -301,145 +277,46 @@ class Field:
             again = partial(type(self), precision=self.precision, nan=self.missing)
             return again, (self.volume, self.filter, self.boundary, self.device)
 
-    def __enter__(self) -> Self:
-        return self
+    def _settled(self, filter: str | Filter) -> Filter:
+        return settled(filter, self.coefficients.volume)
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
+    def _evaluator(self) -> Evaluator:
+        return choose_evaluator(self.device, self.filter, double=self.precision == "double")
 
-    # -- at points ---------------------------------------------------------------------------------------------
-
-    def __call__(
-        self,
-        points: ArrayLike,
-        *,
-        frame: Frame = "LPS",
-        evaluator: EvaluatorName = "auto",
-        fetch: FetchName = "auto",
-        fill: float | None = None,
-        progress: Progress | None = None,
-        out: Any = None,
-    ) -> Reals:
-        """Values at points of the world.
-
-        Parameters
-        ----------
-        points : array-like, shape (..., d)
-            World positions (x, y) or (x, y, z), as many coordinates as the volume has axes. float32 is computed with as it
-            is, everything else as float64 where the device has it; where it has none, positions err by up to 2⁻²⁴ of their
-            distance from the world's origin and from the first sample. A position that is not finite gives NaN. Points that lie
-            outside, and would not in the order (z, y, x), cause a `ClvolWarning`.
-        frame : {"LPS", "RAS"}
-            In which points are given, and derivatives come, of a volume whose space is "LPS": that of ITK and DICOM, or that of
-            NIfTI and nibabel, where x and y run the other way.
-        evaluator : {"auto", "taps", "paired", "eight-fetch"}
-            Direct taps, or linear fetches that serve two taps along each axis: 8 fetches for the 4 taps an axis of a
-            cubic in 3-D (hence "eight-fetch", another name for it), 4 in 2-D, 27 for the 6 taps of `bspline5`. Filters
-            whose weights change sign within a pair take direct taps; second derivatives always do.
-        fetch : {"auto", "buffer", "image"}
-            Where coefficients are read from.
-        fill : float, optional
-            The result outside the volume's domain, NaN and infinities included; None: the boundary rule goes on there.
-        progress : callable, optional
-            Called with the fraction done, from time to time and after the last point with 1.
-        out : array, optional
-            Where results are put, instead of into a new array: one of float32 or float64 and of their shape that can be written
-            into, with any strides, of NumPy or of another library (see `as_output`). Kernels write directly into
-            contiguous ones of the type of the results. It is what is returned.
-
-        Returns
-        -------
-        ndarray of float32, shape (...)
-            float64 in double precision, and where the samples lie far from zero, or are very large or small: see the notes of
-            `Field`.
-
-        Raises
-        ------
-        OptionError
-            `points` are no real numbers of shape (..., d); `frame` is neither of the two, or "RAS" where the volume is of no
-            patient; `fill` is no number; `evaluator` or `fetch` is an unknown name;
-            the field is closed; `out` has another shape or dtype, or cannot be written into (before anything is computed).
-        DeviceError
-            ``fetch="image"`` on a device without float images, or paired fetches from an image on one whose sampler does
-            not interpolate.
-        OutOfMemoryError
-            The device has no room for the points.
-        """
-        return self._at(points, 0, evaluator, fetch, fill, progress, out, frame)
-
-    def gradient(
-        self,
-        points: ArrayLike,
-        *,
-        frame: Frame = "LPS",
-        evaluator: EvaluatorName = "auto",
-        fetch: FetchName = "auto",
-        fill: float | None = None,
-        progress: Progress | None = None,
-        out: Any = None,
-    ) -> Reals:
-        """Gradients at points of the world: the exact derivative of the function that calling the field gives.
-
-        It holds almost everywhere: some filters have kinks or jumps. Parameters and errors are those of a call.
-
-        Returns
-        -------
-        ndarray of float32, shape (..., d)
-            Derivatives along (x, y[, z]), per world unit; float64 where the samples are very large or small.
-        """
-        return self._at(points, 1, evaluator, fetch, fill, progress, out, frame)
-
-    def hessian(
-        self,
-        points: ArrayLike,
-        *,
-        frame: Frame = "LPS",
-        evaluator: EvaluatorName = "auto",
-        fetch: FetchName = "auto",
-        fill: float | None = None,
-        progress: Progress | None = None,
-        out: Any = None,
-    ) -> Reals:
-        """Second derivatives at points of the world, exact as `gradient` is. Parameters and errors are those of a call.
-
-        Returns
-        -------
-        ndarray of float32, shape (..., d, d)
-            Symmetric, [x, y[, z]] twice, per world unit squared; float64 where the samples are very large or small.
-        """
-        return self._at(points, 2, evaluator, fetch, fill, progress, out, frame)
+    def _bytes_at(self, points: int, derivative: int, *, into: bool) -> int:
+        """Results of kernels, float64 ones beside these where they differ, and the share of missing samples."""
+        own = 0 if into else np.dtype(self.coefficients.kind).itemsize
+        results: int = points * self.grid.ndim**derivative
+        return results * (own + 8 * self.coefficients.stored.alters(derivative) + 5 * (self.gaps is not None))
 
     def _at(
-        self,
-        points: ArrayLike,
-        derivative: int,
-        evaluator: str,
-        fetch: str,
-        fill: float | None,
-        progress: Progress | None,
-        out: Any = None,
-        frame: Frame = "LPS",
+        self, points: NDArray[Any], derivative: int, fill: float | None, progress: Progress | None, out: NDArray[Any] | None
     ) -> Reals:
-        with self.in_use():
-            d, made = self.volume.ndim, self.coefficients
-            array = as_points(points, frame, self.volume)
-            shape = array.shape[:-1] + (d,) * derivative
-            target = None if out is None else as_output(out, shape)
-            memory.require(self._result_bytes(math.prod(shape), derivative, out), _results(shape))
-            direct = target if self._writes(target) and not np.may_share_memory(target, array) else None
-            chosen = self._evaluator(evaluator, fetch)
-            first, second = _halves(progress) if self.gaps else (progress, None)
-            flat = sample_coefficients(made, chosen, array.reshape(-1, d), derivative, fill_value(fill), first, direct)
-            if self.gaps:
-                share = self.gaps._at(array.reshape(-1, d), 0, "taps", "buffer", None if fill is None else 0.0, second)
-                flat[share > self.missing.most] = np.nan
-            shaped = flat.reshape(shape)
-            if frame == "RAS" and derivative:
-                np.multiply(
-                    shaped, _TURN[:d] if derivative == 1 else np.outer(_TURN[:d], _TURN[:d]), out=shaped, casting="same_kind"
-                )
-            results = _put(shaped, target)
-            return results if out is None else out
+        made, direct = self.coefficients, out if self._writes(out) else None
+        first, second = _halves(progress) if self.gaps else (progress, None)
+        flat = sample_coefficients(made, self._evaluator(), points, derivative, fill, first, direct)
+        if self.gaps:
+            share = sample_coefficients(self.gaps.coefficients, DIRECT, points, 0, None if fill is None else 0.0, second)
+            flat[share > self.missing.most] = np.nan
+        return flat
+
+    def _on(self, target: Target, progress: Progress | None, out: Any) -> NDArray[Any]:
+        if target.anti_aliasing:
+            fewer = _low_passed_on(target, self.volume, self.filter, self.boundary, self.device, self.precision, progress)
+            return _put(fewer, None if out is None else as_output(out, target.shape))
+        device, made, given, count = self.device, self.coefficients, Given(target.fill), math.prod(target.shape)
+        room = None if out is None else as_output(out, target.shape)
+        converted = 0 if target.kind is None or target.kind == made.kind else target.kind.itemsize
+        device.buffers.require_room(np.dtype(made.kind).itemsize * count, held=True)
+        memory.require(self._bytes_at(count, 0, into=out is not None) + converted * count, described(target.shape))
+        result = room if self._writes(room) else np.empty(target.shape, made.kind)
+        first, second = _halves(progress) if self.gaps else (progress, None)
+        final = _values_on(made, self._evaluator(), target, result, given, first)
+        if self.gaps:
+            outside, room_for_share = Given(None if target.fill is None else 0.0), np.empty(target.shape, np.float32)
+            share = _values_on(self.gaps.coefficients, DIRECT, target, room_for_share, outside, second)
+            final[share > self.missing.most] = np.nan
+        return _put(final, room)
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
         """Whether kernels can write their results into an array themselves."""
@@ -451,304 +328,99 @@ class Field:
             and target.flags.aligned
         )
 
-    # -- on other grids ----------------------------------------------------------------------------------------
 
-    def resample(
-        self,
-        shape: Sequence[int] | None = None,
-        spacing: Sequence[float] | float | None = None,
-        like: Volume | Volumes | ArrayLike | None = None,
-        *,
-        anchor: Anchor = "center",
-        transform: Transforms | None = None,
-        anti_aliasing: AntiAliasing | bool = False,
-        dtype: DTypeLike | None = None,
-        evaluator: EvaluatorName = "auto",
-        fetch: FetchName = "auto",
-        fill: float | None = None,
-        progress: Progress | None = None,
-        out: Any = None,
-    ) -> Volume:
-        """The function on another grid; give exactly one of `shape`, `spacing` and `like`.
-
-        Where voxels become larger, what is finer than they can hold comes back as aliases, unless `anti_aliasing` is given.
-
-        Parameters
-        ----------
-        shape : sequence of int, optional
-            Samples along (z, y, x) or (y, x). The domain stays; its voxels become larger or smaller.
-        spacing : float or sequence of float, optional
-            New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
-        like : Volume, Volumes, or what these take, optional
-            Take the grid of this volume or image, wherever it lies; of a series that of its volumes.
-        anchor : {"center", "origin"}
-            What stays in its place with `shape` and `spacing`: the centre of the domain, or the first sample, as with those who
-            keep ITK's origin; the domain is then moved by half the difference of the spacings.
-        transform : transform, array, SimpleITK transform, or a list of these, optional
-            From points of the grid's world (the fixed one) to points of this volume's (the moving one), as ITK resamples: the
-            function is taken there. In a list the last transform is applied first, as in ITK's CompositeTransform. An array
-            holds a homogeneous matrix. See `clvol.AffineTransform`, `clvol.DisplacementField`, `clvol.BSplineTransform` and
-            `clvol.read_transform`; `clvol.warp` gives gradients and Jacobians too.
-        anti_aliasing : {False, True, "gaussian", "least-squares"}
-            "gaussian" (and True): the samples go through a Gaussian first, whose standard deviation is (f - 1) / 2 samples along
-            an axis where voxels become f times as large. "least-squares": the result is the spline of the new grid, of the same
-            filter, that is nearest to this function in the mean square (`clvol.spline.reduce`), for grids along the volume's axes.
-        dtype : dtype-like or "same", optional
-            Type of the result, "same" as that of the volume: rounded to the nearest whole number, halves to even, and clipped to
-            what the type holds. Default: floating point as in a call, but the same for labels drawn by "nearest".
-        evaluator, fetch, fill, progress, out
-            As in a call; `out` is of the new grid's shape, and the result's data are a view of it.
-
-        Returns
-        -------
-        Volume of float32, or of float64 as in a call, or of `dtype`
-
-        Raises
-        ------
-        OptionError
-            None or several of `shape`, `spacing` and `like` are given; `shape` is not one whole number of at least 1 for
-            each axis; `spacing` is not positive and finite, or needs more than 2³¹ − 1 samples along an axis; `like` is
-            no Volume of as many axes; `anchor` is neither of the two, or "origin" with `like`; `dtype` holds no real numbers,
-            or is given with `out`, or holds no NaN while `fill` is; `transform` is none, or given with `anti_aliasing`;
-            `anti_aliasing` is none of these, or "least-squares" for a turned grid, with a hybrid or under the boundary rule
-            "zero"; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
-        DataError
-            Results are NaN where samples are missing, and `dtype` holds none; or labels, drawn by "nearest", exceed 2⁵³.
-        GeometryError
-            A transform is singular, or of another number of dimensions.
-        DeviceError
-            As in a call.
-        OutOfMemoryError
-            The device has no room for the result.
-        """
-        volume = self.volume
-        grid = grid_for(volume, shape, spacing, like, anchor)
-        chosen, stages = as_anti_aliasing(anti_aliasing), as_chain(transform, volume.ndim)
-        kind = result_kind(dtype, volume, self.filter, out, fill)
-        if chosen:
-            require_no_transform(stages)
-            with self.in_use():  # a closed field is refused
-                pass
-            own = self.filter, self.boundary, self.device, self.precision
-            return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), self.filter)
-        chain = Chain(stages, grid, self.device)
-        width = 0 if kind is None or kind == self.coefficients.kind else kind.itemsize
-        data = self._on_grid(*chain.to_indices(volume), grid.shape, evaluator, fetch, fill, progress, out, chain, width)
-        return _in(kind, volume.placed(data, grid), self.filter)
-
-    def magnify(
-        self, factor: int = 2, *, evaluator: EvaluatorName = "auto", fetch: FetchName = "auto", progress: Progress | None = None
-    ) -> Volume:
-        """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
-
-        Sample ``j`` of the result lies at ``j / factor`` of the given ones, so every `factor`-th is one of them. The last
-        ones lie past the last given one, within its voxel or under the boundary rule.
-
-        Parameters
-        ----------
-        factor : int
-            At least 1.
-        evaluator, fetch, progress
-            As in a call.
-
-        Returns
-        -------
-        Volume of float32, or of float64 as in a call; labels drawn by "nearest" keep their type
-
-        Raises
-        ------
-        OptionError
-            `factor` is no whole number of at least 1; `evaluator` or `fetch` is an unknown name; the field is closed.
-        DeviceError
-            As in a call.
-        OutOfMemoryError
-            The device has no room for the result.
-        """
-        volume, d = self.volume, self.volume.ndim
-        factor = whole("factor", factor, minimum=1)
-        shape = tuple(factor * n for n in volume.shape)
-        memory.require_addressable("a result", shape)
-        data = self._on_grid(np.eye(d) / factor, np.zeros(d), shape, evaluator, fetch, None, progress)
-        finer = replace(volume, data=data, spacing=tuple(s / factor for s in volume.spacing))
-        return _in(result_kind(None, volume, self.filter, None, None), finer, self.filter)
-
-    def _on_grid(
-        self,
-        matrix: NDArray[np.float64],
-        offset: NDArray[np.float64],
-        shape: tuple[int, ...],
-        evaluator: str,
-        fetch: str,
-        fill: float | None,
-        progress: Progress | None,
-        out: Any = None,
-        chain: Chain | None = None,
-        converted: int = 0,
-    ) -> Reals:
-        with self.in_use():
-            device, made, given = self.device, self.coefficients, Given(fill_value(fill))
-            target = None if out is None else as_output(out, shape)
-            chosen = self._evaluator(evaluator, fetch)
-            device.buffers.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
-            memory.require(self._result_bytes(math.prod(shape), 0, out) + converted * math.prod(shape), _results(shape))
-            result = target if self._writes(target) else np.empty(shape, made.kind)
-            first, second = _halves(progress) if self.gaps else (progress, None)
-            with device.buffers.lent(result, write=True) as buffer:
-                if chain is not None and chain.stages:
-                    last = Transform(matrix, offset, np.eye(len(offset)))
-                    sample_grid(made, chosen, last, (1, *shape)[-3:], buffer, given, first, chain=chain)
-                else:
-                    resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, first)
-            final = given.in_units_of_data(made, result, 0)
-            if self.gaps:
-                share = self.gaps._on_grid(
-                    matrix, offset, shape, "taps", "buffer", None if fill is None else 0.0, second, chain=chain
-                )
-                final[share > self.missing.most] = np.nan
-            return _put(final, target)
-
-    def _result_bytes(self, count: int, derivative: int, out: Any) -> int:
-        """What so many results take while they are made: float64 ones beside those of kernels, and the share of missing ones."""
-        own = np.dtype(self.coefficients.kind).itemsize if out is None else 0
-        return count * (own + 8 * self.coefficients.stored.alters(derivative) + 5 * (self.gaps is not None))
-
-    def _evaluator(self, evaluator: str, fetch: str) -> Evaluator:
-        """The one that is named, or suits the device: images hold float32 alone."""
-        if self.precision == "single":
-            return choose_evaluator(self.device, self.filter, evaluator, fetch)
-        if fetch == "image":
-            raise OptionError("fetch must be 'buffer' or 'auto' where precision is 'double': images hold float32; got 'image'")
-        return choose_evaluator(self.device, self.filter, evaluator, "buffer")
+def _values_on(
+    made: Coefficients, evaluator: Evaluator, target: Target, result: NDArray[Any], given: Given, progress: Progress | None
+) -> NDArray[Any]:
+    """Values on a grid in units of the data; kernels write theirs into `result`, an array of the coefficients' type."""
+    shape = (1, *target.shape)[-3:]
+    with made.device.buffers.lent(result, write=True) as buffer:
+        if target.chain is not None:
+            last = Transform(target.matrix, target.offset, np.eye(len(target.offset)))
+            sample_grid(made, evaluator, last, shape, buffer, given, progress, chain=target.chain)
+        else:
+            resample_coefficients(made, evaluator, target.matrix, target.offset, shape, buffer, given, progress)
+    return given.in_units_of_data(made, result, 0)
 
 
-def result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any, fill: float | None) -> np.dtype[Any] | None:
-    """The type that results are brought to; None: that in which they are computed."""
-    fill = fill_value(fill)
-    if names_beyond(53, volume, row):  # results would name no region, or another
-        low, high = volume.limits
-        raise DataError(
-            f"labels must be whole numbers up to 2**53 to be resampled, which float64 holds; got {low} to {high}: {RENUMBER}"
-        )
-    if dtype is None:
-        labels = row.support == 1 and volume.is_labels
-        return volume.data.dtype if labels and out is None and (fill is None or not np.isnan(fill)) else None
-    if out is not None:
-        raise OptionError(f"resample takes dtype or out, whose type is that of the results; got {dtype!r} and out")
-    kind = as_kind(dtype, volume.data.dtype)
-    if fill is not None and kind.kind != "f" and np.isnan(fill):
-        raise OptionError(f"fill must be a number that {kind} holds; got {fill!r}")
-    return kind
-
-
-def _in(kind: np.dtype[Any] | None, made: Volume, row: Filter) -> Volume:
-    """A result in a type; it is no label map where labels were blended."""
-    data = made.data if kind is None else in_kind(made.data, kind)
-    blended = row.support > 1 and made.labels not in (None, False)
-    return made if data is made.data and not blended else replace(made, data=data, labels=None if blended else made.labels)
-
-
-def _into(volume: Volume, out: Any) -> Volume:
-    """A volume whose data are a view of `out`, if that is given."""
-    return volume if out is None else replace(volume, data=_put(volume.data, as_output(out, volume.shape)))
-
-
-def between(volume: Volume, grid: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Matrix and offset from the indices of a grid, x first, to those of a volume."""
-    inverse = volume.world_to_index_matrix
-    return inverse @ grid.index_to_world_matrix, inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
-
-
-def beyond(
-    matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], results: tuple[int, ...], boundary: Boundary
-) -> list[NDArray[np.bool_]]:
-    """Which points of a grid along a volume's axes lie past its domain, along each axis of its array."""
-    found = []
-    for axis, (n, m) in enumerate(zip(shape[::-1], results[::-1], strict=True)):
-        x = offset[axis] + matrix[axis, axis] * np.arange(m)
-        found.append((x < -boundary.edge) | (x > n - 1 + boundary.edge))
-    return found[::-1]
-
-
-def _coarser(
+def _low_passed_on(
+    target: Target,
     volume: Volume,
     filter: Filter,
     boundary: Boundary,
     device: Device,
     precision: Precision,
-    grid: Volume,
-    chosen: AntiAliasing,
-    evaluator: EvaluatorName,
-    fetch: FetchName,
-    fill: float | None,
     progress: Progress | None,
-) -> Volume:
-    """A volume on another grid without the aliases of what that cannot hold."""
-    (matrix, offset), kind = between(volume, grid), precision_kind(precision)
-    if chosen == "gaussian":
-        smooth = low_passed(volume, steps_along(matrix), boundary, kind, device)
+) -> NDArray[Any]:
+    """A volume's function on a grid without the aliases of details that the grid cannot hold."""
+    kind = precision_kind(precision)
+    if target.anti_aliasing == "gaussian":
+        smooth = low_passed(volume, steps_along(target.matrix), boundary, kind, device)
         with Field(smooth, filter, boundary, device, precision=precision) as field:
-            return field.resample(like=grid, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
-    data = nearest_spline(volume, filter, boundary, kind, device, matrix, offset, grid.shape, progress)
-    if (outside := fill_value(fill)) is not None:
-        for axis, past in enumerate(beyond(matrix, offset, volume.shape, grid.shape, boundary)):
-            np.moveaxis(data, axis, 0)[past] = outside
-    return volume.placed(data, grid)
+            return field._on(replace(target, anti_aliasing=None, kind=None), progress, None)
+    data = nearest_spline(volume, filter, boundary, kind, device, target.matrix, target.offset, target.shape, progress)
+    if target.fill is not None:
+        for axis, outside in enumerate(beyond(target.matrix, target.offset, volume.shape, target.shape, boundary)):
+            np.moveaxis(data, axis, 0)[outside] = target.fill
+    return data
 
 
-# -- a Field, or what one is made of -----------------------------------------------------------------------------
+def _put(results: NDArray[Any], target: NDArray[Any] | None) -> NDArray[Any]:
+    """Results in the array that is to hold them, if there is one; they may lie in its memory already."""
+    if target is None:
+        return results
+    if not np.may_share_memory(results, target):
+        target[...] = results
+    return target
+
+
+def _halves(progress: Progress | None) -> tuple[Progress, Progress] | tuple[None, None]:
+    """The progress of the first and of the second half of the work."""
+    if progress is None:
+        return None, None
+    return lambda done: progress(done / 2), lambda done: progress((1 + done) / 2)
+
+
+# -- the function of whatever is given ---------------------------------------------------------------------------
 
 
 def as_field(
-    volume: Volume | ArrayLike | Field,
+    volume: Any,
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     device: Device | str | int | None = None,
     precision: Precision | None = None,
     nan: str | Missing | None = None,
-) -> Field:
-    """A Field as it is, or a new one of a volume.
+) -> ContinuousFunction:
+    """The function of a volume: a Field, or a BrickedField of a LazyVolume; a function is returned as it is.
 
     Parameters
     ----------
-    volume : Volume, array-like or Field
+    volume : Volume, array-like, LazyVolume, Field or BrickedField
     filter, boundary, device, precision, nan
-        As of `Field`; None is its default, or, where a Field is given, what that has.
+        As of `Field`; None is its default, or the option of the function that is given.
 
     Raises
     ------
     OptionError
-        A Field is given together with another filter, boundary, device, precision or treatment of missing samples than its own.
+        A function is given together with another filter, boundary, device, precision or treatment of missing samples than its own;
+        or a LazyVolume with a precision or treatment of missing samples that a BrickedField does not have.
     DataError, DeviceError, OutOfMemoryError
         As `Field` raises them.
     """
-    if not isinstance(volume, Field):
-        return Field(
-            volume,
-            filter,
-            DEFAULT_BOUNDARY if boundary is None else boundary,
-            device,
-            precision=precision,
-            nan="error" if nan is None else nan,
-        )
-    present = volume.coefficients.volume
-    for what, own, same, name in (
-        ("filter", volume.filter.name, filter is None or settled(filter, present) == volume.filter, filter),
-        ("boundary", volume.boundary.name, boundary is None or as_boundary(boundary) == volume.boundary, boundary),
-        ("device", volume.device.name, device is None or as_device(device) is volume.device, device),
-        ("precision", volume.precision, precision is None or precision == volume.precision, precision),
-        ("nan", volume.missing.rule, nan is None or nan in (volume.missing, volume.missing.rule), nan),
-    ):
-        if not same:
-            raise OptionError(
-                f"the field was made with {what} {own!r}, which cannot be changed to {getattr(name, 'name', name)!r}; "
-                f"leave {what} out, or make another Field"
-            )
-    return volume
+    if isinstance(volume, ContinuousFunction):
+        volume._require_same(filter, boundary, device, precision, nan)
+        return volume
+    boundary = DEFAULT_BOUNDARY if boundary is None else boundary
+    if is_in_parts(volume):
+        by_bricks: ContinuousFunction = _bricks().of_lazy(volume, filter, boundary, device, precision, nan)
+        return by_bricks
+    return Field(volume, filter, boundary, device, precision=precision, nan="error" if nan is None else nan)
 
 
 @contextmanager
 def opened(
-    volume: Volume | ArrayLike | Field,
+    volume: Any,
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     device: Device | str | int | None = None,
@@ -756,13 +428,13 @@ def opened(
     nan: str | Missing | None = None,
     *,
     results: tuple[int, ...] = (),
-) -> Iterator[Field]:
-    """`as_field` for the time of a block: a Field that was made for it is closed at its end, one that was given is not.
+) -> Iterator[ContinuousFunction]:
+    """`as_field` for the time of a block: a function that was made for it is closed at its end, one that was given is not.
 
-    There must be room for coefficients and `results` of this shape together, before the former are made.
+    There must be room for coefficients of a volume in memory and `results` of this shape together, before the former are made.
     """
-    if not isinstance(volume, Field) and results:
-        volume = as_volume(volume)
+    if results and (plain := _in_memory(volume)) is not None:
+        volume = plain
         require_both(volume.size, filter, boundary, device, precision, results)
     field = as_field(volume, filter, boundary, device, precision, nan)
     try:
@@ -770,6 +442,42 @@ def opened(
     finally:
         if field is not volume:
             field.close()
+
+
+def _in_memory(volume: Any) -> Volume | None:
+    """A volume or an array as a Volume; None for a function, and for what is read by parts."""
+    return None if isinstance(volume, ContinuousFunction) or is_in_parts(volume) else as_volume(volume)
+
+
+def _bricks() -> Any:
+    """The module of functions that come brick by brick, which is below this one."""
+    return import_module("clvol.bricks.field")
+
+
+def _else_by_bricks(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """A function of a volume that computes by bricks, with a warning, where there is no room for the volume's coefficients."""
+
+    @wraps(function)
+    def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+        try:
+            return function(*arguments, **options)
+        except OutOfMemoryError as refused:
+            others: dict[str, Any] = dict(options)
+            given = arguments[0] if arguments else others.pop("volume")
+            try:
+                if (volume := _in_memory(given)) is None:
+                    raise
+                lazy = _bricks().as_lazy(volume)
+                result = function(lazy, *arguments[1:], **others)  # type: ignore[arg-type]
+            except (OptionError, DataError, OutOfMemoryError):  # nor by bricks
+                raise refused from None
+            warn(
+                f"computed by bricks in single precision, so that the last bits may differ, because the memory is too small for "
+                f"all coefficients: {refused}"
+            )
+            return result
+
+    return either
 
 
 def require_both(
@@ -790,27 +498,21 @@ def require_both(
     )
     own = np.dtype(kind).itemsize * math.prod(results)
     shared = as_device(device).kind == "cpu"  # else coefficients lie in the device's memory
-    memory.require(own + made * shared, f"{_results(results)}{' and the coefficients' * shared}")
-
-
-def _results(shape: tuple[int, ...]) -> str:
-    return f"a result of {' × '.join(map(str, shape))} numbers"
+    memory.require(own + made * shared, f"{described(results)}{' and the coefficients' * shared}")
 
 
 # -- functions -------------------------------------------------------------------------------------------------------
 
 
-@lazily("volume", dask=False, instead=True)
+@_else_by_bricks
 def sample(
-    volume: Volume | ArrayLike | Field,
+    volume: Volume | ArrayLike | ContinuousFunction,
     points: ArrayLike,
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     derivative: int = 0,
     *,
     frame: Frame = "LPS",
-    evaluator: EvaluatorName = "auto",
-    fetch: FetchName = "auto",
     fill: float | None = None,
     device: Device | str | int | None = None,
     precision: Precision | None = None,
@@ -838,7 +540,7 @@ def sample(
     derivative : {0, 1, 2}
         0 for values, 1 for gradients, 2 for Hessians: the exact derivatives of the function that derivative 0 gives, per
         world unit (almost everywhere, where it has kinks or jumps).
-    frame, evaluator, fetch, fill, progress, out
+    frame, fill, progress, out
         As in a call of `Field`.
     device : Device, str or int, optional
         See `as_device`; default that of the Field, if one is given.
@@ -861,22 +563,22 @@ def sample(
         As `Field` and a call of it raise them.
     """
     derivative = whole("derivative", derivative, minimum=0, maximum=2)
-    if not isinstance(volume, Field):
-        volume = as_volume(volume)
-        array = _in_world(_points(points, volume.ndim), frame, volume)  # before the volume is prefiltered
+    results: tuple[int, ...] = ()
+    if (plain := _in_memory(volume)) is not None:
+        volume = plain
+        shape = points_in_world(points, frame, plain).shape[:-1] + (plain.ndim,) * derivative  # before the volume is prefiltered
         if out is not None:
-            as_output(out, array.shape[:-1] + (volume.ndim,) * derivative)
-        results = () if out is not None else array.shape[:-1] + (volume.ndim,) * derivative
-    else:
-        results = ()
+            as_output(out, shape)
+        results = () if out is not None else shape
     with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
         at = (field.__call__, field.gradient, field.hessian)[derivative]
-        return at(points, frame=frame, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
+        return at(points, frame=frame, fill=fill, progress=progress, out=out)
 
 
-@lazily("volume", instead=True)
+@with_dask("volume")
+@_else_by_bricks
 def resample(
-    volume: Volume | ArrayLike | Field,
+    volume: Volume | ArrayLike | ContinuousFunction,
     shape: Sequence[int] | None = None,
     spacing: Sequence[float] | float | None = None,
     like: Volume | Volumes | ArrayLike | None = None,
@@ -887,8 +589,6 @@ def resample(
     transform: Transforms | None = None,
     anti_aliasing: AntiAliasing | bool = False,
     dtype: DTypeLike | None = None,
-    evaluator: EvaluatorName = "auto",
-    fetch: FetchName = "auto",
     fill: float | None = None,
     device: Device | str | int | None = None,
     precision: Precision | None = None,
@@ -909,7 +609,7 @@ def resample(
         As in `sample`.
     precision : {"single", "double"}, optional
         As in `sample`, but "double" for a `dtype` that holds more than float32 does, where the device can.
-    evaluator, fetch, progress, out
+    progress, out
         As in `Field.resample`.
 
     Returns
@@ -925,23 +625,24 @@ def resample(
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.resample` raise them.
     """
-    if not isinstance(volume, Field):
-        volume = as_volume(volume)
-        grid = grid_for(volume, shape, spacing, like, anchor)  # before the volume is prefiltered
+    results: tuple[int, ...] = ()
+    if (plain := _in_memory(volume)) is not None:
+        volume = plain
+        grid = grid_for(plain, shape, spacing, like, anchor)  # before the volume is prefiltered
         if out is not None:
             as_output(out, grid.shape)
-        transform = as_chain(transform, volume.ndim)
-        row = filter_for(volume, filter, DEFAULT_FILTER)
-        kind = result_kind(dtype, volume, row, out, fill)
+        transform = as_chain(transform, plain.ndim)
+        row = filter_for(plain, filter, DEFAULT_FILTER)
+        kind = result_kind(dtype, plain, row, out, fill)
         if precision is None and kind is not None and wide(kind) and (device := as_device(device)).has_double:
             precision = "double"
-        if chosen := as_anti_aliasing(anti_aliasing):
+        if low_pass := as_anti_aliasing(anti_aliasing):  # of the samples; their own coefficients are not needed
             require_no_transform(transform)
+            target = Target(*between(plain, grid), grid.shape, None, fill_value(fill), low_pass, kind)
             own = row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device), precision or "single"
-            return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), row)
+            data = _put(_low_passed_on(target, plain, *own, progress), None if out is None else as_output(out, grid.shape))
+            return as_result(plain, data, grid, kind, row)
         results = grid.shape if out is None else ()
-    else:
-        results = ()
     with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
         return field.resample(
             shape,
@@ -951,23 +652,20 @@ def resample(
             transform=transform,
             anti_aliasing=anti_aliasing,
             dtype=dtype,
-            evaluator=evaluator,
-            fetch=fetch,
             fill=fill,
             progress=progress,
             out=out,
         )
 
 
-@lazily("volume", instead=True)
+@with_dask("volume")
+@_else_by_bricks
 def magnify(
-    volume: Volume | ArrayLike | Field,
+    volume: Volume | ArrayLike | ContinuousFunction,
     factor: int = 2,
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     *,
-    evaluator: EvaluatorName = "auto",
-    fetch: FetchName = "auto",
     device: Device | str | int | None = None,
     precision: Precision | None = None,
     nan: str | Missing | None = None,
@@ -984,7 +682,7 @@ def magnify(
         At least 1; see `Field.magnify` for where the new samples lie.
     filter, boundary, device, precision, nan
         As in `sample`.
-    evaluator, fetch, progress
+    progress
         As in a call of `Field`.
 
     Returns
@@ -999,13 +697,14 @@ def magnify(
         As `Field` and `Field.magnify` raise them.
     """
     factor = whole("factor", factor, minimum=1)
-    volume = volume if isinstance(volume, Field) else as_volume(volume)
-    results = tuple(factor * n for n in (volume.volume if isinstance(volume, Field) else volume).shape)
+    results: tuple[int, ...] = ()
+    if (plain := _in_memory(volume)) is not None:
+        volume, results = plain, tuple(factor * n for n in plain.shape)
     with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
-        return field.magnify(factor, evaluator=evaluator, fetch=fetch, progress=progress)
+        return field.magnify(factor, progress=progress)
 
 
-@lazily("data")
+@with_dask("data")
 def prefilter(
     data: ArrayLike,
     filter: str | Filter = DEFAULT_FILTER,
@@ -1046,6 +745,11 @@ def prefilter(
     OutOfMemoryError
         The device has no room for the coefficients.
     """
+    if is_in_parts(data):
+        raise OptionError(
+            "prefilter takes no volume that is read by parts: clvol.dask.prefilter gives its coefficients as an array of dask, "
+            "clvol.prefilter(volume.whole()) all at once"
+        )
     array, _ = read_array(data, placed=False)  # coefficients have no geometry
     line = array.ndim == 1
     volume = Volume(array[None] if line else array)
@@ -1069,66 +773,6 @@ def _gain(filter: Filter) -> float:
     return 1 / float(filter.samples[0] + 2 * filter.samples[1:].sum()) if filter.prefilter else 1.0
 
 
-def _halves(progress: Progress | None) -> tuple[Progress, Progress] | tuple[None, None]:
-    """For the first and the second half of the work."""
-    if progress is None:
-        return None, None
-    return lambda done: progress(done / 2), lambda done: progress((1 + done) / 2)
-
-
-# -- arguments -------------------------------------------------------------------------------------------------------
-
-
-def as_points(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[np.generic]:
-    """Points of a frame in a volume's world, of any type; those that seem to be in another order cause a `ClvolWarning`."""
-    array = _in_world(_points(points, volume.ndim), frame, volume)
-    _tell_reversed(array.reshape(-1, volume.ndim), volume)
-    return array
-
-
-def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
-    """`points` as an array, if they are real numbers of shape (..., d)."""
-    array = as_array(points, "points", OptionError, f"numbers of shape (..., {d})")
-    if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
-        raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
-    return array
-
-
-def _in_world(points: NDArray[np.generic], frame: Frame, volume: Volume) -> NDArray[np.generic]:
-    """Points of a frame in the volume's world: those of its own as they are, of any type."""
-    return points if frame == "LPS" else in_frame(np.asarray(points, np.float64), frame, volume.space)
-
-
-def _tell_reversed(points: NDArray[np.generic], volume: Volume) -> None:
-    """Warn of points that lie outside the volume and would not, if their coordinates were in the order of the array's axes."""
-    some = np.asarray(points[:: max(1, len(points) // _LOOKED_AT)], np.float64)
-    if not len(some) or not np.isfinite(some).all():
-        return
-    low, high = -0.5, np.asarray(volume.size) - 0.5
-
-    def inside(at: NDArray[np.float64]) -> NDArray[np.bool_]:
-        index = volume.world_to_index(at)
-        return np.asarray(((index >= low) & (index <= high)).all(-1))
-
-    outside = ~inside(some)
-    if 2 * np.count_nonzero(outside) > len(some) and inside(some[outside][:, ::-1]).all():
-        names = "(x, y)" if volume.ndim == 2 else "(x, y, z)"
-        low, high = (end.round(3).tolist() for end in (volume.corners.min(0), volume.corners.max(0)))
-        warn(
-            f"points are {names} in world units; most of these lie outside the volume, which reaches from {low} to {high}, "
-            f"such as {some[outside][0].tolist()}; reversed, all lie in it"
-        )
-
-
-def _put(results: Reals, target: NDArray[Any] | None) -> Reals:
-    """Results in the array that is to hold them, if there is one; they may lie in its memory already."""
-    if target is None:
-        return results
-    if not np.may_share_memory(results, target):
-        target[...] = results
-    return target
-
-
 def precision_kind(precision: str) -> type[np.generic]:
     """The type of numbers for "single" or "double"."""
     if precision not in _PRECISIONS:
@@ -1139,79 +783,3 @@ def precision_kind(precision: str) -> type[np.generic]:
 def _precision_for(volume: Volume, row: Filter) -> Precision:
     """Labels that float32 does not hold are taken in float64; all else in float32."""
     return "double" if names_beyond(24, volume, row) else "single"
-
-
-def names_beyond(bits: int, volume: Volume, row: Filter) -> bool:
-    """Whether labels, which this filter leaves as they are, need more bits than a floating type has."""
-    if row.support > 1 or volume.data.dtype.kind not in "iu" or volume.data.dtype.itemsize <= bits // 8 or not volume.is_labels:
-        return False
-    return max(abs(int(v)) for v in volume.limits) > 1 << bits
-
-
-def require_no_transform(stages: Sequence[object]) -> None:
-    """Refuse a low-pass before transforms, which do not make voxels larger alike everywhere."""
-    if stages:
-        raise OptionError("resample takes transform or anti_aliasing, not both: low-pass the volume first, by Volume.gaussian")
-
-
-def fill_value(fill: float | None) -> float | None:
-    """A real number, NaN and infinities included, or None."""
-    if fill is not None and (isinstance(fill, (bool, str)) or not isinstance(fill, (int, float, np.number))):
-        raise OptionError(f"fill must be a number or None; got {fill!r}")
-    return None if fill is None else float(fill)
-
-
-def grid_for(
-    volume: Volume,
-    shape: Sequence[int] | None,
-    spacing: Sequence[float] | float | None,
-    like: Volume | Volumes | ArrayLike | None,
-    anchor: str = "center",
-) -> Volume:
-    """The grid that one of the three describes: a Volume whose samples take no memory."""
-    d = volume.ndim
-    if anchor not in get_args(Anchor):
-        raise one_of("anchor", anchor, get_args(Anchor))
-    if sum(v is not None for v in (shape, spacing, like)) != 1:
-        raise OptionError("resample takes exactly one of shape, spacing and like")
-    if like is not None:
-        if anchor != "center":
-            raise OptionError(f"anchor is for shape and spacing, and like has an origin of its own; got {anchor!r}")
-        grid = as_grid(like)
-        if grid.ndim != d:
-            raise OptionError(f"like must have {d} axes, as the volume has; got {grid!r}")
-        return grid
-    extent = np.asarray(volume.size) * np.asarray(volume.spacing)
-    if shape is not None:
-        if d == 3 and volume.shape[2] <= _CHANNELS and np.shape(shape) == (2,):
-            raise OptionError(
-                f"shape must be 3 whole numbers, as the volume has {d} axes; got {shape!r}: "
-                "for images in colour there is clvol.images.resample"
-            )
-        size = np.asarray(_sizes(shape, d)[::-1])
-        step = extent / size
-    else:
-        try:
-            step = np.broadcast_to(np.asarray(spacing, dtype=np.float64), (d,))
-        except (TypeError, ValueError):
-            raise OptionError(f"spacing must be a number, or {d} of them; got {spacing!r}") from None
-        if not np.isfinite(step).all() or (step <= 0).any():
-            raise OptionError(f"spacing must be positive and finite; got {spacing!r}")
-        wanted = np.maximum(1, np.round(extent / step))
-        if wanted.max() > np.iinfo(np.int32).max:
-            raise OptionError(f"spacing {spacing!r} would need {wanted.max():.3g} samples along an axis")
-        size = wanted.astype(np.int64)
-    origin = volume.center - volume.direction @ (step * (size - 1) / 2) if anchor == "center" else volume.origin
-    sizes = tuple(int(n) for n in size)
-    return Volume(np.broadcast_to(np.float32(0), sizes[::-1]), tuple(step), tuple(origin), volume.direction, volume.units)
-
-
-def _sizes(shape: Sequence[int], d: int) -> tuple[int, ...]:
-    try:
-        sizes = tuple(int(n) for n in shape)
-    except (TypeError, ValueError, OverflowError):
-        sizes = ()
-    if len(sizes) != d or min(sizes) < 1 or any(n != m for n, m in zip(sizes, shape, strict=True)):
-        raise OptionError(f"shape must be {d} whole numbers of at least 1; got {shape!r}")
-    memory.require_addressable("a result", sizes)
-    return sizes

@@ -25,7 +25,7 @@ from clvol.filter.filter import Filter
 from clvol.filter.make import bspline
 from clvol.spline.build import scalar_defines
 from clvol.volume.smoothing import settled
-from clvol.volume.stored import Stored
+from clvol.volume.stored import wide_enough
 from clvol.volume.volume import Volume
 
 __all__ = [
@@ -43,7 +43,6 @@ __all__ = [
     "smoothed",
     "steps_along",
     "sum_along",
-    "wide_enough",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
@@ -372,11 +371,6 @@ def nearest_sums(
 def steps_along(matrix: Array) -> Array:
     """How far apart a grid's points lie along each axis of a volume, in samples: of a turned grid the root sum of squares."""
     return np.asarray(np.linalg.norm(matrix, axis=1))
-
-
-def wide_enough(kind: type[np.generic], volume: Volume, filter: Filter, boundary: Boundary) -> type[np.generic]:
-    """float64 where a Field of float32 would take an offset or a power of two off the samples."""
-    return kind if Stored.of(volume, filter, boundary).identity else np.float64
 
 
 # -- adding up ---------------------------------------------------------------------------------------------------------

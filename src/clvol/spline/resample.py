@@ -106,7 +106,7 @@ def _axis_taps(
     inside = (positions >= -edge) & (positions <= n - 1 + edge)
     if not inside.all():
         brought = np.where(np.isfinite(positions), positions, 0.0)
-        brought = boundary.position(brought, n, coefficients.pad, coefficients.reach)
+        brought, _ = boundary.position(brought, n, coefficients.pad, coefficients.reach)
         positions = np.where(inside, positions, np.clip(brought, *coefficients.reached(axis)))
     base, t = row.cell(positions)
     weights = row.weights(t).T

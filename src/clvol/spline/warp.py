@@ -18,8 +18,9 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER
 from clvol.spline.chain import Chain
-from clvol.spline.evaluator import choose_evaluator
-from clvol.spline.field import Field, Precision, fill_value, opened, resample
+from clvol.spline.evaluator import DIRECT
+from clvol.spline.field import Field, Precision, opened, resample
+from clvol.spline.function import fill_value
 from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Reals, Transform, sample_grid
 from clvol.spline.resample import resample_coefficients
 from clvol.volume.missing import Missing
@@ -120,6 +121,7 @@ def warp(
     gradient, determinants = None, None
     room = (*like.shape, 1 + 2 * derivative * like.ndim + int(jacobian))
     with opened(volume, filter, boundary, device, precision, nan, results=room) as field, field.in_use():
+        assert isinstance(field, Field)  # of a volume in memory
         chain, made, given = Chain(transforms, like, field.device), field.coefficients, Given(fill)
         results = _on_chain(field, chain, derivative, given, next(steps))
         if field.gaps:
@@ -143,7 +145,6 @@ def warp(
 def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progress: Progress | None) -> Reals:
     """Values where a chain brings the points of its grid, each followed by the gradient if that is wanted, in stored units."""
     device, made, grid = field.device, field.coefficients, chain.grid
-    evaluator = choose_evaluator(device, field.filter, "taps", "buffer")
     matrix, offset = chain.to_indices(field.volume)
     shape = (*grid.shape, 1 + derivative * grid.ndim)
     device.buffers.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
@@ -152,9 +153,9 @@ def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progres
     last, slices = Transform(matrix, offset, field.volume.world_to_index_matrix), (1, *grid.shape)[-3:]
     with device.buffers.lent(result, write=True) as buffer:
         if derivative or chain.stages:
-            sample_grid(made, evaluator, last, slices, buffer, given, progress, None, derivative, chain)
+            sample_grid(made, DIRECT, last, slices, buffer, given, progress, None, derivative, chain)
         else:
-            resample_coefficients(made, evaluator, matrix, offset, slices, buffer, given, progress)
+            resample_coefficients(made, DIRECT, matrix, offset, slices, buffer, given, progress)
     return result
 
 

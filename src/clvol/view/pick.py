@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.bricks.field import BrickedField
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
 from clvol.scene.mode import as_mode
-from clvol.spline.bricked import BrickedField
 from clvol.spline.field import Field
 from clvol.view.panes import Pane3D, SlicePane
 from clvol.volume.histogram import label_numbers

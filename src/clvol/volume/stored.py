@@ -17,13 +17,15 @@ from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.volume.volume import Volume
 
-__all__ = ["AS_THEY_ARE", "Stored", "differences"]
+__all__ = ["AS_THEY_ARE", "RENUMBER", "Stored", "differences", "names_beyond", "wide_enough"]
 
 _FAR = 8  # times their range from zero samples lie that are stored less an offset: float32 then errs by 1e-6 of the range
 _EXPONENTS = 90  # samples of 2**-90 to 2**90 are stored unscaled: their 24 digits end above 2**-126, and sums fit below 2**128
 _ROOM = 120  # of the exponents that float32 has, what a prefilter may use: filters and derivatives gain a little more
 _PROBES = 8  # along each axis, at least, where an axis has them
 _LARGEST = 3e38  # in stored units: about what float32 holds
+
+RENUMBER = "renumber them, as numpy.unique(data, return_inverse=True) does"
 
 Reals = NDArray[np.float32] | NDArray[np.float64]
 
@@ -167,3 +169,18 @@ def _offset(low: float, high: float) -> float:
         return low
     quantum = math.frexp(span)[1] - 1
     return math.ldexp(round(math.ldexp(low + span / 2, -quantum)), quantum)
+
+
+# -- whether float32 is enough -----------------------------------------------------------------------------------------
+
+
+def wide_enough(kind: type[np.generic], volume: Volume, filter: Filter, boundary: Boundary) -> type[np.generic]:
+    """`kind`, or float64 where a Field of float32 would take an offset or a power of two off the samples."""
+    return kind if Stored.of(volume, filter, boundary).identity else np.float64
+
+
+def names_beyond(bits: int, volume: Volume, row: Filter) -> bool:
+    """Whether labels, which this filter leaves as they are, need more than `bits` bits: 24 in float32, 53 in float64."""
+    if row.support > 1 or volume.data.dtype.kind not in "iu" or volume.data.dtype.itemsize <= bits // 8 or not volume.is_labels:
+        return False
+    return max(abs(int(v)) for v in volume.limits) > 1 << bits

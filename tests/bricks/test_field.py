@@ -17,8 +17,8 @@ import pytest
 
 import clvol
 from clvol.base.errors import DataError, FormatError, OptionError
+from clvol.bricks.field import BrickedField, _needs
 from clvol.filter.boundary import boundaries
-from clvol.spline.bricked import LEFT_OUT, BrickedField, margin_of
 from tests.bricks.test_source import Broken, Counted
 
 FILTERS = ("nearest", "linear", "catmull-rom", "bspline2", "bspline3", "bspline3(0.2)", "bspline5", "hybrid", "omoms3")
@@ -37,13 +37,18 @@ def points(volume: clvol.Volume, past: float, n: int = 4000) -> Any:
     return volume.index_to_world(at)
 
 
+def needs(field: BrickedField) -> int:
+    """Bytes that one of its bricks takes."""
+    return _needs(field.volume, field.filter, field.boundary).resident(field.edge)
+
+
 @pytest.mark.one_in(5)
 @pytest.mark.parametrize("boundary", boundaries())
 @pytest.mark.parametrize("filter", FILTERS)
 def test_values_and_derivatives(volume: clvol.Volume, filter: str, boundary: str) -> None:
     bound = BOUND.get(filter, 1e-6)
     with clvol.Field(volume, filter, boundary) as whole, BrickedField(volume, filter, boundary, edge=16) as bricked:
-        assert bricked.counts == (4, 3, 3)
+        assert bricked.bricks.counts == (4, 3, 3)
         for past in (0.5, 70.0):  # within the domain, and far outside
             at = points(volume, past)
             np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=bound)
@@ -90,14 +95,6 @@ def test_other_grids(volume: clvol.Volume) -> None:
         assert (a != b).mean() < 1e-3
 
 
-def test_the_margin_is_where_less_than_stated_is_left_out() -> None:
-    for name in ("bspline2", "bspline3", "bspline5", "omoms3", "bspline3(0.5)", "bspline3(20)"):
-        row = clvol.filters()[name] if name in clvol.filters() else BrickedField(np.zeros((2, 2, 2)), name).filter
-        largest = np.abs(row.along(0).poles).max()
-        assert largest ** margin_of(row) <= LEFT_OUT < largest ** (margin_of(row) - 1)
-    assert margin_of(clvol.filters()["linear"]) == 0
-
-
 def test_memory_stays_within_the_budget(volume: clvol.Volume) -> None:
     """Bricks make room for others, each is read once while it fits, and what was read is counted."""
     data = Counted(volume.data)
@@ -120,12 +117,12 @@ def test_what_is_in_memory_is_one_brick_if_it_fits(volume: clvol.Volume) -> None
     """Several have margins, whose samples are prefiltered twice; and one is the whole volume to the last bit."""
     at = points(volume, 0.4, 500)
     with clvol.Field(volume) as whole, BrickedField(volume) as one:
-        assert one.counts == (1, 1, 1)
+        assert one.bricks.counts == (1, 1, 1)
         np.testing.assert_allclose(one(at), whole(at), rtol=0, atol=3e-7)  # positions are rounded otherwise
     lazy = clvol.LazyVolume(Counted(np.zeros((300, 20, 20), np.uint8)), limits=(0, 1))
     with BrickedField(lazy, "linear") as read_by_parts, BrickedField(np.zeros((300, 20, 20), np.uint8), "linear") as one:
-        assert (read_by_parts.counts, one.counts) == ((1, 1, 2), (1, 1, 1))
-        assert BrickedField(np.zeros((300, 20, 20), np.uint8), "linear", "wrap").counts == (1, 1, 2)
+        assert (read_by_parts.bricks.counts, one.bricks.counts) == ((1, 1, 2), (1, 1, 1))
+        assert BrickedField(np.zeros((300, 20, 20), np.uint8), "linear", "wrap").bricks.counts == (1, 1, 2)
 
 
 def test_only_bricks_in_which_points_lie_are_read() -> None:
@@ -254,7 +251,7 @@ def test_a_brick_that_several_threads_want_is_read_once_and_its_error_is_raised_
 
             def release() -> None:
                 assert asked.wait(60)
-                residents = field._residents
+                residents = field.store._residents
                 while sum(len(one.waiting) for one in residents._coming) < 3:
                     time.sleep(0.001)
                 go.set()
@@ -268,7 +265,7 @@ def test_a_brick_that_several_threads_want_is_read_once_and_its_error_is_raised_
                 assert found == [found[0]] * 4
                 assert field.reads.bricks == 1
                 assert field.reads.samples == data.read * 2  # the read that failed is counted
-                assert all(not one.users for one in field._residents._there.values())
+                assert all(not one.users for one in field.store._residents._there.values())
 
 
 @pytest.mark.parametrize("room", [1, 2, 3])
@@ -282,7 +279,7 @@ def test_threads_stay_within_a_budget_of_fewer_bricks_than_there_are_threads(roo
             return super().__getitem__(index)
 
     def look() -> None:
-        residents = field._residents
+        residents = field.store._residents
         with residents.lock:
             held = sum(one.coefficients.nbytes for one in residents._there.values())
             assert held <= field.nbytes
@@ -291,7 +288,7 @@ def test_threads_stay_within_a_budget_of_fewer_bricks_than_there_are_threads(roo
     at = rng.uniform(0, 47, (300, 3))
     with BrickedField(samples, "linear", edge=16) as roomy:
         truth = roomy(at)
-        each = roomy._most(16)
+        each = needs(roomy)
     field = BrickedField(
         clvol.LazyVolume(Watched(samples), limits=(0, 1), labels=False), "linear", edge=16, budget=int((room + 0.2) * each)
     )
@@ -299,24 +296,24 @@ def test_threads_stay_within_a_budget_of_fewer_bricks_than_there_are_threads(roo
         for found in in_threads(*(partial(field, at, progress=lambda _: look()) for _ in range(5))):
             np.testing.assert_array_equal(found, truth)
         assert 0 < most[0] <= field.budget
-        assert not field._residents._coming
-        assert field._residents.account._sleeping == []
+        assert not field.store._residents._coming
+        assert field.store._residents.account._sleeping == []
 
 
 def test_who_holds_a_brick_waits_for_no_room() -> None:
     """Two threads that each hold one and want another go on, past the budget."""
     data = np.random.default_rng(8).random((16, 16, 64)).astype(np.float32)
     with BrickedField(data, "linear", edge=16) as other:
-        each = other._most(16)
+        each = needs(other)
     both = threading.Barrier(2)
     with BrickedField(
         clvol.LazyVolume(Counted(data), limits=(0, 1), labels=False), "linear", edge=16, budget=int(2.1 * each)
     ) as field:
 
         def two(first: int, second: int) -> bool:
-            with field.resident(field.brick((first, 0, 0))):
+            with field.store.resident(field.bricks[first, 0, 0]):
                 both.wait(60)
-                with field.resident(field.brick((second, 0, 0))) as own:
+                with field.store.resident(field.bricks[second, 0, 0]) as own:
                     return own.at == (second, 0, 0)
 
         assert in_threads(partial(two, 0, 1), partial(two, 2, 3)) == [True, True]
@@ -331,7 +328,7 @@ def test_an_interrupted_reader_leaves_the_brick_to_who_waits() -> None:
             calls.append(index)
             if len(calls) == 1:
                 asked.set()
-                while not any(one.waiting for one in field._residents._coming):
+                while not any(one.waiting for one in field.store._residents._coming):
                     time.sleep(0.001)
                 raise KeyboardInterrupt
             return super().__getitem__(index)

@@ -367,8 +367,8 @@ class Residents:
 
     # -- what makes room ---------------------------------------------------------------------------------------------------
 
-    def going_through(self, order: Sequence[Index]) -> None:
-        """Bricks will be asked for in this order, and perhaps once more from the first on: by the next rays or picture."""
+    def expect(self, order: Sequence[Index]) -> None:
+        """Set the access order: bricks will be asked for like this, and perhaps once more from the first on."""
         with self.lock:
             self._turns, self._turn = {at: i for i, at in enumerate(order)}, 0
 

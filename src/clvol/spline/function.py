@@ -1,0 +1,505 @@
+"""The interface of a continuous function, whether its coefficients are in memory or come brick by brick."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Literal, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from clvol.base import memory
+from clvol.base.arrays import as_array, as_output
+from clvol.base.checks import warn, whole
+from clvol.base.errors import DataError, OptionError
+from clvol.base.frames import in_frame
+from clvol.base.rounding import as_kind, in_kind
+from clvol.device import Device, as_device
+from clvol.filter.boundary import Boundary, as_boundary
+from clvol.filter.filter import Filter
+from clvol.spline.chain import Chain
+from clvol.spline.grids import Anchor, Target, grid_for
+from clvol.spline.lease import Lease
+from clvol.spline.points import Progress, Reals
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
+from clvol.volume.missing import Missing
+from clvol.volume.stored import RENUMBER, names_beyond
+from clvol.volume.transform import Transforms, as_chain
+from clvol.volume.volume import Volume
+from clvol.volume.volumes import Volumes
+
+__all__ = [
+    "CLOSED",
+    "ContinuousFunction",
+    "Frame",
+    "Precision",
+    "as_points",
+    "as_result",
+    "described",
+    "fill_value",
+    "points_in_world",
+    "require_no_transform",
+    "result_kind",
+]
+
+Frame: TypeAlias = Literal["LPS", "RAS"]
+Precision: TypeAlias = Literal["single", "double"]
+
+CLOSED = "the field was closed, and its coefficients were released; make a new one"
+_TURN = np.array([-1.0, -1.0, 1.0])  # between LPS and RAS
+_LOOKED_AT = 256  # points that are checked for the order of their coordinates
+
+
+class ContinuousFunction(ABC):
+    """The continuous function that a filter and a boundary rule make of a volume's samples.
+
+    A subclass says what the function is at points (`_at`) and on a grid (`_on`). All else is here: arguments, frames, what the
+    results are put into, and their types.
+
+    Attributes
+    ----------
+    filter : Filter
+        Its smoothing settled for the volume.
+    boundary : Boundary
+    device : Device
+    missing : Missing
+        How missing samples are treated.
+    """
+
+    filter: Filter
+    boundary: Boundary
+    device: Device
+    missing: Missing
+    _lease: Lease
+
+    @property
+    @abstractmethod
+    def grid(self) -> Volume:
+        """The volume, or one in its place that says where its samples lie and holds none."""
+
+    @property
+    @abstractmethod
+    def precision(self) -> Precision:
+        """Of coefficients and results: "single" or "double"."""
+
+    @property
+    @abstractmethod
+    def nbytes(self) -> int:
+        """Bytes of memory that coefficients take now."""
+
+    @abstractmethod
+    def _settled(self, filter: str | Filter) -> Filter:
+        """A filter with its smoothing settled for the volume."""
+
+    @abstractmethod
+    def _at(
+        self, points: NDArray[Any], derivative: int, fill: float | None, progress: Progress | None, out: NDArray[Any] | None
+    ) -> Reals:
+        """Derivatives of this order at points of the world.
+
+        Parameters
+        ----------
+        points : ndarray, shape (N, d)
+        out : ndarray, optional
+            Where kernels may write results directly; it holds N * d**derivative numbers.
+
+        Returns
+        -------
+        ndarray, of N * d**derivative numbers
+        """
+
+    @abstractmethod
+    def _on(self, target: Target, progress: Progress | None, out: Any) -> NDArray[Any]:
+        """The function on a grid, in `out` if that is given."""
+
+    @abstractmethod
+    def _bytes_at(self, points: int, derivative: int, *, into: bool) -> int:
+        """Bytes that results at `points` points take while they are computed, with an `out` (`into`) or without."""
+
+    # -- closing -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._lease.closed
+
+    def close(self) -> None:
+        """Free the device's memory. Results stay valid; asking for more raises `OptionError`.
+
+        Work in progress, in other threads or around a callback that calls this, runs to its end; the memory is freed then.
+        """
+        self._lease.close()
+
+    def in_use(self) -> AbstractContextManager[None]:
+        """A context in which `close` frees nothing.
+
+        Raises
+        ------
+        OptionError
+            The field was closed before.
+        DeviceError
+            This is the child of a fork, where no OpenCL device works.
+        """
+        self.device.require_usable()
+        return self._lease.held()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _require_same(
+        self,
+        filter: str | Filter | None,
+        boundary: str | Boundary | None,
+        device: Device | str | int | None,
+        precision: Precision | None,
+        nan: str | Missing | None,
+    ) -> None:
+        """Raise `OptionError` for an option other than this function's; None is not compared."""
+        for what, own, same, given in (
+            ("filter", self.filter.name, filter is None or self._settled(filter) == self.filter, filter),
+            ("boundary", self.boundary.name, boundary is None or as_boundary(boundary) == self.boundary, boundary),
+            ("device", self.device.name, device is None or as_device(device) is self.device, device),
+            ("precision", self.precision, precision is None or precision == self.precision, precision),
+            ("nan", self.missing.rule, nan is None or nan in (self.missing, self.missing.rule), nan),
+        ):
+            if not same:
+                raise OptionError(
+                    f"the field was made with {what} {own!r}, which cannot be changed to {getattr(given, 'name', given)!r}; "
+                    f"leave {what} out, or make another {type(self).__name__}"
+                )
+
+    # -- at points ---------------------------------------------------------------------------------------------------------
+
+    def __call__(
+        self,
+        points: ArrayLike,
+        *,
+        frame: Frame = "LPS",
+        fill: float | None = None,
+        progress: Progress | None = None,
+        out: Any = None,
+    ) -> Reals:
+        """Values at points of the world.
+
+        Parameters
+        ----------
+        points : array-like, shape (..., d)
+            World positions (x, y) or (x, y, z), as many coordinates as the volume has axes. A Field computes with float32 as it
+            is, and with everything else as float64 where the device has it; where it has none, positions err by up to 2⁻²⁴ of their
+            distance from the world's origin and from the first sample. A position that is not finite gives NaN. Points that lie
+            outside, and would not in the order (z, y, x), cause a `ClvolWarning`.
+        frame : {"LPS", "RAS"}
+            The frame of points and derivatives, for a volume whose space is "LPS": that of ITK and DICOM, or that of NIfTI and
+            nibabel, where x and y run the other way.
+        fill : float, optional
+            The result outside the volume's domain, NaN and infinities included; None: the boundary rule goes on there.
+        progress : callable, optional
+            Called with the fraction done, from time to time and after the last point with 1.
+        out : array, optional
+            Where results are put, instead of into a new array: a writable one of float32 or float64 and of their shape, with any
+            strides, of NumPy or of another library (see `clvol.interop.as_output`). Kernels of a Field write directly into
+            contiguous ones of the type of the results. It is what is returned.
+
+        Returns
+        -------
+        ndarray of float32, shape (...)
+            float64 in double precision, and where the samples lie far from zero, or are very large or small: see the notes of
+            `Field`.
+
+        Raises
+        ------
+        OptionError
+            `points` are no real numbers of shape (..., d); `frame` is neither of the two, or "RAS" where the volume is of no
+            patient; `fill` is no number; the field is closed; `out` has another shape or dtype, or is not writable (before
+            anything is computed); the limits of the device name an unknown evaluator.
+        DeviceError
+            The limits of the device ask for images that it does not have, or for paired fetches from an image whose sampler does
+            not interpolate.
+        FormatError, DataError
+            As by `LazyVolume.read`, where samples are read now.
+        OutOfMemoryError
+            The device has no room for the points.
+        """
+        return self._derivatives(points, 0, frame, fill, progress, out)
+
+    def gradient(
+        self,
+        points: ArrayLike,
+        *,
+        frame: Frame = "LPS",
+        fill: float | None = None,
+        progress: Progress | None = None,
+        out: Any = None,
+    ) -> Reals:
+        """Gradients at points of the world: the exact derivative of the function that calling the field gives.
+
+        It exists almost everywhere: some filters have kinks or jumps. Parameters and errors are those of a call.
+
+        Returns
+        -------
+        ndarray of float32, shape (..., d)
+            Derivatives along (x, y[, z]), per world unit; float64 where the samples are very large or small.
+        """
+        return self._derivatives(points, 1, frame, fill, progress, out)
+
+    def hessian(
+        self,
+        points: ArrayLike,
+        *,
+        frame: Frame = "LPS",
+        fill: float | None = None,
+        progress: Progress | None = None,
+        out: Any = None,
+    ) -> Reals:
+        """Second derivatives at points of the world, exact as `gradient` is. Parameters and errors are those of a call.
+
+        Returns
+        -------
+        ndarray of float32, shape (..., d, d)
+            Symmetric, [x, y[, z]] twice, per world unit squared; float64 where the samples are very large or small.
+        """
+        return self._derivatives(points, 2, frame, fill, progress, out)
+
+    def _derivatives(
+        self, points: ArrayLike, derivative: int, frame: Frame, fill: float | None, progress: Progress | None, out: Any
+    ) -> Reals:
+        with self.in_use():
+            d = self.grid.ndim
+            array = as_points(points, frame, self.grid)
+            shape = array.shape[:-1] + (d,) * derivative
+            target = None if out is None else as_output(out, shape)
+            memory.require(self._bytes_at(math.prod(array.shape[:-1]), derivative, into=out is not None), described(shape))
+            direct = None if target is None or np.may_share_memory(target, array) else target
+            flat = self._at(array.reshape(-1, d), derivative, fill_value(fill), progress, direct)
+            results = flat.reshape(shape)
+            if frame == "RAS" and derivative:
+                turn = _TURN[:d] if derivative == 1 else np.outer(_TURN[:d], _TURN[:d])
+                np.multiply(results, turn, out=results, casting="same_kind")
+            return results if target is None else _put(results, target, out)
+
+    # -- on other grids ----------------------------------------------------------------------------------------------------
+
+    def resample(
+        self,
+        shape: Sequence[int] | None = None,
+        spacing: Sequence[float] | float | None = None,
+        like: Volume | Volumes | ArrayLike | None = None,
+        *,
+        anchor: Anchor = "center",
+        transform: Transforms | None = None,
+        anti_aliasing: AntiAliasing | bool = False,
+        dtype: DTypeLike | None = None,
+        fill: float | None = None,
+        progress: Progress | None = None,
+        out: Any = None,
+    ) -> Volume:
+        """The function on another grid; give exactly one of `shape`, `spacing` and `like`.
+
+        Where voxels become larger, details finer than they can hold come back as aliases, unless `anti_aliasing` is given.
+
+        Parameters
+        ----------
+        shape : sequence of int, optional
+            Samples along (z, y, x) or (y, x). The domain stays; its voxels become larger or smaller.
+        spacing : float or sequence of float, optional
+            New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
+        like : Volume, Volumes, or what these take, optional
+            Take the grid of this volume or image, wherever it lies; of a series that of its volumes.
+        anchor : {"center", "origin"}
+            What stays in its place with `shape` and `spacing`: the centre of the domain, or the first sample, as in programs that
+            keep ITK's origin; the domain then moves by half the difference of the spacings.
+        transform : transform, array, SimpleITK transform, or a list of these, optional
+            From points of the grid's world (the fixed one) to points of this volume's (the moving one), as ITK resamples: the
+            function is taken there. In a list the last transform is applied first, as in ITK's CompositeTransform. An array
+            holds a homogeneous matrix. See `clvol.AffineTransform`, `clvol.DisplacementField`, `clvol.BSplineTransform` and
+            `clvol.read_transform`; `clvol.warp` gives gradients and Jacobians too.
+        anti_aliasing : {False, True, "gaussian", "least-squares"}
+            "gaussian" (and True): the samples go through a Gaussian first, whose standard deviation is (f - 1) / 2 samples along
+            an axis where voxels become f times as large. "least-squares": the result is the spline of the new grid, of the same
+            filter, that is nearest to this function in the mean square (`clvol.spline.reduce`), for grids along the volume's axes.
+        dtype : dtype-like or "same", optional
+            Type of the result, "same" as that of the volume: rounded to the nearest whole number, halves to even, and clipped to
+            what the type holds. Default: floating point as in a call, but the same for labels drawn by "nearest".
+        fill, progress
+            As in a call.
+        out : array, optional
+            As in a call, of the new grid's shape; the result's data are a view of it. A `BrickedField` takes anything that can be
+            written into by slices, such as an array of Zarr, for results larger than memory: the result then says where they lie,
+            and only `out` holds them.
+
+        Returns
+        -------
+        Volume of float32, or of float64 as in a call, or of `dtype`
+
+        Raises
+        ------
+        OptionError
+            None or several of `shape`, `spacing` and `like` are given; `shape` is not one whole number of at least 1 for
+            each axis; `spacing` is not positive and finite, or needs more than 2³¹ − 1 samples along an axis; `like` is
+            no Volume of as many axes; `anchor` is neither of the two, or "origin" with `like`; `dtype` holds no real numbers,
+            or is given with `out`, or holds no NaN while `fill` is; `transform` is none, or given with `anti_aliasing`;
+            `anti_aliasing` is none of these, or "least-squares" for a turned grid, with a hybrid or under the boundary rule
+            "zero"; `fill` as in a call; the field is closed.
+        DataError
+            Results are NaN where samples are missing, and `dtype` holds none; or labels, drawn by "nearest", exceed 2⁵³.
+        GeometryError
+            A transform is singular, or of another number of dimensions.
+        FormatError, DeviceError
+            As in a call.
+        OutOfMemoryError
+            The device has no room for the result.
+        """
+        volume = self.grid
+        grid = grid_for(volume, shape, spacing, like, anchor)
+        low_pass, stages = as_anti_aliasing(anti_aliasing), as_chain(transform, volume.ndim)
+        kind = result_kind(dtype, volume, self.filter, out, fill)
+        if low_pass:
+            require_no_transform(stages)
+        with self.in_use():
+            chain = Chain(stages, grid, self.device)
+            matrix, offset = chain.to_indices(volume)
+            target = Target(matrix, offset, grid.shape, chain if chain.stages else None, fill_value(fill), low_pass, kind)
+            return as_result(volume, self._on(target, progress, out), grid, kind, self.filter)
+
+    def magnify(self, factor: int = 2, *, progress: Progress | None = None) -> Volume:
+        """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
+
+        Sample ``j`` of the result lies at ``j / factor`` of the given ones, so every `factor`-th is one of them. The last
+        ones lie beyond the last given one, within its voxel or under the boundary rule.
+
+        Parameters
+        ----------
+        factor : int
+            At least 1.
+        progress
+            As in a call.
+
+        Returns
+        -------
+        Volume of float32, or of float64 as in a call; labels drawn by "nearest" keep their type
+
+        Raises
+        ------
+        OptionError
+            `factor` is no whole number of at least 1; the field is closed.
+        FormatError, DataError, DeviceError
+            As in a call.
+        OutOfMemoryError
+            The device has no room for the result.
+        """
+        volume, factor = self.grid, whole("factor", factor, minimum=1)
+        shape = tuple(factor * n for n in volume.shape)
+        memory.require_addressable("a result", shape)
+        kind = result_kind(None, volume, self.filter, None, None)
+        finer = replace(
+            volume, data=np.broadcast_to(np.float32(0), shape), spacing=tuple(s / factor for s in volume.spacing), labels=False
+        )
+        # by indices, not by way of the world, whose rounding would decide on which side of a jump given samples lie
+        target = Target(np.eye(volume.ndim) / factor, np.zeros(volume.ndim), shape, kind=kind)
+        with self.in_use():
+            return as_result(volume, self._on(target, progress, None), finer, kind, self.filter)
+
+
+def as_result(volume: Volume, data: NDArray[Any], grid: Volume, kind: np.dtype[Any] | None, row: Filter) -> Volume:
+    """Results on a grid in their type, with what the volume says of itself; blended labels are labels no longer."""
+    made = volume.placed(data if kind is None else in_kind(data, kind), grid)
+    blended = row.support > 1 and volume.labels not in (None, False)
+    return replace(made, labels=None) if blended else made
+
+
+# -- arguments -------------------------------------------------------------------------------------------------------------
+
+
+def as_points(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[np.generic]:
+    """Points of a frame in a volume's world, of any type; points that seem to be in another order cause a `ClvolWarning`."""
+    array = points_in_world(points, frame, volume)
+    _warn_if_reversed(array.reshape(-1, volume.ndim), volume)
+    return array
+
+
+def points_in_world(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[np.generic]:
+    """Points of a frame in a volume's world: those of its own frame as they are, of any type.
+
+    Raises
+    ------
+    OptionError
+        They are no real numbers of shape (..., d), or the frame is not known or not the volume's.
+    """
+    d = volume.ndim
+    array = as_array(points, "points", OptionError, f"numbers of shape (..., {d})")
+    if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
+        raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
+    return array if frame == "LPS" else in_frame(np.asarray(array, np.float64), frame, volume.space)
+
+
+def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
+    """Warn of points that lie outside the volume and would not, if their coordinates were in the order of the array's axes."""
+    some = np.asarray(points[:: max(1, len(points) // _LOOKED_AT)], np.float64)
+    if not len(some) or not np.isfinite(some).all():
+        return
+    low, high = -0.5, np.asarray(volume.size) - 0.5
+
+    def inside(at: NDArray[np.float64]) -> NDArray[np.bool_]:
+        index = volume.world_to_index(at)
+        return np.asarray(((index >= low) & (index <= high)).all(-1))
+
+    outside = ~inside(some)
+    if 2 * np.count_nonzero(outside) > len(some) and inside(some[outside][:, ::-1]).all():
+        names = "(x, y)" if volume.ndim == 2 else "(x, y, z)"
+        low, high = (end.round(3).tolist() for end in (volume.corners.min(0), volume.corners.max(0)))
+        warn(
+            f"points are {names} in world units; most of these lie outside the volume, which reaches from {low} to {high}, "
+            f"such as {some[outside][0].tolist()}; reversed, all lie in it"
+        )
+
+
+def fill_value(fill: float | None) -> float | None:
+    """A real number, NaN and infinities included, or None."""
+    if fill is not None and (isinstance(fill, (bool, str)) or not isinstance(fill, (int, float, np.number))):
+        raise OptionError(f"fill must be a number or None; got {fill!r}")
+    return None if fill is None else float(fill)
+
+
+def result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any, fill: float | None) -> np.dtype[Any] | None:
+    """The type that results are converted to; None: that in which they are computed."""
+    fill = fill_value(fill)
+    if names_beyond(53, volume, row):  # results would name no region, or another
+        low, high = volume.limits
+        raise DataError(
+            f"labels must be whole numbers up to 2**53 to be resampled, which float64 holds; got {low} to {high}: {RENUMBER}"
+        )
+    if dtype is None:
+        labels = row.support == 1 and volume.is_labels
+        return volume.data.dtype if labels and out is None and (fill is None or not np.isnan(fill)) else None
+    if out is not None:
+        raise OptionError(f"resample takes dtype or out, whose type is that of the results; got {dtype!r} and out")
+    kind = as_kind(dtype, volume.data.dtype)
+    if fill is not None and kind.kind != "f" and np.isnan(fill):
+        raise OptionError(f"fill must be a number that {kind} holds; got {fill!r}")
+    return kind
+
+
+def require_no_transform(stages: Sequence[object]) -> None:
+    """Refuse a low-pass before transforms, which do not make voxels larger alike everywhere."""
+    if stages:
+        raise OptionError("resample takes transform or anti_aliasing, not both: low-pass the volume first, by Volume.gaussian")
+
+
+def described(shape: tuple[int, ...]) -> str:
+    """A result of this shape, in an error message."""
+    return f"a result of {' × '.join(map(str, shape))} numbers"
+
+
+def _put(results: Reals, target: NDArray[Any], out: Any) -> Reals:
+    """`out`, whose memory `target` is, with the results in it; they may be there already."""
+    if not np.may_share_memory(results, target):
+        target[...] = results
+    return out  # type: ignore[no-any-return]  # whatever the caller gave
