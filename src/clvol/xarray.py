@@ -26,6 +26,7 @@ from clvol.base.errors import DataError, GeometryError, MissingDependencyError, 
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
+from clvol.ndimage.arguments import Spline
 from clvol.ndimage.engine import Axes, Points, evaluate
 from clvol.spline.field import Precision
 from clvol.spline.function import fill_value
@@ -426,20 +427,11 @@ class _Spline:
             return
         if not np.isfinite(data).all():
             raise DataError("samples must be finite; got NaN or infinite ones: fill them first, da.fillna(value)")
+        order, mode = _ORDERS[self._filter.name], _MODES[self._boundary.name]
+        spline = Spline(order, mode, 0.0, True, self._precision(data.dtype), self._device)
         parts = [(data.real, output.real), (data.imag, output.imag)] if data.dtype.kind == "c" else [(data, output)]
         for samples, results in parts:
-            evaluate(
-                samples,
-                axes,
-                target,
-                results,
-                order=_ORDERS[self._filter.name],
-                mode=_MODES[self._boundary.name],
-                cval=0.0,
-                prefilter=True,
-                precision=self._precision(data.dtype),
-                device=self._device,
-            )
+            evaluate(samples, axes, target, results, spline)
 
     def _precision(self, kind: np.dtype[Any]) -> Precision:
         if self.precision is not None:

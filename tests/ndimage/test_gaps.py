@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.ndimage import engine, gaps
+from clvol.ndimage.arguments import Spline
 from clvol.volume.missing import filled_smoothly
 
 
@@ -23,12 +26,12 @@ def test_local_leaves_out_what_has_weight(device: Device, order: int, mode: str)
         [rng.uniform(0, 14, (2, 400)), np.stack(np.meshgrid(np.arange(15.0), np.arange(16.0))).reshape(2, -1)], 1
     )
     got, whole = np.empty((2, 3, points.shape[1]))
-    rules = {"order": order, "mode": mode, "cval": 2.0, "prefilter": order > 1, "precision": "double", "device": device}
     seen: list[float] = []
-    gaps.evaluate(data, (1, 2), engine.Points(points), got, progress=seen.append, **rules)  # type: ignore[arg-type]
+    spline = Spline(order, mode, 2.0, order > 1, "double", device, seen.append, "local")
+    gaps.evaluate(data, (1, 2), engine.Points(points), got, spline)
     filled = data.copy()
     filled[1] = filled_smoothly(data[1], np.isnan(data[1]))
-    engine.evaluate(filled, (1, 2), engine.Points(points), whole, **rules)  # type: ignore[arg-type]
+    engine.evaluate(filled, (1, 2), engine.Points(points), whole, replace(spline, progress=None))
     far = np.abs(points - np.array([[7.0], [8.0]])).max(0)
     missing = np.zeros(got.shape, bool)
     missing[1] = far < (order + 1) / 2
@@ -41,10 +44,10 @@ def test_local_leaves_out_what_has_weight(device: Device, order: int, mode: str)
 
 def test_whole_numbers_hold_no_nan(device: Device) -> None:
     data, points = np.ones((5, 5)), engine.Points(np.zeros((2, 1)))
-    rules = {"order": 1, "mode": "mirror", "cval": 0.0, "prefilter": True, "precision": "double", "device": device}
+    spline = Spline(1, "mirror", 0.0, True, "double", device, nan="local")
     output = np.empty(1, np.int16)
-    gaps.evaluate(data, (0, 1), points, output, **rules)  # type: ignore[arg-type]
+    gaps.evaluate(data, (0, 1), points, output, spline)
     assert output[0] == 1
     data[0, 0] = np.nan
     with pytest.raises(OptionError, match="output must be floating"):
-        gaps.evaluate(data, (0, 1), points, output, **rules)  # type: ignore[arg-type]
+        gaps.evaluate(data, (0, 1), points, output, spline)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,7 @@ import scipy.ndimage
 
 import clvol
 from clvol import LazyVolume, ndimage
-from clvol.base.errors import OptionError, OutOfMemoryError, UnsupportedError
+from clvol.base.errors import ClvolWarning, OptionError, OutOfMemoryError, UnsupportedError
 from clvol.device import Device
 from tests.bricks.test_chunks import Stored
 from tests.bricks.test_source import Counted
@@ -118,16 +120,21 @@ def with_buffers_of(monkeypatch: pytest.MonkeyPatch, nbytes: int) -> None:
 
 @pytest.mark.parametrize("call", INSTEAD)
 def test_arrays_whose_coefficients_are_larger_than_a_buffer_may_be(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody asked for bricks."""
+    """Nobody asked for bricks, and a warning says that last bits depend on it."""
     whole, made = INSTEAD[call](LARGE), []
     with_buffers_of(monkeypatch, ROOM)
-    monkeypatch.setattr("clvol.ndimage.parts._BLOCK", 32)  # of positions, which need buffers too
+    monkeypatch.setattr("clvol.ndimage.by_bricks._BLOCK", 32)  # of positions, which need buffers too
     begin = clvol.BrickedField.__init__
     monkeypatch.setattr(
         clvol.BrickedField, "__init__", lambda self, *args, **given: made.append(self) or begin(self, *args, **given)
     )
-    found = INSTEAD[call](LARGE)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = INSTEAD[call](LARGE)
     assert made, "it is not by bricks"
+    if call not in ("resample", "sample", "a picture"):
+        assert [(one.category, one.filename) for one in told] == [(ClvolWarning, __file__)]
+        assert re.search(r"goes by bricks.*allows one allocation of up to 4 MiB.*less than 1e-6", str(told[0].message))
     assert (found.dtype, found.shape) == (whole.dtype, whole.shape)
     np.testing.assert_allclose(found, whole, rtol=0, atol=4e-6)
 
@@ -158,7 +165,7 @@ def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
         lambda: ndimage.geometric_transform(lazy, lambda i: i),
         lambda: ndimage.zoom(lazy, 0.5, precision="double"),
         lambda: ndimage.shift(lazy, 0.5, nan="local"),
-        lambda: ndimage.map_coordinates(lazy, AT, axes=(0, 1, 2)),
+        lambda: ndimage.map_coordinates(lazy, AT[:2], axes=(1, 2)),
         lambda: ndimage.rotate(lazy, 33, prefilter=False),
     ):
         with pytest.raises(UnsupportedError, match=r"part by part.*dask.*volume\.whole\(\)\.data"):

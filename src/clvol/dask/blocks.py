@@ -23,22 +23,34 @@ from clvol.device import Device
 from clvol.filter.boundary import Boundary
 
 __all__ = [
+    "AnyDevice",
     "Array",
+    "Asked",
     "Block",
     "Chunks",
+    "Floats",
+    "Gathering",
     "Span",
     "Window",
+    "around",
     "as_chunks",
     "as_lazy",
     "blockwise",
     "checked_device",
+    "gathered",
     "located",
+    "named",
+    "no_memory",
     "one_at_a_time",
+    "own_part",
     "refused",
     "spans",
+    "touches",
     "window_along",
+    "windows_along",
 ]
 
+AnyDevice: TypeAlias = Device | str | int | None
 Array: TypeAlias = NDArray[Any]
 Floats: TypeAlias = NDArray[np.float64]
 Chunks: TypeAlias = Any  # whatever dask.array.normalize_chunks takes
@@ -170,6 +182,26 @@ def window_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[in
     return Window(span, positions - span[0])
 
 
+def windows_along(
+    positions: Floats | None, sizes: Sequence[int], n: int, boundary: Boundary, margin: tuple[int, int], more: int = 0
+) -> list[Window | None]:
+    """What the positions of each chunk of an axis need, `more` samples of them for a low-pass; None: chunks of the samples."""
+    if positions is None:
+        return [None] * len(sizes)
+    windows: list[Window | None] = []
+    for low, high in spans(sizes):
+        one = window_along(positions[low:high], n, boundary, margin, more)
+        if more and boundary.outside == "overlap" and touches(one.span, n):
+            one = window_along(positions[low:high], n, boundary, (n, n))  # samples past an edge are those at the other one
+        windows.append(one)
+    return windows
+
+
+def touches(span: Span, n: int) -> bool:
+    """Whether a span reaches an end of an axis."""
+    return span[0] <= 0 or span[1] >= n
+
+
 def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int, after: int) -> Window:
     """Of a rule that repeats the samples: the span is of the repeated axis."""
     inside = (positions >= 0) & (positions < n)
@@ -181,6 +213,31 @@ def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int,
     if high - low >= n:
         return Window((0, n), positions)
     return Window((low, high), positions - low)
+
+
+def around(shape: Sequence[int], margins: Sequence[int], boundary: Boundary) -> Plan:
+    """Each block reads itself and a margin along each axis; under a rule that repeats the samples, also past the edges."""
+    repeated = boundary.period is not None and boundary.fold is None
+
+    def along(n: int, margin: int, place: Span) -> Span:
+        low, high = place[0] - margin, place[1] + margin
+        if place == (0, n) or (repeated and margin and high - low >= n):
+            return (0, n)
+        return (low, high) if repeated and margin else (max(low, 0), min(high, n))
+
+    def plan(_: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...], None]:
+        return tuple(map(along, shape, margins, where)), None
+
+    return plan
+
+
+def own_part(block: Block) -> tuple[slice, ...]:
+    """Where a block lies in its window."""
+    assert block.spans is not None
+    own = []
+    for start, length, (low, _) in zip(block.start, block.shape, block.spans, strict=True):
+        own.append(slice(start - low, start - low + length))
+    return tuple(own)
 
 
 # -- the graph -------------------------------------------------------------------------------------------------------

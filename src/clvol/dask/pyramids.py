@@ -11,15 +11,14 @@ import numpy as np
 from clvol.base.arrays import reals
 from clvol.base.checks import one_of, whole
 from clvol.base.rounding import in_kind, wide
-from clvol.dask.blocks import Array, Block, Chunks, as_chunks, checked_device, located
-from clvol.dask.filtering import as_volumes, settled_row
+from clvol.dask.blocks import AnyDevice, Array, Block, Chunks, as_chunks, checked_device, located
+from clvol.dask.coefficients import as_volumes, settled_row
 from clvol.dask.reduced import axis_by_axis
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.formats.pyramid.levels import METHODS, ORDER, Method, filter_at, levels_of, require_reducible, sums_for
-from clvol.ndimage.arguments import AnyDevice
 from clvol.spline.field import Precision, precision_kind
 from clvol.spline.reduce import Sums
 from clvol.volume.volume import Volume

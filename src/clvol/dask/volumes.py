@@ -13,28 +13,26 @@ from clvol.base.checks import whole
 from clvol.base.errors import OptionError, UnsupportedError
 from clvol.base.rounding import as_kind, in_kind, wide
 from clvol.dask.blocks import (
+    AnyDevice,
     Array,
     Block,
     Chunks,
     Floats,
     Span,
-    Window,
     as_chunks,
     blockwise,
     checked_device,
     located,
     refused,
-    spans,
-    window_along,
+    windows_along,
 )
-from clvol.dask.filtering import as_volumes, settled_row
+from clvol.dask.coefficients import as_volumes, settled_row
 from clvol.dask.margins import margin
 from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.ndimage.arguments import AnyDevice
 from clvol.spline.evaluator import DIRECT, choose_evaluator
 from clvol.spline.field import Precision, coefficients_of, precision_kind
 from clvol.spline.function import fill_value
@@ -60,8 +58,6 @@ def resample(
     transform: None = None,
     anti_aliasing: AntiAliasing | bool = False,
     dtype: DTypeLike | None = None,
-    evaluator: str = "auto",
-    fetch: str = "auto",
     fill: float | None = None,
     device: AnyDevice = None,
     precision: Precision | None = None,
@@ -71,28 +67,27 @@ def resample(
     chunks: Chunks = None,
     dimensions: int | None = None,
 ) -> Any:
-    """Volumes on another grid, as `clvol.resample` gives them, as an array of dask.
+    """Volumes on another grid, as `clvol.resample` computes them, as an array of dask.
 
-    A block reads what its samples are made of: those between which they lie, the margin that the prefilter needs, and with
-    `anti_aliasing` what the low-pass takes.
+    A block reads the samples in the support of its own, the margin that the prefilter needs, and with `anti_aliasing` the reach of
+    the low-pass.
 
     Parameters
     ----------
     volume : dask.array.Array
         Its spacing is 1.
     shape, spacing, filter, boundary, anchor, anti_aliasing, dtype, fill, device, precision
-        As of `clvol.resample`; `filter` is "bspline3" where none is given, since whether samples are labels is known only when they
-        are read, and its smoothing is not "auto". `shape` is that of a volume.
-    evaluator, fetch
-        "auto" alone.
+        As for `clvol.resample`; `filter` is "bspline3" by default also for labels, since samples are not read before the graph is
+        computed, and its smoothing is not "auto". `shape` is that of a volume.
     nan : {"error"}, optional
         Missing samples are refused.
     like, transform, progress, out
-        None: they have no meaning here.
+        Only None.
     chunks : as of `dask.array.normalize_chunks`, optional
         Of the result. By default, along axes of another length, chunks as long as the longest of `volume`.
     dimensions : int, optional
-        How many of the last axes are a volume's, 2 or 3; every index of the others is one of its own. By default all, at most 3.
+        The number of last axes that span a volume, 2 or 3; each index of the others is a separate volume. By default all, at
+        most 3.
 
     Returns
     -------
@@ -111,8 +106,6 @@ def resample(
         An option that an array of dask cannot have.
     """
     refused("resample", like=like, transform=transform, progress=progress, out=out)
-    if (evaluator, fetch) != ("auto", "auto"):
-        raise UnsupportedError(f"resample takes 'auto' as evaluator and fetch for an array of dask; got {evaluator!r}, {fetch!r}")
     source, count = as_volumes(volume, dimensions, least=2)
     own = source.shape[-count:]
     grid = grid_for(Volume(np.broadcast_to(np.float32(0), own)), shape, spacing, None, anchor)
@@ -131,8 +124,6 @@ def magnify(
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     *,
-    evaluator: str = "auto",
-    fetch: str = "auto",
     device: AnyDevice = None,
     precision: Precision | None = None,
     nan: str | None = None,
@@ -140,23 +131,21 @@ def magnify(
     chunks: Chunks = None,
     dimensions: int | None = None,
 ) -> Any:
-    """Volumes with `factor` times the samples along each axis, the given ones among them, as `clvol.magnify` gives them.
+    """Volumes with `factor` times the samples along each axis, the given ones among them, as `clvol.magnify` computes them.
 
     Parameters
     ----------
     volume : dask.array.Array
     factor : int
         At least 1.
-    filter, boundary, evaluator, fetch, device, precision, nan, progress, chunks, dimensions
-        As of `clvol.dask.resample`.
+    filter, boundary, device, precision, nan, progress, chunks, dimensions
+        As for `clvol.dask.resample`.
 
     Returns
     -------
     dask.array.Array of float32, or of float64 in double precision
     """
     refused("magnify", progress=progress)
-    if (evaluator, fetch) != ("auto", "auto"):
-        raise UnsupportedError(f"magnify takes 'auto' as evaluator and fetch for an array of dask; got {evaluator!r}, {fetch!r}")
     factor = whole("factor", factor, minimum=1)
     source, count = as_volumes(volume, dimensions, least=2)
     positions = [np.asarray(1 / factor * np.arange(factor * n), np.float64) for n in source.shape[-count:]]
@@ -245,7 +234,7 @@ def _on_grid(
     shape = (*source.shape[:leading], *(len(p) for p in positions))
     sizes = as_chunks(chunks, source, shape, range(source.ndim), work.dtype)
     reductions: list[Reduction] = []
-    windows: list[list[Window]] = []
+    windows: list[list[Any]] = []
     sigma = np.maximum(0, (steps - 1) / 2) if low_pass == "gaussian" else np.zeros(work.count)
     for k, (along, n) in enumerate(zip(positions, source.shape[leading:], strict=True)):
         row = work.filter if work.filter.magnified_by else work.filter.along(work.count - 1 - k)
@@ -253,13 +242,7 @@ def _on_grid(
             reductions.append(_reduction(row, along, float(steps[k]), n, work))
             continue
         reach, more = margin(row, work.precision), gaussian_radius(float(sigma[k]))
-        made = []
-        for low, high in spans(sizes[leading + k]):
-            one = window_along(along[low:high], n, work.boundary, reach, more)
-            if more and work.boundary.outside == "overlap" and (one.span[0] <= 0 or one.span[1] >= n):
-                one = window_along(along[low:high], n, work.boundary, (n, n))  # what stands past an edge lies at the other one
-            made.append(one)
-        windows.append(made)
+        windows.append(windows_along(along, sizes[leading + k], n, work.boundary, reach, more))
 
     def plan(index: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...], Any]:
         row = [along[i] for along, i in zip(windows, index[leading:], strict=True)]

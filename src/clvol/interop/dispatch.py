@@ -8,9 +8,7 @@ from functools import wraps
 from importlib import import_module
 from typing import ParamSpec, TypeVar
 
-from clvol.base.errors import DataError, OptionError, OutOfMemoryError
-
-__all__ = ["is_in_parts", "is_lazy", "lazily", "with_dask"]
+__all__ = ["is_in_parts", "is_lazy", "with_dask"]
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -45,44 +43,6 @@ def with_dask(*names: str) -> Callable[[Callable[Arguments, Result]], Callable[A
                 by_dask: Callable[Arguments, Result] = getattr(import_module("clvol.dask"), function.__name__)
                 return by_dask(*arguments, **options)
             return function(*arguments, **options)
-
-        return either
-
-    return decorator
-
-
-def lazily(*names: str, instead: bool = False) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """`with_dask`, and what `is_in_parts` goes to the function of that name in the module `parts` of the function's package.
-
-    Parameters
-    ----------
-    *names : str
-        The function's first parameters, as far as arrays of dask are looked for among them; only the first may be in parts.
-    instead : bool
-        Whether what is in memory goes to the module `parts` too, if there is no room for what is made of it as a whole.
-    """
-
-    def decorator(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        parts = function.__module__.rpartition(".")[0] + ".parts"
-
-        def by_parts(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
-            found: Callable[Arguments, Result] = getattr(import_module(parts), function.__name__)
-            return found(*arguments, **options)
-
-        @with_dask(*names)
-        @wraps(function)
-        def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
-            if is_in_parts(arguments[0] if arguments else options.get(names[0])):
-                return by_parts(*arguments, **options)
-            if not instead:
-                return function(*arguments, **options)
-            try:
-                return function(*arguments, **options)
-            except OutOfMemoryError as refused:
-                try:
-                    return by_parts(*arguments, **options)
-                except (OptionError, DataError, OutOfMemoryError):  # nor is there another way
-                    raise refused from None
 
         return either
 

@@ -1,4 +1,4 @@
-"""Down, not only up: arrays on coarser grids without the aliases of what these cannot hold."""
+"""Arrays on coarser grids without aliases."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
 from clvol.device import as_device
-from clvol.filter.boundary import as_boundary
 from clvol.filter.make import bspline
 from clvol.ndimage import engine
 from clvol.ndimage.arguments import Array, Spline
@@ -19,15 +18,15 @@ __all__ = ["low_passed", "nearest_splines", "nearest_sums", "widths"]
 
 
 def widths(shape: tuple[int, ...], finer: tuple[int, ...]) -> dict[int, float]:
-    """Standard deviations of the Gaussian that goes before a grid of another shape.
+    """Standard deviations of the Gaussian that precedes a coarser grid.
 
-    By scikit-image's rule they are (f - 1) / 2 samples along an axis that gets f times fewer.
+    By scikit-image's rule: (f - 1) / 2 samples along an axis that is reduced f times.
     """
     return {axis: max(0.0, (n / m - 1) / 2) for axis, (n, m) in enumerate(zip(finer, shape, strict=True)) if m}
 
 
 def low_passed(data: Array, sigma: Mapping[int, float], spline: Spline) -> Array:
-    """An array after a Gaussian, as `scipy.ndimage.gaussian_filter` makes it, in float32 or float64; itself if there is none.
+    """An array after a Gaussian, as `scipy.ndimage.gaussian_filter` computes it, in float32 or float64; `data` without one.
 
     Parameters
     ----------
@@ -42,7 +41,7 @@ def low_passed(data: Array, sigma: Mapping[int, float], spline: Spline) -> Array
         return low_passed(data.real, sigma, spline.of_part("real", 0)) + 1j * low_passed(
             data.imag, sigma, spline.of_part("imag", 1)
         )
-    boundary, device = as_boundary(engine.BOUNDARIES[spline.mode]), as_device(spline.device)
+    boundary, device = spline.boundary, as_device(spline.device)
     sums = {axis: gaussian(float(s), data.shape[axis], boundary) for axis, s in sigma.items() if s > 0}
     if not sums or data.size == 0:
         return data
@@ -50,21 +49,21 @@ def low_passed(data: Array, sigma: Mapping[int, float], spline: Spline) -> Array
 
 
 def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], output: Array, spline: Spline) -> None:
-    """The spline of a coarser grid that is nearest to the array's, into `output`: see `clvol.spline.reduce.least_squares`.
+    """Write the least-squares spline on a coarser grid into `output`: see `clvol.spline.reduce.least_squares`.
 
     Parameters
     ----------
     data : ndarray
         Real or complex, not empty.
     positions : mapping from axes to ndarray
-        Where the new samples lie along each of the axes, in samples, at even distances. A single one stands for all of the axis.
+        Of the new samples along each axis, in samples, evenly spaced. A single one stands for the whole axis.
     output : ndarray
     spline : Spline
 
     Raises
     ------
     OptionError
-        Missing samples were to be local; here they reach as far as the prefilter does.
+        ``nan="local"``: here a missing sample reaches as far as the prefilter does.
     """
     if spline.local:
         raise OptionError('nan must be "propagate" or "error" with least squares, which spreads missing samples; got "local"')
@@ -83,8 +82,8 @@ def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], o
 def nearest_sums(
     shape: tuple[int, ...], positions: Mapping[int, NDArray[np.float64]], spline: Spline, kind: type[np.generic]
 ) -> dict[int, Sums]:
-    """Those of `nearest_splines` for an array of such a shape, by axes, to be made in float32 or float64."""
-    boundary, sums = as_boundary(engine.BOUNDARIES[spline.mode]), {}
+    """The sums of `nearest_splines` along each axis of an array of a shape, in float32 or float64."""
+    boundary, sums = spline.boundary, {}
     for axis, x in positions.items():
         n, m = shape[axis], len(x)
         step = float(x[-1] - x[0]) / (m - 1) if m > 1 else float(n)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base import arrays, memory
 from clvol.base.checks import enough_memory, one_of
 from clvol.base.errors import AxisError, DataError, DtypeError, NotFiniteError, OptionError, OptionTypeError, RefusedError
-from clvol.device import Device, as_device
+from clvol.device import Device
+from clvol.filter.boundary import Boundary, as_boundary
 from clvol.spline.field import Precision
 
 __all__ = [
+    "BOUNDARIES",
+    "FINITE",
     "MODES",
     "AnyDevice",
     "Array",
@@ -31,6 +35,7 @@ __all__ = [
     "as_axis",
     "as_coordinates",
     "as_cval",
+    "as_dtype",
     "as_matrix",
     "as_mode",
     "as_order",
@@ -38,8 +43,11 @@ __all__ = [
     "as_precision",
     "as_shape",
     "finite",
-    "look_for_nan",
     "per_axis",
+    "require_addressable",
+    "require_coordinates",
+    "require_finite",
+    "warn",
 ]
 
 Array: TypeAlias = NDArray[Any]
@@ -47,30 +55,42 @@ AnyDevice: TypeAlias = Device | str | int | None
 Progress: TypeAlias = Callable[[float], None] | None
 Nan: TypeAlias = str
 
-MODES = ("mirror", "reflect", "grid-mirror", "wrap", "grid-wrap", "nearest", "constant", "grid-constant")
+BOUNDARIES = {
+    "mirror": "mirror",
+    "reflect": "reflect",
+    "grid-mirror": "reflect",
+    "wrap": "overlap",
+    "grid-wrap": "wrap",
+    "nearest": "nearest",
+    "constant": "constant",
+    "grid-constant": "grid-constant",
+}
+"""The boundary rule of each of SciPy's modes."""
+MODES = tuple(BOUNDARIES)
+FINITE = 'with nan="error" all samples must be finite'
 _NAN = ("propagate", "error", "local")
-_REAL = "?bBhHiIlLqQefd"  # NumPy's letters of the types that are computed with; no long double
+_REAL = "?bBhHiIlLqQefd"  # NumPy's type codes; no long double
 _COMPLEX = "FD"
-_SINGLE = "?bBhHefF"  # what float32 holds
+_SINGLE = "?bBhHefF"  # types that float32 holds exactly
 _KNOWN = "bool, integers, float16, float32, float64, complex64 or complex128"
 
 
 @dataclass(frozen=True, slots=True)
 class Spline:
-    """How an array is interpolated: the options that all functions share.
+    """How an array is interpolated: the options that all functions share. It can be pickled, for tasks of dask.
 
     Attributes
     ----------
     order : int
     mode : str
     cval : float or complex
-        Complex for complex arrays alone.
+        Complex for complex arrays only.
     prefilter : bool
     precision : {"single", "double"}
-    device : Device or None
+    device : Device, str, int or None
+        As `as_device` takes it.
     progress : callable or None
-    local : bool
-        Whether results that a missing sample has weight in, and no others, are missing.
+    nan : {"propagate", "error", "local"}
     """
 
     order: int
@@ -78,14 +98,14 @@ class Spline:
     cval: float | complex
     prefilter: bool
     precision: Precision
-    device: Device | None
-    progress: Progress
-    local: bool = False
+    device: AnyDevice = None
+    progress: Progress = None
+    nan: Nan = "propagate"
 
     @classmethod
     def of(
         cls,
-        data: Array,
+        dtype: np.dtype[Any],
         order: int,
         mode: str,
         cval: complex,
@@ -95,37 +115,50 @@ class Spline:
         nan: Nan,
         progress: Progress,
     ) -> Spline:
-        """The options for an array, checked; `nan` is dealt with here."""
-        spline = cls(
-            as_order(order),
-            as_mode(mode),
-            as_cval(cval, data.dtype.kind == "c"),
-            bool(prefilter),
-            as_precision(precision, data.dtype),
-            None if device is None else as_device(device),
-            progress,
-            local=nan == "local",
-        )
-        look_for_nan(data, nan)
-        return spline
+        """The options for samples of a dtype, checked. The device is not looked up."""
+        number, rule, outside = as_order(order), as_mode(mode), as_cval(cval, dtype.kind == "c")
+        if nan not in _NAN:
+            raise one_of("nan", nan, _NAN)
+        return cls(number, rule, outside, bool(prefilter), as_precision(precision, dtype), device, progress, nan)
+
+    @property
+    def local(self) -> bool:
+        """Whether exactly those results are NaN in which a missing sample has weight."""
+        return self.nan == "local"
+
+    @property
+    def boundary(self) -> Boundary:
+        """The boundary rule, with its default value outside."""
+        return as_boundary(BOUNDARIES[self.mode])
+
+    @property
+    def boundary_with_cval(self) -> Boundary:
+        """The boundary rule for real samples, with `cval` outside."""
+        rule, value = self.boundary, float(self.cval.real)
+        return rule if value == rule.cval else replace(rule, cval=value)
 
     @property
     def interpolates(self) -> bool:
-        """Whether the spline has the array's own values at whole positions."""
+        """Whether the spline passes through the samples."""
         return self.prefilter or self.order < 2
 
+    @property
+    def identity(self) -> list[object]:
+        """What distinguishes it from others, for keys of tasks."""
+        return [self.order, self.mode, repr(self.cval), self.prefilter, self.precision, repr(self.device), self.nan]
+
     def of_part(self, part: str, number: int) -> Spline:
-        """For the real or the imaginary part of complex samples, the first and second half of the work."""
+        """For the real or the imaginary part of complex samples; each is half of the work."""
         return replace(self.stage(number, 2), cval=getattr(self.cval, part))
 
     def stage(self, number: int, count: int) -> Spline:
-        """For one of several passes over the data, which reports its share of the work."""
+        """For one of `count` passes, which reports its share of the progress."""
         whole = self.progress
         return self if whole is None else replace(self, progress=lambda done: whole((number + done) / count))
 
 
 def as_array(value: ArrayLike) -> Array:
-    """The input as an array of numbers, not copied where it is one."""
+    """The input as an array of numbers; an array is not copied."""
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
         raise DataError(
             "input must have no masked samples; got a masked array: fill it, or put NaN there and choose what nan= does"
@@ -148,14 +181,14 @@ def as_order(order: object, minimum: int = 0) -> int:
 
 
 def as_mode(mode: object) -> str:
-    """The name of the rule beyond the edge, one for all axes, as SciPy takes one."""
+    """The name of a mode, the same for all axes as in SciPy."""
     if not isinstance(mode, str) or mode not in MODES:
         raise RefusedError(str(one_of("mode", mode, MODES)))
     return mode
 
 
 def as_precision(precision: object, dtype: np.dtype[Any]) -> Precision:
-    """What is computed in: float32 where the samples are of no more than 16 bits or float32, else float64."""
+    """The precision of the computation; by default single where float32 holds the samples exactly."""
     if precision is None:
         return "single" if dtype.char in _SINGLE else "double"
     if precision not in get_args(Precision):
@@ -164,13 +197,11 @@ def as_precision(precision: object, dtype: np.dtype[Any]) -> Precision:
     return chosen
 
 
-def look_for_nan(data: Array, nan: Nan) -> None:
-    """What is done about missing samples before anything is computed."""
-    if nan not in _NAN:
-        raise one_of("nan", nan, _NAN)
+def require_finite(data: Array, nan: Nan) -> None:
+    """With ``nan="error"``, refuse samples that are NaN or infinite."""
     if nan == "error" and data.dtype.kind in "fc" and not (known := np.isfinite(data)).all():
         where = tuple(map(int, np.unravel_index(np.argmin(known), data.shape)))
-        raise DataError(f'with nan="error" all samples must be finite; got {data[where]} at {where}')
+        raise DataError(f"{FINITE}; got {data[where]} at {where}")
 
 
 def as_shape(shape: Iterable[Any]) -> tuple[int, ...]:
@@ -196,7 +227,7 @@ def as_axis(axis: object, ndim: int) -> int:
 
 
 def as_axes(axes: object, ndim: int) -> list[int]:
-    """Several axes of an array, each once, in the order they are given; None are all."""
+    """Distinct axes of an array, in the order given; None means all."""
     if axes is None:
         return list(range(ndim))
     found = [as_axis(axis, ndim) for axis in (axes if np.iterable(axes) else [axes])]
@@ -221,7 +252,7 @@ def finite(what: str, value: object) -> float:
 
 
 def per_axis(what: str, value: object, ndim: int) -> list[Any]:
-    """One finite number for each axis, as it was given, or the same for all."""
+    """One finite number for each axis, of the type given, or the same number for all."""
     alone = isinstance(value, (str, bytes)) or not np.iterable(value)
     values: list[Any] = [value] * ndim if alone else list(value)  # type: ignore[call-overload]  # it can be iterated
     if len(values) != ndim:
@@ -252,82 +283,101 @@ def as_matrix(matrix: ArrayLike) -> NDArray[np.float64]:
 
 
 def as_coordinates(coordinates: ArrayLike, count: int) -> Array:
-    """Positions along so many axes, of any type of real numbers; not copied where they are an array."""
+    """Positions along `count` axes, of any real dtype; an array is not copied."""
     array = arrays.as_array(coordinates, "coordinates", OptionError, "an array of real numbers")
     if array.dtype.kind == "c":
         raise OptionTypeError(f"coordinates must be real numbers; got {array.dtype}")
     if array.dtype.char not in _REAL:
         raise RefusedError(f"coordinates must be bool, integers, float16, float32 or float64; got {array.dtype}")
-    if array.ndim < 2:
-        raise RefusedError(f"coordinates must have an axis for the input's axes and at least one more; got shape {array.shape}")
-    if array.shape[0] != count:
-        raise RefusedError(f"coordinates must be given for {count} axes, along their first; got shape {array.shape}")
+    require_coordinates(array.shape, count)
     return array
 
 
-def as_output(output: Any, data: Array, shape: Sequence[int], *, copied: bool = False) -> Array:
-    """Where the result is written: a new array, or the one that was given.
+def require_coordinates(shape: Sequence[int], count: int) -> None:
+    """Refuse coordinates of a shape that does not fit `count` axes."""
+    if len(shape) < 2:
+        raise RefusedError(f"coordinates must have an axis for the input's axes and at least one more; got shape {shape}")
+    if shape[0] != count:
+        raise RefusedError(f"coordinates must be given for {count} axes, along their first; got shape {shape}")
+
+
+def as_output(output: Any, dtype: np.dtype[Any], shape: Sequence[int], *, copied: bool = False) -> Array:
+    """The array that results are written into: a new one, or `output`.
 
     Parameters
     ----------
     output : None, dtype, str or array
-    data : ndarray
-        The input, whose type the result has by default.
+    dtype : dtype
+        Of the input.
     shape : sequence of int
         Of the result.
     copied : bool
-        Whether the samples will be copied as they are; then complex results of real samples are possible.
+        Whether samples are copied unchanged; real samples then may have complex results.
     """
     shape = tuple(shape)
-    if output is None:
-        return _empty(shape, data.dtype.newbyteorder("="))
-    if isinstance(output, (type, np.dtype, str)):
-        return _empty(shape, _as_dtype(output, data, copied))
+    if output is None or isinstance(output, (type, np.dtype, str)):
+        return _empty(shape, as_dtype(output, dtype, copied=copied))
     try:
         array = arrays.memory_of(output, "output")
     except ValueError as error:
         raise OptionTypeError(f"output must be an array or a dtype; got {error}") from error
     if array.shape != shape:
         raise RefusedError(f"output must have the shape of the result, {shape}; got {array.shape}")
-    _require_kind(array.dtype, data, copied)
+    _require_kind(array.dtype, dtype, copied)
     if not array.flags.writeable:
         raise OptionError("output must be an array that can be written to; got one that is read-only")
     return array
 
 
-def _as_dtype(output: Any, data: Array, copied: bool) -> np.dtype[Any]:
+def as_dtype(output: Any, given: np.dtype[Any], *, copied: bool = False) -> np.dtype[Any]:
+    """The dtype of the result for an input of dtype `given`, which is the default."""
+    if output is None:
+        return given.newbyteorder("=")
     try:
         dtype: np.dtype[Any] = np.dtype(output)
     except TypeError:
         raise OptionTypeError(f"output must be an array or a dtype; got {output!r}") from None
     if isinstance(output, str):
-        if data.dtype.kind != "c" and dtype.kind not in "iufc":
+        if given.kind != "c" and dtype.kind not in "iufc":
             raise RefusedError(f"output must be a numeric dtype where it is a string; got {output!r}")
-    elif data.dtype.kind == "c" and dtype.char in _REAL:
-        warnings.warn("promoting specified output dtype to complex", stacklevel=5)
+    elif given.kind == "c" and dtype.char in _REAL:
+        warn("promoting specified output dtype to complex")
         dtype = np.promote_types(dtype, np.complex64)
-    _require_kind(dtype, data, copied)
+    _require_kind(dtype, given, copied)
     return dtype
 
 
-def _require_kind(dtype: np.dtype[Any], data: Array, copied: bool) -> None:
-    if data.dtype.kind == "c":
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
+    """Warn about the line outside clvol that made the call."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and str(frame.f_globals.get("__name__")).startswith("clvol."):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
+
+
+def _require_kind(dtype: np.dtype[Any], given: np.dtype[Any], copied: bool) -> None:
+    if given.kind == "c":
         if dtype.char not in _COMPLEX:
             raise RefusedError(f"output must be complex64 or complex128 for complex input; got {dtype}")
     elif dtype.char not in _REAL and not (copied and dtype.char in _COMPLEX):
         raise RefusedError(f"output must be bool, integers, float16, float32 or float64 for real input; got {dtype}")
 
 
-def _empty(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
-    if math.prod(shape) * dtype.itemsize > np.iinfo(np.intp).max:
+def require_addressable(shape: Sequence[int], itemsize: int = 1) -> None:
+    """Refuse a result of more bytes than an index can count."""
+    if math.prod(shape) * itemsize > np.iinfo(np.intp).max:
         raise OptionError(f"the result must have a size that can be addressed; got shape {shape}")
+
+
+def _empty(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
+    require_addressable(shape, dtype.itemsize)
     what = f"a result of {' × '.join(map(str, shape))} samples of {dtype}"
     with enough_memory(what):
         return memory.empty(shape, dtype, what)
 
 
 def as_cval(cval: Any, complex_: bool) -> float | complex:
-    """The value beyond the edge, complex for complex samples alone; it may be NaN or infinite."""
+    """The value outside, complex only for complex samples; it may be NaN or infinite."""
     if isinstance(cval, np.ndarray) and cval.ndim == 0:
         cval = cval[()]
     refused = isinstance(cval, (str, bytes, np.ndarray)) or (isinstance(cval, np.complexfloating) and not complex_)

@@ -1,11 +1,11 @@
-"""What `clvol.ndimage` stands on: coefficients of arrays, and their spline on grids and at points, as SciPy has them."""
+"""The engine of `clvol.ndimage`: coefficients of real arrays, and their spline on grids and at points, as SciPy defines them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -17,41 +17,17 @@ from clvol.device import Device, as_device
 from clvol.filter.boundary import as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
+from clvol.ndimage.arguments import BOUNDARIES, Array, Spline
 from clvol.spline.build import DefineDict, scalar_defines
 from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, Lattice, addressable, bundled
 from clvol.spline.evaluator import DIRECT
-from clvol.spline.field import Precision, precision_kind
+from clvol.spline.field import precision_kind
 from clvol.spline.points import Given, Transform, sample_grid, sample_into
 from clvol.spline.prefilter import gain_along, prefilter_in_place
 from clvol.spline.resample import resample_axes
 
-__all__ = [
-    "BOUNDARIES",
-    "FILTERED_AS",
-    "Affine",
-    "Axes",
-    "Points",
-    "Target",
-    "coefficients",
-    "converted",
-    "evaluate",
-    "kind_for",
-    "row_of",
-]
+__all__ = ["FILTERED_AS", "Affine", "Axes", "Points", "Target", "coefficients", "converted", "evaluate", "kind_for", "row_of"]
 
-Array: TypeAlias = NDArray[Any]
-
-BOUNDARIES = {
-    "mirror": "mirror",
-    "reflect": "reflect",
-    "grid-mirror": "reflect",
-    "wrap": "overlap",
-    "grid-wrap": "wrap",
-    "nearest": "nearest",
-    "constant": "constant",
-    "grid-constant": "grid-constant",
-}
-"""The boundary rule of each of SciPy's modes."""
 _PART = 1 << 25  # bytes of results that are made before they are converted
 _PADS = 12  # samples, at most, that a boundary rule puts around an axis of samples
 _PROBES = 8  # along each axis, of samples that are looked at
@@ -105,47 +81,24 @@ class Points:
 Target: TypeAlias = Axes | Affine | Points
 
 
-def evaluate(
-    data: Array,
-    axes: Sequence[int],
-    target: Target,
-    output: Array,
-    *,
-    order: int,
-    mode: str,
-    cval: float,
-    prefilter: bool,
-    precision: Precision,
-    device: Device | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> None:
-    """The spline of an array at a target, into `output`.
+def evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, spline: Spline) -> None:
+    """Evaluate the spline of an array at a target, into `output`.
 
     Parameters
     ----------
     data : ndarray of real numbers
         Of any layout and byte order; not empty.
     axes : sequence of int
-        Those that are resampled, 1 to 3 of them, ascending. All others are batch axes: every index of them is computed on its own.
+        Those that are resampled, 1 to 3 of them, ascending. All others are batch axes: each index of them is computed separately.
     target : Axes, Affine or Points
     output : ndarray
-        Of any real dtype and layout; written whole. Its axes are the batch axes and those of a grid where they are in `data`; for
-        points, the batch axes and then those of the points. Whole numbers are rounded as SciPy rounds, halves away from zero,
-        and clipped to their type.
-    order : int
-        0 to 5.
-    mode : str
-        One of SciPy's.
-    cval : float
-        For "constant" and "grid-constant".
-    prefilter : bool
-        Whether `data` are samples; else they are coefficients.
-    precision : {"single", "double"}
-    device : Device, optional
-    progress : callable, optional
-        Called with the fraction done.
+        Of any real dtype and layout; all of it is written. Its axes are the batch axes and those of a grid where they are in
+        `data`; for points, the batch axes and then those of the points. Integers are rounded as SciPy rounds, halves away from
+        zero, and clipped to their type.
+    spline : Spline
+        Of its `cval` the real part counts; `nan` is ignored.
     """
-    chosen = as_device(device)
+    chosen, cval, progress = as_device(spline.device), float(spline.cval.real), spline.progress
     axes = tuple(axes)
     kept = tuple(axis for axis in range(data.ndim) if axis not in axes)
     onto = output if isinstance(target, Points) else output.transpose(kept + axes)
@@ -164,10 +117,8 @@ def evaluate(
         longest, outer = max(range(batch), key=lambda i: moved.shape[i]), batch - 1
         moved, onto = np.moveaxis(moved, longest, outer), np.moveaxis(onto, longest, outer)
     size = moved.shape[batch:][::-1]
-    kind = kind_for(precision, data, output, chosen)
-    boundary = as_boundary(BOUNDARIES[mode])
-    boundary = boundary if cval == boundary.cval else replace(boundary, cval=cval)
-    given, store, row = Given(cval, missing=True, edge=0.0), _Store(chosen, kind), row_of(order, prefilter)
+    kind, boundary = kind_for(spline.precision, data, output, chosen), spline.boundary_with_cval
+    given, store, row = Given(cval, missing=True, edge=0.0), _Store(chosen, kind), row_of(spline.order, spline.prefilter)
     length = moved.shape[outer] if outer < batch else 1
     room = max(math.prod(n + 2 * (row.support + _PADS) for n in size), math.prod(onto.shape[batch:])) * np.dtype(kind).itemsize
     some = max(1, min(length, _PART // room))
@@ -258,23 +209,13 @@ def row_of(order: int, prefilter: bool) -> Filter:
     return as_filter({0: "nearest", 1: "linear"}.get(order, f"bspline{order}" if prefilter else f"bspline{order}-approx"))
 
 
-def coefficients(
-    data: Array,
-    axes: Sequence[int],
-    output: Array,
-    *,
-    order: int,
-    mode: str,
-    precision: Precision,
-    device: Device | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> None:
-    """The spline coefficients of an array along some of its axes, up to three, into `output` (which may be `data`).
+def coefficients(data: Array, axes: Sequence[int], output: Array, spline: Spline) -> None:
+    """Write the spline coefficients of an array along some of its axes, up to three, into `output` (which may be `data`).
 
     Parameters are those of `evaluate`; `output` has the shape of `data` and any real dtype. An axis of one sample stays as it is.
     """
-    chosen, row = as_device(device), row_of(order, True)
-    kind = kind_for(precision, data, output, chosen)
+    chosen, row, mode = as_device(spline.device), row_of(spline.order, True), spline.mode
+    kind = kind_for(spline.precision, data, output, chosen)
     boundary = as_boundary(FILTERED_AS.get(mode, BOUNDARIES[mode])).ends
     filtered = [axis for axis in axes if data.shape[axis] > 1]
     others = sorted((axis for axis in range(data.ndim) if axis not in filtered), key=lambda axis: -data.shape[axis])
@@ -292,8 +233,8 @@ def coefficients(
             if row.prefilter and along:
                 prefilter_in_place(chosen, made.buffer, row, boundary, extent, made.size[:3].tolist(), made.ndim, kind, along)
             store.inner(made, onto[index])
-            if progress:
-                progress(number / math.prod(batch))
+            if spline.progress:
+                spline.progress(number / math.prod(batch))
 
 
 FILTERED_AS = {"nearest": "reflect", "constant": "mirror", "grid-constant": "mirror", "wrap": "mirror"}

@@ -2,49 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
-from clvol.device import Device
 from clvol.ndimage import engine
-from clvol.spline.field import Precision
+from clvol.ndimage.arguments import Array, Spline
 from clvol.volume.missing import Missing, filled_smoothly
 
 __all__ = ["evaluate"]
 
 
-def evaluate(
-    data: NDArray[Any],
-    axes: Sequence[int],
-    target: engine.Target,
-    output: NDArray[Any],
-    *,
-    order: int,
-    mode: str,
-    cval: float,
-    prefilter: bool,
-    precision: Precision,
-    device: Device | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> None:
+def evaluate(data: Array, axes: Sequence[int], target: engine.Target, output: Array, spline: Spline) -> None:
     """`engine.evaluate` by the rule "local" of `clvol.Missing`: NaN where a sample that is not finite has weight, and nowhere else.
 
-    Parameters are those of `engine.evaluate`. What has weight is told by the B-spline of the order, whose weights are positive,
-    in float32. All other results are bit for bit those of the filled array.
+    Parameters are those of `engine.evaluate`. A sample has weight where the B-spline of the order, whose weights are positive, is
+    not 0 in float32. All other results are bit for bit those of the filled array.
 
     Raises
     ------
     OptionError
         `output` cannot hold NaN, and samples are missing.
     """
-    rules: dict[str, Any] = {"order": order, "mode": mode, "device": device}
     where = Missing("local").of(data)
     if where is None:
-        engine.evaluate(data, axes, target, output, cval=cval, prefilter=prefilter, precision=precision, progress=progress, **rules)
+        engine.evaluate(data, axes, target, output, spline)
         return
     if output.dtype.kind != "f":
         raise OptionError(f'output must be floating where nan="local" leaves results missing; got {output.dtype}')
@@ -55,12 +39,8 @@ def evaluate(
         if gaps[index].any():
             target_of[index] = filled_smoothly(samples[index], gaps[index])
 
-    def half(start: float) -> Callable[[float], None] | None:
-        return None if progress is None else lambda done: progress(start + done / 2)
-
-    engine.evaluate(filled, axes, target, output, cval=cval, prefilter=prefilter, precision=precision, progress=half(0.0), **rules)
+    engine.evaluate(filled, axes, target, output, spline.stage(0, 2))
     share = np.empty(output.shape, np.float32)
-    engine.evaluate(
-        where.view(np.uint8), axes, target, share, cval=0.0, prefilter=False, precision="single", progress=half(0.5), **rules
-    )
+    weights = replace(spline.stage(1, 2), cval=0.0, prefilter=False, precision="single")
+    engine.evaluate(where.view(np.uint8), axes, target, share, weights)
     output[share != 0] = np.nan

@@ -2,36 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from clvol.base import memory
-from clvol.base.checks import flag
-from clvol.base.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
-from clvol.interop.dispatch import lazily
-from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
-from clvol.ndimage.arguments import (
-    AnyDevice,
-    Array,
-    Nan,
-    Progress,
-    Spline,
-    as_array,
-    as_axes,
-    as_axis,
-    as_coordinates,
-    as_matrix,
-    as_order,
-    as_output,
-    as_shape,
-    finite,
-    per_axis,
-)
-from clvol.ndimage.passes import affinely, along_axes, at_points, filtered, mapped
+from clvol.base.errors import OptionError, RefusedError, UnsupportedError
+from clvol.interop.dispatch import is_in_parts, is_lazy
+from clvol.ndimage.antialiasing import widths
+from clvol.ndimage.arguments import AnyDevice, Array, Nan, Progress, as_axes, as_axis, as_order, as_shape, warn
+from clvol.ndimage.geometry import diagonal, magnified, placed, require_rank, shifted, turned, zoomed
+from clvol.ndimage.in_memory import InMemory
+from clvol.ndimage.passes import require_few
+from clvol.ndimage.plan import Affine, Coefficients, Grid, Mapped, Points, Substrate
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 
@@ -47,7 +31,6 @@ __all__ = [
 ]
 
 
-@lazily("input")
 def spline_filter1d(
     input: ArrayLike,
     order: int = 3,
@@ -91,19 +74,12 @@ def spline_filter1d(
     DtypeError
         `input` holds objects, strings, dates or long doubles.
     """
-    number = as_order(order)
-    data = as_array(input)
-    copied = number < 2
-    result = as_output(output, data, data.shape, copied=copied)
-    spline = Spline.of(data, number, mode, 0.0, True, precision, device, nan, progress)
-    if copied:
-        result[...] = data
-    else:
-        filtered(data, [as_axis(axis, data.ndim)], result, spline)
-    return result
+    on = _substrate(input)
+    spline = on.spline(order, mode, 0.0, True, precision, device, nan, progress)
+    axes = [as_axis(axis, on.ndim)] if spline.order > 1 else []
+    return on.evaluate(Coefficients("spline_filter1d", spline, output, on.shape, axes))
 
 
-@lazily("input")
 def spline_filter(
     input: ArrayLike,
     order: int = 3,
@@ -135,18 +111,11 @@ def spline_filter(
     RefusedError, DtypeError
         As for `spline_filter1d`; `order` is from 2 to 5.
     """
-    number = as_order(order, minimum=2)
-    data = as_array(input)
-    result = as_output(output, data, data.shape, copied=data.ndim == 0)
-    spline = Spline.of(data, number, mode, 0.0, True, precision, device, nan, progress)
-    if data.ndim == 0:
-        result[...] = data
-    else:
-        filtered(data, range(data.ndim), result, spline)
-    return result
+    on = _substrate(input)
+    spline = on.spline(as_order(order, minimum=2), mode, 0.0, True, precision, device, nan, progress)
+    return on.evaluate(Coefficients("spline_filter", spline, output, on.shape, range(on.ndim)))
 
 
-@lazily("input")
 def geometric_transform(
     input: ArrayLike,
     mapping: Callable[..., Sequence[float]],
@@ -163,6 +132,7 @@ def geometric_transform(
     device: AnyDevice = None,
     nan: Nan = "propagate",
     progress: Progress = None,
+    chunks: Any = None,
 ) -> Array:
     """An array at positions that a function gives: `scipy.ndimage.geometric_transform`.
 
@@ -195,28 +165,23 @@ def geometric_transform(
     -----
     A position that is not finite has the value `cval`, in every mode.
     """
-    number = as_order(order)
-    data = as_array(input)
-    shape = data.shape if output_shape is None else as_shape(output_shape)
-    require_rank(data.ndim, len(shape))
+    on = _substrate(input, chunks)
+    shape = on.shape if output_shape is None else as_shape(output_shape)
+    require_rank(on.ndim, len(shape))
     if not isinstance(extra_arguments, tuple):
         raise RefusedError(f"extra_arguments must be a tuple; got {extra_arguments!r}")
     if not isinstance(extra_keywords, (dict, type(None))):
         raise RefusedError(f"extra_keywords must be a dict; got {extra_keywords!r}")
-    keywords = extra_keywords or {}
     if not callable(mapping):
         from scipy import LowLevelCallable
 
         if isinstance(mapping, LowLevelCallable):
             raise UnsupportedError("mapping must be a function of Python here; got a scipy.LowLevelCallable")
         raise RefusedError(f"mapping must be a function; got {mapping!r}")
-    result = as_output(output, data, shape)
-    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
-    mapped(data, lambda index: mapping(index, *extra_arguments, **keywords), result, spline)
-    return result
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
+    return on.evaluate(Mapped("geometric_transform", spline, output, shape, mapping, extra_arguments, extra_keywords or {}))
 
 
-@lazily("input", "coordinates", instead=True)
 def map_coordinates(
     input: ArrayLike,
     coordinates: ArrayLike,
@@ -231,6 +196,7 @@ def map_coordinates(
     device: AnyDevice = None,
     nan: Nan = "propagate",
     progress: Progress = None,
+    chunks: Any = None,
 ) -> Array:
     """An array at points: `scipy.ndimage.map_coordinates`.
 
@@ -271,22 +237,18 @@ def map_coordinates(
     more than the samples around them: what lies so far from all of them that float64 does not see it (23 to 47 samples, by the
     order, where `input` is filtered) is not read, and a NaN there spreads nowhere.
     """
-    number = as_order(order)
-    data = as_array(input)
-    along = as_axes(axes, data.ndim)
-    at = as_coordinates(coordinates, len(along)) if data.ndim else np.empty(0)
-    kept = [n for axis, n in enumerate(data.shape) if axis not in along]
-    shape = (*kept, *at.shape[1:])
-    require_rank(data.ndim, len(shape))
-    result = as_output(output, data, shape)
-    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
+    on = _substrate(input, chunks, coordinates)
+    along = as_axes(axes, on.ndim)
+    at = on.as_coordinates(coordinates, len(along)) if on.ndim else np.empty(0)
+    shape = (*(n for axis, n in enumerate(on.shape) if axis not in along), *at.shape[1:])
+    require_rank(on.ndim, len(shape))
+    require_few(len(along))
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
     if along != sorted(along):
-        at = at[np.argsort(along)]
-    at_points(data, sorted(along), at, result, spline)
-    return result
+        at = at[np.argsort(along).tolist()]
+    return on.evaluate(Points("map_coordinates", spline, output, shape, sorted(along), at))
 
 
-@lazily("input", instead=True)
 def affine_transform(
     input: ArrayLike,
     matrix: ArrayLike,
@@ -302,6 +264,7 @@ def affine_transform(
     device: AnyDevice = None,
     nan: Nan = "propagate",
     progress: Progress = None,
+    chunks: Any = None,
 ) -> Array:
     """An array on a grid that lies in it in any way: `scipy.ndimage.affine_transform`.
 
@@ -335,23 +298,17 @@ def affine_transform(
     A matrix of one axis that has a zero means what its documentation says, the position `offset` along this axis; SciPy divides
     by the zero and gives `cval` everywhere.
     """
-    number = as_order(order)
-    data = as_array(input)
-    like = output if isinstance(output, np.ndarray) else data
+    on = _substrate(input, chunks)
+    like = output if isinstance(output, np.ndarray) else on
     shape = like.shape if output_shape is None else as_shape(output_shape)
-    require_rank(data.ndim, len(shape))
-    result = as_output(output, data, shape)
-    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
-    table, start = placed(matrix, offset, data.ndim, len(shape))
+    require_rank(on.ndim, len(shape))
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
+    table, start = placed(matrix, offset, on.ndim, len(shape))
     if table.ndim == 1:
-        positions = diagonal(table, start, data.shape, shape)
-        along_axes(data, positions, result, spline)
-    else:
-        affinely(data, range(data.ndim), table, start, result, spline)
-    return result
+        return on.evaluate(Grid("affine_transform", spline, output, shape, diagonal(table, start, on.shape, shape)))
+    return on.evaluate(Affine("affine_transform", spline, output, shape, range(on.ndim), table, start))
 
 
-@lazily("input", instead=True)
 def shift(
     input: ArrayLike,
     shift: float | Sequence[float] | Array,
@@ -365,6 +322,7 @@ def shift(
     device: AnyDevice = None,
     nan: Nan = "propagate",
     progress: Progress = None,
+    chunks: Any = None,
 ) -> Array:
     """An array shifted: `scipy.ndimage.shift`.
 
@@ -388,16 +346,12 @@ def shift(
     RefusedError, OptionTypeError, DtypeError
         As for `map_coordinates`.
     """
-    number = as_order(order)
-    data = as_array(input)
-    require_rank(data.ndim, data.ndim)
-    result = as_output(output, data, data.shape)
-    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
-    along_axes(data, shifted(shift, data.shape), result, spline)
-    return result
+    on = _substrate(input, chunks)
+    require_rank(on.ndim, on.ndim)
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
+    return on.evaluate(Grid("shift", spline, output, on.shape, shifted(shift, on.shape)))
 
 
-@lazily("input", instead=True)
 def zoom(
     input: ArrayLike,
     zoom: float | Sequence[float] | Array,
@@ -413,6 +367,7 @@ def zoom(
     device: AnyDevice = None,
     nan: Nan = "propagate",
     progress: Progress = None,
+    chunks: Any = None,
 ) -> Array:
     """An array on a grid of another density: `scipy.ndimage.zoom`.
 
@@ -447,31 +402,17 @@ def zoom(
     UserWarning
         `grid_mode` is used with a mode whose period or edge is at the centres of the outermost samples.
     """
-    number = as_order(order)
-    data = as_array(input)
-    shape, unchanged = zoomed(zoom, data.shape)
-    unchanged = unchanged and bool(prefilter)
-    chosen = as_anti_aliasing(anti_aliasing)
-    result = as_output(output, data, shape, copied=unchanged)
-    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
-    if unchanged:
-        result[...] = data
-        return result
-    if grid_mode and mode in ("constant", "wrap"):
-        warnings.warn(
-            f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.", UserWarning, stacklevel=3
-        )
-    positions = magnified(data.shape, shape, grid_mode)
-    if chosen == "least-squares" and data.size and result.size:
-        nearest_splines(data, {axis: p for axis, p in enumerate(positions) if p is not None}, result, spline)
-        return result
-    if chosen == "gaussian":
-        data = low_passed(data, widths(shape, data.shape), spline)
-    along_axes(data, positions, result, spline)
-    return result
+    on = _substrate(input, chunks)
+    shape, unchanged = zoomed(zoom, on.shape)
+    copied, chosen = unchanged and bool(prefilter), as_anti_aliasing(anti_aliasing)
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
+    if grid_mode and mode in ("constant", "wrap") and not copied:
+        warn(f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.")
+    positions = magnified(on.shape, shape, grid_mode)
+    sigma = widths(shape, on.shape) if chosen == "gaussian" else {}
+    return on.evaluate(Grid("zoom", spline, output, shape, positions, sigma, chosen == "least-squares", copied))
 
 
-@lazily("input", instead=True)
 def rotate(
     input: ArrayLike,
     angle: float,
@@ -487,6 +428,7 @@ def rotate(
     device: AnyDevice = None,
     nan: Nan = "propagate",
     progress: Progress = None,
+    chunks: Any = None,
 ) -> Array:
     """An array rotated in the plane of two of its axes: `scipy.ndimage.rotate`.
 
@@ -512,125 +454,22 @@ def rotate(
     RefusedError, OptionTypeError, DtypeError
         As for `map_coordinates`.
     """
-    data = as_array(input)
-    plane, matrix, offset, shape = turned(angle, axes, reshape, data.shape)
-    result = as_output(output, data, shape)
-    spline = Spline.of(data, order, mode, cval, prefilter, precision, device, nan, progress)
-    affinely(data, plane, matrix, offset, result, spline)
-    return result
+    on = _substrate(input, chunks)
+    plane, matrix, offset, shape = turned(angle, axes, reshape, on.shape)
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
+    return on.evaluate(Affine("rotate", spline, output, shape, plane, matrix, offset))
 
 
-# -- arguments in one form, for arrays of dask too -----------------------------------------------------------------------
+def _substrate(input: Any, chunks: Any = None, coordinates: Any = None) -> Substrate:
+    """Where the samples of an input are: the one place that asks."""
+    if is_lazy(input) or is_lazy(coordinates):
+        from clvol.ndimage.as_graph import AsGraph
 
+        return AsGraph(input, chunks)
+    if chunks is not None:
+        raise OptionError(f"chunks are those of a result of dask, and input is no array of dask; got {chunks!r}")
+    if is_in_parts(input):
+        from clvol.ndimage.by_bricks import ByBricks
 
-def require_rank(ndim: int, result: int) -> None:
-    """Refuse arrays without axes."""
-    if ndim < 1 or result < 1:
-        raise RefusedError(f"input and the result must have at least one axis; got {ndim} and {result}")
-
-
-def placed(
-    matrix: ArrayLike, offset: float | Sequence[float] | Array, ndim: int, result: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The matrix and offset of `affine_transform`, for an input and a result of so many axes; a diagonal has one axis."""
-    table = as_matrix(matrix)
-    if table.ndim == 2 and table.shape[1] == ndim + 1 and table.shape[0] in (ndim, ndim + 1):
-        if len(table) == ndim + 1 and table[ndim].tolist() != [0] * ndim + [1]:
-            raise OptionError(f"the last row of a homogeneous matrix must be {[0] * ndim + [1]}; got {table[ndim].tolist()}")
-        start = table[:ndim, ndim]
-        table = table[:ndim, :ndim]
-    else:
-        start = np.array(per_axis("offset", offset, ndim), np.float64)
-    if len(table) != ndim:
-        raise RefusedError(f"matrix must have a row for each of the {ndim} axes of input; got shape {table.shape}")
-    if table.shape[-1] != result:
-        raise RefusedError(f"matrix must have a column for each of the {result} axes of the result; got shape {table.shape}")
-    return table, start
-
-
-def diagonal(table: Array, start: Array, before: Sequence[int], after: Sequence[int]) -> list[Array | None]:
-    """Positions along each axis by a diagonal matrix; None where they are those of the samples."""
-    return [
-        None if (scale, first, size) == (1, 0, length) else _scaled(size, scale, first)
-        for scale, first, size, length in zip(table.tolist(), start.tolist(), after, before, strict=True)
-    ]
-
-
-def shifted(shift: float | Sequence[float] | Array, shape: Sequence[int]) -> list[Array | None]:
-    """Positions along each axis of `shift`; None where they are those of the samples."""
-    by = per_axis("shift", shift, len(shape))
-    _require_positions(max(shape))
-    return [None if one == 0 else np.arange(n) - float(one) for one, n in zip(by, shape, strict=True)]
-
-
-def zoomed(zoom: float | Sequence[float] | Array, shape: Sequence[int]) -> tuple[tuple[int, ...], bool]:
-    """The shape after `zoom`, and whether all of its factors are 1."""
-    factors = per_axis("zoom", zoom, len(shape))
-    after = tuple(round(n * factor) for n, factor in zip(shape, factors, strict=True))
-    require_rank(len(shape), len(after))
-    if any(n < 0 for n in after):
-        raise OptionError(f"zoom must be at least 0; got {zoom!r}")
-    return after, all(factor == 1 for factor in factors)
-
-
-def magnified(before: Sequence[int], after: Sequence[int], whole: bool) -> list[Array | None]:
-    """Positions along each axis of `zoom`; None where they are those of the samples."""
-    return [None if m == n else _magnified(n, m, whole) for n, m in zip(before, after, strict=True)]
-
-
-def turned(
-    angle: float, axes: Sequence[int], reshape: bool, before: Sequence[int]
-) -> tuple[list[int], NDArray[np.float64], NDArray[np.float64], list[int]]:
-    """The plane of `rotate`, the matrix and offset in it, and the shape of the result."""
-    from scipy import special
-
-    n = len(before)
-    if n < 2:
-        raise OptionError(f"input must have at least two axes; got {n}")
-    plane = _plane(axes, n)
-    turn = finite("angle", angle)
-    c, s = special.cosdg(turn), special.sindg(turn)
-    matrix = np.array([[c, s], [-s, c]])
-    sides = np.array([before[axis] for axis in plane])
-    after = sides
-    if flag("reshape", reshape):  # what follows is rounded as in SciPy
-        iy, ix = sides
-        bounds = matrix @ [[0, 0, iy, iy], [0, ix, 0, ix]]
-        after = (np.ptp(bounds, axis=1) + 0.5).astype(int)
-    offset = (sides - 1) / 2 - matrix @ ((after - 1) / 2)
-    shape = list(before)
-    shape[plane[0]], shape[plane[1]] = after.tolist()
-    return plane, matrix, offset, shape
-
-
-def _plane(axes: Sequence[int], ndim: int) -> list[int]:
-    if not np.iterable(axes):
-        raise OptionTypeError(f"axes must be two axes of input; got {axes!r}")
-    pair = list(axes)
-    if len(pair) != 2:
-        raise OptionError(f"axes must be exactly two axes of input; got {axes!r}")
-    if not all(finite("axes", axis).is_integer() for axis in pair):
-        raise OptionError(f"axes must be whole numbers; got {axes!r}")
-    plane = sorted(int(axis) + ndim if axis < 0 else int(axis) for axis in pair)
-    if not 0 <= plane[0] < plane[1] < ndim:
-        raise OptionError(f"axes must be two different ones of the {ndim} axes of input; got {axes!r}")
-    return plane
-
-
-def _scaled(size: int, scale: float, start: float) -> Array:
-    """Positions along an axis of a diagonal matrix, rounded as SciPy does."""
-    _require_positions(size)
-    return (np.arange(size) + start / scale) * scale if scale != 0 else np.full(size, start)
-
-
-def _require_positions(count: int) -> None:
-    memory.require(24 * count, f"the positions of {count} samples along an axis")
-
-
-def _magnified(n: int, m: int, whole: bool) -> Array:
-    """Positions of m samples along n, rounded as SciPy does; between the outermost centres, or with `whole` between the edges."""
-    _require_positions(m)
-    index = np.arange(m)
-    if whole:
-        return (index + 0.5) * (n / max(m, 1)) - 0.5
-    return index * ((n - 1) / (m - 1)) if m != 1 else index.astype(np.float64)
+        return ByBricks(input)
+    return InMemory(input)

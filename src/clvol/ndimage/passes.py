@@ -17,7 +17,19 @@ from clvol.ndimage import engine, gaps
 from clvol.ndimage.arguments import Array, Spline
 from clvol.ndimage.engine import Affine, Axes, Points, Target
 
-__all__ = ["NATIVE", "affinely", "along_axes", "as_rows", "at_points", "filtered", "mapped", "require_mixable", "stored"]
+__all__ = [
+    "NATIVE",
+    "affinely",
+    "along_axes",
+    "as_rows",
+    "at_points",
+    "filtered",
+    "mapped",
+    "require_few",
+    "require_global",
+    "require_mixable",
+    "stored",
+]
 
 NATIVE = 3
 """Axes that the engine resamples at a time."""
@@ -104,7 +116,7 @@ def affinely(data: Array, axes: Sequence[int], matrix: _Floats, offset: _Floats,
 
 def at_points(data: Array, axes: Sequence[int], coordinates: Array, output: Array, spline: Spline) -> None:
     """The spline at points, which have coordinates along some axes, ascending; the other axes come first in `output`."""
-    _require_few(len(axes))
+    require_few(len(axes))
     if np.may_share_memory(coordinates, output):
         coordinates = coordinates.copy()
     data, coordinates = _around(data, axes, coordinates, spline)
@@ -131,8 +143,7 @@ def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) ->
 
     Whole numbers are cut off, not rounded, and after each axis, as in SciPy.
     """
-    if spline.local:
-        raise OptionError('nan must be "propagate" or "error" for coefficients, which depend on all samples; got "local"')
+    require_global(spline)
     exact = output.dtype.kind in "fc"
     count = NATIVE if exact else 1
     groups = [list(axes[k : k + count]) for k in range(0, len(axes), count)]
@@ -140,16 +151,7 @@ def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) ->
     def compute(source: Array, target: Array, spline: Spline) -> None:
         onto = target if exact else np.empty(target.shape)
         for number, group in enumerate(groups):
-            engine.coefficients(
-                source,
-                group,
-                onto,
-                order=spline.order,
-                mode=spline.mode,
-                precision=spline.precision,
-                device=spline.device,
-                progress=spline.stage(number, len(groups)).progress,
-            )
+            engine.coefficients(source, group, onto, spline.stage(number, len(groups)))
             if not exact:
                 with np.errstate(invalid="ignore"):
                     target[...] = np.trunc(onto)
@@ -157,6 +159,12 @@ def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) ->
 
     if output.size:
         _in_parts(data, output, spline, compute)
+
+
+def require_global(spline: Spline) -> None:
+    """Refuse ``nan="local"`` for coefficients."""
+    if spline.local:
+        raise OptionError('nan must be "propagate" or "error" for coefficients, which depend on all samples; got "local"')
 
 
 def _in_parts(data: Array, output: Array, spline: Spline, compute: Callable[[Array, Array, Spline], None]) -> None:
@@ -179,20 +187,7 @@ def _evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, s
             raise DataError(f'input must have samples where mode is not "constant" or "grid-constant"; got shape {data.shape}')
         output[...] = stored(spline.cval, output.dtype)
         return
-    evaluate = gaps.evaluate if spline.local else engine.evaluate
-    evaluate(
-        data,
-        axes,
-        target,
-        output,
-        order=spline.order,
-        mode=spline.mode,
-        cval=float(spline.cval.real),
-        prefilter=spline.prefilter,
-        precision=spline.precision,
-        device=spline.device,
-        progress=spline.progress,
-    )
+    (gaps if spline.local else engine).evaluate(data, axes, target, output, spline)
 
 
 def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) -> None:
@@ -230,7 +225,7 @@ def _require_unmixed(axes: Sequence[int]) -> None:
 def require_mixable(matrix: _Floats, axes: Sequence[int], pieces: bool) -> None:
     """Refuse a matrix that `affinely` cannot take: `pieces`: whether it has more columns than rows."""
     if pieces:
-        _require_few(len(axes))
+        require_few(len(axes))
         return
     rows, columns = matrix.shape
     square = np.hstack([matrix, np.zeros((rows, rows - columns))])[np.ix_(axes, axes)].tolist()
@@ -275,7 +270,7 @@ def _around(data: Array, axes: Sequence[int], coordinates: Array, spline: Spline
     return data[tuple(inner)], coordinates - starts
 
 
-def _require_few(count: int) -> None:
+def require_few(count: int) -> None:
     if count > NATIVE:
         raise UnsupportedError(
             f"points must have coordinates along at most {NATIVE} axes of input; got {count}. "
@@ -328,7 +323,7 @@ def _by_pieces(data: Array, output: Array, spline: Spline, positions: Callable[[
 
     They may be found by a function of the user's, so nothing is written before the last one is known.
     """
-    _require_few(data.ndim)
+    require_few(data.ndim)
     size = output.size
     piece = max(_PIECE, data.size // 4)
     count = max(1, -(-size // piece))
@@ -374,7 +369,9 @@ def _samples(n: int) -> _Floats:
 
 
 def stored(value: complex, dtype: np.dtype[Any]) -> Any:
-    """A number as the engine would write it: whole numbers rounded, halves away from zero, and clipped to their type."""
+    """A number as the engine writes it: integers are rounded, halves away from zero, and clipped to their type."""
+    if dtype.kind == "c":
+        return value
     number = float(value.real)
     if dtype.kind not in "iu" or math.isnan(number):
         return 0 if dtype.kind in "iu" else number

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from clvol.base.errors import ClvolError, MissingDependencyError, OptionError, RefusedError
+from clvol.interop.dispatch import is_lazy
 from clvol.ndimage import interpolation
 
 __all__ = ["Report", "patched", "run"]
@@ -154,16 +155,16 @@ class _Patch:
 
     def taking(self, name: str) -> Callable[..., Any]:
         """A function in the place of SciPy's."""
-        # arrays of dask are computed, as SciPy does it
-        original, ours = self.originals[name], inspect.unwrap(getattr(interpolation, name))
+        original, ours = self.originals[name], getattr(interpolation, name)
 
         @functools.wraps(ours)
         def replacement(*arguments: Any, **options: Any) -> Any:
             if not self.on:
                 return original(*arguments, **options)
             start = time.perf_counter()
-            try:
-                result = ours(*arguments, **options)
+            try:  # arrays of dask are computed, as SciPy does
+                computed = {key: _computed(value) for key, value in options.items()}
+                result = ours(*map(_computed, arguments), **computed)
             except (ClvolError, TypeError) as error:
                 if not isinstance(error, ClvolError) and _binds(ours, arguments, options):
                     raise  # not about the arguments: of the user's mapping, say
@@ -302,6 +303,11 @@ def _modules(package: str) -> list[ModuleType]:
         for name, module in list(sys.modules.items())
         if (name == package or name.startswith(f"{package}.")) and isinstance(module, ModuleType)
     ]
+
+
+def _computed(argument: Any) -> Any:
+    """An argument; what is an array of dask, in memory."""
+    return np.asarray(argument) if is_lazy(argument) else argument
 
 
 def _binds(function: Callable[..., Any], arguments: Sequence[Any], options: dict[str, Any]) -> bool:

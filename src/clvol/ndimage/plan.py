@@ -1,0 +1,192 @@
+"""A call of `clvol.ndimage` in one form, and the interface of what evaluates it: in memory, by bricks, or as a graph of dask."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.ndimage.arguments import AnyDevice, Array, Nan, Progress, Spline, as_coordinates
+from clvol.spline.field import Precision
+
+__all__ = ["Affine", "Coefficients", "Grid", "Mapped", "Plan", "Points", "Substrate"]
+
+_Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan(ABC):
+    """What to evaluate, its arguments checked.
+
+    Attributes
+    ----------
+    function : str
+        The name of the function that was called.
+    spline : Spline
+    output : None, dtype, str or array
+        As SciPy takes it.
+    shape : tuple of int
+        Of the result.
+    """
+
+    function: str
+    spline: Spline
+    output: Any
+    shape: tuple[int, ...]
+
+    @abstractmethod
+    def on(self, samples: Substrate) -> Array:
+        """Evaluate it on a substrate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid(Plan):
+    """A grid along the axes.
+
+    Attributes
+    ----------
+    positions : sequence of ndarray or None
+        Along each axis, in samples; None: those of the samples.
+    sigma : mapping from axes to float
+        Standard deviations of a Gaussian that precedes it, in samples.
+    nearest : bool
+        Whether the result is the least-squares spline on this grid.
+    copied : bool
+        Whether the result is a copy of the samples.
+    """
+
+    positions: Sequence[_Floats | None]
+    sigma: Mapping[int, float] = field(default_factory=dict)
+    nearest: bool = False
+    copied: bool = False
+
+    def on(self, samples: Substrate) -> Array:
+        return samples.grid(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Affine(Plan):
+    """A grid at ``matrix @ i + offset`` along some axes, ascending; the others are left as they are."""
+
+    axes: Sequence[int]
+    matrix: _Floats
+    offset: _Floats
+
+    def on(self, samples: Substrate) -> Array:
+        return samples.affine(self)
+
+    def of_all_axes(self, ndim: int) -> tuple[_Floats, _Floats]:
+        """Matrix and offset of all `ndim` axes."""
+        if len(self.axes) == ndim:
+            return self.matrix, self.offset
+        matrix, offset = np.eye(ndim), np.zeros(ndim)
+        matrix[np.ix_(self.axes, self.axes)], offset[list(self.axes)] = self.matrix, self.offset
+        return matrix, offset
+
+
+@dataclass(frozen=True, eq=False)
+class Points(Plan):
+    """Points with coordinates along some axes, ascending; the other axes come first in the result."""
+
+    axes: Sequence[int]
+    coordinates: Any
+
+    def on(self, samples: Substrate) -> Array:
+        return samples.points(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped(Plan):
+    """The positions that a function returns for each index of the result."""
+
+    mapping: Callable[..., Sequence[float]]
+    arguments: tuple[Any, ...]
+    keywords: Mapping[str, Any]
+
+    def on(self, samples: Substrate) -> Array:
+        return samples.mapped(self)
+
+    def __call__(self, index: tuple[int, ...]) -> Sequence[float]:
+        return self.mapping(index, *self.arguments, **self.keywords)
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients(Plan):
+    """The coefficients along some axes; along none they are a copy of the samples."""
+
+    axes: Sequence[int]
+
+    def on(self, samples: Substrate) -> Array:
+        return samples.coefficients(self)
+
+
+class Substrate(ABC):
+    """The samples of an input, and how plans are evaluated on them. Results are arrays, of dask where the input is one.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    dtype : dtype
+    precision : {"single", "double"} or None
+        The default; None: by the dtype.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    precision: Precision | None = None
+
+    @property
+    def ndim(self) -> int:
+        """The number of axes."""
+        return len(self.shape)
+
+    def spline(
+        self,
+        order: int,
+        mode: str,
+        cval: complex,
+        prefilter: bool,
+        precision: Precision | None,
+        device: AnyDevice,
+        nan: Nan,
+        progress: Progress,
+    ) -> Spline:
+        """The options of a call, checked for these samples."""
+        precision = self.precision if precision is None else precision
+        return self.checked(Spline.of(self.dtype, order, mode, cval, prefilter, precision, device, nan, progress))
+
+    def checked(self, spline: Spline) -> Spline:
+        """Options, checked against the samples."""
+        return spline
+
+    def as_coordinates(self, coordinates: Any, count: int) -> Any:
+        """Positions along `count` axes, checked."""
+        return as_coordinates(coordinates, count)
+
+    def evaluate(self, plan: Plan) -> Array:
+        """The result of a plan."""
+        return plan.on(self)
+
+    @abstractmethod
+    def grid(self, plan: Grid) -> Array:
+        """The spline on a grid along the axes."""
+
+    @abstractmethod
+    def affine(self, plan: Affine) -> Array:
+        """The spline on a grid that a matrix places."""
+
+    @abstractmethod
+    def points(self, plan: Points) -> Array:
+        """The spline at points."""
+
+    @abstractmethod
+    def mapped(self, plan: Mapped) -> Array:
+        """The spline where a function of the index says."""
+
+    @abstractmethod
+    def coefficients(self, plan: Coefficients) -> Array:
+        """Spline coefficients."""
