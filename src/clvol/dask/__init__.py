@@ -32,15 +32,8 @@ from clvol.dask.pyramids import pyramid
 from clvol.dask.volumes import magnify, resample
 
 _SCIPY = (
-    "affine_transform",
-    "geometric_transform",
-    "map_coordinates",
-    "rotate",
-    "shift",
-    "spline_filter",
-    "spline_filter1d",
-    "zoom",
-)
+    "affine_transform", "geometric_transform", "map_coordinates", "rotate", "shift", "spline_filter", "spline_filter1d", "zoom",
+)  # fmt: skip
 __all__ = ["magnify", "prefilter", "pyramid", "reach", "resample", *_SCIPY]
 
 

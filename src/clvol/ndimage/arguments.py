@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, TypeAlias, get_args
+from typing import Any, Protocol, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,7 @@ __all__ = [
     "Array",
     "Nan",
     "Progress",
+    "Samples",
     "Spline",
     "as_array",
     "as_axes",
@@ -75,6 +76,13 @@ _SINGLE = "?bBhHefF"  # types that float32 holds exactly
 _KNOWN = "bool, integers, float16, float32, float64, complex64 or complex128"
 
 
+class Samples(Protocol):
+    """What options depend on: the samples' dtype, and the default precision, if it does not follow from that."""
+
+    dtype: np.dtype[Any]
+    precision: Precision | None
+
+
 @dataclass(frozen=True, slots=True)
 class Spline:
     """How an array is interpolated: the options that all functions share. It can be pickled, for tasks of dask.
@@ -105,7 +113,7 @@ class Spline:
     @classmethod
     def of(
         cls,
-        dtype: np.dtype[Any],
+        samples: Samples,
         order: int,
         mode: str,
         cval: complex,
@@ -115,11 +123,12 @@ class Spline:
         nan: Nan,
         progress: Progress,
     ) -> Spline:
-        """The options for samples of a dtype, checked. The device is not looked up."""
-        number, rule, outside = as_order(order), as_mode(mode), as_cval(cval, dtype.kind == "c")
+        """The options of a call, checked. The device is not looked up."""
+        number, rule, outside = as_order(order), as_mode(mode), as_cval(cval, samples.dtype.kind == "c")
         if nan not in _NAN:
             raise one_of("nan", nan, _NAN)
-        return cls(number, rule, outside, bool(prefilter), as_precision(precision, dtype), device, progress, nan)
+        chosen = as_precision(samples.precision if precision is None else precision, samples.dtype)
+        return cls(number, rule, outside, bool(prefilter), chosen, device, progress, nan)
 
     @property
     def local(self) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.device import as_device
 from clvol.ndimage.antialiasing import low_passed, nearest_splines
-from clvol.ndimage.arguments import Array, Spline, as_array, as_output, require_finite
+from clvol.ndimage.arguments import Array, as_array, as_output, require_finite
 from clvol.ndimage.passes import affinely, along_axes, at_points, filtered, mapped
 from clvol.ndimage.plan import Affine, Coefficients, Grid, Mapped, Plan, Points, Substrate
 
@@ -23,15 +23,12 @@ class InMemory(Substrate):
         self.data = as_array(input)
         self.shape, self.dtype = self.data.shape, self.data.dtype
 
-    def checked(self, spline: Spline) -> Spline:
-        """Options, with their device looked up; with ``nan="error"`` samples that are not finite are refused."""
-        if spline.device is not None:
-            spline = replace(spline, device=as_device(spline.device))
-        require_finite(self.data, spline.nan)
-        return spline
-
     def evaluate(self, plan: Plan) -> Array:
         """The result of a plan; by bricks, with a warning, where memory does not hold the coefficients of the array."""
+        spline = plan.spline
+        if spline.device is not None:
+            plan = replace(plan, spline=replace(spline, device=as_device(spline.device)))
+        require_finite(self.data, spline.nan)
         try:
             return plan.on(self)
         except OutOfMemoryError as refused:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.ndimage.arguments import AnyDevice, Array, Nan, Progress, Spline, as_coordinates
+from clvol.ndimage.arguments import Array, Spline, as_coordinates
 from clvol.spline.field import Precision
 
 __all__ = ["Affine", "Coefficients", "Grid", "Mapped", "Plan", "Points", "Substrate"]
@@ -132,7 +132,7 @@ class Substrate(ABC):
     shape : tuple of int
     dtype : dtype
     precision : {"single", "double"} or None
-        The default; None: by the dtype.
+        The default of `Spline.of`; None: by the dtype.
     """
 
     shape: tuple[int, ...]
@@ -143,25 +143,6 @@ class Substrate(ABC):
     def ndim(self) -> int:
         """The number of axes."""
         return len(self.shape)
-
-    def spline(
-        self,
-        order: int,
-        mode: str,
-        cval: complex,
-        prefilter: bool,
-        precision: Precision | None,
-        device: AnyDevice,
-        nan: Nan,
-        progress: Progress,
-    ) -> Spline:
-        """The options of a call, checked for these samples."""
-        precision = self.precision if precision is None else precision
-        return self.checked(Spline.of(self.dtype, order, mode, cval, prefilter, precision, device, nan, progress))
-
-    def checked(self, spline: Spline) -> Spline:
-        """Options, checked against the samples."""
-        return spline
 
     def as_coordinates(self, coordinates: Any, count: int) -> Any:
         """Positions along `count` axes, checked."""
