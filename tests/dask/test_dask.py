@@ -24,6 +24,7 @@ from clvol.device import Device
 from clvol.filter.boundary import as_boundary
 from clvol.filter.table import as_filter, filters
 from clvol.ndimage.arguments import MODES
+from clvol.ndimage.interpolation import __all__ as SCIPYS
 
 dask = pytest.importorskip("dask")
 da = pytest.importorskip("dask.array")
@@ -62,6 +63,13 @@ def samples(shape: tuple[int, ...], kind: str = "f8", seed: int = 0) -> Array:
         return rng.integers(0, 200, shape).astype(kind)
     made = rng.uniform(-1, 1, shape)
     return (made + 1j * rng.uniform(-1, 1, shape) if np.dtype(kind).kind == "c" else made).astype(kind)
+
+
+def test_scipys_functions_are_those_of_ndimage() -> None:
+    assert all(getattr(lazy, name) is getattr(ndimage, name) for name in SCIPYS)
+    assert set(SCIPYS) < set(lazy.__all__)
+    with pytest.raises(OptionError, match="chunks must be None where input is no array of dask; got 3"):
+        ndimage.zoom(samples((5, 5)), 2, chunks=3)
 
 
 # -- the margin --------------------------------------------------------------------------------------------------------

@@ -30,6 +30,7 @@ __all__ = [
     "Chunks",
     "Floats",
     "Gathering",
+    "Reads",
     "Span",
     "Window",
     "around",
@@ -215,7 +216,7 @@ def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int,
     return Window((low, high), positions - low)
 
 
-def around(shape: Sequence[int], margins: Sequence[int], boundary: Boundary) -> Plan:
+def around(shape: Sequence[int], margins: Sequence[int], boundary: Boundary) -> Reads:
     """Each block reads itself and a margin along each axis; under a rule that repeats the samples, also past the edges."""
     repeated = boundary.period is not None and boundary.fold is None
 
@@ -277,11 +278,11 @@ class Block:
 
 
 Compute: TypeAlias = Callable[[Any, Block], Array]
-Plan: TypeAlias = Callable[[tuple[int, ...], tuple[Span, ...]], tuple[tuple[Span, ...] | None, Any]]
+Reads: TypeAlias = Callable[[tuple[int, ...], tuple[Span, ...]], tuple[tuple[Span, ...] | None, Any]]
 
 
 def blockwise(
-    name: str, source: Any, chunks: tuple[Any, ...], dtype: Any, plan: Plan, compute: Compute, identity: Sequence[object]
+    name: str, source: Any, chunks: tuple[Any, ...], dtype: Any, plan: Reads, compute: Compute, identity: Sequence[object]
 ) -> Any:
     """An array of dask whose blocks are computed from windows of another.
 

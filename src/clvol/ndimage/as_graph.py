@@ -17,6 +17,7 @@ from clvol.dask.blocks import (
     Block,
     Chunks,
     Floats,
+    Reads,
     Span,
     around,
     as_chunks,
@@ -31,7 +32,7 @@ from clvol.dask.blocks import (
     window_along,
     windows_along,
 )
-from clvol.dask.margins import reach
+from clvol.dask.margins import Margin, reach
 from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import as_boundary
@@ -116,32 +117,7 @@ class AsGraph(Substrate):
         left = [k for k in range(self.ndim) if k not in plan.axes or (same and _is_left(k, matrix, offset, plan.shape, self.shape))]
         moved = [k for k in range(self.ndim) if k not in left]
         passes.require_mixable(matrix, moved, columns > rows)
-        boundary, depth = spline.boundary, margin_of(spline, dtype)
-        repeats = boundary.outside == "overlap" or (boundary.fold is None and boundary.period is not None)
-
-        def reads(_: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...] | None, Any]:
-            corners = np.array(list(product(*((low, high - 1) for low, high in where))), np.float64)
-            at = corners @ matrix.T + offset
-            low, high = at.min(0), at.max(0)
-            slack = _ROUNDING * (np.array(self.shape) + np.abs(at).max(0))
-            within = (low >= slack) & (high <= np.array(self.shape) - 1 - slack)
-            inside = bool(within[moved].all())
-            if spline.mode == "constant" and any(high[k] < -slack[k] or low[k] > self.shape[k] - 1 + slack[k] for k in moved):
-                return None, None
-            found = []
-            for k, n in enumerate(self.shape):
-                if k in left:
-                    found.append(where[k])
-                    continue
-                span = (0, n)
-                if not repeats or within[k]:
-                    span = window_along(np.array([low[k] - slack[k], high[k] + slack[k]]), n, boundary, depth).span
-                if repeats and touches(span, n):  # kernels would fold positions by the length of the window
-                    span = (0, n)
-                found.append(span)
-            mended = len(moved) <= passes.NATIVE and (spline.order == 0 or (spline.mode in _JUMPS and not inside))
-            return tuple(found), mended
-
+        reads = _boxes(spline, self.shape, matrix, offset, left, margin_of(spline, dtype))
         compute = _Affine(plan, dtype, matrix, offset, left)
         about = [*spline.identity, list(plan.axes), matrix, offset]
         return blockwise(plan.function, source, chunks, dtype, reads, compute, about)
@@ -234,6 +210,40 @@ def _is_left(k: int, matrix: Floats, offset: Floats, after: Sequence[int], befor
     unit[k] = 1
     same = bool((matrix[k] == unit).all() and (matrix[:, k] == unit).all())
     return same and offset[k] == 0 and after[k] == before[k]
+
+
+def _boxes(spline: Spline, shape: tuple[int, ...], matrix: Floats, offset: Floats, left: list[int], depth: Margin) -> Reads:
+    """What a block at ``matrix @ i + offset`` reads: the box around its positions, and a margin. Axes `left` are read as they are.
+
+    Whether values are to be mended, since the last bit of a position may decide, is passed on to its computation.
+    """
+    boundary, moved = spline.boundary, [k for k in range(len(shape)) if k not in left]
+    repeats = boundary.outside == "overlap" or (boundary.fold is None and boundary.period is not None)
+
+    def reads(_: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...] | None, Any]:
+        corners = np.array(list(product(*((low, high - 1) for low, high in where))), np.float64)
+        at = corners @ matrix.T + offset
+        low, high = at.min(0), at.max(0)
+        slack = _ROUNDING * (np.array(shape) + np.abs(at).max(0))
+        within = (low >= slack) & (high <= np.array(shape) - 1 - slack)
+        inside = bool(within[moved].all())
+        if spline.mode == "constant" and any(high[k] < -slack[k] or low[k] > shape[k] - 1 + slack[k] for k in moved):
+            return None, None
+        found = []
+        for k, n in enumerate(shape):
+            if k in left:
+                found.append(where[k])
+                continue
+            span = (0, n)
+            if not repeats or within[k]:
+                span = window_along(np.array([low[k] - slack[k], high[k] + slack[k]]), n, boundary, depth).span
+            if repeats and touches(span, n):  # kernels would fold positions by the length of the window
+                span = (0, n)
+            found.append(span)
+        mended = len(moved) <= passes.NATIVE and (spline.order == 0 or (spline.mode in _JUMPS and not inside))
+        return tuple(found), mended
+
+    return reads
 
 
 def _nearest(source: Any, plan: Grid, chunks: tuple[Any, ...], dtype: np.dtype[Any]) -> Any:
