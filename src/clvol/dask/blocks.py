@@ -1,4 +1,4 @@
-"""Arrays of dask block by block: what a block of the result reads, the graph that gathers it, and errors that name the block."""
+"""Arrays of dask, block by block: what a block of the result reads, the graph that gathers it, and errors that name the block."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ Span: TypeAlias = tuple[int, int]
 
 
 def as_lazy(source: Any, what: str = "input", kinds: str = "biufc") -> Any:
-    """An array of dask that can be computed with: of NumPy's arrays of numbers, in chunks of known sizes."""
+    """An array of dask of NumPy arrays of numbers, in chunks of known sizes; others are refused."""
     meta = source._meta
     if not isinstance(meta, np.ndarray) or isinstance(meta, np.ma.MaskedArray):
         kind = f"{type(meta).__module__}.{type(meta).__qualname__}"
@@ -77,14 +77,14 @@ def as_lazy(source: Any, what: str = "input", kinds: str = "biufc") -> Any:
 
 
 def checked_device(choice: object) -> Any:
-    """A device, or what names one, which each process looks up: the one that makes the graph may have none."""
+    """A device, or its name, which each process looks up: the process that makes the graph may have no device."""
     if choice is None or (isinstance(choice, (Device, str, int)) and not isinstance(choice, bool)):
         return choice
     raise OptionError(f"device must be a Device, a name or a number; got {choice!r}")
 
 
 def refused(name: str, **options: object) -> None:
-    """Refuse options that have no meaning block by block."""
+    """Refuse options that have no meaning for arrays of dask."""
     reasons = {
         "progress": "dask shows its own: dask.diagnostics.ProgressBar",
         "out": "store() of the dask array writes it",
@@ -97,7 +97,7 @@ def refused(name: str, **options: object) -> None:
 
 
 def no_memory(output: object) -> None:
-    """Refuse an array that results would be written into."""
+    """Refuse an array as `output`."""
     if output is not None and not isinstance(output, (type, np.dtype, str)):
         raise OptionTypeError(f"output must be a dtype for an array of dask; got {type(output).__qualname__}")
 
@@ -142,7 +142,7 @@ def spans(sizes: Sequence[int]) -> list[Span]:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """What positions along an axis need.
+    """The samples that positions along an axis need.
 
     Attributes
     ----------
@@ -156,11 +156,11 @@ class Window:
 
 
 def window_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[int, int], more: int = 0) -> Window:
-    """What positions along an axis of `n` samples need, so that the boundary rule means the same in it as in the whole axis.
+    """The window that positions along an axis of `n` samples need, such that the boundary rule means the same in it as in the axis.
 
-    It goes as far before and after the outermost positions as `margin` says, and `more` samples further, and ends at the array's
-    edge where these come near it or lie past it. What is reflected back from the edge is within. Whole numbers are taken from
-    positions, so the rest of these stays as it is.
+    It extends by `margin` and `more` samples before and after the outermost positions, and ends at an edge of the array where these
+    come near it or lie outside. Positions that are reflected at an edge are within. Positions are shifted by integers, so their
+    fractions do not change.
     """
     if not positions.size or not n:
         return Window((0, 0), positions)
@@ -186,7 +186,7 @@ def window_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[in
 def windows_along(
     positions: Floats | None, sizes: Sequence[int], n: int, boundary: Boundary, margin: tuple[int, int], more: int = 0
 ) -> list[Window | None]:
-    """What the positions of each chunk of an axis need, `more` samples of them for a low-pass; None: chunks of the samples."""
+    """The windows of each chunk of positions, with `more` samples for a low-pass; None: the chunks of the samples."""
     if positions is None:
         return [None] * len(sizes)
     windows: list[Window | None] = []
@@ -204,7 +204,7 @@ def touches(span: Span, n: int) -> bool:
 
 
 def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int, after: int) -> Window:
-    """Of a rule that repeats the samples: the span is of the repeated axis."""
+    """The window under a rule that repeats the samples; its span is one of the repeated axis."""
     inside = (positions >= 0) & (positions < n)
     if not inside.all():
         turns = np.where(inside, 0, np.floor(positions / n))
@@ -257,11 +257,11 @@ class Block:
     start, shape : tuple of int
         Where it lies in the result.
     spans : tuple of (int, int), optional
-        What it reads; None: nothing.
+        The window that it reads; None: nothing.
     limits : tuple of int
         The lengths of the axes that it reads from.
     extra : object
-        What else its computation needs.
+        Other input of its computation.
     """
 
     name: str
@@ -296,11 +296,11 @@ def blockwise(
     dtype : dtype
         Of the result.
     plan : callable
-        From the index of a block and where it lies in the result to what it reads (None: nothing) and what else it needs.
+        From the index of a block and its place in the result to the window that it reads (None: nothing) and its `extra`.
     compute : callable
         From the window (None where nothing is read) and the `Block` to its samples.
     identity : sequence
-        What determines the result beside the array: equal calls have equal keys.
+        All else that determines the result: equal calls have equal keys.
     """
     places = [spans(sizes) for sizes in chunks]
     gathering = Gathering(source, f"{name}-read-")
@@ -321,14 +321,14 @@ def blockwise(
 
 
 Cuts: TypeAlias = tuple[Span, ...]
-"""What of a chunk is wanted, along each axis."""
+"""The part of a chunk along each axis."""
 Piece: TypeAlias = tuple[tuple[int, ...], Cuts]
-"""A chunk, and what of it."""
+"""The index of a chunk, and a part of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A window, the pieces of chunks that it is made of, and where each of them goes."""
+    """A window, its pieces of chunks, and where each of them goes."""
 
     shape: tuple[int, ...]
     pieces: list[Piece]
@@ -337,7 +337,7 @@ class Asked:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """How a window is put together: from which of some arrays each part is taken, how, and where it goes.
+    """How a window is assembled: for each part the number of its array, how it is cut out, and where it goes.
 
     An array is a chunk, of which a part is cut out, or several pieces of one, of which a part has a number.
     """
@@ -349,7 +349,7 @@ class Layout:
 
 
 class Gathering:
-    """What windows read of the chunks of an array.
+    """The pieces of chunks that windows read.
 
     A task a piece would be one for each of a chunk's 26 neighbours, and a scheduler takes as long for each as for reading a
     chunk. So those pieces that go to the same side, along the first axis that they go along, are cut out by one task: six a chunk.
@@ -363,7 +363,7 @@ class Gathering:
         self._found: dict[Piece, tuple[Any, Cuts | int]] = {}
 
     def ask(self, window: Sequence[Span]) -> Asked:
-        """What a window needs."""
+        """The pieces of a window."""
         along = [self._segments(places, n, span) for places, n, span in zip(self._places, self._source.shape, window, strict=True)]
         asked = Asked(tuple(stop - start for start, stop in window), [], [])
         for parts in product(*along):
@@ -378,7 +378,7 @@ class Gathering:
         return asked
 
     def settled(self) -> dict[Any, Any]:
-        """The tasks that cut out what was asked for; nothing is asked for later."""
+        """The tasks that cut out the pieces of all windows; call it after the last `ask`."""
         tasks: dict[Any, Any] = {}
         for (index, *_), wanted in self._wanted.items():
             key, sizes = (self._source.name, *index), self._sizes(index)
@@ -392,7 +392,7 @@ class Gathering:
         return tasks
 
     def layout(self, asked: Asked) -> tuple[Layout, list[Any]]:
-        """How a window is put together, and the keys of what it is made of."""
+        """How a window is assembled, and the keys of its arrays."""
         numbers: dict[Any, int] = {}
         parts: list[tuple[int, Cuts | int, tuple[slice, ...]]] = []
         sizes: list[tuple[int, ...] | None] = []
@@ -430,7 +430,7 @@ class _Pieces:
 
 
 def _cut(chunk: Array, pieces: _Pieces) -> list[Array]:
-    """Parts of a chunk, in memory of their own, so that the chunk can be let go."""
+    """Copies of parts of a chunk, so that the chunk can be freed."""
     _require_shape(chunk, pieces.sizes)
     return [np.ascontiguousarray(chunk[tuple(slice(*span) for span in cuts)]) for cuts in pieces.cuts]
 
@@ -441,7 +441,7 @@ def _require_shape(chunk: Any, shape: tuple[int, ...]) -> None:
 
 
 def gathered(layout: Layout, arrays: Sequence[Any]) -> Array:
-    """A window of what it is made of."""
+    """Assemble a window."""
     for array, sizes in zip(arrays, layout.sizes, strict=True):
         if sizes is not None:
             _require_shape(array, sizes)
@@ -451,7 +451,7 @@ def gathered(layout: Layout, arrays: Sequence[Any]) -> Array:
     ]
     if len(parts) == 1:
         return np.asarray(parts[0][0])
-    # what was computed before may be of double precision in some blocks
+    # intermediate results may be float64 in some blocks
     window = np.empty(layout.shape, np.result_type(layout.dtype, *{part.dtype for part, _ in parts}))
     for part, target in parts:
         window[target] = part
@@ -492,7 +492,7 @@ def _computed(compute: Compute, block: Block, dtype: np.dtype[Any], layout: Layo
 
 @contextmanager
 def named(block: Block) -> Iterator[None]:
-    """Say of an error which block it is about."""
+    """Add the block to the message of an error."""
     try:
         yield
     except ClvolError as error:
@@ -504,7 +504,7 @@ def named(block: Block) -> Iterator[None]:
 
 @contextmanager
 def located(window: Array, block: Block, rule: str) -> Iterator[None]:
-    """Say of an error about samples that are not finite where in the array the first of them lies."""
+    """Add to an error about samples that are not finite where in the array the first of them is."""
     try:
         yield
     except DataError:

@@ -1,4 +1,4 @@
-"""How far coefficients depend on samples: the margin that a block needs on each side."""
+"""The margin that a block needs on each side: how far coefficients depend on samples."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def margin(filter: Filter, precision: Precision) -> Margin:
     """How many samples before and after the one before a position its value depends on: its taps, and what these depend on."""
     low, high = _taps(filter)
     row = filter.magnified_by
-    if row is not None:  # its taps lie between two samples, and are made of others
+    if row is not None:  # its taps lie between two samples
         (low, high), more = _taps(row), 1
     else:
         row, more = filter, 0
@@ -96,7 +96,7 @@ def _reach(row: Filter, left_out: float) -> int:
 
 
 def _impulse_response(denominator: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Of the recursion with these weights of its own results, the first of which is 1."""
+    """The impulse response of a recursion, whose weights begin with 1."""
     from scipy import signal
 
     impulse = np.zeros(count)

@@ -50,7 +50,7 @@ def pyramid(
         Of the function that the smaller sizes are nearest to. Default "bspline3"; its smoothing is not "auto", which depends on the
         samples.
     boundary : str or Boundary
-        What stands past the outer samples.
+        The extension past the outer samples.
     spacing : float or sequence of float, optional
         Between samples along x, y and z, by default 1: axes along which they lie far apart wait until the others do too, and a
         filter's lengths are in its unit.
@@ -63,7 +63,8 @@ def pyramid(
     chunks : as of `dask.array.normalize_chunks`, optional
         Of each smaller size. By default as long as the longest of the size before.
     dimensions : int, optional
-        How many of the last axes are a volume's, 2 or 3; every index of the others is one of its own. By default all, at most 3.
+        The number of last axes that span a volume, 2 or 3; each index of the others is a separate volume. By default all, at
+        most 3.
 
     Returns
     -------
@@ -134,7 +135,7 @@ def pyramid(
 
 @dataclass(frozen=True)
 class _Axis:
-    """What `sums_for` takes; the sums are made in each process."""
+    """The arguments of `sums_for`; each process computes the sums."""
 
     method: Method
     filter: Filter

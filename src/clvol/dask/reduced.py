@@ -1,4 +1,4 @@
-"""Low-passes before coarser grids, block by block: the sums of an axis, of which a block takes its own."""
+"""Low-passes before coarser grids, block by block: sums along one axis after the other."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ __all__ = ["Reduction", "Summed", "axis_by_axis", "gaussian_radius"]
 
 
 def gaussian_radius(sigma: float) -> int:
-    """How many samples to either side a Gaussian takes."""
+    """The radius of a Gaussian in samples."""
     return int(TRUNCATE * sigma + 0.5) if sigma > 0 else 0
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """What `clvol.spline.reduce.least_squares` needs for an axis; its sums are made once in each process, which caches them."""
+    """The arguments of `clvol.spline.reduce.least_squares` for an axis; each process computes the sums once, and caches them."""
 
     filter: Filter
     start: float
@@ -37,7 +37,7 @@ class Reduction:
 
     @classmethod
     def at(cls, filter: Filter, positions: Floats, n: int, boundary: Boundary, double: bool, prefilter: bool = True) -> Reduction:
-        """For samples at even distances; a single one stands for all of the axis."""
+        """For evenly spaced samples; a single one stands for the whole axis."""
         m = len(positions)
         step = float(positions[-1] - positions[0]) / (m - 1) if m > 1 else float(n)
         return cls(filter, float(positions[0]), step, m, n, boundary, double, prefilter)
@@ -80,8 +80,8 @@ def axis_by_axis(
 ) -> Any:
     """An array of dask whose axes are replaced by sums, one after the other.
 
-    Sums take so many samples that a block which took those of all axes at once would read 8 chunks for one of its own. Along one
-    axis it reads the row that it lies in, and the next axis has fewer blocks to go through.
+    Sums have so many terms that a block of sums along all axes would read 8 chunks for one of its own. Along one axis it reads the
+    row that it lies in, and the next axis has fewer blocks.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def axis_by_axis(
 
 @dataclass(frozen=True, eq=False)
 class _Stage:
-    """Sums along one of the axes. What comes of it tells the next one in which type they are made."""
+    """Sums along one of the axes. The dtype of its result is that of the sums along the next."""
 
     axis: int
     own: Summed
@@ -145,14 +145,14 @@ class _Unsummed:
 
 
 def _span_of(sums: Sums, place: Span) -> Span:
-    """Which samples some sums are made of."""
+    """The samples that some sums have as terms."""
     places = sums.places[place[0] : place[1]]
     within = places[places < sums.n]
     return (int(within.min()), int(within.max()) + 1) if within.size else (0, 1)
 
 
 def _sums_within(sums: Sums, place: Span, span: Span) -> Sums:
-    """Some of the sums, of samples counted from the start of a span."""
+    """Some of the sums, with samples counted from the start of a span."""
     rows, length = slice(*place), span[1] - span[0]
     places = np.where(sums.places[rows] == sums.n, length, sums.places[rows] - span[0])
     return Sums(length, places.astype(np.int32), np.ascontiguousarray(sums.weights[rows]))

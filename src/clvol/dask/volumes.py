@@ -155,7 +155,7 @@ def magnify(
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """What is the same for all blocks.
+    """Options that all blocks share.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ class _Work:
     fill : float or None
     device : object
     count : int
-        The last axes that are a volume's.
+        The number of last axes that span a volume.
     """
 
     filter: Filter
@@ -193,9 +193,9 @@ class _Work:
         nan: str | None,
         count: int,
     ) -> _Work:
-        """Options, checked; no device is looked for."""
+        """Options, checked; no device is looked up."""
         if nan not in (None, "error"):
-            raise UnsupportedError(f'nan must be "error" for an array of dask, whose gaps may span blocks; got {nan!r}')
+            raise UnsupportedError(f'nan must be "error" for an array of dask, where missing samples may span blocks; got {nan!r}')
         row = settled_row(as_filter(DEFAULT_FILTER if filter is None else filter), source.shape[-count:])
         fill = fill_value(fill)
         kind = None if dtype is None else as_kind(dtype, source.dtype)
@@ -216,13 +216,13 @@ class _Work:
         )
 
     def here(self) -> tuple[Any, type[np.generic]]:
-        """The device of this process, and the type that is computed in."""
+        """The device of this process, and the type of the computation."""
         device = as_device(self.device)
         return device, precision_kind("single" if self.wide and not device.has_double else self.precision)
 
     @property
     def identity(self) -> list[object]:
-        """What tells it from others."""
+        """What distinguishes it from others, for keys of tasks."""
         return [self.filter, self.boundary, self.precision, self.wide, repr(self.fill), repr(self.device), self.count]
 
 
@@ -255,7 +255,7 @@ def _on_grid(
     about = [*work.identity, positions, low_pass]
     if not reductions:
         return blockwise(name, source, sizes, work.dtype, plan, _Grid(work, steps, low_pass == "gaussian", past), about)
-    # as in one piece: what shrinks most goes first, x before y and z
+    # as in one piece: the axis that shrinks most goes first, x before y and z
     order = sorted(range(work.count - 1, -1, -1), key=lambda k: reductions[k].m / reductions[k].n)
     axes, kind, ends = [(leading + k, reductions[k]) for k in order], precision_kind(work.precision), _LeastSquares(work, past)
     return axis_by_axis(name, source, sizes, work.dtype, axes, kind, ends.begin, ends.end, work.boundary.cval, work.device, about)
@@ -310,7 +310,7 @@ class _LeastSquares:
     past: list[NDArray[np.bool_]] | None
 
     def begin(self, window: Array, block: Block) -> type[np.generic]:
-        """The type of sums: that of double precision where single would take digits off the samples."""
+        """The type of sums: float64 where float32 would lose digits of the samples."""
         _, kind = self.work.here()
         with located(window, block, "samples must be finite"):
             for index in np.ndindex(window.shape[: -self.work.count]):
@@ -327,7 +327,7 @@ class _LeastSquares:
 
 
 def _fill(values: Array, past: list[NDArray[np.bool_]] | None, block: Block, work: _Work) -> None:
-    """Put the value that is given outside the domain, of which windows know nothing where the rule repeats samples."""
+    """Write `fill` outside the domain, which windows do not know where the rule repeats the samples."""
     for k, along in enumerate(past or []):
         first = block.start[len(block.start) - work.count + k]
         np.moveaxis(values, k, 0)[along[first : first + values.shape[k]]] = work.fill

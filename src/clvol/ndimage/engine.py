@@ -28,10 +28,10 @@ from clvol.spline.resample import resample_axes
 
 __all__ = ["FILTERED_AS", "Affine", "Axes", "Points", "Target", "coefficients", "converted", "evaluate", "kind_for", "row_of"]
 
-_PART = 1 << 25  # bytes of results that are made before they are converted
-_PADS = 12  # samples, at most, that a boundary rule puts around an axis of samples
-_PROBES = 8  # along each axis, of samples that are looked at
-_FAR = 8  # times their range from zero samples lie for which float32 is not enough
+_PART = 1 << 25  # bytes of results converted at a time
+_PADS = 12  # samples that a boundary rule pads an axis with, at most
+_PROBES = 8  # samples along each axis that are inspected
+_FAR = 8  # distance of samples from zero, in units of their range, from which float32 is not enough
 _LEAST, _MOST = 2.0**-90, 2.0**90  # magnitudes that float32 holds through the prefilter and derivatives
 
 
@@ -146,7 +146,7 @@ def evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, sp
 
 
 def _merged(moved: Array, onto: Array, count: int) -> tuple[Array, Array]:
-    """Two arrays whose first `count` axes are the same, and are fewer where neighbours of them follow each other in memory."""
+    """Two arrays, with those of their first `count` axes merged that are contiguous in both."""
     for axis in range(count - 1, 0, -1):
         if all(
             1 in one.shape[axis - 1 : axis + 1] or one.strides[axis - 1] == one.shape[axis] * one.strides[axis]
@@ -163,7 +163,7 @@ def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store,
         if planes.dtype not in (np.float32, np.float64) or not planes.dtype.isnative:
             planes = planes.astype(np.float64)
         count = planes.shape[1]
-        plain = output.flags.c_contiguous  # else points and results do not follow each other alike, and are taken at once
+        plain = output.flags.c_contiguous  # else results are not in the order of the points, and all are computed at once
         for part in store.parts(output.reshape(-1)) if plain else [slice(0, count)]:
             with store.into(output.reshape(-1)[part] if plain else output) as results:
                 sample_into(made, DIRECT, planes[:, part], results.reshape(-1), given=given)
@@ -186,8 +186,8 @@ def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store,
 def kind_for(precision: str, data: Array, output: Array, device: Device) -> type[np.generic]:
     """The type of coefficients.
 
-    That of double precision also stands in where float32 would lose what the samples hold: if they lie far from zero compared
-    with their range, or are very large or small, as some of them tell; and for booleans, to which results are cut off.
+    float64 also where float32 would lose digits of the samples (a few are inspected): if they lie far from zero compared with their
+    range, or are very large or small; and for results of bool, which are cut off.
     """
     if precision == "single" and device.has_double and (output.dtype.kind == "b" or _beyond_float32(data)):
         return np.float64
@@ -238,16 +238,16 @@ def coefficients(data: Array, axes: Sequence[int], output: Array, spline: Spline
 
 
 FILTERED_AS = {"nearest": "reflect", "constant": "mirror", "grid-constant": "mirror", "wrap": "mirror"}
-"""The rules that SciPy's prefilter ends with where its mode has none: those of the interpolation are made so by padding."""
+"""The rules by which SciPy's prefilter ends where its mode has none; interpolation pads the samples instead."""
 
 
 class _Store:
-    """Puts results of kernels into arrays of any type and layout, whole numbers as SciPy rounds them.
+    """Writes results of kernels into arrays of any dtype and layout, integers rounded as SciPy rounds them.
 
     Parameters
     ----------
     device : Device
-        Where results are made.
+        Where results are computed.
     kind : type
         np.float32 or np.float64, of results.
     """
@@ -257,7 +257,7 @@ class _Store:
         self._scratch = np.empty(0, kind)
 
     def parts(self, output: Array) -> list[slice]:
-        """What is made of an array at a time, along its first axis: all of it where nothing is converted."""
+        """The parts of an array, along its first axis, that are computed at a time: all of it where nothing is converted."""
         length, row = len(output), np.dtype(self._kind).itemsize * math.prod(output.shape[1:])
         if not output.size:
             return []
@@ -268,7 +268,7 @@ class _Store:
 
     @contextmanager
     def into(self, output: Array) -> Iterator[Array]:
-        """A contiguous array for the results that belong into `output`, which they are put into after the block."""
+        """A contiguous array for results, which are written into `output` at the end of the ``with`` block."""
         if self._direct(output):
             yield output
             return
@@ -327,7 +327,7 @@ class _Store:
 
 
 def _limits(kind: np.dtype[Any], held: type[np.generic]) -> tuple[float, float]:
-    """The smallest and the largest number of a type of whole numbers that float32 or float64 holds."""
+    """The smallest and the largest number of an integer dtype that float32 or float64 holds."""
     if kind.kind == "b":
         return 0.0, 1.0
     low, high = int(np.iinfo(kind).min), int(np.iinfo(kind).max)
@@ -336,7 +336,7 @@ def _limits(kind: np.dtype[Any], held: type[np.generic]) -> tuple[float, float]:
 
 
 def converted(values: Array, kind: np.dtype[Any]) -> Array:
-    """Values of kernels in a type; whole numbers are rounded, halves away from zero, and clipped, as SciPy does."""
+    """Values of kernels in a dtype; integers are rounded, halves away from zero, and clipped, as in SciPy."""
     if kind.kind not in "biu":
         with np.errstate(over="ignore"):
             return values.astype(kind)

@@ -1,4 +1,4 @@
-"""From a call to calls of the engine: real and imaginary parts, axes left as they are, more axes than three, points by pieces."""
+"""Evaluation in memory by calls of the engine: complex parts, axes left as they are, more axes than three, points by pieces."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ NATIVE = 3
 _PIECE = 1 << 20
 """Points whose positions are in memory at a time, at least."""
 _LARGE = 1 << 18
-"""Samples, from which on it pays to see which of them a few points need."""
+"""Samples from which it pays to cut out those that a few points need."""
 _MEMORY = (0, 0, 21, 28, 37, 44)
-"""By order, the samples after which the prefilter has forgotten all but 1e-16: its largest pole to this power."""
+"""By order, the samples after which the prefilter's response has decayed to 1e-16: its largest pole to this power."""
 
 _Floats = NDArray[np.float64]
 _Pass = tuple[list[int], Axes | Affine]
@@ -141,7 +141,7 @@ def mapped(data: Array, mapping: Callable[[tuple[int, ...]], Sequence[float]], o
 def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) -> None:
     """The coefficients along some axes, into `output`.
 
-    Whole numbers are cut off, not rounded, and after each axis, as in SciPy.
+    Integers are cut off, not rounded, and after each axis, as in SciPy.
     """
     require_global(spline)
     exact = output.dtype.kind in "fc"
@@ -168,7 +168,7 @@ def require_global(spline: Spline) -> None:
 
 
 def _in_parts(data: Array, output: Array, spline: Spline, compute: Callable[[Array, Array, Spline], None]) -> None:
-    """Complex samples as two real arrays; what `output` overlaps is copied first."""
+    """Complex samples as two real arrays; an input that overlaps `output` is copied first."""
     if np.may_share_memory(data, output):
         memory.require(data.nbytes, "a copy of the input, which the result overlaps,")
         data = data.copy()
@@ -191,7 +191,7 @@ def _evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, s
 
 
 def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) -> None:
-    """One pass after the other, each over some of the axes: their grids are independent of each other."""
+    """One pass after the other, each over some of the axes, whose grids are independent."""
     _require_unmixed(max(passes, key=lambda one: len(one[0]))[0])
     if len(passes) == 1:
         axes, grid = _joined(data, *passes[0], spline)
@@ -233,14 +233,14 @@ def require_mixable(matrix: _Floats, axes: Sequence[int], pieces: bool) -> None:
 
 
 def _between(size: tuple[int, ...], kind: type[np.generic]) -> Array:
-    """Room for what one pass hands to the next."""
-    return memory.empty(size, kind, f"what is made on the way, {size} samples,")
+    """An array for the result of a pass that is not the last."""
+    return memory.empty(size, kind, f"an intermediate result of {size} samples")
 
 
 def _joined(data: Array, axes: list[int], grid: Axes | Affine, spline: Spline) -> _Pass:
-    """A pass over one axis that takes along the one or two that are left alone, at their samples, where that is sooner done.
+    """A pass over one axis, together with the one or two that are left alone, at their samples, where that is faster.
 
-    A sample that is not finite would spread along them.
+    Not where a sample is not finite, which would spread along them.
     """
     others = [axis for axis, n in enumerate(data.shape) if axis not in axes and n > 1]
     if not isinstance(grid, Axes) or len(axes) != 1 or not 0 < len(others) < NATIVE or not spline.interpolates:
@@ -254,9 +254,9 @@ def _joined(data: Array, axes: list[int], grid: Axes | Affine, spline: Spline) -
 
 
 def _around(data: Array, axes: Sequence[int], coordinates: Array, spline: Spline) -> tuple[Array, Array]:
-    """What a few points need of a large array: along each axis the samples around them, where these do not reach an edge.
+    """The part of a large array that a few points need: along each axis the samples around them, where these do not reach an edge.
 
-    The prefilter forgets a sample at the rate of its largest pole; of what is cut off less is left than float64 resolves.
+    The prefilter's response decays like powers of its largest pole; what is cut off is less than float64 resolves.
     """
     if data.size < _LARGE or coordinates.size > data.size // 8 or not coordinates.size:
         return data, coordinates
@@ -279,9 +279,9 @@ def require_few(count: int) -> None:
 
 
 def _separately(positions: dict[int, _Floats], shape: Sequence[int]) -> list[_Pass]:
-    """Passes for axes that know nothing of each other; those that shrink the data the most come first.
+    """Passes for independent axes; those that shrink the data most come first.
 
-    There are as many in each as can be, for an axis alone takes longest.
+    Each pass has as many as possible, since an axis alone takes longest.
     """
     ordered = sorted(positions, key=lambda axis: len(positions[axis]) / max(shape[axis], 1))
     count = -(-len(ordered) // NATIVE)
@@ -319,9 +319,9 @@ def _beyond(output: Array, axes: Sequence[int]) -> Array:
 
 
 def _by_pieces(data: Array, output: Array, spline: Spline, positions: Callable[[int, int], _Floats]) -> None:
-    """The spline at positions that are found piece by piece, of shape (k, n) for so many elements of `output` in their order.
+    """The spline at positions that are computed piece by piece, of shape (k, n) for n elements of `output` in order.
 
-    They may be found by a function of the user's, so nothing is written before the last one is known.
+    They may come from a function of the user's, so nothing is written before the last one is known.
     """
     require_few(data.ndim)
     size = output.size
@@ -337,7 +337,7 @@ def _by_pieces(data: Array, output: Array, spline: Spline, positions: Callable[[
 
 
 def _positions(matrix: _Floats, offset: _Floats, shape: Sequence[int], first: int, last: int) -> _Floats:
-    """Of elements of the result by their number; added up as SciPy does: the offset, then from the first axis to the last."""
+    """Positions of elements of the result, summed in SciPy's order: the offset, then from the first axis to the last."""
     index = np.unravel_index(np.arange(first, last), tuple(shape))
     found = np.repeat(offset[:, np.newaxis], last - first, axis=1)
     for along, row in zip(found, matrix, strict=True):

@@ -26,7 +26,7 @@ from clvol.ndimage import interpolation
 __all__ = ["Report", "patched", "run"]
 
 _NAMES = tuple(interpolation.__all__)
-_LAZY = {  # what a package imports when it is first asked for, and what of that calls the functions
+_LAZY = {  # what packages import lazily and calls the functions
     "skimage": ("transform.resize", "measure.profile_line", "registration.phase_cross_correlation", "registration.optical_flow_ilk")
 }
 _ABSENT = object()
@@ -67,7 +67,7 @@ class Report:
             self.taken[name] += 1
 
     def _left(self, name: str, reason: str) -> bool:
-        """Count a call that was not taken; whether it is the first for this reason."""
+        """Count a call that was not taken; return whether it is the first for this reason."""
         with self._lock:
             self.not_taken[name] += 1
             reasons = self.reasons.setdefault(name, Counter())
@@ -243,7 +243,7 @@ def run(script: str, arguments: Sequence[str], *, fallback: bool = False, verbos
     script : str
         A file of Python.
     arguments : sequence of str
-        What it finds in ``sys.argv[1:]``.
+        Its ``sys.argv[1:]``.
     fallback, verbose : bool
         See `patched`.
 
@@ -275,7 +275,7 @@ def run(script: str, arguments: Sequence[str], *, fallback: bool = False, verbos
 
 
 def _within(file: str, trace: TracebackType | None) -> TracebackType | None:
-    """What of a traceback begins in the script; nothing of a script that was not compiled."""
+    """The part of a traceback that begins in the script; None for a script that does not compile."""
     while trace is not None and trace.tb_frame.f_code.co_filename != file:
         trace = trace.tb_next
     return trace
