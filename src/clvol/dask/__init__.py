@@ -9,7 +9,7 @@ These have two more parameters: `chunks`, those of the result, and `dimensions`,
 index of the others is a separate volume. SciPy's functions are those of `clvol.ndimage`.
 
 Each block of a result reads the samples in the support of its own, and around them the margin that the prefilter needs until less
-than rounding is left (`reach`): 12 for cubic splines in single precision, 24 in double. At the array's own edges blocks end by the
+than rounding is left (`reach`): 14 for cubic splines in single precision, 24 in double. At the array's own edges blocks end by the
 boundary rule, as the whole array does. A process looks its OpenCL device up when it computes its first block, and computes one at a
 time.
 """
@@ -27,9 +27,9 @@ except ImportError as missing:
     raise MissingDependencyError("clvol.dask needs dask: pip install clvol[dask]") from missing
 
 from clvol.dask.coefficients import prefilter
-from clvol.dask.margins import reach
 from clvol.dask.pyramids import pyramid
 from clvol.dask.volumes import magnify, resample
+from clvol.filter.margin import reach
 
 _SCIPY = (
     "affine_transform", "geometric_transform", "map_coordinates", "rotate", "shift", "spline_filter", "spline_filter1d", "zoom",

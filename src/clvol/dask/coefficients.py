@@ -11,9 +11,9 @@ import numpy as np
 from clvol.base.checks import whole
 from clvol.base.errors import DataError
 from clvol.dask.blocks import AnyDevice, Array, Block, around, as_lazy, blockwise, checked_device, located, own_part
-from clvol.dask.margins import reach, require_settled
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
+from clvol.filter.margin import reach, require_settled
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.spline import field
 from clvol.spline.field import Precision, precision_kind

@@ -32,11 +32,12 @@ from clvol.dask.blocks import (
     window_along,
     windows_along,
 )
-from clvol.dask.margins import Margin, reach
+from clvol.dask.margins import Margin
 from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import as_boundary
 from clvol.filter.make import bspline
+from clvol.filter.margin import reach
 from clvol.interop.dispatch import is_lazy
 from clvol.ndimage import engine, passes
 from clvol.ndimage.arguments import (
