@@ -696,7 +696,7 @@ def pickles(world: World, random: Random) -> Any:
     volume, camera, transfer, rule = pickle.loads(pickle.dumps(given))
     with pickle.loads(pickle.dumps(_one(random, [*world.fields, *world.renderers[:1]]))) as other:
         made = other(_points(other.volume, random, 50)) if isinstance(other, clvol.Field) else other.render(camera, size=(32, 32))
-    return [made, clvol.render(volume, camera, "composite", "bspline3", rule, (32, 32), transfer=transfer)]
+    return [made, clvol.render(volume, camera, "composite", (32, 32), filter="bspline3", boundary=rule, transfer=transfer)]
 
 
 # -- failing calls ----------------------------------------------------------------------------------------------------
@@ -719,7 +719,7 @@ def _refused(world: World, folder: Path) -> tuple[Callable[[], Any], ...]:
         lambda: renderer.render(mode="none"),
         lambda: renderer.render(size=(0, 4)),
         lambda: renderer.render(step=-1.0),
-        lambda: renderer.render(azimuth=4),
+        lambda: renderer.render(azimuth=4),  # type: ignore[call-overload]
         lambda: renderer.render(outputs=["light"]),  # type: ignore[list-item]
         lambda: renderer.render(clip=((3, 3, 3), (1, 1, 1))),
         lambda: renderer.render(mode="mip", outputs="uncertainty"),

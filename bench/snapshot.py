@@ -98,9 +98,11 @@ def make() -> Arrays:
         draw(f"{mode}, bspline3, {tile}, {look}", "bspline3", mode, tile, **look)
         draw(f"{mode}, bspline3, {tile}, {look}, all samples", "bspline3", mode, tile, skipping=False, **look)
     for mode, (evaluator, fetch) in itertools.product(modes, EVALUATORS):
-        draw(f"{mode}, {evaluator} from {fetch}", "bspline3", mode, evaluator=evaluator, fetch=fetch)
+        with device.limited(evaluator=evaluator, fetch=fetch):
+            draw(f"{mode}, {evaluator} from {fetch}", "bspline3", mode)
     for row, (evaluator, fetch) in itertools.product(clvol.filters(), EVALUATORS):
-        draw(f"composite, {row}, {evaluator} from {fetch}", row, "composite", evaluator=evaluator, fetch=fetch)
+        with device.limited(evaluator=evaluator, fetch=fetch):
+            draw(f"composite, {row}, {evaluator} from {fetch}", row, "composite")
     for mode, tile in itertools.product(modes, TILES):
         for k, (azimuth, elevation) in enumerate(((100, 10), (20, -75), (200, 5), (-50, 40))):
             more = ({}, {"samples": 3}, {"clip": ((7.0, -2.0, 4.0), (14.0, 6.0, 15.0))}, {"step": 1.7})[k]

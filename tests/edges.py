@@ -77,10 +77,9 @@ def texels(names: Iterable[str]) -> None:
         field = noise(5, 9, 12)
         at = far_points(field.shape, 33)
         for evaluator in ("paired", "taps"):
-            with as_device().limited(evaluator=evaluator, fetch="image"):
+            with as_device().limited(evaluator=evaluator, fetch="image"), clvol.Renderer(field, filter=name) as renderer:
                 finite(clvol.sample(field, at, name), at)
-            with clvol.Renderer(field, filter=name) as renderer:
-                assert np.isfinite(renderer.render(LOOKS[0], "composite", (9, 7), 0.7, evaluator=evaluator, fetch="image")).all()
+                assert np.isfinite(renderer.render(LOOKS[0], "composite", (9, 7), 0.7)).all()
 
 
 def sorted_points(rules: Iterable[str]) -> None:

@@ -60,19 +60,19 @@ def test_a_sketch_is_of_all_the_volume_and_reads_little(chunks: tuple[int, ...] 
     z, y, x = np.ogrid[:300, :280, :320]
     data = Counted((x + 2.0 * y + 3.0 * z).astype(np.float32), chunks)
     volume = LazyVolume(data, (1, 1, 2), (5, 6, 7))
-    sketch = volume.sketch()
+    sketch = volume.preview()
     assert sketch.data.size < 1 << 23
     if chunks == (32, 32, 32):
         assert data.read < 0.3 * data.data.size
     np.testing.assert_allclose(sketch.corners, volume.grid.corners, rtol=1e-12)
-    assert volume.sketch() is sketch
+    assert volume.preview() is sketch
     assert sketch.data.mean() == pytest.approx(data.data.mean(), rel=0.05)
 
 
 def test_a_sketch_is_a_level_where_there_is_one() -> None:
     fine, coarse = Counted(noise(256, 256, 256)), Counted(noise(128, 128, 128))
     volume = LazyVolume(fine, levels=[LazyVolume(coarse, (2, 2, 2), (0.5, 0.5, 0.5))])
-    assert volume.sketch().shape == (128, 128, 128)
+    assert volume.preview().shape == (128, 128, 128)
     assert (fine.read, coarse.read) == (0, 128**3)
 
 
@@ -186,7 +186,7 @@ def test_it_becomes_no_array_by_accident() -> None:
 def test_limits_are_estimated_where_not_all_samples_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     data = Counted(noise(20, 20, 20), (10, 10, 10))
     assert not LazyVolume(data).estimated
-    monkeypatch.setattr("clvol.bricks.source._SKETCHED", 1000)
+    monkeypatch.setattr("clvol.bricks.source._PREVIEWED", 1000)
     assert LazyVolume(data).estimated
     assert not LazyVolume(data, limits=(0, 1)).estimated
     assert not LazyVolume(Counted(data.data)).estimated  # without chunks all are looked at

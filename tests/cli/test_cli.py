@@ -125,17 +125,15 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
         clvol.phantoms.sphere(8),
         camera,
         "isosurface",
-        "mitchell",
-        "wrap",
-        (16, 12),
-        0.3,
+        filter="mitchell",
+        boundary="wrap",
+        size=(16, 12),
+        step=0.3,
         samples=2,
         isovalue=-0.25,
         color="red",
         background="#102030",
         gradient="central",
-        evaluator="taps",
-        fetch="buffer",
     )
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.show.picture.to_bytes(picture)[..., :3])
 
@@ -591,7 +589,7 @@ def test_info_reads_few_samples_of_what_is_large(
     assert "\nvalue range: 0 200\n" in told.out
     assert "\nlevels: 72 × 72 × 72, 36 × 36 × 36, 18 × 18 × 18\nbounds: linear, mirror, samples of 0 200\n" in told.out
     clvol.pyramid(ball, "plain.zarr", bounds=False, chunks=24)
-    monkeypatch.setattr("clvol.bricks.source._SKETCHED", 20_000)
+    monkeypatch.setattr("clvol.bricks.source._PREVIEWED", 20_000)
     monkeypatch.setattr("clvol.bricks.source._PART", 24)
     asked = []
     read = clvol.LazyVolume.read
@@ -708,7 +706,9 @@ def test_compare_draws_the_filters_asked_for(clvol_command: Command) -> None:
     done = clvol_command("compare", SPHERE, "-o", "a.png", *options, "--json").json
     assert done == {"output": "a.png", "filters": ["linear", "bc(0, 1/2)"], "mode": "isosurface"}
     camera = clvol.Camera.orbit(30, 20)
-    tile = clvol.render(clvol.phantoms.sphere(8), camera, "isosurface", "linear", "wrap", (16, 16), isovalue=0.3)
+    tile = clvol.render(
+        clvol.phantoms.sphere(8), camera, "isosurface", filter="linear", boundary="wrap", size=(16, 16), isovalue=0.3
+    )
     np.testing.assert_array_equal(iio.imread("a.png")[:16, :16], clvol.show.picture.to_bytes(tile)[..., :3])
 
 

@@ -99,7 +99,7 @@ def test_the_exact_panel_is_what_a_much_finer_sampled_volume_shows(drawn: tuple[
         fine,
         camera,
         "isosurface",
-        "bspline5",
+        filter="bspline5",
         size=(PIXELS, PIXELS),
         step=0.5,
         isovalue=ISOVALUE,

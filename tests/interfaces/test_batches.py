@@ -14,6 +14,7 @@ import pytest
 
 import clvol
 from clvol.base.errors import FormatError, OptionError
+from clvol.device import Device
 from clvol.interfaces import batches
 
 
@@ -40,7 +41,7 @@ def test_each_picture_is_that_of_render_and_what_fails_fails_alone(files: list[P
     assert all(isinstance(one.error, FormatError) and not one.path.exists() for one in drawn[6:])
     assert not any(one.error for one in drawn[:6])
     for one in drawn[:6]:
-        wanted = clvol.render(clvol.read(one.source), cameras[one.frame], "mip", "linear", size=(40, 30))
+        wanted = clvol.render(clvol.read(one.source), cameras[one.frame], "mip", filter="linear", size=(40, 30))
         clvol.save(wanted, tmp_path / "wanted.png")
         np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
 
@@ -123,17 +124,41 @@ def test_what_render_reads_by_bricks_is_so_here(files: list[Path], tmp_path: Pat
     for how, options, kind in (
         ({}, {}, clvol.LazyVolume),
         ({"level": 0}, {}, clvol.Volume),
-        ({}, {"evaluator": "paired"}, clvol.Volume),
-        ({}, {"fetch": "image"}, clvol.Volume),
+        ({}, {"limits": {"evaluator": "paired"}}, clvol.Volume),
+        ({}, {"limits": {"fetch": "image"}}, clvol.Volume),
+        ({}, {"options": {"outputs": "uncertainty"}}, clvol.Volume),
         (clvol.read, {}, clvol.Volume),
     ):
-        assert type(batches._read(str(store), how, options)) is kind
-    assert type(batches._read(str(files[0]), {}, {})) is clvol.Volume
+        asked = batches._Asked(how, None, **{"options": {}, "limits": {}, **options})
+        assert type(asked.read(str(store))) is kind
+    plain = batches._Asked({}, None, {}, {})
+    assert type(plain.read(str(files[0]))) is clvol.Volume
     monkeypatch.setattr("clvol.base.memory.available", lambda: 1 << 15)
-    assert type(batches._read(str(files[0]), {}, {})) is clvol.LazyVolume
+    assert type(plain.read(str(files[0]))) is clvol.LazyVolume
     monkeypatch.undo()
     (one,) = clvol.batch(store, None, tmp_path / "{name}.png", mode="mip", size=(20, 20))
     clvol.save(clvol.render(clvol.open(store), mode="mip", size=(20, 20)), tmp_path / "wanted.png")
+    np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def test_a_batch_takes_the_filter_of_the_mode_that_its_look_names(tmp_path: Path) -> None:
+    """As 'clvol render' does: of a volume that is read by bricks too."""
+    ball = clvol.phantoms.marschner_lobb(24)
+    for volume in (ball, clvol.LazyVolume(ball.data, ball.spacing, ball.origin)):
+        (one,) = clvol.batch(volume, None, tmp_path / "made.png", size=(20, 20), look=lambda _: {"mode": "mip"})
+        clvol.save(clvol.render(volume, mode="mip", size=(20, 20)), tmp_path / "wanted.png")
+        np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def test_limits_are_those_of_whoever_draws(tmp_path: Path, device: Device) -> None:
+    ball = clvol.phantoms.marschner_lobb(24)
+    limits = {"evaluator": "paired", "fetch": "buffer"}
+    (one,) = clvol.batch(ball, None, tmp_path / "made.png", size=(20, 20), mode="mip", limits=limits)
+    (picture,) = batches.frames(ball, [None], size=(20, 20), mode="mip", limits=limits)
+    with device.limited(**limits):
+        wanted = clvol.render(ball, mode="mip", size=(20, 20), device=device)
+    np.testing.assert_array_equal(picture, wanted)
+    clvol.save(wanted, tmp_path / "wanted.png")
     np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
 
 

@@ -16,7 +16,7 @@ import clvol
 import clvol.device
 from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
-from clvol.march.bricks import Pass, front_to_back, level_of, opacity_within
+from clvol.march.bricks import Pass, front_to_back, level_of
 from clvol.march.renderer import Renderer
 from clvol.spline.evaluator import DIRECT
 from tests.bricks.test_source import Counted
@@ -133,7 +133,7 @@ def test_bricks_in_which_nothing_shows_are_not_read() -> None:
     data = Counted(ball)
     volume = clvol.LazyVolume(data, limits=(0, 60), labels=False, bounds=Known(ball))
     with BrickedField(volume, "linear", edge=32) as field, Renderer(field) as renderer:
-        volume.sketch()
+        volume.preview()
         before = data.read
         picture = renderer.render(CAMERAS["aslant"], "isosurface", (80, 80), isovalue=20)
         assert field.reads.bricks == 1  # of 64: the ball lies in the first
@@ -476,11 +476,11 @@ def test_no_brick_hides_one_before_it(volume: clvol.Volume, view: str, filter: s
 
 def test_opacities_of_ranges() -> None:
     steps = clvol.TransferFunction(((0, (1, 1, 1)), (1, (1, 1, 1))), ((0.2, 0), (0.4, 0.5), (0.4, 0.9), (0.6, 0)))
-    assert opacity_within(steps, -5, 0.2) == 0
-    assert opacity_within(steps, 0.6, 9) == 0
-    assert opacity_within(steps, 0.25, 0.3) == pytest.approx(0.25)
-    assert opacity_within(steps, 0.3, 0.5) == 0.9
-    assert opacity_within(steps, -1, 2) == 0.9
+    assert steps.opacity_within(-5, 0.2) == 0
+    assert steps.opacity_within(0.6, 9) == 0
+    assert steps.opacity_within(0.25, 0.3) == pytest.approx(0.25)
+    assert steps.opacity_within(0.3, 0.5) == 0.9
+    assert steps.opacity_within(-1, 2) == 0.9
 
 
 def test_levels_by_their_voxels_on_the_screen() -> None:
@@ -508,17 +508,17 @@ def test_levels_by_their_voxels_on_the_screen() -> None:
 
 def renderer_look(renderer: Renderer) -> clvol.TransferFunction:
     """The transfer function that the sketch of a lazy volume gives."""
-    return clvol.modes()["mip"].transfer(renderer.field.volume.sketch())  # type: ignore[union-attr]
+    return clvol.modes()["mip"].transfer(renderer.field.volume.preview())  # type: ignore[union-attr]
 
 
 def test_a_volume_that_does_not_fit_is_drawn_by_bricks(volume: clvol.Volume, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = clvol.render(volume, CAMERAS["aslant"], "mip", "linear", size=(40, 40))
+    expected = clvol.render(volume, CAMERAS["aslant"], "mip", filter="linear", size=(40, 40))
 
     def no_room(*_: object, **__: object) -> None:
         raise OutOfMemoryError("out of memory")
 
-    monkeypatch.setattr("clvol.march.renderer._single", no_room)
-    np.testing.assert_array_equal(clvol.render(volume, CAMERAS["aslant"], "mip", "linear", size=(40, 40)), expected)
+    monkeypatch.setattr("clvol.march.source.single", no_room)
+    np.testing.assert_array_equal(clvol.render(volume, CAMERAS["aslant"], "mip", filter="linear", size=(40, 40)), expected)
 
 
 def test_bad_input(volume: clvol.Volume) -> None:
@@ -529,10 +529,13 @@ def test_bad_input(volume: clvol.Volume) -> None:
             renderer.render(mode="composite", outputs="normal", step=4)
         with pytest.raises(OptionError, match="takes a volume that is in memory"):
             renderer.render(mode="isosurface", outputs="uncertainty")
-        with pytest.raises(OptionError, match="bricks are read by direct taps"):
-            renderer.render(fetch="image")
-        with pytest.raises(OptionError, match="evaluator must be one of auto, taps, paired, eight-fetch; got 'direct'"):
-            renderer.render(evaluator="direct")
+        with pytest.raises(OptionError, match="bricks are read by direct taps"), field.device.limited(fetch="image"):
+            renderer.render()
+        with (
+            pytest.raises(OptionError, match="evaluator must be one of auto, taps, paired, eight-fetch; got 'direct'"),
+            field.device.limited(evaluator="direct"),
+        ):
+            renderer.render()
         with pytest.raises(OptionError, match="must be left to the field"):
             Renderer(field, "linear")
     with pytest.raises(OptionError, match="the field was closed"):

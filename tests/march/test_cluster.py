@@ -201,9 +201,9 @@ def test_a_pickled_renderer_finds_its_cluster(cluster: Cluster, volume: clvol.La
             packed = pickle.dumps(renderer)
             picture = renderer.render(CAMERAS["aslant"], "mip", (48, 48))
             with pickle.loads(packed) as again:
-                assert again._cluster.address == cluster.address
-                assert again._cluster is not cluster
-                assert again._merge == merge
+                assert again._source._cluster.address == cluster.address
+                assert again._source._cluster is not cluster
+                assert again._source._merge == merge
                 np.testing.assert_array_equal(again.render(CAMERAS["aslant"], "mip", (48, 48)), picture)
         assert cluster.client.status == "running"  # the copy has left, and ended nobody else's
     again, _ = Renderer(volume, "linear", cluster=cluster).__reduce__()
@@ -211,7 +211,7 @@ def test_a_pickled_renderer_finds_its_cluster(cluster: Cluster, volume: clvol.La
 
 
 def test_a_pickle_of_own_processes_says_how_many(monkeypatch: pytest.MonkeyPatch, cluster: Cluster) -> None:
-    monkeypatch.setattr("clvol.dask.cluster.as_cluster", lambda _: cluster)
+    monkeypatch.setattr("clvol.march.cluster.as_cluster", lambda _: cluster)
     with Renderer(waves(20, 20, 20), "linear", cluster=3) as renderer:
         again, _ = renderer.__reduce__()
         assert again.keywords["cluster"] == 3

@@ -56,7 +56,7 @@ def turned(n, count, budget):
 
 def looked(n):
     volume = clvol.LazyVolume(Formula(n))
-    assert volume.sketch().shape != volume.shape
+    assert volume.preview().shape != volume.shape
     assert volume.part() and volume.limits
 
 

@@ -143,7 +143,7 @@ def test_a_picture_that_comes_too_late_is_drawn_on_later(renderer: Renderer, mon
     for camera in CAMERA, Camera.orbit(120, -40, fit="volume"):
         with renderer.device.limited(launch_seconds=1e-9):
             told.clear()
-            monkeypatch.setattr(renderer, "_rates", Rates())
+            monkeypatch.setattr(renderer._source, "_rates", Rates())
             want = renderer.render(camera, "mip", size, progress=lambda _: None)
             launches = told.copy()
             told.clear()
@@ -309,7 +309,7 @@ def test_the_search_for_a_surface_can_be_cancelled(device: Device) -> None:
             return questions == 3  # the first two come before
 
         assert list(renderer.refine(mode="isosurface", isovalue=0.5, size=(8, 8), cancelled=stop)) == []
-        (pyramid,) = renderer._minmax.values()
+        (pyramid,) = renderer._source.pyramids.values()
         assert pyramid._sides is None
         want = renderer.render(mode="isosurface", isovalue=0.5, size=(8, 8))
         np.testing.assert_array_equal(list(renderer.refine(mode="isosurface", isovalue=0.5, size=(8, 8)))[-1], want)

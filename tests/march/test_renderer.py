@@ -100,7 +100,17 @@ def test_one_polynomial_on_turned_grids_gives_one_picture(device: Device, filter
         camera = Camera(direction=(1, 0.3, -0.2), target=(0, 0, 0), distance=4, fov=14)
         clip = ((-0.4,) * 3, (0.4,) * 3)  # ten samples and more from every edge, whose extension is no polynomial
         pictures.append(
-            render(volume, camera, "isosurface", filter, isovalue=level, size=(20, 20), clip=clip, device=device, outputs=OUTPUTS)
+            render(
+                volume,
+                camera,
+                "isosurface",
+                filter=filter,
+                isovalue=level,
+                size=(20, 20),
+                clip=clip,
+                device=device,
+                outputs=OUTPUTS,
+            )
         )
     first = pictures[0]
     seen = np.isfinite(first["depth"])
@@ -177,7 +187,7 @@ def test_a_sphere_is_where_it_should_be(device: Device) -> None:
 def test_surfaces_lie_within_a_ten_thousandth_of_the_isovalue(device: Device, filter: str, fov: float) -> None:
     volume = replace(noise((16, 14, 15)), spacing=(1.0, 0.7, 1.2))
     options: dict[str, Any] = {"size": (40, 40), "isovalue": 0.45, "device": device}
-    got = render(volume, replace(CAMERA, fov=fov), "isosurface", filter, outputs="position", **options)
+    got = render(volume, replace(CAMERA, fov=fov), "isosurface", filter=filter, outputs="position", **options)
     places = got[np.isfinite(got[..., 0])]
     assert len(places) > 100
     low, high = volume.value_range
@@ -211,14 +221,14 @@ def test_the_mean_of_a_ramp(device: Device) -> None:
             direction=direction, up=(0, 1, 0) if axis == 0 else (0, 0, 1), projection="orthographic", zoom=3, fit="volume"
         )
         grey = TransferFunction.ramp((0, n - 1))
-        got = render(data, camera, "mean", "linear", size=(5, 5), transfer=grey, device=device)
+        got = render(data, camera, "mean", filter="linear", size=(5, 5), transfer=grey, device=device)
         # by symmetry the middle of the ramp, the mirrored half voxels at its ends included
         np.testing.assert_allclose(got[..., 0], 0.5, atol=1e-6)
     # across the view, the value of the column itself
     data = np.broadcast_to(ramp, (n, n, n))
     camera = Camera(direction=(0, 0, 1), up=(0, -1, 0), projection="orthographic", zoom=3, fit="volume")
     view = camera.view(Volume(data))
-    got = render(data, camera, "mean", "bspline3", size=(6, 6), transfer=TransferFunction.ramp((0, n - 1)), device=device)
+    got = render(data, camera, "mean", filter="bspline3", size=(6, 6), transfer=TransferFunction.ramp((0, n - 1)), device=device)
     x = view.eye[0] + view.half_height * view.right[0] * ((np.arange(6) + 0.5) / 3 - 1)
     np.testing.assert_allclose(got[..., 0], np.broadcast_to(x / (n - 1), (6, 6)), atol=2e-3)  # mirrored ends are no ramp
 
@@ -243,7 +253,7 @@ def test_the_greatest_value_is_found(device: Device) -> None:
     data = np.zeros((9, 9, 9), np.float32)
     data[3, 5, 2] = 1
     camera = Camera(direction=(0, 1, 0), projection="orthographic", fit="volume")
-    got = render(data, camera, "mip", "nearest", size=(90, 90), device=device, outputs=("rgba", "position"))
+    got = render(data, camera, "mip", filter="nearest", size=(90, 90), device=device, outputs=("rgba", "position"))
     lit = got["rgba"][..., 0] > 0.5
     places = got["position"][lit]
     np.testing.assert_allclose([places[:, 0].mean(), places[:, 2].mean()], [2, 3], atol=0.1)
@@ -326,8 +336,7 @@ WRONG: dict[str, tuple[dict[str, Any], type[ClvolError], str]] = {
     "size of fractions": ({"size": (6.5, 5)}, OptionError, "width must be a whole number"),
     "size too large": ({"size": (40000, 1)}, OptionError, "32768"),
     "mode": ({"mode": "xray"}, OptionError, "mode must be one of composite, isosurface, mip, attenuated, minip, mean; got 'xray'"),
-    "evaluator": ({"evaluator": "magic"}, OptionError, "evaluator must be one of auto, taps, paired, eight-fetch; got 'magic'"),
-    "fetch": ({"fetch": "disk"}, OptionError, "fetch must be one of auto, buffer, image; got 'disk'"),
+    "evaluator": ({"evaluator": "taps"}, OptionError, "evaluator is no option of composite; composite has shading, termination"),
     "gradient": ({"gradient": "sobel"}, OptionError, "gradient must be one of analytic, central; got 'sobel'"),
     "outputs": (
         {"outputs": "z"},
@@ -362,6 +371,27 @@ def test_errors_name_the_rule_and_leave_the_renderer_usable(renderer: Renderer, 
     np.testing.assert_array_equal(renderer.render(CAMERA, size=(12, 12)), before)
 
 
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({"evaluator": "magic"}, "evaluator must be one of auto, taps, paired, eight-fetch; got 'magic'"),
+        ({"fetch": "disk"}, "fetch must be one of auto, buffer, image; got 'disk'"),
+    ],
+    ids=["evaluator", "fetch"],
+)
+def test_wrong_limits_of_the_device_are_named(renderer: Renderer, limits: dict[str, Any], message: str) -> None:
+    before = renderer.render(CAMERA, size=(12, 12))
+    with pytest.raises(OptionError, match=message), renderer.device.limited(**limits):
+        renderer.render(CAMERA, size=(12, 12))
+    np.testing.assert_array_equal(renderer.render(CAMERA, size=(12, 12)), before)
+
+
+def test_positional_arguments_have_one_order(device: Device) -> None:
+    with Renderer(noise(), "linear", device=device) as renderer:
+        expected = renderer.render(CAMERA, "mip", (14, 12), 0.7)
+    np.testing.assert_array_equal(render(noise(), CAMERA, "mip", (14, 12), 0.7, filter="linear", device=device), expected)
+
+
 def test_errors_of_what_is_drawn(device: Device) -> None:
     ones = np.ones((4, 5, 6), np.float32)
     spoilt = ones.copy()
@@ -390,8 +420,8 @@ def test_a_closed_renderer_says_so(device: Device) -> None:
     with Renderer(noise(), device=device) as renderer:
         renderer.render(size=(8, 8))
     for fetch in ("buffer", "image") if device.has_images else ("buffer",):
-        with pytest.raises(OptionError, match="released"):
-            renderer.render(size=(8, 8), fetch=fetch)  # type: ignore[arg-type]
+        with pytest.raises(OptionError, match="released"), device.limited(fetch=fetch):
+            renderer.render(size=(8, 8))
     renderer.close()  # twice does no harm
 
 
@@ -438,7 +468,7 @@ def test_a_single_voxel_fills_its_cube(device: Device) -> None:
     grey = TransferFunction(((7.0, (0.5, 0.5, 0.5)),))
     options: dict[str, Any] = {"size": (64, 64), "transfer": grey, "device": device, "background": None}
     for name in ("nearest", "linear", "bspline3", "bspline5", "hybrid", "sinc"):
-        got = render(np.full((1, 1, 1), 7, np.int16), camera, "mip", name, **options)
+        got = render(np.full((1, 1, 1), 7, np.int16), camera, "mip", filter=name, **options)
         lit = got[..., 3] > 0
         assert lit.mean() == pytest.approx(1 / 3, abs=0.02)  # a side of 1 in a picture of √3
         np.testing.assert_allclose(got[lit], np.broadcast_to([0.5, 0.5, 0.5, 1], (lit.sum(), 4)), atol=1e-6)

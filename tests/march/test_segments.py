@@ -135,7 +135,8 @@ def test_skipping_changes_no_bit_on_any_path(
     device: Device, evaluator: Any, fetch: Any, volume: Volume, view: dict[str, Any]
 ) -> None:
     try:
-        same(device, volume, "bspline3", "isosurface", view, evaluator=evaluator, fetch=fetch)
+        with device.limited(evaluator=evaluator, fetch=fetch):
+            same(device, volume, "bspline3", "isosurface", view)
     except DeviceError as error:
         pytest.skip(str(error))
 

@@ -55,10 +55,10 @@ def test_surfaces(device: Device, camera: str, order: int) -> None:
         VOLUME,
         same,
         "isosurface",
-        FILTERS[order],
-        "mirror",
-        SIZE,
-        0.1,
+        filter=FILTERS[order],
+        boundary="mirror",
+        size=SIZE,
+        step=0.1,
         isovalue=ISOVALUE,
         outputs=("depth", "position"),
         device=device,
@@ -79,7 +79,9 @@ def test_maxima(device: Device, camera: str, order: int) -> None:
     """The largest sample, from below, to 2e-3 of the range at a tenth of a voxel."""
     spline, rays, same = scene(camera, order)
     grey = clvol.TransferFunction.ramp((0.0, 1.0))
-    picture = clvol.render(VOLUME, same, "mip", FILTERS[order], "mirror", SIZE, 0.1, transfer=grey, device=device)[..., 0].ravel()
+    picture = clvol.render(
+        VOLUME, same, "mip", filter=FILTERS[order], boundary="mirror", size=SIZE, step=0.1, transfer=grey, device=device
+    )[..., 0].ravel()
     truth = np.clip(np.nan_to_num(caster.maxima(spline, rays)), 0, 1)
     assert (truth > 0.5).sum() > 50
     below = truth - picture
@@ -103,7 +105,9 @@ def test_emission_and_absorption(device: Device, camera: str, order: int) -> Non
 
     color, opacity = caster.integrals(spline, rays, classify, 1.5, 800)
     options = {"transfer": transfer, "background": None, "shading": False, "termination": 0.0}
-    picture = clvol.render(VOLUME, same, "composite", FILTERS[order], "mirror", SIZE, 0.05, device=device, **options).reshape(-1, 4)
+    picture = clvol.render(
+        VOLUME, same, "composite", filter=FILTERS[order], boundary="mirror", size=SIZE, step=0.05, device=device, **options
+    ).reshape(-1, 4)
     assert (opacity > 0.5).sum() > 30
     np.testing.assert_allclose(picture[:, 3], opacity, rtol=0, atol=1e-4)
     np.testing.assert_allclose(picture[:, :3] * picture[:, 3:], color, rtol=0, atol=1e-4)

@@ -175,9 +175,9 @@ def test_long_axes_are_exact_or_refused(device: Device, axis: int) -> None:
         options: dict[str, Any] = {"size": (24, 24), "isovalue": 34.25, "device": device}
         if not taken:
             with pytest.raises(GeometryError, match="rendering takes axes of up to 262144 samples"):
-                clvol.render(data, camera, "isosurface", "linear", outputs="position", **options)
+                clvol.render(data, camera, "isosurface", filter="linear", outputs="position", **options)
             continue
-        got = clvol.render(data, camera, "isosurface", "linear", outputs="position", **options)[..., axis]
+        got = clvol.render(data, camera, "isosurface", filter="linear", outputs="position", **options)[..., axis]
         there = np.isfinite(got)
         assert there.any()
         assert np.abs(got[there] - (n - 64 + 34.25)).max() < 1 / 64

@@ -31,7 +31,7 @@ def draw(device: Device, length: int, transfer: clvol.TransferFunction, **option
         "outputs": ("rgba", "depth", "position"),
         "termination": 0.0,
     }
-    return clvol.render(data, ALONG, "composite", "linear", device=device, transfer=transfer, **{**look, **options})
+    return clvol.render(data, ALONG, "composite", filter="linear", device=device, transfer=transfer, **{**look, **options})
 
 
 @pytest.mark.one_in(6)

@@ -128,7 +128,7 @@ def test_rays_on_the_planes_between_cells_meet_no_surface_along_them(size: int) 
     camera = Camera(
         direction=(0, 1, 0), projection="orthographic", fit="volume"
     )  # the middle column of pixels lies on such a plane
-    depth = clvol.render(half, camera, "isosurface", "nearest", size=(size, size), isovalue=0.5, outputs="depth")
+    depth = clvol.render(half, camera, "isosurface", filter="nearest", size=(size, size), isovalue=0.5, outputs="depth")
     assert np.isinf(depth).all()
 
 
@@ -149,7 +149,7 @@ def test_small_volumes(filter: str, shape: tuple[int, int, int]) -> None:
     data = np.arange(math.prod(shape), dtype=np.float64).reshape(shape)
     for isovalue in (-1.0, 0.0, 0.5, float(data.max())):
         got = clvol.render(
-            data, Camera.orbit(10, 20, fit="volume"), "isosurface", filter, size=(16, 16), isovalue=isovalue, outputs="depth"
+            data, Camera.orbit(10, 20, fit="volume"), "isosurface", filter=filter, size=(16, 16), isovalue=isovalue, outputs="depth"
         )
         want = clvol.reference.march.march.render(
             data, Camera.orbit(10, 20, fit="volume"), "isosurface", filter, size=(16, 16), isovalue=isovalue, outputs="depth"

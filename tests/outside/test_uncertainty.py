@@ -96,7 +96,7 @@ def measure(volume: Volume, phantom: Phantom, filter: str, device: Device, limit
     """What is stated of a picture of the inner part, where boundary rules do not matter."""
     outputs = ("position", "normal", "uncertainty")
     options = {"size": (128, 128), "isovalue": phantom.isovalue, "clip": ((-limit,) * 3, (limit,) * 3), **options}
-    got = clvol.render(volume, VIEW, "isosurface", filter, "reflect", device=device, outputs=outputs, **options)
+    got = clvol.render(volume, VIEW, "isosurface", filter=filter, boundary="reflect", device=device, outputs=outputs, **options)
     hit = (np.abs(got["position"]) < limit - 1e-4).all(-1)  # no end of a ray at the clip box; NaN is none
     assert hit.sum() > 500
     position, normal, stated = (got[name][hit].astype(np.float64) for name in outputs)

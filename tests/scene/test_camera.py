@@ -70,7 +70,9 @@ def test_a_marked_corner_appears_where_it_should(
     data = np.zeros((10, 10, 10), np.float32)
     data[corner[::-1]] = 1
     camera = Camera.orbit(azimuth, elevation, projection=projection, fit="volume")
-    picture = render(data, camera, "mip", "nearest", size=(40, 40), transfer=TransferFunction.ramp((0, 1)), device=device)[..., 0]
+    picture = render(data, camera, "mip", filter="nearest", size=(40, 40), transfer=TransferFunction.ramp((0, 1)), device=device)[
+        ..., 0
+    ]
     down, right = np.argwhere(picture > 0.5).mean(0)
     assert ("bottom" if down > 20 else "top") == where.split()[0]
     assert ("right" if right > 20 else "left") == where.split()[1]
@@ -83,7 +85,7 @@ def test_a_stack_of_images_is_seen_as_viewers_of_images_show_it(device: Device) 
     options: dict[str, Any] = {"size": (8, 8), "transfer": TransferFunction.ramp((0, 255)), "device": device}
     for space, shown in (("image", data.max(0)), ("", data.max(0)[::-1]), ("LPS", data.max(0)[::-1])):
         volume = Volume(data, space=space)
-        np.testing.assert_allclose(render(volume, above, "mip", "nearest", **options)[..., 0], shown / 255, atol=1e-5)
+        np.testing.assert_allclose(render(volume, above, "mip", filter="nearest", **options)[..., 0], shown / 255, atol=1e-5)
         assert (above.view(volume).eye[2] < 0) == (space == "image")
 
 

@@ -27,9 +27,9 @@ def test_a_scene_draws_what_its_parts_draw(device: Device) -> None:
         volume,
         CAMERA,
         "composite",
-        "mitchell",
-        "wrap",
-        SIZE,
+        filter="mitchell",
+        boundary="wrap",
+        size=SIZE,
         transfer=RED,
         material=matte,
         lights=light,
@@ -71,7 +71,7 @@ def test_a_box_cannot_be_changed() -> None:
 def test_a_field_is_drawn_as_it_is_and_stays(device: Device) -> None:
     with clvol.Field(DATA, "mitchell", "wrap", device) as field:
         renderer = clvol.Renderer(field)
-        want = clvol.render(DATA, CAMERA, "composite", "mitchell", "wrap", SIZE, device=device)
+        want = clvol.render(DATA, CAMERA, "composite", filter="mitchell", boundary="wrap", size=SIZE, device=device)
         np.testing.assert_array_equal(renderer.render(CAMERA, size=SIZE), want)
         renderer.close()
         with pytest.raises(OptionError, match="closed"):

@@ -106,7 +106,7 @@ def test_a_renderer_closed_under_a_picture(device: Device, in_thread: bool) -> N
     picture = renderer.render(progress=closing(renderer.close, in_thread=in_thread), **VIEW)
     np.testing.assert_array_equal(picture, expected)
     assert renderer.field.coefficients.buffer is None
-    assert all(minmax.buffer is None for minmax in renderer._minmax.values())
+    assert all(minmax.buffer is None for minmax in renderer._source.pyramids.values())
     with pytest.raises(OptionError, match="released"):
         renderer.render(**VIEW)
 

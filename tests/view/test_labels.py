@@ -176,7 +176,7 @@ def test_a_label_is_picked_where_the_device_has_no_room_for_the_volume(
     def refuse(*_: Any) -> Any:
         raise OutOfMemoryError("out of memory")
 
-    monkeypatch.setattr("clvol.march.renderer._single", refuse)
+    monkeypatch.setattr("clvol.march.source.single", refuse)
     view = View(volume, device=device)
     client = Client(view)
     client.resize(*SIZE)

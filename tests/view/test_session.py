@@ -129,6 +129,20 @@ def test_a_view_starts_as_render_draws(volume: Volume, device: Device) -> None:
     view.close()
 
 
+def test_a_view_draws_under_its_limits_and_its_program_says_so(volume: Volume) -> None:
+    limits = {"evaluator": "paired", "fetch": "buffer"}
+    view = View(volume, limits=limits, filter="bspline3")
+    picture = view.picture(SIZE)
+    with clvol.device.as_device().limited(**limits):
+        assert np.array_equal(picture, clvol.render(volume, filter="bspline3", size=SIZE))
+    text = view.python(SIZE)
+    assert "with as_device().limited(evaluator='paired', fetch='buffer'):" in text
+    space: dict[str, Any] = {"volume": volume}
+    exec(text, space)
+    assert np.array_equal(space["picture"], picture)
+    view.close()
+
+
 def test_a_scene_brings_what_it_has(volume: Volume, device: Device) -> None:
     transfer = TransferFunction(((0, "black"), (900, "red")), ((100, 0.0), (500, 1.0)))
     medium = clvol.Medium(volume, transfer=transfer, material=Material(0.4), filter="linear")  # type: ignore[arg-type]  # converted

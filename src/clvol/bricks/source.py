@@ -32,7 +32,7 @@ Index: TypeAlias = tuple[int, int, int]
 BUDGET = 2 << 30
 """Bytes that work by parts may take where nothing is said."""
 
-_SKETCHED = 1 << 21  # samples from which looks are decided, about
+_PREVIEWED = 1 << 21  # samples from which looks are decided, about
 _PART = 128  # samples along an edge of the part whose noise is estimated
 _CHUNKS_LOOKED_INTO = 6  # along an axis, where there is no smaller copy to look at
 _SMALL = 1 << 26  # samples of which all are looked at for their range
@@ -134,7 +134,7 @@ class LazyVolume:
         bounds: Bounds | None = None,
     ) -> None:
         with _reading("shape and dtype of data"):
-            if isinstance(data, (Volume, LazyVolume)) or not isinstance(data, Sliced):
+            if not isinstance(data, Sliced):
                 raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
             shape, dtype = tuple(data.shape), np.dtype(data.dtype).newbyteorder("=")
         if len(shape) != 3 or any(n != n // 1 for n in shape):  # dask does not know all sizes: nan
@@ -154,7 +154,7 @@ class LazyVolume:
         self._lock = threading.RLock()
         self._limits = None if limits is None else _ends(limits)
         self._given = limits is not None
-        self._sketch: Volume | None = None
+        self._preview: Volume | None = None
         self._part: Volume | None = None
         self.grid = Volume(
             np.broadcast_to(np.zeros((), dtype), shape),
@@ -187,7 +187,7 @@ class LazyVolume:
         """
         made = object.__new__(LazyVolume)
         made.__dict__.update(self.__dict__)
-        made.levels, made._lock, made._sketch = tuple(levels), threading.RLock(), None
+        made.levels, made._lock, made._preview = tuple(levels), threading.RLock(), None
         made._require_smaller()
         return made
 
@@ -248,13 +248,13 @@ class LazyVolume:
 
     def __getstate__(self) -> dict[str, Any]:
         """What a pickle holds: no samples but what the array itself pickles, and of a file that is mapped its name."""
-        state = {name: value for name, value in vars(self).items() if name not in ("_lock", "_sketch", "_part")}
+        state = {name: value for name, value in vars(self).items() if name not in ("_lock", "_preview", "_part")}
         data = mapped(self.data, flushed=True) or self.data
         return state | {"grid": replace(self.grid, data=np.zeros((1, 1, 1), self.dtype)), "data": data}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._lock, self._sketch, self._part = threading.RLock(), None, None
+        self._lock, self._preview, self._part = threading.RLock(), None, None
         self.grid = replace(self.grid, data=np.broadcast_to(np.zeros((), self.grid.data.dtype), tuple(self.data.shape)))
 
     # -- where they lie ------------------------------------------------------------------------------------------------
@@ -374,17 +374,17 @@ class LazyVolume:
 
     # -- what is known of them -------------------------------------------------------------------------------------------
 
-    def sketch(self) -> Volume:
-        """Few samples of all the volume, from which is decided how it looks: of a lower resolution, or every so many.
+    def preview(self) -> Volume:
+        """Few samples of all the volume, from which looks are decided: a lower resolution, or every n-th sample.
 
         About 2²¹ samples. Of a volume without levels few chunks are read, at equal distances.
         """
         with self._lock:
-            if self._sketch is None:
-                small = next((one for one in (self, *self.levels) if math.prod(one.shape) <= 2 * _SKETCHED), None)
+            if self._preview is None:
+                small = next((one for one in (self, *self.levels) if math.prod(one.shape) <= 2 * _PREVIEWED), None)
                 coarse = small or (self, *self.levels)[-1]
-                self._sketch = coarse._thinned() if small is None else small._piecewise((0, 0, 0), small.size)
-            return self._sketch
+                self._preview = coarse._thinned() if small is None else small._piecewise((0, 0, 0), small.size)
+            return self._preview
 
     def whole(self) -> Volume:
         """All samples, in memory.
@@ -423,7 +423,7 @@ class LazyVolume:
 
     def _thinned(self) -> Volume:
         """Samples at about equal distances, of a few chunks."""
-        edge = (_SKETCHED / math.prod(self.shape)) ** (1 / 3)
+        edge = (_PREVIEWED / math.prod(self.shape)) ** (1 / 3)
         runs, steps = [], []
         for n, chunk in zip(self.size, self.chunks or (self.size[0], 1, 1), strict=True):
             wanted = max(1, min(n, round(n * edge)))
@@ -475,13 +475,18 @@ class LazyVolume:
                     ends = [(float(part.min()), float(part.max())) for _, part in self._pieces((0, 0, 0), self.size)]
                     self._limits = min(low for low, _ in ends), max(high for _, high in ends)
                 else:
-                    self._limits = self.sketch().value_range
+                    self._limits = self.preview().value_range
             return self._limits
+
+    @property
+    def value_range(self) -> tuple[float, float]:
+        """The smallest and the largest sample that are finite: `limits`, for all must be."""
+        return self.limits
 
     @property
     def estimated(self) -> bool:
         """Whether `limits` are those of the samples that were looked at: others may lie beyond."""
-        whole = math.prod(self.shape) <= 2 * _SKETCHED or self._few
+        whole = math.prod(self.shape) <= 2 * _PREVIEWED or self._few
         return not (whole or self._given or self.bounds is not None)
 
     @property

@@ -69,19 +69,19 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     with warnings.catch_warnings():
         if not far:
             warnings.simplefilter("ignore", ClvolWarning)  # what there is, is said below
-        volume = reader.by_parts(source, wanted) or reader.read(source)
-        told = _listed(volume, leading, json)
-    say(json, told | (levels_of(volume, json) if isinstance(volume, clvol.LazyVolume) else {}))
+        lazy = reader.by_parts(source, wanted)
+        known = _listed(lazy or reader.read(source), leading, json)
+    say(json, known | (levels_of(lazy, json) if lazy else {}))
 
 
 def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: bool) -> dict[str, Any]:
     """What is known of a volume, and of the others in its file."""
-    grid, looked, middle = _looked_at(volume)
-    finite = looked is not None and (grid.data.dtype.kind != "f" or bool(np.isfinite(looked.data).all()))
-    known = looked is volume or not finite or grid.data.dtype.kind != "f"  # else samples are that nobody looked at
+    grid, preview, middle = _previewed(volume)
+    finite = preview is not None and (grid.data.dtype.kind != "f" or bool(np.isfinite(preview.data).all()))
+    known = preview is volume or not finite or grid.data.dtype.kind != "f"  # else some samples were not read
     noise = middle.noise if finite else None
     chosen = choose(middle) if finite else None
-    isovalue, why = isovalue_of(looked) if finite and looked is not None else (None, "")
+    isovalue, why = isovalue_of(preview) if finite and preview is not None else (None, "")
     held = {"holds": _places(leading)} if as_json else {"holds": _several(leading), "channels": _channels(leading)}
     return held | {
         "name": grid.name,
@@ -107,28 +107,19 @@ def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: 
     }
 
 
-def _looked_at(volume: clvol.Volume | clvol.LazyVolume) -> tuple[clvol.Volume, clvol.Volume | None, clvol.Volume]:
-    """A volume's grid, and what of its samples is looked at: few of all of it, and those in the middle.
-
-    Of one that is in memory these are all; of one that has NaN or infinite samples, unless it is in memory, none.
-    """
-    if isinstance(volume, clvol.Volume):
-        return volume, volume, volume
+def _previewed(volume: clvol.Volume | clvol.LazyVolume) -> tuple[clvol.Volume, clvol.Volume | None, clvol.Volume]:
+    """A volume's grid, its preview, and its samples in the middle; no preview of a lazy one that has NaN or infinite samples."""
     try:
-        return volume.grid, volume.sketch(), volume.part()
+        return volume.grid, volume.preview(), volume.part()
     except DataError:
         return volume.grid, None, volume.grid
 
 
 def _range(volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
     """The smallest and the largest sample, and whether that is no more than an estimate."""
-    grid = volume.grid if isinstance(volume, clvol.LazyVolume) else volume
-    kind: type[int | float] = float if grid.data.dtype.kind == "f" else int
+    kind: type[int | float] = float if volume.grid.data.dtype.kind == "f" else int
     try:
-        if isinstance(volume, clvol.LazyVolume):
-            ends, estimated = volume.limits, volume.estimated
-        else:
-            ends, estimated = volume.limits if kind is int else volume.value_range, False
+        ends, estimated = volume.limits if kind is int else volume.value_range, volume.estimated
     except DataError:  # nothing is finite, or not all that was looked at
         return {"value_range": None}
     low, high = map(kind, ends)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,6 +14,7 @@ from cyclopts import CoercionError, Group, Parameter, Token
 
 import clvol
 from clvol.base.errors import OptionError
+from clvol.device import as_device
 from clvol.formats.opening import WholeOnlyError, opened_if
 from clvol.scene.look import look as look_of
 from clvol.scene.mode import as_mode, every_option, mode_options
@@ -342,9 +343,19 @@ class Look:
             "transfer": self._transfer(volume),
             "gradient": self.gradient,
             "background": None if self.background == "none" else self.background,
-            "evaluator": self.evaluator,
-            "fetch": self.fetch,
         }
+
+    def limits(self) -> dict[str, Any]:
+        """Limits of the device while it draws, where they are not its own."""
+        asked = {"evaluator": self.evaluator, "fetch": self.fetch}
+        return {name: value for name, value in asked.items() if value != "auto"}
+
+    @contextlib.contextmanager
+    def limited(self, device: str | None) -> Iterator[None]:
+        """For the time of a block the device has these limits; it is not looked for if there are none."""
+        limits = self.limits()
+        with as_device(device).limited(**limits) if limits else contextlib.nullcontext():
+            yield
 
     def camera(self) -> clvol.Camera:
         """From where it is seen."""

@@ -45,11 +45,12 @@ from clvol.cli.root import PICTURES, command
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interfaces import batches
 from clvol.interfaces.batches import needs_whole
+from clvol.march.source import row_for
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.scene.mode import as_mode
 from clvol.show import movies
 from clvol.show.picture import heat, heat_with_scale
-from clvol.volume.smoothing import filter_for, settled
+from clvol.volume.smoothing import settled
 
 if TYPE_CHECKING:
     from clvol.cli._preview import Preview
@@ -121,20 +122,19 @@ def render(
     look = look or Look()
     options = own_options(look, own)
     most = None if budget is None else bytes_of(budget)
-    whole = uncertainty is not None or needs_whole(look.evaluator, look.fetch)
+    whole = needs_whole(look.limits(), () if uncertainty is None else ("uncertainty",))
     cluster = together.cluster if together else None
     by_bricks = by_bricks or cluster is not None
     volume = _volume(input or Input(), source, most, by_bricks=by_bricks, whole=whole)
-    looked = volume.sketch() if isinstance(volume, clvol.LazyVolume) else volume
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
     outputs: list[clvol.Output] = ["rgba"]
     outputs += ["visited"] if verbose or heat_map is not None else []
     outputs += ["uncertainty"] if uncertainty is not None else []
     preview = preview and isinstance(volume, clvol.Volume) and outputs == ["rgba"]
-    with speech.progress("rendering", json, preview=preview) as progress:
-        options |= look.options(looked)
+    with speech.progress("rendering", json, preview=preview) as progress, look.limited(device):
+        options |= look.options(volume.preview())
         begun = time.perf_counter()
-        wanted = _filter(volume, filter, look.mode)
+        wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
         with clvol.Renderer(volume, wanted, look.boundary, device, budget=most, cluster=cluster) as renderer:
             ready = time.perf_counter()
             shows = preview and progress is not None and isinstance(renderer.field, clvol.Field)
@@ -144,7 +144,7 @@ def render(
                 pictures = renderer.render(size=size, progress=progress, outputs=outputs, lod=lod, **options)
             done = time.perf_counter()
             shown = renderer.shown
-            read = _bricks_read(shown, volume, json) if isinstance(shown, BrickedField) else {}
+            read = {} if isinstance(shown, clvol.Field) else _bricks_read(shown, volume, json)
     result["filter"] = shown.filter.name if json else speech.filter_text(shown.filter, filter, shown.volume)
     result |= read
     clvol.save(pictures["rgba"], output)
@@ -220,8 +220,9 @@ def batch(
             cameras,
             output,
             cluster=together.cluster if together else None,
-            reading=partial(_volume, reader, whole=needs_whole(look.evaluator, look.fetch)),
+            reading=partial(_volume, reader, whole=needs_whole(look.limits())),
             look=look.options,
+            limits=look.limits(),
             progress=progress,
             filter=filter,
             boundary=look.boundary,
@@ -296,19 +297,19 @@ def movie(
     look = look or Look()
     options = own_options(look, own)
     cluster = together.cluster if together else None
-    volume = _volume(input or Input(), source, whole=needs_whole(look.evaluator, look.fetch))
-    looked = volume.sketch() if isinstance(volume, clvol.LazyVolume) else volume
+    limits = look.limits()
+    volume = _volume(input or Input(), source, whole=needs_whole(limits))
     with speech.progress("drawing", json) as progress:
-        options |= look.options(looked)
-        row = _filter(volume, filter, look.mode)
+        options |= look.options(volume.preview())
+        row = row_for(volume, filter, as_mode(look.mode).picture_filter)
         options |= {"filter": row, "boundary": look.boundary, "device": device, "size": size}
         cameras = [replace(look, azimuth=look.azimuth + 360 * turns * i / count).camera() for i in range(count)]
         del options["camera"]
-        drawn = batches.frames(volume, cameras, cluster=cluster, progress=progress, **options)
+        drawn = batches.frames(volume, cameras, cluster=cluster, progress=progress, limits=limits, **options)
         with staged(output, f".{form}") as path, contextlib.closing(drawn):
             movies.write(drawn, path, form, fps)
     result: dict[str, Any] = {"output": str(output), "frames": count, "fps": movies.rate(form, fps), "mode": look.mode}
-    shown = _settled(volume, row)
+    shown = settled(volume.bounds.filter if row is None and volume.bounds is not None else row or PICTURE_FILTER, volume.part())
     result["filter"] = shown.name if json else speech.filter_text(shown, filter, volume)
     speech.say(json, result)
 
@@ -321,31 +322,17 @@ def _volume(
     def wanted(lazy: clvol.LazyVolume) -> bool:
         return by_bricks or are_by_bricks(lazy, several=reader.level is None and not whole, budget=budget)
 
-    volume = reader.by_parts(source, wanted) or reader.read(source)
-    if isinstance(volume, clvol.LazyVolume):
-        budget_for(volume, budget)  # before it is looked at
-    return as_lazy(volume) if by_bricks else volume
-
-
-def _filter(volume: clvol.Volume | clvol.LazyVolume, name: str | None, mode: str) -> clvol.Filter | str | None:
-    """By which it is drawn; None: that of the bounds in its store."""
-    if isinstance(volume, clvol.Volume):
-        return filter_for(volume, name, as_mode(mode).picture_filter)
-    if name is not None or volume.bounds is not None:
-        return name
-    return filter_for(volume.part(), None, as_mode(mode).picture_filter)
-
-
-def _settled(volume: clvol.Volume | clvol.LazyVolume, row: clvol.Filter | str | None) -> clvol.Filter:
-    """What `_filter` gives, with its smoothing as numbers."""
-    if isinstance(volume, clvol.Volume):
-        return settled(row or PICTURE_FILTER, volume)
-    return settled(row or (volume.bounds.filter if volume.bounds else PICTURE_FILTER), volume.part())
+    lazy = reader.by_parts(source, wanted)
+    if lazy is None:
+        volume = reader.read(source)
+        return as_lazy(volume) if by_bricks else volume
+    budget_for(lazy, budget)  # before it is looked at
+    return lazy
 
 
 def _bricks_read(shown: BrickedField, volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
     """How much of which size a picture took."""
-    sizes = (volume, *volume.levels) if isinstance(volume, clvol.LazyVolume) else (volume,)
+    sizes = volume, *volume.levels
     level = next((n for n, one in enumerate(sizes) if one is shown.volume), 0)
     read, there, shape = shown.reads.bricks, len(shown.bricks), list(shown.volume.shape)
     if as_json:
@@ -397,7 +384,7 @@ def compare(
     names = filters or figures.SIX
     result: dict[str, Any] = {}
     if output is not None:
-        with speech.progress("drawing", json) as progress:
+        with speech.progress("drawing", json) as progress, look.limited(device):
             _, sheet = figures.compare(
                 volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume), **options
             )
@@ -503,7 +490,7 @@ def report(
     look = look or ReportLook()
     options = own_options(look, own)
     volume = (input or Input()).read(source)
-    with speech.progress("measuring and drawing", json) as progress:
+    with speech.progress("measuring and drawing", json) as progress, look.limited(device):
         done = reports.report(
             volume,
             output,

@@ -85,11 +85,9 @@ def filter_text(row: Filter, given: str | None, volume: clvol.Volume | clvol.Laz
     text = f"{row.name.partition('(')[0]}, λ = {', '.join(map(str, values))}"
     if given is not None and "auto" not in given:
         return text
-    if isinstance(volume, clvol.LazyVolume):
-        if given is None and volume.bounds is not None:
-            return f"{text} (that of the bounds in the store)"
-        volume = volume.part()
-    return f"{text} ({choose(volume, row.degree).reason})"
+    if given is None and volume.bounds is not None:
+        return f"{text} (that of the bounds in the store)"
+    return f"{text} ({choose(volume.part(), row.degree).reason})"
 
 
 def range_text(low: float, high: float) -> str:

@@ -256,7 +256,7 @@ def _made(
 
     volume = scene.first if isinstance(scene, Volumes) else scene
     options = look.options(volume) | own
-    for usual in ("gradient", "pixel_filter", "evaluator", "fetch"):  # which copied programs need not say
+    for usual in ("gradient", "pixel_filter"):  # which copied programs need not say
         if getattr(look, usual) == getattr(Look, usual):
             del options[usual]
     if look.value_range is None:  # by their names, so that the page shows them
@@ -266,7 +266,8 @@ def _made(
     elif options["transfer"] is None:
         del options["transfer"]
     title = (volume.name if scene is volume else "") or Path(name).name
-    return View(scene, device=device, source=source, title=title, finer=finer, filter=filter, boundary=look.boundary, **options)
+    options |= {"filter": filter, "boundary": look.boundary, "limits": look.limits()}
+    return View(scene, device=device, source=source, title=title, finer=finer, **options)
 
 
 def _open(url: str) -> None:

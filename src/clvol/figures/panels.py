@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,11 +16,13 @@ from clvol.analysis.comparison import as_compared
 from clvol.analysis.dirichlet import periodic
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress, part_of
 from clvol.device import Device
 from clvol.figures.style import LETTERS, Drawing, title
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
+from clvol.march.options import PanelOptions
 from clvol.march.renderer import Renderer
 from clvol.reference.march.exact import draw_function
 from clvol.scene.camera import Camera
@@ -29,7 +31,7 @@ from clvol.scene.light import Light, Material
 from clvol.scene.mode import DEFAULT_MODE, as_mode, every_option
 from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import grid, heat, labelled, to_bytes
-from clvol.spline.field import Progress, sample
+from clvol.spline.field import sample
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = [
@@ -161,7 +163,7 @@ def figure6(
     truth, normals = phantoms.marschner_lobb_function(points), phantoms.marschner_lobb_gradient(surface)
     panels = []
     for i, row in enumerate(chosen):
-        report = _part(progress, i + 1, len(chosen) + 1)  # the exact picture was the first part
+        report = part_of(progress, (i + 1) / (len(chosen) + 1), (i + 2) / (len(chosen) + 1))  # the exact picture was the first part
         drawn_volume, through, finer, residual = _through(volume, row, DEFAULT_BOUNDARY)
         with Renderer(drawn_volume, through, device=device) as renderer:
             drawn = renderer.render(
@@ -215,7 +217,7 @@ def compare(
     max_samples: int = 1 << 20,
     device: Device | str | int | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[PanelOptions],
 ) -> tuple[list[Panel], NDArray[np.uint8]]:
     """The same picture of a volume by each filter; `options` are those of `Renderer.render`.
 
@@ -243,7 +245,11 @@ def compare(
         with Renderer(drawn_volume, through, boundary, device) as renderer:
             view = camera if drawn_volume is volume else fixed(camera, volume, drawn_volume)
             drawn = renderer.render(
-                view, size=(pixels, pixels), step=step * finer, progress=_part(progress, i, len(chosen)), **look
+                view,
+                size=(pixels, pixels),
+                step=step * finer,
+                progress=part_of(progress, i / len(chosen), (i + 1) / len(chosen)),
+                **look,
             )
             name = row if isinstance(row, str) else renderer.filter.name  # as above
         panels.append(Panel(name, drawn, residual=residual))
@@ -294,11 +300,6 @@ def fixed(camera: Camera, volume: Volume, other: Volume) -> Camera:
         eye, tuple(view.eye + view.forward), tuple(map(float, view.up)), projection=camera.projection, fov=camera.fov
     )
     return here.zoomed(here.view(other).half_height / view.half_height)
-
-
-def _part(progress: Progress | None, i: int, n: int) -> Progress | None:
-    """Progress of part `i` of `n`, reported as progress of the whole."""
-    return None if progress is None else lambda done: progress((i + done) / n)
 
 
 def shading_gradients(

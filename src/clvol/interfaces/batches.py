@@ -12,15 +12,17 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from string import Formatter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from clvol.base.checks import instance, whole
 from clvol.base.errors import ClvolError, OptionError
+from clvol.base.progress import Progress, part_of
 from clvol.bricks.source import LazyVolume, by_bricks
 from clvol.formats import read
 from clvol.formats.opening import opened_if
-from clvol.march.launch import Progress
-from clvol.march.renderer import Renderer, row_for
+from clvol.march.options import BatchOptions, FieldOptions
+from clvol.march.renderer import Renderer
+from clvol.march.source import row_for
 from clvol.scene.camera import Camera
 from clvol.scene.mode import DEFAULT_MODE, as_mode
 from clvol.show.picture import Picture, save
@@ -31,7 +33,7 @@ if TYPE_CHECKING:  # clusters need dask
 
 __all__ = ["Drawn", "batch", "frames", "needs_whole", "turned"]
 
-_OF_RENDERER = ("filter", "boundary", "device", "budget")  # the other options are those of a picture
+_OF_RENDERER = tuple(FieldOptions.__annotations__)  # the other options are those of a picture
 _FIELDS = ("name", "number", "frame")
 _QUEUED = 2  # frames of a movie for each worker that are submitted ahead
 
@@ -89,7 +91,8 @@ def batch(
     reading: Mapping[str, Any] | Callable[[str], Volume | LazyVolume] | None = None,
     look: Callable[[Volume], Mapping[str, Any]] | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    limits: Mapping[str, Any] | None = None,
+    **options: Unpack[BatchOptions],
 ) -> list[Drawn]:
     """Draw many volumes from many sides; each picture's file is written as soon as it is drawn.
 
@@ -113,6 +116,8 @@ def batch(
         Returns further options for a volume.
     progress : callable, optional
         Called with the fraction done.
+    limits : mapping, optional
+        Limits of whichever device draws, as of `Device.limited`.
     **options
         As of `clvol.render`.
 
@@ -152,8 +157,8 @@ def batch(
         for (number, source), frame in itertools.product(enumerate(sources), range(len(views)))
     ]
     _require_distinct(results)
-    how = reading if callable(reading) else dict(reading or {})
-    with closing(_outcomes(sources, how, views, look, cluster, options)) as outcomes:
+    request = _Request(reading if callable(reading) else dict(reading or {}), look, {**options}, dict(limits or {}))
+    with closing(_outcomes(sources, views, cluster, request)) as outcomes:
         for done, (number, outcome) in enumerate(outcomes, 1):
             if isinstance(outcome, ClvolError):
                 results[number] = replace(results[number], error=outcome)
@@ -167,25 +172,20 @@ def batch(
 
 
 def _outcomes(
-    sources: Sequence[Any],
-    how: Any,
-    views: Sequence[Camera | None],
-    look: Any,
-    cluster: ClusterLike | None,
-    options: dict[str, Any],
+    sources: Sequence[Any], views: Sequence[Camera | None], cluster: ClusterLike | None, request: _Request
 ) -> Generator[tuple[int, Picture | ClvolError], None, None]:
     """The number of each picture, and the picture or why there is none, as they are drawn."""
     if cluster is None:
         with closing(_LastRenderer()) as last:
             for number, (source, view) in enumerate(itertools.product(sources, views)):
                 try:
-                    yield number, last.drawn(source, how, view, look, options)
+                    yield number, last.drawn(source, request, view)
                 except ClvolError as error:
                     yield number, error
         return
     with _workers_of(cluster) as (workers, token):
         sent = [_sent(workers, source) for source in sources]
-        tasks = [workers.submit(_task, token, source, how, view, look, options) for source, view in itertools.product(sent, views)]
+        tasks = [workers.submit(_task, token, source, request, view) for source, view in itertools.product(sent, views)]
         try:
             yield from workers.as_completed(tasks, keep_errors=True)
         finally:
@@ -198,7 +198,8 @@ def frames(
     *,
     cluster: ClusterLike | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    limits: Mapping[str, Any] | None = None,
+    **options: Unpack[BatchOptions],
 ) -> Generator[Picture, None, None]:
     """The pictures of a volume, in order, such as for `movies.write`.
 
@@ -214,6 +215,8 @@ def frames(
         As of `batch`.
     progress : callable, optional
         Called with the fraction done.
+    limits : mapping, optional
+        Limits of whichever device draws, as of `Device.limited`.
     **options
         As of `clvol.render`.
 
@@ -232,19 +235,19 @@ def frames(
     for camera in cameras:
         if camera is not None and not isinstance(camera, Camera):
             raise OptionError(f"cameras must be of Camera, or None for the default one; got {type(camera).__qualname__}")
-    return _frames(sources[0], cameras, cluster, progress, options)
+    return _frames(sources[0], cameras, cluster, progress, _Request({}, None, {**options}, dict(limits or {})))
 
 
 def _frames(
-    source: Any, cameras: Sequence[Camera | None], cluster: ClusterLike | None, progress: Progress | None, options: dict[str, Any]
+    source: Any, cameras: Sequence[Camera | None], cluster: ClusterLike | None, progress: Progress | None, request: _Request
 ) -> Generator[Picture, None, None]:
     """As `frames`, which checks its arguments before the first picture is asked for."""
     count = len(cameras)
     if cluster is None:
         with closing(_LastRenderer()) as last:
             for number, camera in enumerate(cameras):
-                within = progress and partial(_report, progress, number, count)
-                yield last.drawn(source, {}, camera, None, options | {"progress": within})
+                part = part_of(progress, number / count, (number + 1) / count)
+                yield last.drawn(source, request, camera, progress=part)
         return
     with _workers_of(cluster) as (workers, token):
         sent, left = _sent(workers, source), iter(cameras)
@@ -252,7 +255,7 @@ def _frames(
         try:
             for number in range(count):
                 for camera in itertools.islice(left, max(1, _QUEUED * len(workers.workers) - len(tasks))):
-                    tasks.append(workers.submit(_task, token, sent, {}, camera, None, options))
+                    tasks.append(workers.submit(_task, token, sent, request, camera))
                 ((_, picture),) = workers.as_completed([tasks[0]])
                 tasks.popleft()
                 if progress:
@@ -260,11 +263,6 @@ def _frames(
                 yield picture
         finally:
             workers.cancel(tasks)
-
-
-def _report(progress: Progress, number: int, count: int, done: float) -> None:
-    """Progress within picture `number` of `count`."""
-    progress((number + done) / count)
 
 
 @contextmanager
@@ -283,23 +281,33 @@ def _workers_of(choice: ClusterLike) -> Iterator[tuple[Cluster, str]]:
 
 def _sent(cluster: Cluster, source: Any) -> Any:
     """A source as an argument of tasks: a file by its absolute path, a volume sent once for all of them."""
-    if isinstance(source, Volume):
-        return cluster.scatter(source, source.data.nbytes)
-    if isinstance(source, LazyVolume):
-        return cluster.scatter(source.for_tasks(), source.nbytes if source.in_memory else 0)
-    return str(Path(source).absolute()) if Path(source).exists() else source
+    if isinstance(source, (str, os.PathLike)):
+        return str(Path(source).absolute()) if Path(source).exists() else source
+    return cluster.scatter(source.for_tasks(), source.nbytes if source.in_memory else 0)
 
 
-def needs_whole(evaluator: str = "auto", fetch: str = "auto", outputs: Any = "rgba", **_: Any) -> bool:
-    """Whether these options of `clvol.render` need the whole volume on the device."""
-    return evaluator not in ("auto", "taps") or fetch == "image" or "uncertainty" in outputs
+@dataclass(frozen=True)
+class _Request:
+    """How each source is read and drawn: the options of `batch`, for tasks too."""
+
+    reading: Any
+    look: Callable[[Volume], Mapping[str, Any]] | None
+    options: dict[str, Any]
+    limits: dict[str, Any]
+
+    def read(self, path: str) -> Volume | LazyVolume:
+        """The file, by bricks if it is large."""
+        how = self.reading
+        if callable(how):
+            return how(path)  # type: ignore[no-any-return]  # it is the caller's
+        several = how.get("level") is None and not needs_whole(self.limits, self.options.get("outputs", "rgba"))
+        return opened_if(path, partial(by_bricks, several=several), **how) or read(path, **how)
 
 
-def _read(path: str, how: Any, options: Mapping[str, Any]) -> Volume | LazyVolume:
-    if callable(how):
-        return how(path)  # type: ignore[no-any-return]  # it is the caller's
-    several = how.get("level") is None and not needs_whole(**options)
-    return opened_if(path, partial(by_bricks, several=several), **how) or read(path, **how)
+def needs_whole(limits: Mapping[str, Any], outputs: Any = "rgba") -> bool:
+    """Whether pictures need the whole volume on the device: bricks are read by direct taps alone and have no uncertainty."""
+    taps = limits.get("evaluator", "auto") in ("auto", "taps") and limits.get("fetch") != "image"
+    return not taps or "uncertainty" in outputs
 
 
 class _LastRenderer:
@@ -308,6 +316,7 @@ class _LastRenderer:
     def __init__(self) -> None:
         self._key: Any = None
         self._volume: Any = None
+        self._options: dict[str, Any] = {}
         self._renderer: Renderer | None = None
 
     def close(self) -> None:
@@ -316,38 +325,38 @@ class _LastRenderer:
             self._renderer.close()
         self._key = self._volume = self._renderer = None
 
-    def _of(self, token: str, source: Any, how: Any, options: Mapping[str, Any]) -> Renderer:
+    def _of(self, token: str, source: Any, request: _Request) -> tuple[Renderer, dict[str, Any]]:
+        """The renderer of a source, and the options of its pictures."""
         named = isinstance(source, (str, os.PathLike))
         key = (token, str(source) if named else id(source))
         if self._renderer is None or key != self._key:  # a volume that is kept keeps its id
             self.close()
-            volume = _read(str(source), how, options) if named else source
-            if token and isinstance(volume, LazyVolume):
-                volume = volume.for_tasks()
-            given = {name: options[name] for name in _OF_RENDERER if options.get(name) is not None}
-            if isinstance(volume, LazyVolume):
-                usual = as_mode(options.get("mode", DEFAULT_MODE)).picture_filter
-                given["filter"] = row_for(volume, given.get("filter"), usual)
-            self._renderer, self._volume, self._key = Renderer(volume, **given), volume, key
-        return self._renderer
+            volume = request.read(str(source)) if named else source
+            volume = volume.for_tasks() if token else volume
+            options = request.options | ({} if request.look is None else dict(request.look(volume.preview())))
+            given = {name: options.pop(name) for name in _OF_RENDERER if name in options}
+            usual = as_mode(options.get("mode", DEFAULT_MODE)).picture_filter
+            given["filter"] = row_for(volume, given.get("filter"), usual)
+            self._renderer, self._options, self._volume, self._key = Renderer(volume, **given), options, volume, key
+        return self._renderer, self._options
 
-    def drawn(self, source: Any, how: Any, view: Camera | None, look: Any, options: Mapping[str, Any], token: str = "") -> Picture:
+    def drawn(
+        self, source: Any, request: _Request, view: Camera | None, token: str = "", progress: Progress | None = None
+    ) -> Picture:
         """A picture; `token` tells batches apart, between which a file may change."""
-        renderer = self._of(token, source, how, options)
-        rest = {name: value for name, value in options.items() if name not in _OF_RENDERER}
-        if look is not None:
-            rest |= look(self._volume.sketch() if isinstance(self._volume, LazyVolume) else self._volume)
+        renderer, options = self._of(token, source, request)
         if view is not None:
-            rest["camera"] = view
-        return renderer.render(**rest)  # type: ignore[no-any-return]  # its options are the caller's
+            options = options | {"camera": view}
+        with renderer.device.limited(**request.limits):
+            return renderer.render(**options, progress=progress)  # type: ignore[no-any-return]  # its options are the caller's
 
 
 _worker = _LastRenderer()
 
 
-def _task(token: str, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
+def _task(token: str, source: Any, request: _Request, view: Camera | None) -> Any:
     with _worker_lock():
-        return _worker.drawn(source, how, view, look, options, token)
+        return _worker.drawn(source, request, view, token)
 
 
 def _release() -> None:
@@ -366,13 +375,13 @@ def _worker_lock() -> Any:
 
 def _as_sources(sources: Any) -> list[Any]:
     """Paths and volumes, whether one was given or several."""
-    if isinstance(sources, (str, os.PathLike, Volume, LazyVolume)) or hasattr(sources, "shape"):
+    if isinstance(sources, (str, os.PathLike)) or hasattr(sources, "shape"):
         sources = [sources]
     try:
         many = list(sources)
     except TypeError:
         raise OptionError(f"sources must be files or volumes; got {sources!r}") from None
-    return [one if isinstance(one, (str, os.PathLike, LazyVolume)) else as_volume(one) for one in many]
+    return [one if isinstance(one, (str, os.PathLike)) or hasattr(one, "preview") else as_volume(one) for one in many]
 
 
 def _name(source: Any) -> str:

@@ -1,4 +1,4 @@
-"""Pictures of volumes that are at hand brick by brick: the host side of bricks.cl.
+"""Pictures of volumes of which one brick after the other is resident: the host side of bricks.cl.
 
 Rays go through the bricks front to back and carry their states on, so a picture by bricks is the picture. Bricks are left out, and
 never read, that no ray reaches which wants more samples, and those in which no value can be seen.
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base import memory
+from clvol.base.progress import Progress, part_of
 from clvol.base.uniform import Values
 from clvol.bricks.field import BrickedField
 from clvol.bricks.grid import Brick
@@ -25,10 +26,8 @@ from clvol.bricks.source import Index, LazyVolume
 from clvol.device.program import Program
 from clvol.filter.filter import Filter
 from clvol.march.frame import WINDOW, Frame
-from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_pictures, pictures_of
+from clvol.march.launch import Drawing, Picture, launched_over, lent_pictures, pictures_of
 from clvol.scene.camera import View
-from clvol.scene.mode import Composite, Isosurface, Minip, Mip
-from clvol.scene.transfer import TransferFunction
 from clvol.spline.lease import release
 from clvol.spline.minmax import MinMax, minmax_block
 from clvol.volume.volume import Volume
@@ -52,14 +51,14 @@ Area: TypeAlias = tuple[int, int, int, int]
 """Of pixels: x, y, width and height."""
 
 STEPPED_AT_MOST = 3.0
-"""Voxels between two samples of a ray where something between them is asked for: bricks hold so many around their own."""
+"""Voxels between two samples of a ray, at most, where a picture depends on what lies between them: the width of a brick's rim."""
 _LOOKED_AHEAD = 32  # bricks, of which the next one is read while rays go through another
 _ANY = 3e38  # of values, where nothing is known of them
 _SHARE = 8  # of the budget, what states may take at a time
 
 
 class BrickedDrawing(Drawing):
-    """A picture in the making of a volume that is at hand brick by brick.
+    """A picture that is being drawn, of a volume that is read by bricks.
 
     Parameters
     ----------
@@ -88,7 +87,7 @@ class BrickedDrawing(Drawing):
         self._program = self.frame.program("march/bricks.cl", windowed=True)
         self._table = self.frame.device.buffers.upload(self.frame.table)
 
-    def cast(self, rays: int, told: Progress | None = None, until: float = math.inf) -> bool:  # noqa: ARG002  # all or nothing
+    def cast(self, rays: int, progress: Progress | None = None, until: float = math.inf) -> bool:  # noqa: ARG002  # all or nothing
         """So many further rays of each pixel, in one sweep over the bricks, or several if their states take much memory."""
         frame, (width, height) = self.frame, self.frame.size
         last = min(self.rays, self.cast_rays + rays)
@@ -98,22 +97,21 @@ class BrickedDrawing(Drawing):
             first, past = self.cast_rays, min(last, self.cast_rays + together)
             memory.require((past - first) * each, f"the states of {(past - first) * width * height} rays")
             frames = [replace(frame, values=frame.sampled(*self._pattern[i], i, self.rays)) for i in range(first, past)]
-            start, share = self.cast_rays / last, (past - self.cast_rays) / last
-            part = None if told is None else _share(told, start, share)
+            part = part_of(progress, first / last, past / last)
             self._sweep([(one, None) for one in frames], self.arrays, part, begun=first > 0)
             self.cast_rays = past
         return True
 
-    def _cast_listed(self, rays: Frame, places: NDArray[np.float32], told: Progress | None) -> dict[str, Picture]:
+    def _cast_listed(self, rays: Frame, places: NDArray[np.float32], progress: Progress | None) -> dict[str, Picture]:
         arrays = pictures_of(rays)
-        self._sweep([(rays, places)], arrays, told)
+        self._sweep([(rays, places)], arrays, progress)
         return arrays
 
     def _sweep(
         self,
         frames: list[tuple[Frame, NDArray[np.float32] | None]],
         arrays: dict[str, Picture],
-        told: Progress | None,
+        progress: Progress | None,
         *,
         begun: bool = False,
     ) -> None:
@@ -122,9 +120,9 @@ class BrickedDrawing(Drawing):
         try:
             for frame, places in frames:
                 passes.append(self.begun(frame, places))
-            self._go_through(passes, frames, told)
-            if told:
-                told(1.0)
+            self._go_through(passes, frames, progress)
+            if progress:
+                progress(1.0)
             with lent_pictures(frames[0][0], arrays, begun=begun) as buffers:
                 for one in passes:
                     one.finish(buffers)
@@ -136,16 +134,16 @@ class BrickedDrawing(Drawing):
         self,
         passes: list[Pass],
         frames: list[tuple[Frame, NDArray[np.float32] | None]],  # noqa: ARG002  # passes know theirs
-        told: Progress | None,
+        progress: Progress | None,
     ) -> None:
         """Rays, those of each of the frames, through all bricks."""
-        self.march(passes, front_to_back(self._field, self._view), told)
+        self.march(passes, front_to_back(self._field, self._view), progress)
 
     def begun(self, frame: Frame, places: NDArray[np.float32] | None, area: Area | None = None) -> Pass:
         """The rays of one of the picture's frames before the first brick: all of them, or those of an area that begins a tile."""
         return Pass(frame, places, self._program, self._table, self._beside, self.frame, area)
 
-    def march(self, passes: list[Pass], bricks: list[Brick], told: Progress | None = None) -> None:
+    def march(self, passes: list[Pass], bricks: list[Brick], progress: Progress | None = None) -> None:
         """Rays through bricks, which lie one behind the other."""
         field = self._field
         bricks = self._sorted([brick for brick in bricks if self._may_matter(brick)])
@@ -165,25 +163,25 @@ class BrickedDrawing(Drawing):
                         if self._may_matter(brick):  # of what was just read more is known
                             for one, area in wanted:
                                 one.march(own, minmax, brick, field, area)
-                if told:
-                    told((number + 1) / len(bricks))
+                if progress:
+                    progress((number + 1) / len(bricks))
         finally:
             field.store.forget_ahead()
 
     def _sorted(self, bricks: list[Brick]) -> list[Brick]:
         """Bricks as they follow, or those first that may hold the extremes which rays seek: these come in any order."""
-        mode = self.frame.mode
-        if not (self._skipping and isinstance(mode, (Mip, Minip))):
+        sought = self.frame.mode.seeks
+        if not self._skipping or sought == "any":
             return bricks
         ends = {brick.at: self._field.bounds.of(brick) or (-math.inf, math.inf) for brick in bricks}
-        if isinstance(mode, Mip):
+        if sought == "largest":
             return sorted(bricks, key=lambda brick: -ends[brick.at][1])
         return sorted(bricks, key=lambda brick: ends[brick.at][0])
 
     def _wanted(self, passes: list[Pass], brick: Brick) -> list[tuple[Pass, Area]]:
         """Which rays may want a brick, and pixels where they do.
 
-        Of one that would have to be read each of them is asked, by what is known of its values.
+        Before a brick is read, each of them is tested against what is known of its values.
         """
         field = self._field
         wanted = [(one, area) for one in passes if (area := one.wanted(brick, self._view, field.volume.grid)) is not None]
@@ -198,13 +196,7 @@ class BrickedDrawing(Drawing):
         if not (self._skipping and mode.skips):
             return True
         ends = self._field.bounds.of(brick)
-        if ends is None:
-            return True
-        low, high = ends
-        if isinstance(mode, Isosurface):
-            assert mode.isovalue is not None  # it is settled
-            return low <= mode.isovalue <= high
-        return not isinstance(mode, Composite) or opacity_within(self.frame.transfer, low, high) > 0
+        return ends is None or mode.interval_matters(*ends, self.frame.transfer)
 
 
 @dataclass(frozen=True)
@@ -308,14 +300,14 @@ class Pass:
         return bool(found[0])
 
     def march(self, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField, area: Area) -> None:
-        """Rays through a brick, whose coefficients are at hand."""
+        """March rays through a brick that is resident."""
         frame, device = self.frame, self.frame.device
         values = frame.values.copy()
         values["window"] = _window(own, minmax, brick, field)
         values["minmax"] = minmax_block(minmax, field.volume.grid, frame.planes.margin)
         made = own.coefficients
         nothing = self._table  # any buffer: it is not read
-        sides = minmax.sides(float(values["mode"]["isovalue"])) if minmax is not None and frame.mode.stretches else nothing
+        sides = nothing if minmax is None or (surface := frame.surface) is None else minmax.sides(surface)
         self._over(
             "march_brick",
             area,
@@ -339,7 +331,7 @@ class Pass:
         return bool(self._going.any())
 
     def carried(self) -> Carried:
-        """What the rays of the area carry, for another process to go on with."""
+        """What the rays of the area carry, for another process to resume."""
         planes = []
         for buffer, count in zip((self._memory, self._shown), self._fields, strict=True):
             with self._planes(buffer, count, write=False) as own:
@@ -353,7 +345,7 @@ class Pass:
                 own[...] = given
 
     def resume(self, carried: Carried) -> None:
-        """The same, to go on with them."""
+        """Resume such rays."""
         self.take(carried)
         block = self.frame.device.buffers.upload(self.frame.values[None])
         self._over("resume_states", carried.area, block, self._places, self._memory, self._flags)
@@ -428,7 +420,7 @@ def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | No
 
 
 def level_of(volume: LazyVolume, view: View, size: tuple[int, int], pixels: float) -> int:
-    """The coarsest level whose voxels span at most so many pixels where the volume is nearest to the viewer; 0 is the finest."""
+    """The coarsest level whose voxels span at most `pixels` where the volume is nearest to the viewer; 0 is the finest."""
     nearest = 1.0 if view.orthographic else nearest_to(volume, view)
     return level_within(volume, pixels * 2 * view.half_height * nearest / size[1])
 
@@ -443,14 +435,6 @@ def level_within(volume: LazyVolume, length: float) -> int:
     return max((i for i, level in enumerate((volume, *volume.levels)) if max(level.spacing) <= length), default=0)
 
 
-def opacity_within(transfer: TransferFunction, low: float, high: float) -> float:
-    """The largest opacity of values from `low` to `high`."""
-    at = np.array([value for value, _ in transfer.opacities])
-    given = np.array([opacity for _, opacity in transfer.opacities])
-    inner = given[(at >= low) & (at <= high)]
-    return max([*map(float, np.interp([low, high], at, given)), *map(float, inner)])
-
-
 def fields_of(frame: Frame) -> int:
     """Numbers that are kept for each ray."""
     mode = frame.mode
@@ -458,7 +442,7 @@ def fields_of(frame: Frame) -> int:
 
 
 def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> Values:
-    """What kernels read of the part that is at hand."""
+    """What kernels read of the resident part."""
     stored_from = [first * field.filter.scale for first in brick.first]
     z, y, x = own.coefficients.shape
     cells_from, cells_to = field.bricks.cells(brick)
@@ -473,11 +457,6 @@ def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedFi
         blocks_from=[a + b for a, b in zip(stored_from, first, strict=True)],
         whole=field.coefficients.extent[:3],
     )
-
-
-def _share(told: Progress, start: float, share: float) -> Progress:
-    """Tells of a part of the work."""
-    return lambda done: told(start + share * done)
 
 
 def boxes_of(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.float32]:

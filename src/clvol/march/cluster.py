@@ -15,6 +15,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -22,32 +23,36 @@ from numpy.typing import NDArray
 
 from clvol.base.checks import one_of
 from clvol.base.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
+from clvol.base.progress import Progress
 from clvol.bricks.field import BrickedField
 from clvol.bricks.grid import Brick
 from clvol.bricks.source import Index, LazyVolume, budget_for
 from clvol.dask.cluster import (
     Cluster,
+    ClusterLike,
     LostError,
     PoisonError,
     WorkerLock,
+    as_cluster,
     local_rank,
     local_size,
     version,
     worker_address,
     worker_device,
 )
+from clvol.device import Device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.march.bricks import Area, BrickedDrawing, Carried, Pass, boxes_of, front_to_back, pixels_of
 from clvol.march.frame import Frame, tile_of
-from clvol.march.launch import Progress
+from clvol.march.options import MERGES, Fineness, Merge, ResolvedLook
+from clvol.march.source import ByBricks
 from clvol.scene.camera import View
-from clvol.scene.mode import Composite, Isosurface, Mode
+from clvol.scene.scene import Scene
+from clvol.volume.volume import Volume
 
-__all__ = ["MERGES", "ClusterDrawing", "Group", "Merge", "Shared", "groups_of", "shared_out", "visible"]
+__all__ = ["ClusterDrawing", "Group", "OnCluster", "Shared", "groups_of", "shared_out", "visible"]
 
-Merge: TypeAlias = Literal["order", "tree"]
-MERGES = ("order", "tree")
 _GROUPS = 4  # boxes for each worker
 _AREAS = 4  # areas of a picture for each worker
 _SMALLEST = 32  # pixels; the edges of areas are multiples of it
@@ -143,9 +148,6 @@ def shared_out(field: BrickedField, workers: int) -> BrickedField:
     return BrickedField(field.volume, field.filter, field.boundary, field.device, budget=field.budget, edge=edge)
 
 
-# -- what workers receive ------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Recipe:
     """The arguments of the field that each worker makes, once."""
@@ -236,7 +238,7 @@ class Shared:
 
 
 class ClusterDrawing(BrickedDrawing):
-    """A picture in the making whose rays the workers of a cluster cast.
+    """A picture that is being drawn, whose rays the workers of a cluster cast.
 
     Parameters
     ----------
@@ -424,12 +426,8 @@ def require_merge(merge: str, frame: Frame) -> Merge:
         return "order"
     if merge != "tree":
         raise one_of("merge", merge, MERGES)
-    mode: Mode = frame.mode
-    smooth = frame.coefficients.filter.support > 1
-    if isinstance(mode, Isosurface) and not (mode.stretches and smooth):
-        raise OptionError('merge must be "order" for surfaces that are stepped to, or between labels: they lie between two samples')
-    if isinstance(mode, Composite) and frame.guides:
-        raise OptionError('merge must be "order" for the depth and normals of matter: they depend on the light that comes through')
+    if why := frame.mode.unmergeable(guides=frame.guides, smooth=frame.coefficients.filter.support > 1):
+        raise OptionError(f'merge must be "order" for {why}')
     return "tree"
 
 
@@ -542,3 +540,69 @@ def read_bricks(recipe: _Recipe, bricks: Sequence[Index], key: str) -> None:
             client.set_metadata([key], number)
             with field.store.resident(field.bricks[at]):
                 pass
+
+
+class OnCluster(ByBricks):
+    """A function whose bricks the workers of a cluster share.
+
+    Parameters
+    ----------
+    scene, field, preview, arguments
+        As of `ByBricks`; this process reads no bricks of the field.
+    cluster : distributed.Client, str or int
+    merge : {"order", "tree"}
+    device, budget
+        Of each worker, as they were given.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        field: BrickedField,
+        preview: Volume,
+        arguments: tuple[Any, ...],
+        cluster: ClusterLike,
+        merge: Merge,
+        device: Device | str | int | None,
+        budget: int | None,
+    ) -> None:
+        super().__init__(scene, field, preview, arguments)
+        self._merge: Merge = merge
+        self._device, self._budget = device, budget
+        self._processes = cluster if isinstance(cluster, int) else None
+        self._shared: dict[int, Shared] = {}
+        self._cluster = as_cluster(cluster)
+        self.field = self.shown = self._shared_out(field)
+        self.lease.frees(self.field.close)
+        self.lease.frees(partial(_leave, self._cluster, self._shared, owned=self._cluster is not cluster))
+
+    def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        cluster = self._processes or self._cluster.address
+        arguments = *self.arguments, self._device  # as it was given: each worker finds its own
+        return arguments, {"budget": self._budget, "cluster": cluster, "merge": self._merge}
+
+    def _shared_out(self, field: BrickedField) -> BrickedField:
+        return shared_out(field, len(self._cluster.workers))
+
+    def drawing(self, frame: Frame, look: ResolvedLook, fine: Fineness, field: BrickedField) -> BrickedDrawing:
+        view = look.view(fine.size)
+        return ClusterDrawing(frame, fine.samples, fine.filter, self._share(field), view, skipping=look.skipping, merge=self._merge)
+
+    def _share(self, field: BrickedField) -> Shared:
+        """Which worker has which bricks of a field; they are shared out anew when the workers are others."""
+        with self._lock:
+            found = self._shared.get(id(field))
+            if found is None:
+                device = self._device.name if isinstance(self._device, Device) else self._device
+                found = self._shared[id(field)] = Shared(self._cluster, field, device, self._budget)
+            elif found.workers != self._cluster.workers:
+                found.share()
+            return found
+
+
+def _leave(cluster: Cluster, shared: dict[int, Shared], *, owned: bool) -> None:
+    """Leave a cluster, whose workers then keep nothing."""
+    for one in shared.values():
+        one.forget()
+    if owned:
+        cluster.close()

@@ -10,23 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.progress import Progress
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.device import Device, Tile
 from clvol.device.program import Program
-from clvol.filter.boundary import Boundary
+from clvol.march.options import ResolvedLook
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.scene.camera import Camera, View
 from clvol.scene.fit import fitted
 from clvol.scene.light import LIGHTS, Material, lights_block
-from clvol.scene.mode import Isosurface, Mode
+from clvol.scene.mode import Mode
 from clvol.scene.scene import CLIP, Medium, Scene, clip_block
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.build import along_defines
 from clvol.spline.coefficients import Coefficients, Whole
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
-from clvol.spline.points import Progress
-from clvol.volume.volume import Volume
 
 __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "frame_block", "tile_of"]
 
@@ -49,7 +48,7 @@ PICTURE = Block(
     **{"pass": INT, "last_pass": INT},
 )
 
-WINDOW = Block(  # the part of the volume that is at hand, where not all is: window.cl
+WINDOW = Block(  # the resident part of a volume that is read by bricks: window.cl
     "window_block",
     low=(FLOAT, 3),
     high=(FLOAT, 3),
@@ -140,12 +139,12 @@ class Frame:
         central: bool,
         guides: bool,
         aspect: float | None = None,
-        told: Progress | None = None,
+        progress: Progress | None = None,
     ) -> Frame:
         """The frame of a scene whose medium's coefficients are resident, by a camera and a mode.
 
-        `aspect` is ``width / height`` of the picture that is shown, if that is not quite this one's. `told` is told how much is
-        done of what takes long, and may raise.
+        `aspect` is ``width / height`` of the picture that is shown, if that is not quite this one's. `progress` is called during
+        what takes long, and may raise.
         """
         (medium,), (width, height) = scene.media, size
         aspect = width / height if aspect is None else aspect
@@ -180,12 +179,20 @@ class Frame:
         table = transfer.table(stored)
         tile = tile_of(coefficients.device, evaluator)
         labels = volume.is_labels and not coefficients.filter.has_gradient
-        sides = minmax.sides(float(values["mode"]["isovalue"]), told) if minmax is not None and mode.stretches else None
-        return cls(coefficients, minmax, sides, mode, transfer, evaluator, planes, tile, central, labels, guides, values, table)
+        made = cls(coefficients, minmax, None, mode, transfer, evaluator, planes, tile, central, labels, guides, values, table)
+        if minmax is None or (surface := made.surface) is None:
+            return made
+        return replace(made, sides=minmax.sides(surface, progress))
 
     @property
     def device(self) -> Device:
         return self.coefficients.device
+
+    @property
+    def surface(self) -> float | None:
+        """The stored value whose surface is searched for between samples; None for modes that take samples."""
+        mode = self.mode
+        return float(self.coefficients.stored(mode.surface)) if mode.stretches and mode.surface is not None else None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -228,7 +235,7 @@ class Frame:
             "SHADED": int(mode.shaded),
             "STATE_FIELDS": mode.state_fields,
             "CENTRAL": int(self.central),
-            "LABELS": int(self.labels) * (2 if isinstance(mode, Isosurface) else 1),
+            "LABELS": int(self.labels) * (2 if mode.shows == "surface" else 1),
             "GUIDES": int(self.guides),
             "BLOCK": BLOCK * self.coefficients.filter.scale,
             "SLAB": SLAB,
@@ -243,70 +250,48 @@ class Frame:
 
 @dataclass(frozen=True)
 class Subject:
-    """What a picture shows, however fine it is: all that `Frame.of` takes but size and step, made ready on the device."""
+    """A look of a function that is resident: all that a frame takes but size and step."""
 
-    scene: Scene
+    look: ResolvedLook
     coefficients: Coefficients | Whole
     minmax: MinMax | None
-    camera: Camera
-    mode: Mode
-    transfer: TransferFunction
     evaluator: Evaluator
-    central: bool
-    looked: Volume | None = None
+
+    @property
+    def central(self) -> bool:
+        """Whether gradients are central differences."""
+        return self.look.central or not self.coefficients.filter.has_gradient
 
     def frame(
-        self, size: tuple[int, int], step: float, *, guides: bool = False, aspect: float | None = None, told: Progress | None = None
+        self,
+        size: tuple[int, int],
+        step: float,
+        *,
+        guides: bool = False,
+        aspect: float | None = None,
+        progress: Progress | None = None,
     ) -> Frame:
-        """The frame of so many pixels; `aspect` and `told` as for `Frame.of`."""
+        """The frame of a size; `aspect` and `progress` as for `Frame.of`."""
+        look = self.look.placed(size[0] / size[1] if aspect is None else aspect)
         return Frame.of(
-            self.scene,
+            look.scene,
             self.coefficients,
             self.minmax,
-            self.camera if self.looked is None else self.placed(size[0] / size[1] if aspect is None else aspect).camera,
-            self.mode,
+            look.camera,
+            look.mode,
             size,
             step,
-            self.transfer,
+            look.transfer,
             self.evaluator,
             central=self.central,
             guides=guides,
             aspect=aspect,
-            told=told,
+            progress=progress,
         )
-
-    def seen_as(self, volume: Volume) -> Subject:
-        """The same with a camera that is fitted to what is seen of another volume, which has samples at hand."""
-        return replace(self, looked=volume)
-
-    def of(self, coefficients: Whole, boundary: Boundary) -> Subject:
-        """The same of other coefficients: of another level of the volume.
-
-        What follows from the volume where nothing is given, the thickness that opacities count for and what a camera is fitted to,
-        is the whole volume's: all levels show the same matter in the same place.
-        """
-        (medium,) = self.scene.media
-        whole, camera, transfer = medium.volume, self.camera, self.transfer
-        if transfer.unit_distance is None:
-            transfer = replace(transfer, unit_distance=whole.mean_spacing)
-        if camera.fit == "volume" or any(v is not None for v in (camera.position, camera.target, camera.distance, camera.radius)):
-            x, y, z = (float(v) for v in whole.center)
-            target, radius = camera.target or (x, y, z), whole.radius if camera.radius is None else camera.radius
-            camera = replace(camera, target=target, radius=radius)
-        seen = Medium(coefficients.volume, medium.transfer, medium.material, medium.filter, boundary)
-        scene = Scene((seen,), self.scene.lights, self.scene.background, self.scene.clip)
-        central = self.central or not coefficients.filter.has_gradient
-        return replace(self, scene=scene, coefficients=coefficients, central=central, camera=camera, transfer=transfer)
-
-    def view(self, size: tuple[int, int]) -> View:
-        """From where a picture of so many pixels is seen."""
-        aspect, volume = size[0] / size[1], self.scene.media[0].volume
-        return self.placed(aspect).camera.view(volume, aspect)
 
     def placed(self, aspect: float) -> Subject:
         """The same by a camera that has its place, if that was left open."""
-        volume = self.looked or self.scene.media[0].volume
-        return replace(self, camera=fitted(self.camera, volume, self.mode, self.transfer, self.scene.clip, aspect))
+        return replace(self, look=self.look.placed(aspect))
 
 
 def tile_of(device: Device, evaluator: Evaluator) -> Tile:

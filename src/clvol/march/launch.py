@@ -12,19 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress, part_of
 from clvol.filter.filter import Filter
 from clvol.march.frame import Frame
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, EDGE_RAYS, as_pixel_filter, on_edges, pixel_rays
 from clvol.spline.build import row_reach, row_width
 from clvol.spline.coefficients import Coefficients
-from clvol.spline.points import Progress
 
 __all__ = [
     "BEFORE_EDGES",
     "CHANNELS",
     "Drawing",
     "Picture",
-    "Progress",
     "States",
     "draw",
     "drawn",
@@ -54,7 +53,7 @@ _SCATTERED = 8  # times as long takes a ray whose neighbours are far away, at mo
 _FINDING = 0.2  # of the progress of edges, until they are found
 _EDGE_TILE = 16  # pixels along an edge of a part of the picture whose pixels on edges follow each other
 _SET_UP = 2.0  # samples that a ray takes as long as to be begun
-_CELLS = 8  # of so many on a ray one is looked at, at most guesses
+_CELLS = 8  # cells on a ray for each that is evaluated, in guesses
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 _SHADED, _CENTRAL, _SOFTWARE = 3, 12, 8  # times as long with the gradient, with central differences, from images on a processor
 
@@ -62,7 +61,7 @@ _SHADED, _CENTRAL, _SOFTWARE = 3, 12, 8  # times as long with the gradient, with
 def draw(
     frame: Frame, samples: int | Literal["auto"] = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
 ) -> dict[str, Picture]:
-    """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...).
+    """The picture of a frame with `samples` rays a pixel, and its guides if the frame has them; each (height, width, ...).
 
     With "auto" one, and `EDGE_RAYS` in pixels on edges of that picture (`on_edges`).
 
@@ -72,18 +71,18 @@ def draw(
 
 
 def drawn(drawing: Drawing, samples: int | Literal["auto"], progress: Progress | None = None) -> dict[str, Picture]:
-    """What a drawing with so many rays a pixel shows once it is complete."""
+    """The pictures of a drawing with `samples` rays a pixel, once it is complete."""
     share = 1.0 if samples != "auto" else BEFORE_EDGES
-    drawing.cast(drawing.rays, progress and (lambda done: progress(share * done)))
+    drawing.cast(drawing.rays, part_of(progress, 0, share))
     if samples == "auto":
-        drawing.smooth_edges(progress and (lambda done: progress(share + (1 - share) * done)))
+        drawing.smooth_edges(part_of(progress, share, 1))
     return _in_world(drawing.frame, drawing.arrays)
 
 
 class Drawing:
-    """A picture in the making: rays are cast in launches, between which whoever draws is told how much of it is done.
+    """A picture that is being drawn: rays are cast in launches, and progress is reported between them.
 
-    What is told may raise, which ends the drawing. Nothing is kept on the device between calls, but for what a frame has there.
+    A callback that raises ends the drawing. Nothing is kept on the device between calls, but for what a frame has there.
 
     Parameters
     ----------
@@ -118,7 +117,7 @@ class Drawing:
         """The kernel, and what it reads."""
         self._kernel, self._inputs = self.frame.program("march/draw.cl").kernel("draw"), _Inputs(self.frame)
 
-    def cast(self, rays: int, told: Progress | None = None, until: float = math.inf) -> bool:
+    def cast(self, rays: int, progress: Progress | None = None, until: float = math.inf) -> bool:
         """So many further rays of each pixel.
 
         Stops behind the launch in which `time.perf_counter` passes `until`, and is then not done: the next call goes on.
@@ -133,8 +132,8 @@ class Drawing:
                     self._areas = self._budget.tiles(width, height)
                 arguments = *self._inputs.of_rays(block), self._inputs.table, *buffers
                 for x, y, w, h in _launched(frame, kernel, self._areas, self._budget, *arguments):
-                    if told:
-                        told((i + min(1.0, ((y + h) * width) / (width * height))) / self.rays)
+                    if progress:
+                        progress((i + min(1.0, ((y + h) * width) / (width * height))) / self.rays)
                     if time.perf_counter() > until and (x + w < width or y + h < height):
                         return False
                 self._areas = None
@@ -155,17 +154,17 @@ class Drawing:
             np.divide(colors, opacity, out=colors, where=opacity > 0)
         return np.clip(picture, 0, 1, out=picture)
 
-    def smooth_edges(self, told: Progress | None = None) -> None:
+    def smooth_edges(self, progress: Progress | None = None) -> None:
         """Adds rays to those of the pixels on edges of a picture of one ray a pixel, which went through its middle."""
         frame, picture = self.frame, self.arrays["rgba"]
         most = _BLENDED if frame.tile.shared and not frame.mode.stretches else _ALONE
-        pixels = on_edges(picture, most, told and (lambda done: told(_FINDING * done)))
+        pixels = on_edges(picture, most, part_of(progress, 0, _FINDING))
         if len(pixels):
-            self._smooth(picture, pixels, told)
-        if told:
-            told(1.0)
+            self._smooth(picture, pixels, progress)
+        if progress:
+            progress(1.0)
 
-    def _smooth(self, picture: Picture, pixels: NDArray[np.intp], told: Progress | None) -> None:
+    def _smooth(self, picture: Picture, pixels: NDArray[np.intp], progress: Progress | None) -> None:
         frame = self.frame
         (_, share), *more = pixel_rays(EDGE_RAYS, self._filter, middle=True)
         pixels = pixels[np.lexsort((pixels // _EDGE_TILE).T[::-1])]  # neighbours go together: through the same bricks, for one
@@ -174,8 +173,7 @@ class Drawing:
         width = frame.tile.width if frame.tile.shared else _GROUP  # so that neighbours share a tile or a group
         height = -(-len(places) // width)
         rays = frame.of_rays(width, height)
-        casting = told and (lambda done: told(_FINDING + (1 - _FINDING) * done))
-        arrays = self._cast_listed(rays, np.resize(places, (width * height, 2)), casting)
+        arrays = self._cast_listed(rays, np.resize(places, (width * height, 2)), part_of(progress, _FINDING, 1))
         colors = arrays["rgba"].reshape(-1, 4)[: len(places)].reshape(len(pixels), -1, 4)
         where = tuple(pixels.T)
         first, opaque = picture[where], bool(frame.values["picture"]["opaque"])
@@ -190,7 +188,7 @@ class Drawing:
             np.divide(means[:, :3], means[:, 3:], out=means[:, :3], where=means[:, 3:] > 0)
         picture[where] = np.clip(means, 0, 1)
 
-    def _cast_listed(self, rays: Frame, places: NDArray[np.float32], told: Progress | None) -> dict[str, Picture]:
+    def _cast_listed(self, rays: Frame, places: NDArray[np.float32], progress: Progress | None) -> dict[str, Picture]:
         """What a list of rays shows, which cross the picture at these places."""
         budget, device, (width, height) = self._budget, rays.device, rays.size
         block, listed = device.buffers.upload(rays.values[None]), device.buffers.upload(places)
@@ -199,8 +197,8 @@ class Drawing:
         with lent_pictures(rays, arrays) as buffers:
             areas, arguments = budget.tiles(width, height), (*self._inputs.of_rays(block), listed, *buffers)
             for _, y, _, h in _launched(rays, self._kernel, areas, budget, *arguments):
-                if told:
-                    told((y + h) / height)
+                if progress:
+                    progress((y + h) / height)
         return arrays
 
 
@@ -378,7 +376,7 @@ def _await(event: Any) -> None:
 class _Budget:
     """Cuts a frame into areas, none of which should take longer than the device's limit for a launch.
 
-    The time of a ray is bounded by its number of planes, or guessed from its number of cells, few of which are looked at; what
+    The time of a ray is bounded by its number of planes, or guessed from its number of cells, few of which are evaluated; what
     areas take corrects that, at once where they take longer, and else slowly: the next area may hold what this one did not.
     Most rays take far less than the first guess. Where launches are short so that nobody waits long for the end of what nobody
     wants, what was measured decides, and the guess that none takes longer than `_DEAF`; a limit beyond that holds for the guess.
@@ -406,11 +404,11 @@ class _Budget:
         self._least = self._guess / _FASTER  # rays that meet nothing say nothing of those that do
 
     def exceeded(self, pixels: int) -> bool:
-        """Whether so many pixels may take longer than a launch should: a tile of very many samples cannot be cut."""
+        """Whether `pixels` may take longer than a launch should: a tile with very many samples cannot be cut."""
         return pixels * self._per_pixel > max(self._seconds, _LONG)
 
     def spent(self, pixels: int, seconds: float) -> None:
-        """A launch over so many pixels took so long."""
+        """Learn from a launch over `pixels` that took `seconds`."""
         self._per_pixel = max(self._least, _FORGOTTEN * self._per_pixel, seconds / pixels)
 
     def expect(self, seconds: float) -> None:
@@ -419,7 +417,7 @@ class _Budget:
             self._per_pixel = self._least = 3 * seconds
 
     def slow_down(self, times: float) -> None:
-        """The next areas take so many times as long as those before, at first."""
+        """Expect the next areas to take `times` as long as those before, at first."""
         self._per_pixel *= times
 
     @property

@@ -63,7 +63,7 @@ def pixel_rays(samples: int, filter: Filter, *, middle: bool) -> list[tuple[NDAr
     return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and samples % 2 == 0 else rays
 
 
-def on_edges(picture: NDArray[np.float32], most: int = 20, told: Callable[[float], object] | None = None) -> NDArray[np.intp]:
+def on_edges(picture: NDArray[np.float32], most: int = 20, progress: Callable[[float], object] | None = None) -> NDArray[np.intp]:
     """The pixels (row, column) that differ from one beside, above or below them, near ones together; shape (N, 2).
 
     Where these are too many, they are those that differ most.
@@ -73,8 +73,8 @@ def on_edges(picture: NDArray[np.float32], most: int = 20, told: Callable[[float
     picture : ndarray of float32, shape (height, width, 4)
         Red, green, blue, not premultiplied, and opacity in 0..1: what differs is luminance or opacity.
     most : int
-        Of so many pixels that differ from their neighbours at all one is on an edge, at most.
-    told : callable, optional
+        At most one in `most` of the pixels that differ from their neighbours is on an edge.
+    progress : callable, optional
         Called with the fraction done, every few milliseconds.
     """
     height, width = picture.shape[:2]
@@ -88,8 +88,8 @@ def on_edges(picture: NDArray[np.float32], most: int = 20, told: Callable[[float
             apart = np.abs(seen[one] - seen[other])
             for side in (one, other):
                 np.maximum(own[side], apart, out=own[side])
-        if told:
-            told(min(1.0, (first + rows) / height))
+        if progress:
+            progress(min(1.0, (first + rows) / height))
     least, count = _CONTRAST, -(-int(np.count_nonzero(contrast)) // most)
     strong = contrast[contrast > least]
     if strong.size > count:

@@ -20,16 +20,17 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol.base.progress import Progress, part_of
 from clvol.filter.filter import Filter
 from clvol.march.frame import Frame, Subject
-from clvol.march.launch import BEFORE_EDGES, Drawing, Progress
+from clvol.march.launch import BEFORE_EDGES, Drawing
 from clvol.show.picture import Picture
 
-__all__ = ["Rate", "Rates", "Refined", "Wanted", "refined", "refined_by_levels"]
+__all__ = ["Asked", "Rate", "Rates", "Refined", "Wanted", "refined", "refined_by_levels"]
 
-_LAUNCH = 0.008  # seconds of a launch: whether pictures are still wanted is asked in between
+_LAUNCH = 0.008  # seconds of a launch: `cancelled` is called in between
 _KEPT = 0.75  # share of the budget that is planned for: the rest is for what cannot be known
-_LATE = 0.95  # share of the budget behind which a finer picture than the one at hand is given up
+_LATE = 0.95  # share of the budget after which a finer picture than the last is given up
 _COARSE = 0.25  # share of the budget that goes into a coarser picture, where it is not known how long one takes
 _WORTH = 2.0  # times as many pixels must a finer picture have
 _SMALLEST = 256  # pixels: those of a tile, which take as long as a single one
@@ -102,27 +103,27 @@ class Wanted:
     def kind(self) -> tuple[Any, ...]:
         """What pictures whose times may be compared have in common: what they are drawn by."""
         subject, drawn = self.subject, self.subject.coefficients
-        mode, tile = subject.mode, drawn.device.limits.tile
+        mode, tile = subject.look.mode, drawn.device.limits.tile
         return mode.file, mode.shaded, drawn.filter, subject.evaluator, subject.central, subject.minmax is None, tile
 
     @property
     def shown(self) -> tuple[Any, ...]:
         """What they also have in common if they take about as long from one view."""
-        subject, clip = self.subject, self.subject.scene.clip
+        look, clip = self.subject.look, self.subject.look.scene.clip
         box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)  # arrays do not compare as one
-        return subject.mode, subject.transfer, box
+        return look.mode, look.transfer, box
 
     @property
     def long_steps(self) -> list[float]:
         """Steps that a first picture may have; longer ones only where all samples count, and where there are steps."""
-        mode, steps = self.subject.mode, [self.step]
+        mode, steps = self.subject.look.mode, [self.step]
         if mode.shows in ("matter", "mean") and not mode.stretches:
             while 2 * steps[-1] <= _LONGEST:
                 steps.append(2 * steps[-1])
         return steps
 
     def size_of(self, pixels: float) -> tuple[int, int]:
-        """Of a picture of about so many pixels and about the same shape, no larger than this."""
+        """The size of a picture of about n pixels and about the same shape, no larger than this."""
         width, height = self.size
         scale = math.sqrt(min(1.0, max(pixels, min(_SMALLEST, width * height)) / (width * height)))
         return max(1, round(scale * width)), max(1, round(scale * height))
@@ -155,7 +156,7 @@ class Rate:
     edges: float = 1.0
 
     def seconds_of(self, pixels: float, step: float) -> float:
-        """How long a picture of so many pixels should take."""
+        """How long a picture of n pixels should take."""
         return float(self.seconds * (self.step / step) ** _SHORTER * (pixels / self.pixels) ** self.power)
 
     def pixels_in(self, seconds: float, step: float) -> float:
@@ -194,97 +195,88 @@ class _Cancelled(Exception):
     """Nobody wants the pictures any more."""
 
 
-def refined(
-    wanted: Wanted,
-    budget: float,
-    cancelled: Callable[[], bool] | None,
-    rates: Rates,
-    drawing: Callable[[], AbstractContextManager[None]],
-    seconds: float,
-    progress: Progress | None = None,
-) -> Iterator[Refined]:
+@dataclass(frozen=True)
+class Asked:
+    """How pictures are asked for.
+
+    Attributes
+    ----------
+    budget : float
+        Seconds within which the first one is wanted.
+    cancelled : callable or None
+        Whether they are no longer wanted.
+    progress : callable or None
+        Called with the fraction of the last picture that is done.
+    began : float
+        When they were asked for, by `time.perf_counter`.
+    """
+
+    budget: float
+    cancelled: Callable[[], bool] | None
+    progress: Progress | None
+    began: float
+
+    def require_wanted(self, _: float = 0.0) -> None:
+        """Raise if the pictures are no longer wanted."""
+        if self.cancelled is not None and self.cancelled():
+            raise _Cancelled
+
+    def reporting(self, start: float = 0, end: float = 1) -> Progress:
+        """Progress of a part of the last picture, which also asks whether that is still wanted."""
+        part = part_of(self.progress, start, end)
+
+        def report(done: float) -> None:
+            self.require_wanted()
+            if part is not None:
+                part(done)
+
+        return report
+
+
+def refined(wanted: Wanted, asked: Asked, rates: Rates, drawing: Callable[[], AbstractContextManager[None]]) -> Iterator[Refined]:
     """The pictures of `Renderer.refine`.
 
     Parameters
     ----------
     wanted : Wanted
-    budget : float
-        In seconds.
-    cancelled : callable, optional
+    asked : Asked
     rates : Rates
         What is known, and is added to.
     drawing : callable
         Gives what is entered whenever something is drawn, and left when a picture is ready.
-    seconds : float
-        How long it took until now.
-    progress : callable, optional
-        Called with the fraction of the last picture that is done.
     """
-    return _Refinement(wanted, budget, cancelled, rates, seconds, progress).pictures(drawing)
+    return _Refinement(wanted, asked, rates).pictures(drawing)
 
 
 def refined_by_levels(
     draw: Callable[[int, Progress], NDArray[Any]],
-    levels: int,
-    finest: int,
+    levels: range,
     step: float,
-    cancelled: Callable[[], bool] | None,
+    asked: Asked,
     drawing: Callable[[], AbstractContextManager[None]],
-    began: float,
-    progress: Progress | None = None,
 ) -> Iterator[Refined]:
-    """The pictures of `Renderer.refine` of a volume that is read brick by brick: of its levels, the coarsest first.
+    """The pictures of `Renderer.refine` of a volume that is read by bricks: of its `levels`, the coarsest first.
 
-    Parameters
-    ----------
-    draw : callable
-        Draws a level; it tells how much is done, and what it tells may raise.
-    levels, finest : int
-        How many levels there are beside the whole volume, and which is the last to be drawn.
-    step, cancelled, drawing
-        As of `refined`.
-    began : float
-        When it was asked for.
-    progress : callable, optional
-        Called with the fraction of the last picture that is done.
+    `draw` draws a level, and reports to a callback, which may raise; `drawing` is as for `refined`.
     """
-
-    def ask(_: float) -> None:
-        if cancelled is not None and cancelled():
-            raise _Cancelled
-
-    def told(done: float) -> None:
-        ask(done)
-        if progress is not None:
-            progress(done)
-
-    for level in range(levels, finest - 1, -1):
+    for level in levels:
         with drawing():
             try:
-                ask(0.0)
-                picture = draw(level, told if level == finest else ask)
+                asked.require_wanted()
+                picture = draw(level, asked.reporting() if level == levels[-1] else asked.require_wanted)
             except _Cancelled:
                 return
-        yield Refined(picture, level == finest, step, time.perf_counter() - began)
+        yield Refined(picture, level == levels[-1], step, time.perf_counter() - asked.began)
 
 
 class _Refinement:
     """One call of `refined`: its stages, one after the other, and what they leave to the next."""
 
-    def __init__(
-        self,
-        wanted: Wanted,
-        budget: float,
-        cancelled: Callable[[], bool] | None,
-        rates: Rates,
-        seconds: float,
-        progress: Progress | None = None,
-    ) -> None:
-        self._wanted, self._budget, self._cancelled, self._rates = wanted, budget, cancelled, rates
-        self._progress = progress
+    def __init__(self, wanted: Wanted, asked: Asked, rates: Rates) -> None:
+        self._wanted, self._asked, self._rates, self._budget = wanted, asked, rates, asked.budget
         width, height = wanted.size
         self._aspect, self._pixels = width / height, width * height
-        self._worked, self._began = seconds, 0.0  # before this picture; when work on this one began
+        self._worked, self._began = time.perf_counter() - asked.began, 0.0  # before this picture; when work on this one began
         self._shown, self._shown_at = 0.0, 0.0  # pixels of the last picture, and when it was ready
         self._casting = 0.0  # seconds of the whole picture's first ray
 
@@ -294,7 +286,7 @@ class _Refinement:
             self._began = time.perf_counter()
             with drawing(), device.limited(launch_seconds=min(_LAUNCH, device.limits.launch_seconds)):
                 try:
-                    self._ask()
+                    self._asked.require_wanted()
                     picture = next(stages)
                 except (StopIteration, _Cancelled):
                     return
@@ -308,27 +300,11 @@ class _Refinement:
         """How long all took until now."""
         return self._worked + time.perf_counter() - self._began
 
-    def _ask(self, _: float = 0.0) -> None:
-        if self._cancelled is not None and self._cancelled():
-            raise _Cancelled
-
-    def _told(self, first: float, share: float) -> Progress:
-        """Asks whether it is wanted, and tells how much of the last picture is done: of this part, which is so large a share."""
-        if self._progress is None:
-            return self._ask
-        tell = self._progress
-
-        def told(done: float) -> None:
-            self._ask()
-            tell(first + share * done)
-
-        return told
-
     def _stages(self) -> Iterator[Refined]:
         self._wanted = wanted = replace(self._wanted, subject=self._wanted.subject.placed(self._aspect))
-        self._ask()
-        full = wanted.subject.frame(wanted.size, wanted.step, told=self._ask)
-        self._ask()
+        self._asked.require_wanted()
+        full = wanted.subject.frame(wanted.size, wanted.step, progress=self._asked.require_wanted)
+        self._asked.require_wanted()
         self._view, self._rate = _view_of(full), self._rates.of(wanted.kind)
         self._whole = Drawing(full, wanted.samples, wanted.filter, self._expected(self._pixels, wanted.step))
         yield from self._first()
@@ -405,12 +381,12 @@ class _Refinement:
                 yield self._shows(whole.shown(), wanted.step)
         if smoothed:
             begun = time.perf_counter()
-            whole.smooth_edges(self._told(BEFORE_EDGES, 1 - BEFORE_EDGES))
+            whole.smooth_edges(self._asked.reporting(BEFORE_EDGES, 1))
             if self._rate is not None:
                 self._rate = replace(self._rate, edges=(time.perf_counter() - begun) / self._casting)
                 self._rates.learn(wanted.kind, self._rate)
         while whole.cast_rays < whole.rays:
-            whole.cast(whole.cast_rays, self._told(0.0, 1.0))
+            whole.cast(whole.cast_rays, self._asked.reporting())
             if whole.cast_rays < whole.rays and self._seconds - self._shown_at > self._budget:
                 yield self._shows(whole.shown(), wanted.step)
         yield self._shows(whole.arrays["rgba"], wanted.step, final=True)
@@ -418,8 +394,8 @@ class _Refinement:
     def _cast(self, until: float = math.inf) -> bool:
         """The first ray of the whole picture, or what is left of it; whether it was in time."""
         begun = time.perf_counter()
-        told = self._told(0.0, BEFORE_EDGES if self._wanted.samples == "auto" else 1.0)
-        done = self._whole.cast_rays > 0 or self._whole.cast(1, told, until)
+        progress = self._asked.reporting(0, BEFORE_EDGES if self._wanted.samples == "auto" else 1)
+        done = self._whole.cast_rays > 0 or self._whole.cast(1, progress, until)
         self._casting += time.perf_counter() - begun
         return done
 
@@ -428,9 +404,9 @@ class _Refinement:
     def _small(self, size: tuple[int, int], step: float, until: float = math.inf) -> Refined | None:
         """A picture of fewer pixels, from which the rate is learnt; None if it was not in time."""
         begun = time.perf_counter()
-        frame = self._wanted.subject.frame(size, step, aspect=self._aspect, told=self._ask)
+        frame = self._wanted.subject.frame(size, step, aspect=self._aspect, progress=self._asked.require_wanted)
         drawing = Drawing(frame, 1, self._wanted.filter, self._expected(size[0] * size[1], step))
-        if not drawing.cast(1, self._ask, until):
+        if not drawing.cast(1, self._asked.require_wanted, until):
             return None
         self._learn(size[0] * size[1], step, time.perf_counter() - begun, first=not self._shown)
         return Refined(drawing.arrays["rgba"], step=step)

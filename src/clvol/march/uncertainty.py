@@ -27,6 +27,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.checks import number
 from clvol.base.uniform import FLOAT, Block, Values
 from clvol.filter.filter import Filter
 from clvol.filter.make import bspline
@@ -34,8 +35,9 @@ from clvol.noise import Noise, colour_power
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import Field
+from clvol.volume.volume import Volume
 
-__all__ = ["COVERAGE", "Uncertainty", "in_words"]
+__all__ = ["COVERAGE", "Uncertainty", "in_words", "noise_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -98,6 +100,14 @@ UNCERTAINTY = Block(
     distance=FLOAT,
     degrees=FLOAT,
 )
+
+
+def noise_of(volume: Volume, sigma: float | None) -> Noise:
+    """The noise of the samples, white where its standard deviation is given; integers have at least that of rounding."""
+    sigma = None if sigma is None else number("sigma", sigma, minimum=0)
+    noise = volume.noise if sigma is None else Noise(sigma, "white")
+    rounding = math.sqrt(1 / 12) if volume.data.dtype.kind in "iu" else 0.0
+    return noise if noise.sigma >= rounding else Noise(rounding, "white")
 
 
 class Uncertainty:

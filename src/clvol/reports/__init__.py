@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from clvol import analysis
 from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, RotationTable
@@ -23,6 +23,7 @@ from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
+from clvol.march.options import PanelOptions
 from clvol.reports import html, spectrum
 from clvol.reports.advice import ADVISED, Advice, advise, settled_once
 from clvol.reports.pictures import Cards, cards
@@ -92,7 +93,7 @@ def report(
     max_samples: int = 1 << 22,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
-    **options: Any,
+    **options: Unpack[PanelOptions],
 ) -> Report:
     """Measure, draw and recommend; the page embeds its pictures and is written when it is complete.
 
@@ -178,7 +179,7 @@ def report(
             _FACTOR,
             on,
             lambda done: advance(_SHARE + (0.97 - _SHARE) * done),
-            options,
+            {**options},
         )
     made = Report(file, table, advice, left_out, turned)
     text = _page(name, volume, middle, made, found, drawn)

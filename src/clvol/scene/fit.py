@@ -1,7 +1,7 @@
 """What a picture shows of a volume: the sphere around it, and what it sweeps as the camera orbits, to which that is fitted.
 
 The sphere follows from the volume, the mode, the transfer function and the clip box alone, and not from the view. At most 64
-samples along each axis are looked at. It is a little larger than what was found, and never larger than the volume's own; that is
+samples along each axis are read. It is a little larger than what was found, and never larger than the volume's own; that is
 also the answer where nothing is to be seen. What is found is turned about the vertical through the sphere's centre: a camera
 that orbits keeps its distance, and what it sees stays about the middle.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.scene.camera import Camera
-from clvol.scene.mode import Isosurface, Mode
+from clvol.scene.mode import Mode
 from clvol.scene.scene import Box
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.volume import Volume
@@ -30,7 +30,7 @@ _SAMPLES = 64  # along each axis
 _FAINT = 0.02  # of the largest opacity: what has less shows hardly
 _DARK = 0.05  # of the brightest colour, likewise
 _BESIDE = 1e-6  # of the range of a transfer function's points
-_BLOCK = 8  # of the samples that are looked at, along each edge
+_BLOCK = 8  # samples along each edge
 _SPECKS = 4, 16  # in a block, of matter and of surfaces: fewer are noise
 _MARGIN = 1.04
 _DIRECTIONS = 128  # in which the outermost samples are found
@@ -124,7 +124,7 @@ def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, cli
     """
     known = _known.setdefault(volume, {})
     box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)
-    key = (mode.isovalue, None, box) if isinstance(mode, Isosurface) else (mode.shows == "matter", transfer, box)
+    key = (mode.surface, None, box) if mode.surface is not None else (mode.shows == "matter", transfer, box)
     found = known.get(key)
     if found is None:
         found = _sphere(volume, mode, transfer, clip)
@@ -141,8 +141,8 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     whole = Sphere(tuple(map(float, volume.center)), volume.radius)  # type: ignore[arg-type]  # three
     some, firsts, steps = spread(volume, _SAMPLES)
     some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
-    surface = isinstance(mode, Isosurface)
-    seen = _crossed(some >= np.float64(mode.isovalue)) if isinstance(mode, Isosurface) else _shown(some, mode, transfer)
+    surface = mode.surface is not None
+    seen = _shown(some, mode, transfer) if mode.surface is None else _crossed(some >= np.float64(mode.surface))
 
     unit = volume.mean_spacing  # about the volume's centre: no square overflows
     matrix = volume.index_to_world_matrix / unit

@@ -50,7 +50,8 @@ _WORD = re.compile("[a-z][a-z0-9_]{0,63}")
 _FILE = re.compile(f"modes/{_WORD.pattern}[.]cl")
 _FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
 _MOST_FIELDS = 64  # of a ray's state
-_SHOWN = ("matter", "max", "min", "mean")
+_SHOWN = ("matter", "surface", "max", "min", "mean")
+_SOUGHT = ("largest", "smallest", "any")
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,11 @@ class Mode:
     picture_filter : str
         The filter of its pictures where none is given. Noise is smoothed, but not where extremes are shown: smoothing lowers
         those of thin vessels.
-    shows : {"matter", "max", "min", "mean"}
-        What of a ray's samples makes a pixel: all, by their opacities, or a projection, which the default transfer function
-        shows from black to white.
+    shows : {"matter", "surface", "max", "min", "mean"}
+        What of a ray's samples makes a pixel: all, by their opacities; the first crossing of a value, `surface`; or a projection,
+        which the default transfer function shows from black to white.
+    seeks : {"largest", "smallest", "any"}
+        Which values decide its pixels. Bricks that may hold them are visited first; "any": bricks are visited front to back.
     ramp : float
         The share of that window over which it does.
     """
@@ -89,7 +92,8 @@ class Mode:
     skips: ClassVar[bool] = True
     finished_there: ClassVar[bool] = False
     picture_filter: ClassVar[str] = PICTURE_FILTER
-    shows: ClassVar[Literal["matter"] | Projection] = "max"
+    shows: ClassVar[Literal["matter", "surface"] | Projection] = "max"
+    seeks: ClassVar[Literal["largest", "smallest", "any"]] = "any"
     ramp: ClassVar[float] = 1.0
     BLOCK: ClassVar[Block] = Block("mode_block")
 
@@ -107,6 +111,29 @@ class Mode:
     def shaded(self) -> bool:
         """Whether it lights what it shows by the gradient."""
         return bool(getattr(self, "shading", False))
+
+    @property
+    def surface(self) -> float | None:
+        """The value whose surface it shows, once it is settled; None for modes that show no surface."""
+        return None
+
+    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002  # most cannot tell
+        """Whether values from `low` to `high`, in units of the data, can change a picture; bricks of other values are skipped."""
+        return True
+
+    def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002  # most show samples alone
+        """What of its pictures depends on pairs of neighbouring samples, in words; "" if nothing does.
+
+        A brick holds only so many samples around its own, which limits the step. `guides`: depth, normals and positions are drawn.
+        """
+        return ""
+
+    def unmergeable(self, *, guides: bool, smooth: bool) -> str:  # noqa: ARG002  # most can be merged
+        """What of its pictures would change if stretches of a ray were drawn apart and merged, and why; "" if nothing would.
+
+        `smooth`: the filter blends neighbouring samples, as all but "nearest" do.
+        """
+        return ""
 
     def settled(self, volume: Volume) -> Self:  # noqa: ARG002  # most modes leave nothing open
         """The same with every option that was left open decided for this volume."""
@@ -126,7 +153,8 @@ class Mode:
         """The same for values, with another window, (low, high), from black to white."""
         if self.shows == "matter":
             return TransferFunction.automatic(volume, window)
-        low, high = window or (volume.window if self.shows != "mean" else None) or window_of(volume)[self.shows]
+        projection = "max" if self.shows == "surface" else self.shows
+        low, high = window or (volume.window if self.shows != "mean" else None) or window_of(volume)[projection]
         matter = matter_of(volume)
         if matter.signed and window is None and self.shows == "mean":
             return TransferFunction(diverging((low, high), matter.value(0)), ((low, 1.0),))
@@ -159,12 +187,21 @@ class Composite(Mode):
     name: ClassVar[str] = "composite"
     description: ClassVar[str] = "emission and absorption, front to back"
     state_fields: ClassVar[int] = 6
-    shows: ClassVar[Literal["matter"] | Projection] = "matter"
+    shows: ClassVar[Literal["matter", "surface"] | Projection] = "matter"
     BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT)
 
     def __post_init__(self) -> None:
         _set(self, shading=_switch("shading", self.shading))
         _set(self, termination=number("termination", self.termination, minimum=0, below=1))
+
+    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:
+        return transfer.opacity_within(low, high) > 0
+
+    def between_samples(self, *, guides: bool) -> str:
+        return "the depth and normals of matter" if guides else ""
+
+    def unmergeable(self, *, guides: bool, smooth: bool) -> str:  # noqa: ARG002
+        return "the depth and normals of matter: they depend on the light that comes through" if guides else ""
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         return self.BLOCK(termination=self.termination)
@@ -205,6 +242,7 @@ class Isosurface(Mode):
     state_fields: ClassVar[int] = 2
     endpoints: ClassVar[bool] = True
     finished_there: ClassVar[bool] = True
+    shows: ClassVar[Literal["matter", "surface"] | Projection] = "surface"
     BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3))
 
     def __post_init__(self) -> None:
@@ -225,6 +263,21 @@ class Isosurface(Mode):
     def stretches(self) -> bool:
         return self.method == "exact"
 
+    @property
+    def surface(self) -> float | None:
+        return self.isovalue
+
+    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
+        assert self.isovalue is not None  # it is settled
+        return low <= self.isovalue <= high
+
+    def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002
+        return "" if self.stretches else "stepped surfaces"
+
+    def unmergeable(self, *, guides: bool, smooth: bool) -> str:  # noqa: ARG002
+        between = not (self.stretches and smooth)
+        return "surfaces that are stepped to, or between labels: they lie between two samples" if between else ""
+
     def settled(self, volume: Volume) -> Self:
         return self if self.isovalue is not None else replace(self, isovalue=isovalue_of(volume)[0])
 
@@ -241,6 +294,7 @@ class Mip(Mode):
     picture_filter: ClassVar[str] = DEFAULT_FILTER
     description: ClassVar[str] = "the maximum along the ray"
     state_fields: ClassVar[int] = 2
+    seeks: ClassVar[Literal["largest", "smallest", "any"]] = "largest"
 
 
 @dataclass(frozen=True)
@@ -279,7 +333,8 @@ class Minip(Mode):
     picture_filter: ClassVar[str] = DEFAULT_FILTER
     description: ClassVar[str] = "the minimum along the ray"
     state_fields: ClassVar[int] = 2
-    shows: ClassVar[Literal["matter"] | Projection] = "min"
+    seeks: ClassVar[Literal["largest", "smallest", "any"]] = "smallest"
+    shows: ClassVar[Literal["matter", "surface"] | Projection] = "min"
 
 
 @dataclass(frozen=True)
@@ -290,7 +345,7 @@ class Mean(Mode):
     description: ClassVar[str] = "the mean along the ray, as an x-ray shows it"
     state_fields: ClassVar[int] = 2
     skips: ClassVar[bool] = False
-    shows: ClassVar[Literal["matter"] | Projection] = "mean"
+    shows: ClassVar[Literal["matter", "surface"] | Projection] = "mean"
 
 
 _TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Mip, Attenuated, Minip, Mean)}
@@ -368,8 +423,9 @@ def _require_sound(mode: Mode) -> None:
     whole("a mode's state_fields", mode.state_fields, 0, _MOST_FIELDS)
     for what in ("endpoints", "skips", "finished_there", "stretches", "shaded"):
         _switch(f"a mode's {what}", getattr(mode, what))
-    if mode.shows not in _SHOWN:
-        raise one_of("what a mode shows", mode.shows, _SHOWN)
+    for what, value, allowed in (("shows", mode.shows, _SHOWN), ("seeks", mode.seeks, _SOUGHT)):
+        if value not in allowed:
+            raise one_of(f"what a mode {what}", value, allowed)
     number("a mode's ramp", mode.ramp, above=0)
     as_filter(mode.picture_filter)
     block = mode.BLOCK

@@ -187,6 +187,12 @@ class TransferFunction:
             halvings=layout.halvings,
         )
 
+    def opacity_within(self, low: float, high: float) -> float:
+        """The largest opacity of values from `low` to `high`."""
+        at, opacity = (np.array(numbers) for numbers in zip(*self.opacities, strict=True))
+        inner = opacity[(at >= low) & (at <= high)]
+        return max([*map(float, np.interp([low, high], at, opacity)), *map(float, inner)])
+
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
         """The same colours under other opacities."""
         return replace(self, opacities=opacities)  # type: ignore[arg-type]  # __post_init__ converts

@@ -55,6 +55,8 @@ class View(Resident):
         For people; by default the volume's name.
     finer : Finer, optional
         All sizes of what is stored, where `scene` is one that was read of it.
+    limits : mapping, optional
+        Limits of the device while it draws, as of `Device.limited`.
     **options
         As for `clvol.render`, but `size`, `outputs`, `sigma` and `progress`: what is shown first.
 
@@ -143,7 +145,8 @@ class View(Resident):
         is still being read. The prefilter's do depend on it, if it has noise.
         """
         row = as_filter(self.initial.filter or self.mode(self.initial).picture_filter)
-        with Renderer(self.volume, without_prefilter(row), self.initial.boundary, self.device) as renderer:
+        plain = Renderer(self.volume, without_prefilter(row), self.initial.boundary, self.device)
+        with plain as renderer, renderer.device.limited(**self.limits):
             renderer.render(size=(_SMALL, _SMALL), **self.arguments(self.initial))
 
     def python(self, size: tuple[int, int] = (512, 512)) -> str:

@@ -8,6 +8,7 @@ import binascii
 import json
 import math
 import shlex
+import textwrap
 import tomllib
 from dataclasses import fields
 from typing import Any
@@ -50,6 +51,7 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     """
     lines = ["import clvol"]
     lines += ["import numpy as np"] if state.wiper is not None else []
+    lines += ["from clvol.device import as_device"] if resident.limits else []
     lines += ["from clvol.show.picture import heat, to_bytes"] if state.heat and name == "3d" else []
     lines += ["from clvol.view import section"] if name != "3d" else []
     lines += [""]
@@ -60,11 +62,11 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
         lines += _volume(resident, state)
     draw = _drawn if name == "3d" else _cut
     if state.wiper is None:
-        lines += draw(resident, state, state.filter, name, shown, size, "picture")
+        lines += _limited(resident, draw(resident, state, state.filter, name, shown, size, "picture"))
     else:
         edge = round(state.wiper.at * size[0])
         for side, chosen in (("left", state.filter), ("right", state.wiper.filter)):
-            lines += draw(resident, state, chosen, name, shown, size, side)
+            lines += _limited(resident, draw(resident, state, chosen, name, shown, size, side))
         lines += [f"picture = np.concatenate([left[:, :{edge}], right[:, {edge}:]], axis=1)"]
     return "\n".join(lines) + "\n"
 
@@ -152,6 +154,15 @@ def _cut(
 
 def _device(resident: Resident) -> dict[str, Any]:
     return {"device": resident.device} if isinstance(resident.device, (str, int)) else {}
+
+
+def _limited(resident: Resident, lines: list[str]) -> list[str]:
+    """The lines under the limits of the device under which the view draws."""
+    if not resident.limits:
+        return lines
+    words = ", ".join(f"{name}={value!r}" for name, value in resident.limits.items())
+    device = ", ".join(map(repr, _device(resident).values()))
+    return [f"with as_device({device}).limited({words}):", textwrap.indent("\n".join(lines), "    ")]
 
 
 def _call(function: str, texts: list[str]) -> str:
@@ -245,6 +256,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
     made |= {"clip": [*state.clip[0], *state.clip[1]]} if state.clip is not None else {}
     made |= {flag.replace("_", "-"): _text(value).strip("'") if not isinstance(value, (bool, int, float)) else value
              for flag, value in resident.beside.items() if flag != "skipping"}  # fmt: skip
+    made |= {flag: value for flag, value in resident.limits.items() if flag in ("evaluator", "fetch")}
     made |= dict(state.options)
     unsaid = []
     if camera.target is not None or camera.distance is not None or camera.radius is not None:

@@ -19,7 +19,8 @@ from clvol.base.errors import ClvolError, OutOfMemoryError
 from clvol.bricks.source import LazyVolume, needed_by
 from clvol.device import Device
 from clvol.march.bricks import STEPPED_AT_MOST, level_of, nearest_to
-from clvol.march.renderer import Renderer, row_for
+from clvol.march.renderer import Renderer
+from clvol.march.source import row_for
 from clvol.scene.mode import as_mode
 from clvol.show.picture import Picture
 from clvol.view.panes import SlicePane

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import MissingDependencyError, OptionError
 from clvol.filter.table import filters
+from clvol.march.options import RenderOptions
 from clvol.march.renderer import render
 from clvol.scene.camera import Camera
 from clvol.scene.mode import DEFAULT_MODE, modes
@@ -64,7 +65,9 @@ def render_selected() -> None:
     _show(viewer, DEFAULT_MODE, _SIZE)
 
 
-def picture_of(viewer: Any, layer: Any, mode: str = DEFAULT_MODE, pixels: int = _SIZE, **options: Any) -> NDArray[np.uint8]:
+def picture_of(
+    viewer: Any, layer: Any, mode: str = DEFAULT_MODE, pixels: int = _SIZE, **options: Unpack[RenderOptions]
+) -> NDArray[np.uint8]:
     """The picture of a layer, square, as the viewer's camera looks at it; what is fitted is the layer.
 
     Parameters
@@ -123,7 +126,7 @@ def volume_of(viewer: Any, layer: Any) -> Volume:
     return volumes[int(np.ravel_multi_index(place, counts))]
 
 
-def _show(viewer: Any, mode: str, pixels: int, **options: Any) -> None:
+def _show(viewer: Any, mode: str, pixels: int, **options: Unpack[RenderOptions]) -> None:
     """Put the picture of the selected layer into a layer of its own, that of the last one if it is there."""
     layer = viewer.layers.selection.active
     if layer is None:

@@ -63,7 +63,7 @@ def picked(
         field = renderer.field
     else:
         point = hit(renderer, pane, x, y, arguments)
-        field = renderer._field_of(as_mode(arguments["mode"]))
+        field = renderer._source.function(as_mode(arguments["mode"]))
         if point is not None and volume.is_labels:
             point = _in_label(volume, field, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
     found: dict[str, Any] = {"pane": name, "x": x, "y": y, "units": volume.units, "position": None}

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import inspect
 import itertools
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +21,7 @@ from clvol.bricks.source import LazyVolume
 from clvol.device import Device
 from clvol.filter.boundary import boundaries
 from clvol.filter.table import filters
+from clvol.march.options import KEYWORDS, ViewOptions
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
 from clvol.scene.fit import fitted
@@ -52,8 +52,8 @@ _LISTED = 200  # labels that a client is told of at once
 _LONGEST = 200  # characters by which they are looked for
 _BINS = 256
 _LOOKED_AT = 1 << 19  # samples of a histogram
-_BESIDE = ("gradient", "samples", "pixel_filter", "skipping", "evaluator", "fetch")  # passed on, and in no state
-_OF_SAMPLES = ("preset", "window", "cmap", "opacity", "evaluator", "fetch")  # what only samples at hand decide, or have
+_BESIDE = ("gradient", "samples", "pixel_filter", "skipping")  # passed on, and in no state
+_OF_SAMPLES = ("preset", "window", "cmap", "opacity")  # what only samples in memory decide
 _STATED = ("step", "transfer", "preset", "window", "cmap", "opacity", "material", "lights", "background", "clip")
 _COLOR_MAPS = (
     "gray", "bone", "hot", "viridis", "magma", "inferno", "plasma", "cividis", "turbo", "coolwarm", "cool", "copper", "pink",
@@ -131,6 +131,8 @@ class Resident:
         For people; by default the volume's name.
     finer : Finer, optional
         All sizes of what is stored, where `scene` is one that was read of it.
+    limits : mapping, optional
+        Limits of the device while it draws, as of `Device.limited`.
     **options
         Those of `clvol.render` but `size`, `outputs`, `sigma` and `progress`: what is shown first.
 
@@ -150,10 +152,11 @@ class Resident:
         source: str | None = None,
         title: str | None = None,
         finer: Finer | None = None,
-        **options: Any,
+        limits: Mapping[str, Any] | None = None,
+        **options: Unpack[ViewOptions],
     ) -> None:
         if isinstance(scene, LazyVolume):
-            _initial(scene.sketch(), dict(options))  # what is wrong with them is told before all samples are read
+            _initial(scene.preview(), {**options})  # what is wrong with them is told before all samples are read
             level = at_hand(scene)
             if level:
                 finer = Finer(scene, level, source, device)
@@ -163,7 +166,8 @@ class Resident:
         """All sizes of the volume, of which one is at hand; None where that is all there is."""
         self._field: Field | None = None
         self.device = device
-        given = dict(options)
+        self.limits = dict(limits or {})
+        given: dict[str, Any] = {**options}
         if isinstance(scene, Field):
             if "filter" in given or "boundary" in given or device is not None:
                 raise OptionError("filter, boundary and device must be left to the field; got them beside it")
@@ -352,7 +356,8 @@ class Resident:
                     entry.renderer = self._made(key)
                     with contextlib.suppress(ClvolError):  # of that state, which need not be what is drawn
                         self.effective(self._first_of(key[2]))  # waits for a session that finds out the same
-            yield entry.renderer
+            with entry.renderer.device.limited(**self.limits) if self.limits else contextlib.nullcontext():
+                yield entry.renderer
         finally:
             with self._lock:
                 entry.users -= 1
@@ -622,14 +627,13 @@ def targeted(camera: Camera, volume: Volume) -> Camera:
 
 def _initial(volume: Volume, given: dict[str, Any]) -> State:
     """The first state, from arguments of `clvol.render`."""
-    known = tuple(name for name in inspect.signature(Renderer.render).parameters if name not in ("self", "options"))
     camera, mode = given.pop("camera", None), given.pop("mode", None)
     for name in ("size", "outputs", "sigma", "progress"):
         if name in given:
             raise OptionError(f"{name} is no option of a view: its hosts decide it")
     row, boundary = given.pop("filter", None), given.pop("boundary", None)
     values = {name: given.pop(name) for name in _STATED if name in given}
-    chosen = as_mode("composite" if mode is None else mode, given, (*known, "filter", "boundary", "device"))
+    chosen = as_mode("composite" if mode is None else mode, given, (*KEYWORDS, "filter", "boundary", "device"))
     if chosen.name not in modes():
         raise OptionError(f"mode must be one of {', '.join(modes())} in a view; got {chosen.name!r}")
     default = type(chosen)()

@@ -31,7 +31,7 @@ class Sketch:
     def __init__(self, resident: Resident, which: Which) -> None:
         self.which = which
         self._whole = resident.volume_at(which)
-        self._few = Resident(thinned(self._whole), device=resident.device, **resident.beside)
+        self._few = Resident(thinned(self._whole), device=resident.device, limits=resident.limits, **resident.beside)
         self._renderer: Renderer | None = None
         self._key: tuple[str | None, str, str] | None = None
 
@@ -50,7 +50,9 @@ class Sketch:
         given |= {"camera": camera, "transfer": transfer, "samples": 1}
         shrink = min(1.0, _EDGE / max(size))
         width, height = (max(1, round(shrink * n)) for n in size)
-        drawn: Picture = self._drawn_by(state).render(size=(width, height), **given)
+        renderer = self._drawn_by(state)
+        with renderer.device.limited(**few.limits):
+            drawn: Picture = renderer.render(size=(width, height), **given)
         return drawn
 
     def _drawn_by(self, state: State) -> Renderer:

@@ -17,7 +17,8 @@ from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import PICTURE_FILTER
 from clvol.march.bricks import level_within
-from clvol.march.renderer import Renderer, row_for
+from clvol.march.renderer import Renderer
+from clvol.march.source import row_for
 from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import Picture
 from clvol.spline.field import Field
@@ -72,7 +73,7 @@ def section(
     if isinstance(volume, LazyVolume):
         with Renderer(volume, row_for(volume, filter), boundary, device) as renderer:
             values = renderer.field_of_level(level_for(volume, pixel))(points, fill=np.nan)
-        return shaded(values, volume.sketch(), window, cmap, background)
+        return shaded(values, volume.preview(), window, cmap, background)
     volume = as_volume(volume)
     with Field(volume, filter_for(volume, filter, PICTURE_FILTER), boundary, device, precision="single") as field:
         return shaded(field(points, fill=np.nan), volume, window, cmap, background)

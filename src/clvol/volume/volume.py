@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -112,6 +112,12 @@ class Volume:
     window: tuple[float, float] | None = None
     labels: bool | Mapping[int, str] | None = None
     header: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    # what a LazyVolume has too: here all samples are in memory, in one size
+    levels: ClassVar[tuple[()]] = ()
+    bounds: ClassVar[None] = None
+    estimated: ClassVar[bool] = False
+    in_memory: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         data, geometry = read_array(self.data)
@@ -297,6 +303,28 @@ class Volume:
     def size(self) -> tuple[int, ...]:
         """Samples along x, y(, z): `shape` reversed, in the order of the geometry."""
         return self.shape[::-1]
+
+    @property
+    def grid(self) -> Volume:
+        """Where the samples lie: the volume itself."""
+        return self
+
+    @property
+    def nbytes(self) -> int:
+        """Of all samples."""
+        return self.data.nbytes
+
+    def preview(self) -> Volume:
+        """Samples from which looks are decided: all of them."""
+        return self
+
+    def part(self) -> Volume:
+        """Neighbouring samples from which noise is estimated: all of them."""
+        return self
+
+    def for_tasks(self) -> Volume:
+        """The volume as tasks of a cluster take it: as it is."""
+        return self
 
     @cached_property
     def limits(self) -> tuple[Any, Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -28,7 +28,7 @@ from clvol.reference.spline.points import sample
 from clvol.scene.camera import Camera, View
 from clvol.scene.fit import fitted
 from clvol.scene.light import KIT, Light, Material, as_lights
-from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
+from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode, mode_options
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume, as_volume
@@ -222,8 +222,8 @@ def render(
     stretches.
     """
     volume, row, chosen = as_volume(volume), as_filter(filter), as_mode(mode, options)
-    if isinstance(chosen, Composite) and "termination" not in options:
-        chosen = replace(chosen, termination=0.0)
+    if "termination" in mode_options(chosen) and "termination" not in options:
+        chosen = as_mode(chosen, {"termination": 0.0})
     chosen = chosen.settled(volume)
     if volume.ndim != 3:
         raise OptionError(f"rendering takes a volume with 3 axes; got shape {volume.shape}")
@@ -242,9 +242,8 @@ def render(
         return sample(volume, points, row, inside)
 
     def solid(labels: Array) -> Bools:
-        if isinstance(chosen, Isosurface):
-            assert chosen.isovalue is not None  # it is settled
-            return labels >= chosen.isovalue
+        if chosen.surface is not None:
+            return labels >= chosen.surface
         return np.asarray(transfer(labels)[..., 3] > 0)
 
     def slope(points: Array) -> Array:

@@ -1,0 +1,39 @@
+"""Progress callbacks: called with the fraction of the work that is done; they may raise to stop it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+from clvol.base.errors import OptionError
+
+__all__ = ["Progress", "part_of", "require_callback"]
+
+Progress: TypeAlias = Callable[[float], None]
+
+
+def part_of(progress: Progress | None, start: float, end: float) -> Progress | None:
+    """A callback for the part of the work between two fractions of the whole; None without `progress`.
+
+    Examples
+    --------
+    >>> seen = []
+    >>> second_half = part_of(seen.append, 0.5, 1.0)
+    >>> second_half(0.0), second_half(0.5), second_half(1.0)
+    (None, None, None)
+    >>> seen
+    [0.5, 0.75, 1.0]
+    """
+    if progress is None:
+        return None
+
+    def report(done: float) -> None:
+        progress(start * (1 - done) + end * done)  # exact at both ends
+
+    return report
+
+
+def require_callback(name: str, callback: object) -> None:
+    """Raise `OptionError` unless a callback is None or callable."""
+    if callback is not None and not callable(callback):
+        raise OptionError(f"{name} must be callable; got {callback!r}")

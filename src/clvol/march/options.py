@@ -1,0 +1,368 @@
+"""Options of pictures, each declared once, and the look that they resolve to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import EllipsisType
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, get_args
+
+import numpy as np
+
+from clvol.base import memory
+from clvol.base.checks import instance, number, one_of, whole
+from clvol.base.errors import OptionError
+from clvol.device import Device
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
+from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
+from clvol.scene.camera import Camera, View
+from clvol.scene.fit import fitted
+from clvol.scene.light import Light, Material
+from clvol.scene.look import look
+from clvol.scene.mode import Mode, as_mode
+from clvol.scene.scene import Box, Medium, Scene
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:  # clusters need dask
+    from clvol.dask.cluster import ClusterLike
+
+__all__ = [
+    "KEYWORDS",
+    "MERGES",
+    "OUTPUTS",
+    "BatchOptions",
+    "FieldOptions",
+    "Fineness",
+    "LookOptions",
+    "Merge",
+    "ModeOptions",
+    "Output",
+    "PanelOptions",
+    "PictureOptions",
+    "RefineOptions",
+    "RenderOptions",
+    "RendererOptions",
+    "ResolvedLook",
+    "ViewOptions",
+    "as_outputs",
+    "chosen_mode",
+    "require_room",
+]
+
+Merge: TypeAlias = Literal["order", "tree"]
+MERGES: tuple[Merge, ...] = ("order", "tree")
+"""How the workers of a cluster put rays together."""
+
+Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited", "uncertainty"]
+
+OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
+"""Of every mode."""
+_ALL_OUTPUTS = get_args(Output)
+_MAX_SIZE = 1 << 15  # pixels
+_WORDS = ("preset", "window", "cmap", "opacity")
+
+
+# -- what may be asked for: `Renderer.render` documents each option ------------------------------------------------------------
+
+
+class LookOptions(TypedDict, total=False):
+    """What a picture shows, and how.
+
+    Attributes
+    ----------
+    transfer, material
+        In place of the medium's. A transfer function that neither gives is the mode's: from the histogram for "composite", a grey
+        ramp for projections.
+    preset, window, cmap, opacity
+        A transfer function by words: the kind of data (`clvol.presets`), the values from black to white as (center, width), the
+        name of a colour map, and how opaque: a factor, or pairs of a value and an opacity. Each changes what it names of the
+        mode's own look, and may be given with the others, but not beside `transfer`.
+    lights, background, clip
+        In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or clip box, None for none.
+    gradient : {"analytic", "central"}
+        "analytic" is the exact derivative of the function drawn. "central" takes differences of one voxel to either side, as many
+        other programs do; with `hybrid` one voxel of the magnified grid, half of the volume's. `nearest` has no useful derivative
+        and is always shaded by central differences.
+    """
+
+    transfer: TransferFunction | None
+    preset: str | None
+    window: tuple[float, float] | None
+    cmap: str | None
+    opacity: float | Sequence[tuple[float, float]] | None
+    material: Material | None
+    lights: Light | Sequence[Light] | None
+    background: Sequence[float] | str | EllipsisType | None
+    clip: Box | EllipsisType | None
+    gradient: Literal["analytic", "central"]
+
+
+class ModeOptions(TypedDict, total=False):
+    """Options of the built-in modes; the fields of each mode's class. A mode of your own takes its options when it is made."""
+
+    shading: bool
+    termination: float
+    isovalue: float | None
+    color: Sequence[float] | str
+    method: Literal["exact", "stepped"]
+    tolerance: float
+    attenuation: float
+
+
+class RefineOptions(LookOptions, ModeOptions, total=False):
+    """Options of `Renderer.refine`.
+
+    Attributes
+    ----------
+    samples : int or "auto"
+        Rays a pixel, 1 to 4096. A single one goes through its middle. "auto", the default: one, and in modes that light what they
+        show two more in pixels on edges, which differ from a neighbour by more than an eighth of full luminance. At most a 20th of
+        the pixels that are not plain background have more (on processors a 64th, but for surfaces), which bounds the cost. All
+        other pixels are those of ``samples=1``, bit for bit.
+    pixel_filter : str or Filter
+        What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps. "linear",
+        the default, leaves half of the aliasing of "nearest", the pixel's own square, from 16 rays on, and two thirds with fewer,
+        and is less sharp; one with negative lobes, such as "mitchell", needs about 64 rays. Filters with a prefilter are refused.
+    skipping : bool
+        Skip space in which the function's minimum and maximum say that nothing can be seen, as by default. No bit depends on it.
+    lod : float or "auto"
+        Of a `LazyVolume` with levels: how many pixels a voxel of the level that is drawn may span, where the volume is nearest to
+        the viewer. "auto", the default, is 1; 0 draws the finest level whatever the picture's size. Steps count its voxels.
+    """
+
+    samples: int | Literal["auto"]
+    pixel_filter: str | Filter
+    skipping: bool
+    lod: float | Literal["auto"]
+
+
+class PictureOptions(RefineOptions, total=False):
+    """Options of `Renderer.render`.
+
+    Attributes
+    ----------
+    sigma : float, optional
+        Standard deviation of the samples' noise, in units of the data, for the output "uncertainty"; it is then taken to be white.
+        By default it is estimated, with its spectrum (`Volume.noise`).
+    """
+
+    sigma: float | None
+
+
+class FieldOptions(TypedDict, total=False):
+    """Where a renderer's function comes from: see `Renderer`."""
+
+    filter: str | Filter | None
+    boundary: str | Boundary | None
+    device: Device | str | int | None
+    budget: int | None
+
+
+class RendererOptions(FieldOptions, total=False):
+    """Options of `Renderer`."""
+
+    cluster: ClusterLike | None
+    merge: Literal["order", "tree"]
+
+
+class RenderOptions(PictureOptions, RendererOptions, total=False):
+    """Options of `clvol.render`."""
+
+
+class PanelOptions(RefineOptions, total=False):
+    """Options of pictures by several filters, as figures and reports show them side by side."""
+
+    camera: Camera | None
+    mode: str | Mode
+    step: float
+
+
+class ViewOptions(PanelOptions, total=False):
+    """Options of the picture that a view shows first."""
+
+    filter: str | Filter | None
+    boundary: str | Boundary | None
+
+
+class BatchOptions(PanelOptions, PictureOptions, FieldOptions, total=False):
+    """Options of each picture of `clvol.batch`."""
+
+    size: tuple[int, int]
+    outputs: Output
+
+
+KEYWORDS = (
+    *("camera", "mode", "size", "step", "outputs", "progress"),
+    *(name for name in PictureOptions.__annotations__ if name not in ModeOptions.__annotations__),
+)
+"""Arguments of `Renderer.render`; all others are options of the mode."""
+
+
+def chosen_mode(mode: str | Mode, options: Mapping[str, Any]) -> Mode:
+    """The mode with its options, which are all that no picture has; `OptionError` names those that it does not have either."""
+    return as_mode(mode, {name: value for name, value in options.items() if name not in KEYWORDS}, KEYWORDS)
+
+
+def as_outputs(outputs: object) -> tuple[str, ...]:
+    """The names of outputs, of which one may be given alone."""
+    if not isinstance(outputs, (str, Sequence)) or not outputs:
+        raise one_of("outputs", outputs, _ALL_OUTPUTS)
+    wanted = (outputs,) if isinstance(outputs, str) else tuple(outputs)
+    for name in wanted:
+        if name not in _ALL_OUTPUTS:
+            raise one_of("outputs", name, _ALL_OUTPUTS)
+    return wanted
+
+
+# -- how finely -----------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """How finely a picture is sampled.
+
+    Attributes
+    ----------
+    size : (int, int)
+        Width and height in pixels.
+    step : float
+        Voxels between samples of a ray, at most.
+    samples : int or "auto"
+        Rays a pixel.
+    filter : Filter
+        What these sample.
+    lod : float
+        Pixels that a voxel of the drawn level may span.
+    """
+
+    size: tuple[int, int]
+    step: float
+    samples: int | Literal["auto"]
+    filter: Filter
+    lod: float
+
+    @classmethod
+    def of(cls, mode: Mode, size: tuple[int, int], step: float, options: RefineOptions) -> Fineness:
+        """As the options say; only modes that light what they show take more rays on edges."""
+        samples, lod = options.get("samples", "auto"), options.get("lod", "auto")
+        if samples != "auto":
+            samples = whole("samples", samples, minimum=1, maximum=4096)
+        elif not mode.shaded:
+            samples = 1
+        return cls(
+            as_size(size),
+            number("step", step, above=0),
+            samples,
+            as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER)),
+            1.0 if isinstance(lod, str) and lod == "auto" else number("lod", lod, minimum=0),
+        )
+
+
+def as_size(size: tuple[int, int]) -> tuple[int, int]:
+    """Width and height in pixels, checked."""
+    try:
+        width, height = size
+    except (TypeError, ValueError):
+        raise OptionError(f"size must be (width, height) in pixels; got {size!r}") from None
+    return whole("width", width, minimum=1, maximum=_MAX_SIZE), whole("height", height, minimum=1, maximum=_MAX_SIZE)
+
+
+def require_room(size: tuple[int, int], outputs: tuple[str, ...], *, edges: bool) -> None:
+    """Raise `OutOfMemoryError` if there is no room for a picture, its guides, and what its edges are found by."""
+    width, height = size
+    each = 16 + 56 * (outputs != ("rgba",)) + 32 * ("uncertainty" in outputs) + 28 * edges
+    memory.require(width * height * each, f"a picture of {width} × {height} pixels")
+
+
+# -- what is seen ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ResolvedLook:
+    """What a picture shows, with nothing left to decide but how finely.
+
+    Attributes
+    ----------
+    camera : Camera
+    mode : Mode
+        Settled for the volume.
+    scene : Scene
+        With the picture's transfer function, material, lights, background and clip box, where these were given.
+    transfer : TransferFunction
+    central : bool
+        Whether gradients are central differences.
+    skipping : bool
+    preview : Volume
+        Samples to which the camera is fitted.
+    """
+
+    camera: Camera
+    mode: Mode
+    scene: Scene
+    transfer: TransferFunction
+    central: bool
+    skipping: bool
+    preview: Volume
+
+    @classmethod
+    def of(cls, scene: Scene, preview: Volume, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
+        """The look of a scene; what options leave open follows from the samples of its preview."""
+        camera = Camera.orbit() if camera is None else camera
+        instance("camera", camera, Camera)
+        skipping, gradient = options.get("skipping", True), options.get("gradient", "analytic")
+        instance("skipping", skipping, bool, np.bool_)
+        if gradient not in ("analytic", "central"):
+            raise one_of("gradient", gradient, ("analytic", "central"))
+        scene = _changed(scene, _transfer(preview, mode, options), options)
+        transfer = scene.media[0].transfer or mode.transfer(preview)
+        return cls(camera, mode.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
+
+    def placed(self, aspect: float) -> ResolvedLook:
+        """The same by a camera that has its place, if that was left open, in a picture of this width by its height."""
+        camera = fitted(self.camera, self.preview, self.mode, self.transfer, self.scene.clip, aspect)
+        return self if camera is self.camera else replace(self, camera=camera)
+
+    def view(self, size: tuple[int, int]) -> View:
+        """From where a picture of this size is seen."""
+        aspect = size[0] / size[1]
+        return self.placed(aspect).camera.view(self.scene.media[0].volume, aspect)
+
+    def of_level(self, volume: Volume, boundary: Boundary) -> ResolvedLook:
+        """The same look of another level of the volume, of which all show the same matter in the same place.
+
+        The length to which opacities refer and what a camera is fitted to are the whole volume's, where they are not given.
+        """
+        (medium,) = self.scene.media
+        finest, camera, transfer = medium.volume, self.camera, self.transfer
+        if transfer.unit_distance is None:
+            transfer = replace(transfer, unit_distance=finest.mean_spacing)
+        if camera.fit == "volume" or any(v is not None for v in (camera.position, camera.target, camera.distance, camera.radius)):
+            x, y, z = (float(v) for v in finest.center)
+            target, radius = camera.target or (x, y, z), finest.radius if camera.radius is None else camera.radius
+            camera = replace(camera, target=target, radius=radius)
+        seen = Medium(volume, medium.transfer, medium.material, medium.filter, boundary)
+        return replace(self, scene=replace(self.scene, media=(seen,)), camera=camera, transfer=transfer)
+
+
+def _transfer(preview: Volume, mode: Mode, options: RefineOptions) -> TransferFunction | None:
+    """The transfer function that is given, by itself or by words, if any is."""
+    transfer = options.get("transfer")
+    words: dict[str, Any] = {name: options.get(name) for name in _WORDS}
+    given = [name for name, value in words.items() if value is not None]
+    if given and transfer is not None:
+        raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")
+    return look(preview, mode, **words) if given else transfer
+
+
+def _changed(scene: Scene, transfer: TransferFunction | None, options: RefineOptions) -> Scene:
+    """The scene with what is given in place of its own."""
+    (medium,) = scene.media
+    changes: dict[str, Any] = {name: value for name in ("background", "clip") if (value := options.get(name, ...)) is not ...}
+    if (lights := options.get("lights")) is not None:
+        changes["lights"] = lights
+    own: dict[str, Any] = {"transfer": transfer, "material": options.get("material")}
+    if given := {name: value for name, value in own.items() if value is not None}:
+        changes["media"] = (replace(medium, **given),)
+    return replace(scene, **changes) if changes else scene

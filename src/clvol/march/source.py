@@ -1,0 +1,378 @@
+"""What a renderer draws: a function in memory, by bricks, or on a cluster. Only `source_of` asks what it was given."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from numpy.typing import ArrayLike
+
+from clvol.base.checks import one_of, whole
+from clvol.base.errors import DataError, OptionError, OutOfMemoryError
+from clvol.base.progress import Progress
+from clvol.bricks.field import BrickedField
+from clvol.bricks.source import LazyVolume, budget_for
+from clvol.device import Device
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
+from clvol.filter.table import PICTURE_FILTER, as_filter
+from clvol.march import launch
+from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
+from clvol.march.frame import Frame, Subject
+from clvol.march.options import MERGES, Fineness, Merge, ResolvedLook
+from clvol.march.refine import Asked, Rates, Refined, Wanted, refined, refined_by_levels
+from clvol.march.uncertainty import Uncertainty
+from clvol.scene.mode import Mode
+from clvol.scene.scene import Medium, Scene, as_scene
+from clvol.show.picture import Picture, as_pictures
+from clvol.spline.evaluator import DIRECT, Evaluator, choose_evaluator, require_names
+from clvol.spline.field import Field, as_field
+from clvol.spline.lease import Lease
+from clvol.spline.minmax import MinMax
+from clvol.volume.smoothing import filter_for
+from clvol.volume.stored import RENUMBER, names_beyond
+from clvol.volume.volume import Volume, as_volume
+
+if TYPE_CHECKING:  # clusters need dask
+    from clvol.dask.cluster import ClusterLike
+
+__all__ = ["ByBricks", "Drawable", "InMemory", "Source", "row_for", "source_of"]
+
+Drawable: TypeAlias = Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike
+"""What a `Renderer` takes."""
+Pictures: TypeAlias = dict[str, launch.Picture]
+
+_BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
+_CLOSED = "the renderer was closed, and its coefficients were released; make a new one"
+_FIELD_CLOSED = "the field was closed, and its coefficients were released; make a new one"
+
+
+class Source(ABC):
+    """The function of a scene's medium, from which pictures are made.
+
+    Parameters
+    ----------
+    scene : Scene
+    field : Field or BrickedField
+    preview : Volume
+        Samples from which looks are decided.
+    arguments : tuple
+        From which another process makes the source: what a renderer takes, filter and boundary; or no more than a field.
+    """
+
+    def __init__(self, scene: Scene, field: Field | BrickedField, preview: Volume, arguments: tuple[Any, ...]) -> None:
+        self.scene, self.field, self.preview, self.arguments = scene, field, preview, arguments
+        self.shown = field
+        self.lease = Lease(_CLOSED)
+        self._lock = threading.RLock()  # a handler of signals may come back here
+        self._unsmoothed: Any = None
+        self._owned = arguments[0] is not field
+        if self._owned:
+            self.lease.frees(field.close)
+
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        """For the time of a block nothing is freed."""
+        with self.lease.held(), self.field.in_use():
+            yield
+
+    @property
+    def _free(self) -> bool:
+        """Whether each mode may have its own filter: none was given."""
+        return self.scene.media[0].filter is None
+
+    def filter_of(self, mode: Mode) -> Filter:
+        """The filter of pictures in a mode."""
+        if not self._free or mode.picture_filter == PICTURE_FILTER:
+            return self.field.filter
+        return filter_for(self.scene.media[0].volume, None, mode.picture_filter)
+
+    def levels(self) -> tuple[BrickedField, ...]:
+        """The functions of lower resolutions that pictures were made of."""
+        return ()
+
+    def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        """Arguments and keywords from which another process makes the renderer."""
+        return (*self.arguments, self.field.device) if self._owned else self.arguments, {}
+
+    @abstractmethod
+    def function(self, mode: Mode, level: int = 0) -> Field | BrickedField:
+        """The function that pictures of a mode show, of a level of the volume; the finest is 0."""
+
+    @abstractmethod
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        """The picture of a look, and its guides if they are wanted."""
+
+    @abstractmethod
+    def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
+        """Pictures that become finer."""
+
+    @abstractmethod
+    def uncertainty(self, mode: Mode) -> Uncertainty:
+        """The errors of surfaces, made for the first picture that shows them."""
+
+
+class InMemory(Source):
+    """A function whose coefficients are all on the device."""
+
+    field: Field
+
+    def __init__(self, scene: Scene, field: Field, preview: Volume, arguments: tuple[Any, ...]) -> None:
+        super().__init__(scene, field, preview, arguments)
+        self.pyramids: dict[tuple[Filter, Evaluator], MinMax] = {}
+        self._uncertainty: Uncertainty | None = None
+        self._rates = Rates()
+
+    def function(self, mode: Mode, level: int = 0) -> Field:
+        whole("level", level, 0, 0)
+        row = self.filter_of(mode)
+        if row == self.field.filter:
+            return self.field
+        with self._lock:
+            if self._unsmoothed is None:
+                self._unsmoothed = single(self.scene.media[0].volume, row, self.field.boundary, self.field.device)
+                self.lease.frees(self._unsmoothed.close)
+            made: Field = self._unsmoothed
+            return made
+
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        frame = self._subject(look).frame(fine.size, fine.step, guides=guides)
+        pictures = launch.draw(frame, fine.samples, fine.filter, progress)
+        self.shown = self.function(look.mode)
+        return pictures
+
+    def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
+        wanted = Wanted(self._subject(look), fine.size, fine.step, fine.samples, fine.filter)
+        return refined(wanted, asked, self._rates, self.in_use)
+
+    def _subject(self, look: ResolvedLook) -> Subject:
+        """A look of the function, with its pyramid of minima and maxima where space is skipped."""
+        field = self.function(look.mode)
+        evaluator = choose_evaluator(field.device, field.filter, bits=_BITS)
+        pyramid = self._pyramid(field, evaluator) if look.skipping and look.mode.skips else None
+        return Subject(look, field.coefficients, pyramid, evaluator)
+
+    def _pyramid(self, field: Field, evaluator: Evaluator) -> MinMax:
+        with self._lock:
+            key = field.filter, evaluator
+            if key not in self.pyramids:
+                self.pyramids[key] = MinMax(field.coefficients, evaluator)
+                self.lease.frees(self.pyramids[key].release)
+            return self.pyramids[key]
+
+    def uncertainty(self, mode: Mode) -> Uncertainty:
+        field = self.function(mode)
+        if mode.shows != "surface":
+            raise OptionError(f'the output "uncertainty" is of surfaces: mode must be isosurface; got {mode.name!r}')
+        if not field.filter.has_gradient:
+            raise OptionError(f'the output "uncertainty" needs a filter that has slopes; got {field.filter.name!r}')
+        with self._lock:
+            if self._uncertainty is None:
+                self._uncertainty = Uncertainty(field)
+                self.lease.frees(self._uncertainty.release)
+            return self._uncertainty
+
+
+class ByBricks(Source):
+    """A function of which one brick after the other is on the device."""
+
+    field: BrickedField
+
+    def __init__(self, scene: Scene, field: BrickedField, preview: Volume, arguments: tuple[Any, ...]) -> None:
+        super().__init__(scene, field, preview, arguments)
+        self._levels: dict[tuple[int, str], BrickedField] = {}
+
+    def levels(self) -> tuple[BrickedField, ...]:
+        return tuple(self._levels.values())
+
+    def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        arguments, _ = super().recipe()
+        return arguments, {"budget": self.field.budget} if self._owned else {}
+
+    def function(self, mode: Mode, level: int = 0) -> BrickedField:
+        level = whole("level", level, 0, len(self.field.volume.levels))
+        with self._lock:
+            finest = self._finest(mode)
+            if not level:
+                return finest
+            coarser = finest.volume.levels[level - 1]
+            row = _usual(coarser) if self._free and mode.picture_filter == PICTURE_FILTER else finest.filter
+            key = level, "" if row is None else as_filter(row).name
+            if key not in self._levels:
+                self._levels[key] = self._shared_out(
+                    BrickedField(coarser, row, finest.boundary, finest.device, beside=finest)  # which has one budget with it
+                )
+                self.lease.frees(self._levels[key].close)
+            return self._levels[key]
+
+    def _finest(self, mode: Mode) -> BrickedField:
+        own, row = self.field, self.filter_of(mode)
+        if row == own.filter:
+            return own
+        if self._unsmoothed is None:
+            self._unsmoothed = BrickedField(own.volume, row, own.boundary, own.device, edge=own.edge, beside=own)
+            self.lease.frees(self._unsmoothed.close)
+        made: BrickedField = self._unsmoothed
+        return made
+
+    def _shared_out(self, field: BrickedField) -> BrickedField:
+        """The field, with bricks of a size for all who draw."""
+        return field
+
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        self._require_direct()
+        return self._draw(look, fine, self._level(look, fine), guides, progress)
+
+    def _level(self, look: ResolvedLook, fine: Fineness) -> int:
+        """The level whose voxels are about as fine as the picture's pixels."""
+        return level_of(self.field.volume, look.view(fine.size), fine.size, fine.lod)
+
+    def _require_direct(self) -> None:
+        limits = self.field.device.limits
+        require_names(limits.evaluator, limits.fetch)
+        if limits.fetch == "image" or limits.evaluator not in ("auto", "taps"):
+            raise OptionError(
+                f"bricks are read by direct taps from buffers; got evaluator {limits.evaluator!r} and fetch {limits.fetch!r}"
+            )
+
+    def _draw(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
+        field = self.function(look.mode, level)
+        between = look.mode.between_samples(guides=guides)
+        if between and fine.step > STEPPED_AT_MOST:
+            raise OptionError(
+                f"step must be at most {STEPPED_AT_MOST:g} for {between} of a volume that is read by bricks; got {fine.step:g}"
+            )
+        with field.in_use():
+            own = look.of_level(field.coefficients.volume, field.boundary)
+            frame = Subject(own, field.coefficients, None, DIRECT).frame(fine.size, fine.step, guides=guides)
+            made = launch.drawn(self.drawing(frame, own, fine, field), fine.samples, progress)
+            self.shown = field
+            return made
+
+    def drawing(self, frame: Frame, look: ResolvedLook, fine: Fineness, field: BrickedField) -> BrickedDrawing:
+        """The picture of a frame, to be drawn."""
+        return BrickedDrawing(frame, fine.samples, fine.filter, field, look.view(fine.size), skipping=look.skipping)
+
+    def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
+        self._require_direct()
+
+        def draw(level: int, report: Progress) -> Picture:
+            return as_pictures(self._draw(look, fine, level, False, report))["rgba"]
+
+        levels = range(len(self.field.volume.levels), self._level(look, fine) - 1, -1)
+        return refined_by_levels(draw, levels, fine.step, asked, self.in_use)
+
+    def uncertainty(self, mode: Mode) -> Uncertainty:  # noqa: ARG002
+        raise OptionError('the output "uncertainty" takes a volume that is in memory; got one that is read by bricks')
+
+
+def source_of(
+    given: Drawable,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    device: Device | str | int | None = None,
+    *,
+    budget: int | None = None,
+    cluster: ClusterLike | None = None,
+    merge: Merge = "order",
+    usual: str | None = None,
+) -> Source:
+    """The source of what a renderer is given: see `Renderer`. `usual` is the filter of a single picture, if none is given."""
+    if merge not in MERGES:
+        raise one_of("merge", merge, MERGES)
+    if merge != "order" and cluster is None:
+        raise OptionError(f"merge says how a cluster puts rays together; got {merge!r} and no cluster")
+    if isinstance(given, (Field, BrickedField)):
+        if cluster is not None:
+            raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
+        return _of_field(given, filter, boundary, device, budget)
+    if isinstance(given, LazyVolume):
+        budget_for(given, budget)  # before anything is read
+        row = filter if usual is None else row_for(given, filter, usual)
+        field = BrickedField(given, _usual(given) if row is None else row, boundary, device, budget=budget, at_once=cluster is None)
+        medium = Medium(field.coefficients.volume, filter=None if row is None else field.filter, boundary=field.boundary)
+        scene, preview = as_scene(medium), given.preview()
+        arguments: tuple[Any, ...] = given, medium.filter, medium.boundary
+    else:
+        scene = _scene(given, filter, boundary, usual)
+        (medium,) = scene.media
+        arguments, preview = (scene, None, None), medium.volume
+        row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
+        if cluster is None:
+            try:
+                made = single(medium.volume, row, medium.boundary, device)
+                return InMemory(scene, made, preview, arguments)
+            except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
+                pass
+        field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget, at_once=cluster is None)
+    if cluster is None:
+        return ByBricks(scene, field, preview, arguments)
+    from clvol.march.cluster import OnCluster
+
+    return OnCluster(scene, field, preview, arguments, cluster, merge, device, budget)
+
+
+def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | None, usual: str | None) -> Scene:
+    """The scene of a volume, an array, a medium or a scene; the last two say themselves how they are reconstructed."""
+    words = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
+    if isinstance(given, (Scene, Medium)):
+        if words:
+            raise OptionError(f"{' and '.join(words)} must be left to the medium of a scene; got {words}")
+        return as_scene(given)
+    if usual is not None:
+        given = as_volume(given)
+        words["filter"] = filter_for(given, filter, usual)
+    return as_scene(Medium(given, **words))  # type: ignore[arg-type]  # __post_init__ converts
+
+
+def _of_field(
+    field: Field | BrickedField,
+    filter: str | Filter | None,
+    boundary: str | Boundary | None,
+    device: Device | str | int | None,
+    budget: int | None,
+) -> Source:
+    """The source of a field, which stays open when the renderer is closed."""
+    medium = Medium(field.coefficients.volume, filter=field.filter, boundary=field.boundary)
+    if isinstance(field, Field):
+        as_field(field, filter, boundary, device)  # which refuses others than the field's
+        if field.gaps is not None:
+            raise OptionError(
+                "rendering takes a field without gaps; this one has missing samples: replace them with Volume.filled(), or "
+                'keep them filled with nan=Missing("local", most=1)'
+            )
+        if field.closed:
+            raise OptionError(_FIELD_CLOSED)
+        if field.precision != "single":
+            raise OptionError(f"rendering takes a field of single precision; got one of {field.precision} precision")
+        return InMemory(as_scene(medium), field, medium.volume, (field,))
+    if filter is not None or boundary is not None or device is not None or budget is not None:
+        raise OptionError("filter, boundary, device and budget must be left to the field; got them beside it")
+    if field.closed:
+        raise OptionError(_FIELD_CLOSED)
+    return ByBricks(as_scene(medium), field, field.volume.preview(), (field,))
+
+
+def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:
+    """The filter of all sizes of a volume in one picture; None: that of its bounds."""
+    if filter is not None or volume.bounds is not None:
+        return filter
+    return filter_for(volume.part(), None, usual)
+
+
+def _usual(volume: LazyVolume) -> str | None:
+    """The filter of pictures where none is given; None: that of the volume's bounds."""
+    return PICTURE_FILTER if volume.bounds is None else None
+
+
+def single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:
+    """What kernels of pictures read: float32, which must tell labels apart."""
+    if names_beyond(24, volume, row):
+        low, high = volume.limits
+        raise DataError(
+            f"labels must be whole numbers that float32 holds to be drawn, up to 2**24; got {low} to {high}: {RENUMBER}"
+        )
+    return Field(volume, row, boundary, device, precision="single")
