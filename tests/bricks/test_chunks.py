@@ -60,7 +60,7 @@ def test_parts_are_those_of_the_array(chunks: tuple[int, ...], most: int) -> Non
     if most > DATA.nbytes:
         assert source.unpacked <= source.stored
         before = read.nbytes
-        assert (read.let_go(), read.nbytes, read.idle) == (before, 0, 0)
+        assert (read.evict(), read.nbytes, read.idle) == (before, 0, 0)
 
 
 @pytest.mark.parametrize("chunks", [(1, 1, 60), (1, 1, 4), (4, 4, 4), (2, 50, 1)])

@@ -147,11 +147,11 @@ class Chunks:
 
     @property
     def idle(self) -> int:
-        """Bytes that `let_go` can free. The lock is held."""
+        """Bytes that `evict` can free. The lock is held."""
         return sum(one.nbytes for one in self._kept.values() if not one.users)
 
-    def let_go(self, nbytes: int | None = None) -> int:
-        """Free as many bytes, or all, of chunks that nobody uses, the longest unused first; how many it were. The lock is held."""
+    def evict(self, nbytes: int | None = None) -> int:
+        """Evict unused chunks, least recently used first, until `nbytes` are freed, or all. Returns the bytes freed. Lock held."""
         freed = 0
         for place in [place for place, one in self._kept.items() if not one.users]:
             if nbytes is not None and freed >= nbytes:
@@ -164,7 +164,7 @@ class Chunks:
         """Keep nothing any more."""
         with self._lock:
             self.most = 0
-            self.let_go()
+            self.evict()
 
     # -- reading -----------------------------------------------------------------------------------------------------------
 
@@ -245,7 +245,7 @@ class Chunks:
             return False
         if self.room is not None and not self.room.grant(nbytes - over, self):
             return False
-        self.let_go(max(0, self.nbytes + nbytes - self.most))  # of what room may have left
+        self.evict(max(0, self.nbytes + nbytes - self.most))  # of what room may have left
         return True
 
     def _bytes(self, place: Place) -> int:

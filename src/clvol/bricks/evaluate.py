@@ -81,8 +81,10 @@ class ByBricks:
         for axis, n in enumerate(size):
             x = np.where(finite, positions[:, axis], 0.0)
             own = (x >= -rule.edge) & (x <= n - 1 + rule.edge)  # bricks at faces hold these taps; folded, ties break otherwise
-            brought, way = rule.position(x, n, self._pad, self._reach)
-            places[:, axis], signs[:, axis] = np.where(own, x, brought), np.where(own, 1.0, way)
+            brought, sign = rule.position(x, n, self._pad, self._reach)
+            places[:, axis] = np.where(own, x, brought)
+            if derivative:
+                signs[:, axis] = np.where(own, 1.0, sign)
         given = ~finite if fill is None else ~finite | ~inside
         if rule.outside == "constant":
             given |= ~inside

@@ -45,7 +45,7 @@ from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume
 
-__all__ = ["BrickedField", "as_lazy", "of_lazy"]
+__all__ = ["BrickedField", "as_lazy", "of_lazy", "require_plain"]
 
 
 class BrickedField(ContinuousFunction):
@@ -304,13 +304,14 @@ def of_lazy(
     precision: Precision | None,
     nan: str | Missing | None,
 ) -> BrickedField:
-    """The field that takes the place of `Field` for a LazyVolume, with the filter that a volume in memory has by default.
+    """The field that takes the place of `Field` for a LazyVolume, with the filter that a volume in memory has by default."""
+    require_plain(precision, nan)
+    budget_for(volume, None)  # which refuses chunks that are too large before anything is read
+    return BrickedField(volume, filter_for(volume.part(), filter, DEFAULT_FILTER), boundary, device)
 
-    Raises
-    ------
-    OptionError
-        Another precision than "single", or another treatment of missing samples than "error".
-    """
+
+def require_plain(precision: Precision | None, nan: str | Missing | None) -> None:
+    """Raise `OptionError` for another precision than "single", or another treatment of missing samples than "error"."""
     for name, value, known in (("precision", precision, "single"), ("nan", nan, "error")):
         if value is not None and getattr(value, "rule", value) != known:
             given = f" {value!r}" if isinstance(value, str) else ""
@@ -318,5 +319,3 @@ def of_lazy(
                 f"a volume that is read by bricks takes no {name}{given}: volume.whole() has all samples in memory, "
                 "and arrays of dask are taken by parts with it"
             )
-    budget_for(volume, None)  # which refuses chunks that are too large before anything is read
-    return BrickedField(volume, filter_for(volume.part(), filter, DEFAULT_FILTER), boundary, device)

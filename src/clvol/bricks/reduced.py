@@ -1,4 +1,4 @@
-"""Volumes that are larger than memory with fewer samples: sums along their axes, computed for the parts that are read."""
+"""Volumes larger than memory at fewer samples: sums along their axes, computed for the parts that are read."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from clvol.spline.rows import GAP, Rows, gathered
 
 __all__ = ["Reduced"]
 
-_EDGES = (512, 256, 128, 64, 32, 16, 8)  # sums along those of a block that are tried
-_SLAB = 1 << 24  # samples that are read at a time, about
+_EDGES = (512, 256, 128, 64, 32, 16, 8)  # sums along an edge of a block, longest first
+_SLAB = 1 << 24  # samples that are read at a time, roughly
 _MIB = 1 << 20
 
 
 class Reduced:
-    """Sums along the axes of a volume, in place of its samples: what a `LazyVolume` takes as data.
+    """Sums along the axes of a volume in place of its samples, as data of a `LazyVolume`.
 
-    Each sum has the terms that it has in one piece, in the same order: it is the same to the last bit.
+    Each sum has the same terms in the same order as for the whole volume at once, so it is the same to the last bit.
 
     Parameters
     ----------
     volume : LazyVolume
     sums : mapping from axes, 0 for z, to Sums
     kind : type
-        np.float32 or np.float64, in which they are made.
+        np.float32 or np.float64, in which they are computed.
     device : Device
     outside : float
-        The samples where a boundary rule puts none.
+        The value of samples where a boundary rule has none.
     read : callable, optional
-        What reads the volume instead of `LazyVolume.read`.
+        Reads the volume, instead of `LazyVolume.read`.
     beside : int
-        Bytes that this takes while it reads, beside what it gives.
+        Bytes that reading takes, beside the samples.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Reduced:
         if not self._order:
             return np.ascontiguousarray(gathered(self._read, [row.runs for row in rows]), self.dtype)
         *before, last = self._order
-        slabs = []  # along the axis that is summed up last, each with all others summed up
+        slabs = []  # along the last axis to be summed, all other axes summed already
         for first, past in rows[last].runs:
             for low in range(first, past, self._deep(rows, last)):
                 runs = [row.runs for row in rows]
@@ -87,7 +87,7 @@ class Reduced:
 
     @staticmethod
     def _deep(rows: Sequence[Rows], last: int) -> int:
-        """Samples along the axis that is summed up last, of a slab."""
+        """Samples of a slab along the last axis to be summed."""
         return max(1, _SLAB // math.prod(row.count for axis, row in enumerate(rows) if axis != last))
 
     def _rows(self, index: Sequence[slice]) -> list[Rows]:
@@ -98,14 +98,14 @@ class Reduced:
         return self._read_volume((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
 
     def blocks(self, budget: int, beside: int = 0) -> Iterator[tuple[tuple[slice, ...], int, float]]:
-        """All of it in blocks, each with the bytes that it takes, and with how much is done after it.
+        """All of it in blocks, each with the bytes that it takes and the fraction done after it.
 
-        They are the largest whose computation a budget of bytes holds, with what is wanted `beside` it if that can be.
+        Blocks are the largest that can be computed within a budget of bytes, with `beside` bytes to spare if that is possible.
 
         Raises
         ------
         OptionError
-            It does not hold the least.
+            The budget does not hold the smallest block.
         """
         fits = (edge for room in (budget - beside, budget) for edge in _EDGES if self._fits(edge, room))
         edge = next(fits, None)
@@ -119,11 +119,11 @@ class Reduced:
         return ((block, nbytes, done / count) for done, block in enumerate(itertools.product(*lines), 1))
 
     def _fits(self, edge: int, room: int) -> bool:
-        """Whether a block of so many sums along its edges can be computed in so many bytes, and in buffers of the device."""
+        """Whether a block with `edge` sums along its edges can be computed in `room` bytes, and in buffers of the device."""
         return self._bytes(edge) <= room and self.dtype.itemsize * max(self._counts(edge)) <= self._device.largest
 
     def _counts(self, edge: int) -> list[int]:
-        """How many numbers there are at most: of a slab, as read and after each of the axes but the last; of all slabs."""
+        """How many numbers there are, at most: of a slab, as read and after each axis but the last; of all slabs."""
         if edge not in self._counted:
             self._counted[edge] = self._count(edge)
         return self._counted[edge]
@@ -136,7 +136,7 @@ class Reduced:
         return self._steps(now, [min(edge, n) for n in self.shape])
 
     def _steps(self, now: list[int], shape: Sequence[int]) -> list[int]:
-        """From the samples that a part takes along each axis to the numbers that there are of it."""
+        """The same, from the samples `now` that a part takes along each axis."""
         if not self._order:
             return [math.prod(now)]
         *before, last = self._order
@@ -152,7 +152,7 @@ class Reduced:
         return self._bytes_of(self._counts(edge), math.prod(min(edge, n) for n in self.shape))
 
     def _bytes_of(self, counts: Sequence[int], result: int) -> int:
-        """What a part takes, at most: a slab as read and from one axis to the next, all of them once and again, and the result."""
+        """Bytes of a part, at most: a slab as read and from one axis to the next, all slabs twice, and the result twice."""
         *slab, kept = counts
         own, wide = self._volume.dtype.itemsize, self.dtype.itemsize
         if not slab:
@@ -161,9 +161,9 @@ class Reduced:
         return max(2 * own * slab[0] + self._beside, *steps, wide * slab[-1]) + wide * (2 * kept + 2 * result)
 
     def taken(self, shape: Sequence[int]) -> int:
-        """Bytes that reading a part of so many sums along z, y and x takes, its own included, wherever it lies.
+        """Bytes that reading a part of this shape takes, its own included, wherever it lies.
 
-        Of sums that are as many as the samples are along each axis.
+        There must be as many sums as samples along each axis.
         """
         now = [
             min(n, count + (self._sums[axis].places.shape[1] + GAP if axis in self._sums else 0))

@@ -1,10 +1,10 @@
-"""Bricks on a device within a budget of memory, for any number of threads: who reads them, who waits, and which make room.
+"""Bricks on a device within a budget of memory, for any number of threads: who reads them, who waits, and which are evicted.
 
-The lock is held for the bookkeeping alone, and never while a brick is read. Room is taken before reading begins, so memory stays
-within the budget however many threads there are. A brick that several threads want is read by one of them. Who finds no room waits
-until somebody has done with a brick; but whoever holds one waits for no room, or two threads might wait for each other.
+The lock is held for bookkeeping only, never while a brick is read. Room is reserved before reading begins, so memory stays within
+the budget however many threads there are. If several threads want a brick, one of them reads it. A thread that finds no room waits
+until another has done with a brick; but a thread that holds a brick never waits for room, or two might wait for each other.
 
-Bricks of several volumes, as of a renderer's levels, may share an account: a budget, a lock, and who waits for whom.
+Bricks of several volumes, such as a renderer's levels, may share an account: a budget, a lock, and a queue of waiting threads.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from clvol.spline.minmax import MinMax, bytes_beside
 
 __all__ = ["Account", "Reads", "Resident", "Residents"]
 
-_SMALL_PART = 16  # of the budget: bricks of other volumes that take less make room last
-_AHEAD = 8  # samples that are read ahead may take one part in so many of the budget
-_LOOK = 0.1  # seconds: without an end, Windows would not hear Ctrl-C
+_SMALL_PART = 16  # bricks of other volumes that take less than 1 / _SMALL_PART of the budget are evicted last
+_AHEAD = 8  # samples that are read ahead take at most 1 / _AHEAD of the budget
+_LOOK = 0.1  # seconds: Windows hears no Ctrl-C while a thread waits without an end
 
 
 @dataclass
@@ -40,11 +40,11 @@ class Reads:
     Attributes
     ----------
     bricks : int
-        How often a brick was read, one that had to be read again included.
+        Bricks read, each time that one was read again included.
     samples : int
-        How many samples that were, margins included.
+        Samples read, margins included.
     dropped : int
-        How often a brick made room for another one.
+        Bricks evicted.
     """
 
     bricks: int = 0
@@ -54,7 +54,7 @@ class Reads:
 
 @dataclass
 class Resident:
-    """A brick's coefficients on the device, and the threads that use them, each as often as it does."""
+    """A brick's coefficients on the device, and the threads that use them, once for each use."""
 
     at: Index
     coefficients: Coefficients
@@ -73,7 +73,7 @@ class Resident:
 
 
 class _Coming:
-    """A brick that a thread is reading, those that wait for it, and what came of it."""
+    """A brick that a thread is reading, the threads that wait for it, and the result."""
 
     def __init__(self, at: Index, nbytes: int, thread: int) -> None:
         self.at, self.nbytes, self.thread = at, nbytes, thread
@@ -84,7 +84,7 @@ class _Coming:
 
 
 class _Ahead:
-    """Samples that are being read, or were, before a thread comes to them."""
+    """Samples that are read, or being read, before a thread needs them."""
 
     def __init__(self, nbytes: int, thread: int) -> None:
         self.nbytes, self.thread = nbytes, thread
@@ -93,7 +93,7 @@ class _Ahead:
 
 
 class Account:
-    """A budget of bytes, and whose bricks and chunks take them.
+    """A budget of bytes, and the stores whose bricks and chunks take them.
 
     Parameters
     ----------
@@ -102,23 +102,23 @@ class Account:
     Attributes
     ----------
     lock : RLock
-        Of all that is counted.
+        Guards all that is counted.
     beside : int
-        Bytes that were set aside for what is neither brick nor chunk.
+        Bytes set aside for what is neither brick nor chunk.
     """
 
     def __init__(self, budget: int) -> None:
         self.budget, self.beside = budget, 0
         self.lock = threading.RLock()  # a handler of signals may come back here
-        self._members: list[weakref.ref[Residents]] = []  # whose bricks were asked for last is last
-        self._sleeping: list[Any] = []  # locks that wake who waits
+        self._members: list[weakref.ref[Residents]] = []  # the most recently used last
+        self._sleeping: list[Any] = []  # locks that wake waiting threads
 
     def members(self) -> list[Residents]:
-        """Whose bricks they are, those first whose were not asked for longest. The lock is held."""
+        """Those that share the budget, least recently used first. The lock is held."""
         return [one for ref in self._members if (one := ref()) is not None]
 
     def joins(self, member: Residents) -> None:
-        """One more, or one whose bricks are asked for. The lock is held."""
+        """Add a member, or mark one as the most recently used. The lock is held."""
         others = [ref for ref in self._members if (one := ref()) is not None and one is not member]
         self._members = [*others, weakref.ref(member)]
 
@@ -128,10 +128,10 @@ class Account:
         return self.beside + sum(one.taken for one in self.members())
 
     def make_room(self, nbytes: int, own: Residents) -> bool:
-        """Let go of what nobody uses until so many bytes more fit; whether they do. The lock is held.
+        """Evict what nobody uses until `nbytes` more fit. Returns whether they do. The lock is held.
 
-        First go bricks and chunks of other volumes, unless they take little, then own ones, then what others have left. Where all
-        of these would not be enough, they stay.
+        Bricks and chunks of other volumes are evicted first, unless they take little, then own ones, then the rest of the others'.
+        If all of that would not be enough, nothing is evicted.
         """
         over = self.nbytes + nbytes - self.budget
         if over <= 0:
@@ -143,17 +143,17 @@ class Account:
         large = [one for one in others if one.taken > self.budget // _SMALL_PART]
         for one in (*large, own, *(one for one in others if one not in large)):
             if over > 0:
-                over -= one.let_go(over)
+                over -= one.evict(over)
         return over <= 0
 
     def grant(self, nbytes: int, chunks: Chunks) -> bool:
-        """Whether there is room for so many bytes more of some chunks."""
+        """Whether there is room for `nbytes` more of some chunks."""
         own = next((one for one in self.members() if one.chunks is chunks), None)
         return own is not None and self.make_room(nbytes, own)
 
     @contextmanager
     def set_aside(self, nbytes: int, own: Residents) -> Iterator[None]:
-        """Bytes that are taken for the time of a block by what is neither brick nor chunk; others of the kind are waited for."""
+        """A context that takes bytes for what is neither brick nor chunk; it waits until others like it leave room."""
         taken = 0
 
         def may_begin() -> bool:
@@ -175,7 +175,7 @@ class Account:
             self.wake()
 
     def wait(self, ready: Callable[[], object]) -> None:
-        """Until something is true, which is looked at whenever anything has changed."""
+        """Wait until `ready` is true; it is called whenever something has changed."""
         turn = threading.Lock()
         turn.acquire()
         try:
@@ -184,7 +184,7 @@ class Account:
                     if ready():
                         return
                     if turn not in self._sleeping:
-                        turn.acquire(blocking=False)  # it may have been woken just as its time was up, and is released but once
+                        turn.acquire(blocking=False)  # woken just as the wait timed out: it is released only once
                         self._sleeping.append(turn)
                 turn.acquire(timeout=_LOOK)
         finally:
@@ -193,52 +193,52 @@ class Account:
                     self._sleeping.remove(turn)
 
     def wake(self) -> None:
-        """Have all who wait look again."""
+        """Have all waiting threads check again."""
         with self.lock:
             while self._sleeping:
                 self._sleeping.pop().release()
 
 
 class Residents:
-    """Bricks of a volume that are on a device, are coming, or were read ahead.
+    """Bricks of a volume that are on a device, are being read, or were read ahead.
 
     Parameters
     ----------
     account : Account
-        Where they are counted.
+        Counts their bytes.
     reads : Reads
-        Where it is counted what is read and dropped.
+        Counts what is read and evicted.
     chunks : Chunks, optional
-        Of the volume, that are kept unpacked.
+        Unpacked chunks of the volume.
     chunks_first : bool
-        Whether these make room for bricks: all bricks find room, and will be there when the volume is gone through again.
+        Whether chunks are evicted before bricks: there is room for all bricks, which then stay for the next pass.
 
     Attributes
     ----------
     lock : RLock
-        Of all that is here, and of `reads`.
+        Guards all of this, and `reads`.
     """
 
     def __init__(self, account: Account, reads: Reads, chunks: Chunks | None = None, *, chunks_first: bool = False) -> None:
         self.account, self.reads, self.chunks, self._chunks_first = account, reads, chunks, chunks_first
         self.lock = account.lock
-        self._there: OrderedDict[Index, Resident] = OrderedDict()  # the one used last is last
+        self._there: OrderedDict[Index, Resident] = OrderedDict()  # the most recently used last
         self._coming: list[_Coming] = []
         self._ahead: dict[Index, _Ahead] = {}
-        self._turns: dict[Index, int] = {}  # when each brick is asked for, and how far that has come
+        self._turns: dict[Index, int] = {}  # each brick's place in the access order
         self._turn = 0
         with self.lock:
             account.joins(self)
 
     @property
     def nbytes(self) -> int:
-        """Bytes that are taken, those included that were set aside for bricks that are being read."""
+        """Bytes that are taken, including those reserved for bricks that are being read."""
         with self.lock:
             return self.taken
 
     @property
     def taken(self) -> int:
-        """The same. The lock is held."""
+        """As `nbytes`. The lock is held."""
         being_read = sum(one.nbytes for one in self._coming) + sum(one.nbytes for one in self._ahead.values())
         kept = 0 if self.chunks is None else self.chunks.nbytes
         return being_read + kept + sum(one.nbytes for one in self._there.values())
@@ -252,16 +252,16 @@ class Residents:
     def held(
         self, at: Index, nbytes: int, read: Callable[[], NDArray[Any]], make: Callable[[NDArray[Any]], Resident]
     ) -> Iterator[Resident]:
-        """A brick for the time of a block, and longer if there is room.
+        """A context in which a brick is resident; it stays longer if there is room.
 
         Parameters
         ----------
         at : (int, int, int)
-            Which one.
+            Its number.
         nbytes : int
-            What it takes at most, while it is made and later.
+            The most that it takes, while it is read and later.
         read, make : callable
-            Its samples, and what is made of them. An error of theirs is raised by all threads that wait for this brick.
+            Read its samples, and turn them into coefficients. Their errors are raised in all threads that wait for this brick.
         """
         me, own = threading.get_ident(), None
         try:
@@ -287,13 +287,13 @@ class Residents:
                     self.account.wake()
 
     def _with_another(self, at: Index, me: int) -> _Coming | None:
-        """Whether another thread is reading a brick. (This one may be, where a handler of signals asks for the same.)"""
+        """The read of a brick by another thread, if any. (This thread may read it too: a signal handler may ask for the same.)"""
         return next((one for one in self._coming if one.at == at and one.thread != me), None)
 
     def _read(
         self, at: Index, nbytes: int, read: Callable[[], NDArray[Any]], make: Callable[[NDArray[Any]], Resident], me: int
     ) -> Resident | None:
-        """A brick that this thread reads; None if there is no room, or another thread was first."""
+        """Read a brick in this thread; None if there is no room, or another thread was first."""
         coming = _Coming(at, nbytes, me)
         try:
             with self.lock:
@@ -307,11 +307,11 @@ class Residents:
             made = make(samples)
             with self.lock:
                 there = self._there.setdefault(at, made)
-                if there is not made:  # a handler of signals was here meanwhile
+                if there is not made:  # a signal handler was faster
                     made.release()
                 there.users += [me, *coming.waiting]
-                coming.made, coming.done = there, True  # at once: who comes later is not among its users
-                self._coming.remove(coming)  # nor is its room counted twice
+                coming.made, coming.done = there, True  # together: a thread that comes later is not among its users
+                self._coming.remove(coming)  # so that its room is not counted twice
             return there
         except BaseException as error:
             coming.error = error
@@ -327,7 +327,7 @@ class Residents:
                 self.account.wake()
 
     def _of_another(self, coming: _Coming, me: int) -> Resident | None:
-        """The brick that another thread reads, for this one too; None if that thread was interrupted, and it is to be read anew."""
+        """The brick that another thread reads; None if that thread was interrupted, and the brick has to be read again."""
         waits = False
         try:
             with self.lock:
@@ -336,7 +336,7 @@ class Residents:
                 coming.waiting.append(me)
                 waits = True
             self.account.wait(lambda: coming.done)
-            if coming.made is None and isinstance(coming.error, Exception):  # Ctrl-C is not for those who wait
+            if coming.made is None and isinstance(coming.error, Exception):  # Ctrl-C is not for the waiting threads
                 raise coming.error
             return coming.made
         except BaseException:
@@ -346,13 +346,13 @@ class Residents:
             raise
 
     def _may_begin(self, at: Index, nbytes: int, me: int) -> bool:
-        """Whether a thread may read a brick: there is room, or none will ever be."""
+        """Whether a thread may read a brick: there is room, or there never will be."""
         ahead = self._ahead.get(at)
         nbytes -= 0 if ahead is None else ahead.nbytes
         if self.account.make_room(nbytes, self):
             return True
         members = self.account.members()
-        if busy := {thread for one in members for thread in one.busy}:
+        if busy := {thread for one in members for thread in one._busy}:
             return me in busy
         for one in members:
             one._forget([other for other in one._ahead if one is not self or other != at])
@@ -361,22 +361,22 @@ class Residents:
         )
 
     @property
-    def busy(self) -> set[int]:
+    def _busy(self) -> set[int]:
         """Threads that use bricks or read some. The lock is held."""
         return {thread for one in self._there.values() for thread in one.users} | {one.thread for one in self._coming}
 
-    # -- what makes room ---------------------------------------------------------------------------------------------------
+    # -- eviction ---------------------------------------------------------------------------------------------------------
 
     def expect(self, order: Sequence[Index]) -> None:
         """Set the access order: bricks will be asked for like this, and perhaps once more from the first on."""
         with self.lock:
             self._turns, self._turn = {at: i for i, at in enumerate(order)}, 0
 
-    def _first_to_go(self) -> list[Index]:
-        """The bricks that are there, those first that will be asked for last, as far as is known.
+    def _eviction_order(self) -> list[Index]:
+        """Resident bricks in the order of eviction: those needed last come first, as far as the access order tells.
 
-        Those come first of which nothing is known, the longest unused before others; then those that had their turn, the last one
-        first, for when all begins again it is the last to come; then those whose turn comes.
+        First those that are not in the access order, least recently used first; then those that had their turn, the latest first,
+        because the next pass comes to it last; then those whose turn is still to come, the last one first.
         """
         known = [at for at in self._there if at in self._turns]
         known.sort(key=lambda at: (self._turns[at] > self._turn, -self._turns[at]))
@@ -384,15 +384,15 @@ class Residents:
 
     @property
     def idle(self) -> int:
-        """Bytes that `let_go` can free. The lock is held."""
+        """Bytes that `evict` can free. The lock is held."""
         return sum(one.nbytes for one in self._there.values() if not one.users) + (0 if self.chunks is None else self.chunks.idle)
 
-    def let_go(self, nbytes: int) -> int:
-        """Free as many bytes of what nobody uses: bricks, those first that are asked for last, and chunks. The lock is held."""
+    def evict(self, nbytes: int) -> int:
+        """Evict unused bricks and chunks until `nbytes` are freed. Returns the number of bytes freed. The lock is held."""
         freed = 0
         if self.chunks is not None and self._chunks_first:
-            freed += self.chunks.let_go(nbytes)
-        for at in self._first_to_go():
+            freed += self.chunks.evict(nbytes)
+        for at in self._eviction_order():
             if freed >= nbytes:
                 break
             if not self._there[at].users:
@@ -401,33 +401,33 @@ class Residents:
                 self.reads.dropped += 1
                 gone.release()
         if self.chunks is not None and freed < nbytes:
-            freed += self.chunks.let_go(nbytes - freed)
+            freed += self.chunks.evict(nbytes - freed)
         return freed
 
     def make_room(self) -> None:
-        """Drop all bricks that nobody uses: the device has less memory than the budget."""
+        """Evict all bricks that nobody uses, of all members: the device has less memory than the budget."""
         with self.lock:
             for one in self.account.members():
                 one.reads.dropped += one._drop_idle()
 
     def drop(self) -> None:
-        """Let go of all that nobody uses."""
+        """Evict all that nobody uses."""
         with self.lock:
             self._forget(list(self._ahead))
             self._drop_idle()
             self.account.wake()
 
     def _drop_idle(self) -> int:
-        """Drop all bricks that nobody uses; how many there were."""
+        """Evict all bricks and chunks that nobody uses. Returns the number of bricks."""
         idle = [at for at, one in self._there.items() if not one.users]
         for at in idle:
             self._there.pop(at).release()
         if self.chunks is not None:
-            self.chunks.let_go()
+            self.chunks.evict()
         return len(idle)
 
     def release(self) -> None:
-        """Let go of everything: the last use has ended. Others of the account may be counting."""
+        """Free everything: the last use has ended. Others may still use the account."""
         with self.lock:
             self._ahead.clear()
             gone, self._there = self._there, OrderedDict()
@@ -440,7 +440,7 @@ class Residents:
     # -- reading ahead -----------------------------------------------------------------------------------------------------
 
     def read_ahead(self, at: Index, nbytes: int, read: Callable[[], NDArray[Any]]) -> None:
-        """Have the samples of a brick read while this thread does something else, if there is room for them."""
+        """Read the samples of a brick in another thread, if there is room for them."""
         me = threading.get_ident()
         with self.lock:
             if (known := self._ahead.get(at)) is not None:
@@ -448,17 +448,17 @@ class Residents:
                 return
             if at in self._there or any(one.at == at for one in self._coming) or _AHEAD * nbytes > self.account.budget:
                 return
-            self._forget([other for other, one in self._ahead.items() if one.thread == me])  # what it did not come to after all
+            self._forget([other for other, one in self._ahead.items() if one.thread == me])  # which it did not need after all
             if not self.account.make_room(nbytes, self):
                 return
             ahead = _Ahead(nbytes, me)
             try:
                 self._ahead[at] = ahead
-                # a thread that nobody waits for at the end: a server may not answer
+                # not joined at exit: a server may never answer
                 _thread.start_new_thread(self._work, (at, ahead, read))
             except BaseException as error:
                 self._ahead.pop(at, None)
-                if not isinstance(error, RuntimeError):  # there can be no thread more
+                if not isinstance(error, RuntimeError):  # no more threads can be started
                     raise
 
     def _work(self, at: Index, ahead: _Ahead, read: Callable[[], NDArray[Any]]) -> None:
@@ -473,13 +473,13 @@ class Residents:
                 self.account.wake()
 
     def forget_ahead(self) -> None:
-        """What was read ahead for this thread is not wanted."""
+        """Drop what was read ahead for this thread."""
         me = threading.get_ident()
         with self.lock:
             self._forget([at for at, one in self._ahead.items() if one.thread == me])
 
     def _forget(self, some: Sequence[Index]) -> None:
-        """Let go of what was read ahead; what is still being read takes its room until then."""
+        """Drop samples that were read ahead; a read in progress keeps its room until it ends."""
         for at in some:
             if self._ahead[at].samples.done():
                 del self._ahead[at]

@@ -409,13 +409,36 @@ def as_field(
         As `Field` raises them.
     """
     if isinstance(volume, ContinuousFunction):
-        volume._require_same(filter, boundary, device, precision, nan)
+        _require_same(volume, filter, boundary, device, precision, nan)
         return volume
     boundary = DEFAULT_BOUNDARY if boundary is None else boundary
     if is_in_parts(volume):
         by_bricks: ContinuousFunction = _bricks().of_lazy(volume, filter, boundary, device, precision, nan)
         return by_bricks
     return Field(volume, filter, boundary, device, precision=precision, nan="error" if nan is None else nan)
+
+
+def _require_same(
+    function: ContinuousFunction,
+    filter: str | Filter | None,
+    boundary: str | Boundary | None,
+    device: Device | str | int | None,
+    precision: Precision | None,
+    nan: str | Missing | None,
+) -> None:
+    """Raise `OptionError` for an option other than a function's own; None is not compared."""
+    for what, own, same, given in (
+        ("filter", function.filter.name, filter is None or function._settled(filter) == function.filter, filter),
+        ("boundary", function.boundary.name, boundary is None or as_boundary(boundary) == function.boundary, boundary),
+        ("device", function.device.name, device is None or as_device(device) is function.device, device),
+        ("precision", function.precision, precision is None or precision == function.precision, precision),
+        ("nan", function.missing.rule, nan is None or nan in (function.missing, function.missing.rule), nan),
+    ):
+        if not same:
+            raise OptionError(
+                f"the field was made with {what} {own!r}, which cannot be changed to {getattr(given, 'name', given)!r}; "
+                f"leave {what} out, or make another {type(function).__name__}"
+            )
 
 
 @contextmanager
@@ -467,6 +490,7 @@ def _else_by_bricks(function: Callable[Arguments, Result]) -> Callable[Arguments
             try:
                 if (volume := _in_memory(given)) is None:
                     raise
+                _bricks().require_plain(others.get("precision"), others.get("nan"))  # before samples are looked at
                 lazy = _bricks().as_lazy(volume)
                 result = function(lazy, *arguments[1:], **others)  # type: ignore[arg-type]
             except (OptionError, DataError, OutOfMemoryError):  # nor by bricks

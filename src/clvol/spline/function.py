@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
-from types import TracebackType
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -19,12 +17,12 @@ from clvol.base.checks import warn, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.base.frames import in_frame
 from clvol.base.rounding import as_kind, in_kind
-from clvol.device import Device, as_device
-from clvol.filter.boundary import Boundary, as_boundary
+from clvol.device import Device
+from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.spline.chain import Chain
 from clvol.spline.grids import Anchor, Target, grid_for
-from clvol.spline.lease import Lease
+from clvol.spline.lease import Leased
 from clvol.spline.points import Progress, Reals
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 from clvol.volume.missing import Missing
@@ -55,7 +53,7 @@ _TURN = np.array([-1.0, -1.0, 1.0])  # between LPS and RAS
 _LOOKED_AT = 256  # points that are checked for the order of their coordinates
 
 
-class ContinuousFunction(ABC):
+class ContinuousFunction(Leased, ABC):
     """The continuous function that a filter and a boundary rule make of a volume's samples.
 
     A subclass says what the function is at points (`_at`) and on a grid (`_on`). All else is here: arguments, frames, what the
@@ -75,7 +73,6 @@ class ContinuousFunction(ABC):
     boundary: Boundary
     device: Device
     missing: Missing
-    _lease: Lease
 
     @property
     @abstractmethod
@@ -120,61 +117,6 @@ class ContinuousFunction(ABC):
     @abstractmethod
     def _bytes_at(self, points: int, derivative: int, *, into: bool) -> int:
         """Bytes that results at `points` points take while they are computed, with an `out` (`into`) or without."""
-
-    # -- closing -----------------------------------------------------------------------------------------------------------
-
-    @property
-    def closed(self) -> bool:
-        """Whether `close` was called."""
-        return self._lease.closed
-
-    def close(self) -> None:
-        """Free the device's memory. Results stay valid; asking for more raises `OptionError`.
-
-        Work in progress, in other threads or around a callback that calls this, runs to its end; the memory is freed then.
-        """
-        self._lease.close()
-
-    def in_use(self) -> AbstractContextManager[None]:
-        """A context in which `close` frees nothing.
-
-        Raises
-        ------
-        OptionError
-            The field was closed before.
-        DeviceError
-            This is the child of a fork, where no OpenCL device works.
-        """
-        self.device.require_usable()
-        return self._lease.held()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
-
-    def _require_same(
-        self,
-        filter: str | Filter | None,
-        boundary: str | Boundary | None,
-        device: Device | str | int | None,
-        precision: Precision | None,
-        nan: str | Missing | None,
-    ) -> None:
-        """Raise `OptionError` for an option other than this function's; None is not compared."""
-        for what, own, same, given in (
-            ("filter", self.filter.name, filter is None or self._settled(filter) == self.filter, filter),
-            ("boundary", self.boundary.name, boundary is None or as_boundary(boundary) == self.boundary, boundary),
-            ("device", self.device.name, device is None or as_device(device) is self.device, device),
-            ("precision", self.precision, precision is None or precision == self.precision, precision),
-            ("nan", self.missing.rule, nan is None or nan in (self.missing, self.missing.rule), nan),
-        ):
-            if not same:
-                raise OptionError(
-                    f"the field was made with {what} {own!r}, which cannot be changed to {getattr(given, 'name', given)!r}; "
-                    f"leave {what} out, or make another {type(self).__name__}"
-                )
 
     # -- at points ---------------------------------------------------------------------------------------------------------
 

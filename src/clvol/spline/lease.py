@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from typing import Any
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from types import TracebackType
+from typing import Any, Self
 
 from clvol.base.errors import DeviceError, OptionError
 from clvol.device import Device
 
-__all__ = ["Lease", "release"]
+__all__ = ["Lease", "Leased", "release"]
 
 
 class Lease:
@@ -79,6 +80,49 @@ class Lease:
                 return
             frees = self._frees.pop_all()
         frees.close()
+
+
+class Leased:
+    """Something that keeps memory of a device until it is closed: the part that closes it.
+
+    Attributes
+    ----------
+    device : Device
+    """
+
+    device: Device
+    _lease: Lease
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._lease.closed
+
+    def close(self) -> None:
+        """Free the device's memory. Results stay valid; asking for more raises `OptionError`.
+
+        Work in progress, in other threads or around a callback that calls this, runs to its end; the memory is freed then.
+        """
+        self._lease.close()
+
+    def in_use(self) -> AbstractContextManager[None]:
+        """A context in which `close` frees nothing.
+
+        Raises
+        ------
+        OptionError
+            The field was closed before.
+        DeviceError
+            This is the child of a fork, where no OpenCL device works.
+        """
+        self.device.require_usable()
+        return self._lease.held()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
 
 
 def release(device: Device, *memory: Any) -> None:
