@@ -34,7 +34,7 @@ class Page:
     def __init__(self, view: View) -> None:
         self.server = get_server(client_type="vue3")
         self.state = self.server.state
-        self.state.update({"picture": "", "still": False, "mode": view.initial.mode})
+        self.state.update({"picture": "", "still": False, "mode": view.state.mode})
         self.loop: asyncio.AbstractEventLoop | None = None
         self.session: Any = None
         self.server.controller.on_server_ready.add(lambda **_: self.connect(view))

@@ -187,7 +187,7 @@ def test_the_wheel_holds_what_runs(archives: tuple[Path, Path]) -> None:
     assert modules <= names
     assert {f"clvol/cl/{kernel}" for kernel in KERNELS} <= names
     assert KERNELS
-    assert {f"clvol/view/static/{name}" for name in ("index.html", "clvol.js", "clvol.css")} <= names
+    assert {f"clvol/view/hosts/static/{name}" for name in ("index.html", "clvol.js", "clvol.css")} <= names
     assert "clvol/py.typed" in names
     assert f"{info}/licenses/LICENSE" in names
     assert all(name.startswith(("clvol/", info)) for name in names)

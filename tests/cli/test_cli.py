@@ -605,7 +605,7 @@ def test_info_reads_few_samples_of_what_is_large(
 
 def test_a_size_that_fits_is_looked_at(clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[Any] = []
-    monkeypatch.setattr("clvol.view.terminal.show_in_terminal", shown.append)
+    monkeypatch.setattr("clvol.view.hosts.terminal.show_in_terminal", shown.append)
     monkeypatch.setattr("clvol.base.memory.available", lambda: 1 << 20)
     done = clvol_command("view", "ball.zarr", "--terminal")
     assert done.err == (
@@ -636,7 +636,7 @@ def test_what_is_far_away_is_drawn_listed_and_read(
     assert clvol_command("convert", there, "-o", "near.npz").code == 0
     np.testing.assert_array_equal(clvol.read("near.npz").data, ball.data)
     shown: list[Any] = []
-    monkeypatch.setattr("clvol.view.terminal.show_in_terminal", shown.append)
+    monkeypatch.setattr("clvol.view.hosts.terminal.show_in_terminal", shown.append)
     assert clvol_command("view", there, "--level", "1", "--terminal").err == ""
     assert shown[0].source == "clvol.open('memory://far/ball.zarr', level=1).whole()"
     assert eval(shown[0].source, {"clvol": clvol}).shape == shown[0].volume.shape == (36, 36, 36)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clvol import Camera, Volume
 from clvol.base.errors import OptionError
 from clvol.view import State
-from clvol.view.events import Hands, Place, Reduced, faces, reduce
+from clvol.view.events import Context, Inputs, Reduced, faces, reduce
 from clvol.view.panes import Pane3D, PaneSize, SlicePane, camera_of
 from clvol.view.state import CameraState, Wiper
 from tests.view.clients import random_changes, random_event
@@ -28,10 +28,10 @@ def volume(space: str = "") -> Volume:
     return Volume(data, spacing=(1.0, 1.5, 2.0), origin=(-5, -6, -7), space=space)
 
 
-def place(space: str = "", **more: Any) -> Place:
+def context(space: str = "", **more: Any) -> Context:
     known = volume(space)
     size = PaneSize(WIDTH, HEIGHT, 1.0)
-    return Place(
+    return Context(
         volume=known,
         placed=lambda state, _: (
             replace(camera_of(state), target=tuple(known.center)) if state.camera.target is None else camera_of(state)
@@ -43,20 +43,22 @@ def place(space: str = "", **more: Any) -> Place:
     )
 
 
-def drag(state: State, *points: tuple[float, float], at: Place | None = None, hands: Hands | None = None, **more: Any) -> Reduced:
+def drag(
+    state: State, *points: tuple[float, float], at: Context | None = None, inputs: Inputs | None = None, **more: Any
+) -> Reduced:
     """Down at the first point, over the others, and up at the last."""
-    at = at or place()
+    at = at or context()
     kinds = ["pointer_down", *["pointer_move"] * (len(points) - 1), "pointer_up"]
-    made = Reduced(state, hands or Hands())
+    made = Reduced(state, inputs or Inputs())
     for kind, (x, y) in zip(kinds, (*points, points[-1]), strict=True):
         event = {"event_type": kind, "x": x, "y": y, "button": 1, "modifiers": [], **more}
-        made = reduce(made.state, made.hands, event, at)
-    assert made.hands.drag is None
+        made = reduce(made.state, made.inputs, event, at)
+    assert made.inputs.drag is None
     return made
 
 
-def pane(state: State, name: str = "3d", at: Place | None = None) -> Any:
-    return (at or place()).pane(state, name)
+def pane(state: State, name: str = "3d", at: Context | None = None) -> Any:
+    return (at or context()).pane(state, name)
 
 
 def forward(state: State) -> NDArray[np.float64]:
@@ -100,7 +102,7 @@ def test_a_drag_depends_on_its_ends_alone() -> None:
 
 def test_a_turntable_stays_level_and_stops_at_the_poles() -> None:
     chance = random.Random(2)
-    state, at = State(camera=LEVEL), place()
+    state, at = State(camera=LEVEL), context()
     for _ in range(50):
         points = [(chance.uniform(-500, 900), chance.uniform(-500, 900)) for _ in range(2)]
         state = drag(state, *points, at=at).state
@@ -115,7 +117,7 @@ def test_a_turntable_stays_level_and_stops_at_the_poles() -> None:
 
 
 def test_a_stack_of_images_has_its_vertical_upside_down() -> None:
-    at = place("image")
+    at = context("image")
     state = State(camera=replace(LEVEL, direction=(0, -1, 0), up=(0, 0, -1)))
     made = drag(state, (100, 100), (180, 130), at=at).state
     view = camera_of(made).view(at.volume)
@@ -124,17 +126,18 @@ def test_a_stack_of_images_has_its_vertical_upside_down() -> None:
 
 
 def test_a_camera_that_was_fitted_is_pinned_where_it_was() -> None:
-    at = place()
+    at = context()
     made = drag(State(), (100, 100), (100, 150), at=at).state
     assert made.camera.target == pytest.approx(tuple(at.volume.center))
     assert made.camera.radius == at.volume.radius
 
 
 def test_a_click_changes_nothing_of_a_camera_that_was_fitted() -> None:
-    pressed = reduce(State(), Hands(), {"event_type": "pointer_down", "pane": "3d", "x": 9, "y": 9, "button": 1}, place())
+    pressed = reduce(State(), Inputs(), {"event_type": "pointer_down", "pane": "3d", "x": 9, "y": 9, "button": 1}, context())
     assert pressed.state == State()
     assert (
-        reduce(pressed.state, pressed.hands, {"event_type": "pointer_up", "pane": "3d", "x": 9, "y": 9}, place()).state == State()
+        reduce(pressed.state, pressed.inputs, {"event_type": "pointer_up", "pane": "3d", "x": 9, "y": 9}, context()).state
+        == State()
     )
 
 
@@ -152,16 +155,16 @@ def test_pan_moves_the_targets_plane_with_the_pointer(projection: Any, more: dic
 @pytest.mark.parametrize("depth", [0.7, 1.0, 1.4])
 def test_the_point_under_the_cursor_stays_when_the_wheel_zooms(projection: Any, depth: float) -> None:
     state = State(camera=replace(LEVEL, projection=projection, direction=(0.3, 0.8, -0.4), distance=35.0))
-    at = place()
+    at = context()
     before = pane(state)
     origin, way = before.ray(310, 55)
     point = origin + depth * 35 * way
     at = replace(at, anchor=lambda *_: point)
-    hands = Hands()
+    inputs = Inputs()
     for dy in (-100, -250, 100, -400):
-        made = reduce(state, hands, {"event_type": "wheel", "x": 310, "y": 55, "dy": dy}, at)
+        made = reduce(state, inputs, {"event_type": "wheel", "x": 310, "y": 55, "dy": dy}, at)
         assert made.state.camera.zoom == pytest.approx(state.camera.zoom * 2 ** (-dy / 400))
-        state, hands = made.state, made.hands
+        state, inputs = made.state, made.inputs
         assert pane(state).project(point) == pytest.approx((310, 55), abs=1e-7)
 
 
@@ -170,7 +173,10 @@ def test_zoom_stops_at_its_ends() -> None:
     for dy in (-1e5, 1e5, 1e5):
         for name in ("3d", "x"):
             state = reduce(
-                state, Hands(), {"event_type": "wheel", "x": 10, "y": 20, "dy": dy, "modifiers": ["Pinch"], "pane": name}, place()
+                state,
+                Inputs(),
+                {"event_type": "wheel", "x": 10, "y": 20, "dy": dy, "modifiers": ["Pinch"], "pane": name},
+                context(),
             ).state
     assert state.camera.zoom == 0.05
     assert state.slice.zoom == 0.05
@@ -186,7 +192,7 @@ def test_roll_turns_what_is_seen_with_the_pointer() -> None:
 
 def test_the_rays_of_a_pane_are_those_of_its_pictures() -> None:
     """The camera's block of numbers, which kernels read, gives the same directions."""
-    at = place()
+    at = context()
     for projection in ("perspective", "orthographic"):
         camera = Camera(target=(1, 2, 3), direction=(0.3, 0.8, -0.4), up=(0.1, 0, 1), radius=9, zoom=1.7, projection=projection)  # type: ignore[arg-type]
         seen = Pane3D.of(camera, at.volume, PaneSize(WIDTH, HEIGHT))
@@ -218,7 +224,7 @@ def test_the_rays_of_a_pane_are_those_of_its_pictures() -> None:
     ],
 )
 def test_slices_are_turned_as_their_kind_of_data_is_looked_at(space: str, name: str, right: Any, down: Any) -> None:
-    seen = pane(State(), name, place(space))
+    seen = pane(State(), name, context(space))
     assert isinstance(seen, SlicePane)
     assert np.array_equal(seen.right, right)
     assert np.array_equal(seen.down, down)
@@ -227,12 +233,12 @@ def test_slices_are_turned_as_their_kind_of_data_is_looked_at(space: str, name: 
 @pytest.mark.parametrize(("name", "thick"), [("x", 1.0), ("y", 1.5), ("z", 2.0)])
 def test_a_notch_of_the_wheel_is_a_slice(name: str, thick: float) -> None:
     axis = "xyz".index(name)
-    made = reduce(State(), Hands(), {"event_type": "wheel", "x": 9, "y": 9, "dy": 100, "pane": name}, place()).state
+    made = reduce(State(), Inputs(), {"event_type": "wheel", "x": 9, "y": 9, "dy": 100, "pane": name}, context()).state
     assert made.crosshair is not None
     moved = np.asarray(made.crosshair) - volume().center
     assert moved == pytest.approx(np.eye(3)[axis] * thick)
     for _ in range(50):
-        made = reduce(made, Hands(), {"event_type": "wheel", "x": 9, "y": 9, "dy": 100, "pane": name}, place()).state
+        made = reduce(made, Inputs(), {"event_type": "wheel", "x": 9, "y": 9, "dy": 100, "pane": name}, context()).state
     assert made.crosshair is not None
     assert made.crosshair[axis] == volume().corners.max(0)[axis]
 
@@ -253,7 +259,7 @@ def test_slices_zoom_about_the_cursor_and_pan_with_it(name: str) -> None:
     state = State(layout="linked")
     point = pane(state, name).point(300, 100)
     event = {"event_type": "wheel", "x": 300, "y": 100, "dy": -400, "pane": name, "modifiers": ["Control"]}
-    made = reduce(state, Hands(), event, place()).state
+    made = reduce(state, Inputs(), event, context()).state
     assert made.slice.zoom == pytest.approx(2)
     assert pane(made, name).project(point) == pytest.approx((300, 100), abs=1e-9)
     made = drag(made, (300, 100), (250, 140), pane=name, modifiers=["Shift"]).state
@@ -271,42 +277,42 @@ def test_the_second_button_is_the_window_of_slices() -> None:
 # -- what is dragged with a key ----------------------------------------------------------------------------------
 
 
-def held(key: str) -> Hands:
-    return reduce(State(), Hands(), {"event_type": "key_down", "key": key}, place()).hands
+def held(key: str) -> Inputs:
+    return reduce(State(), Inputs(), {"event_type": "key_down", "key": key}, context()).inputs
 
 
 def test_the_isovalue_is_dragged_over_the_range_of_values() -> None:
     state = State(mode="isosurface", options={"isovalue": 0.5}, camera=LEVEL)
-    made = drag(state, (100, 200), (100, 200 - HEIGHT / 4), hands=held("i")).state
+    made = drag(state, (100, 200), (100, 200 - HEIGHT / 4), inputs=held("i")).state
     low, high = volume().value_range
     assert made.options["isovalue"] == pytest.approx(0.5 + (high - low) / 4)
     assert made.camera == state.camera
-    assert drag(state, (100, 200), (100, -9000), hands=held("i")).state.options["isovalue"] == high
-    assert drag(State(camera=LEVEL), (100, 200), (100, 100), hands=held("i")).state == State(camera=LEVEL)
+    assert drag(state, (100, 200), (100, -9000), inputs=held("i")).state.options["isovalue"] == high
+    assert drag(State(camera=LEVEL), (100, 200), (100, 100), inputs=held("i")).state == State(camera=LEVEL)
 
 
 @pytest.mark.parametrize("by", ["key", "tool"])
 def test_a_face_of_the_crop_box_goes_with_the_pointer(by: str) -> None:
-    at = place()
+    at = context()
     low, high = at.volume.corners.min(0), at.volume.corners.max(0)
     target = tuple(at.volume.center)
     state = State(camera=replace(LEVEL, target=target, projection="orthographic"), tool="crop" if by == "tool" else None)
     face = np.array([high[0], target[1], target[2]])  # of +x, to the right
     seen = pane(state)
     x, y = seen.project(face)
-    made = drag(state, (x + 3, y - 2), (x + 3 - 50, y - 2), at=at, hands=held("c") if by == "key" else None).state
+    made = drag(state, (x + 3, y - 2), (x + 3 - 50, y - 2), at=at, inputs=held("c") if by == "key" else None).state
     assert made.clip is not None
     assert made.clip[0] == pytest.approx(tuple(low))
     assert made.clip[1] == pytest.approx((high[0] - 50 * seen.pixel(), high[1], high[2]))
-    far = drag(made, (x - 50, y), (-5000, y), at=at, hands=held("c")).state
+    far = drag(made, (x - 50, y), (-5000, y), at=at, inputs=held("c")).state
     assert far.clip is not None
     assert 0 < far.clip[1][0] - far.clip[0][0] < 0.01 * (high - low)[0]
-    assert reduce(far, Hands(), {"event_type": "key_down", "key": "Escape"}, at).state.clip is None
+    assert reduce(far, Inputs(), {"event_type": "key_down", "key": "Escape"}, at).state.clip is None
 
 
 def test_a_clip_plane_is_dragged_by_its_dot() -> None:
     """Where the box is shown a drag that begins at a dot moves that plane alone; any other turns."""
-    at = place()
+    at = context()
     low, high = (tuple(map(float, corner(0))) for corner in (at.volume.corners.min, at.volume.corners.max))
     camera = replace(LEVEL, target=tuple(at.volume.center), direction=(0.5, 1, -0.4), projection="orthographic")
     state = State(camera=camera, clip=(low, high))
@@ -332,7 +338,7 @@ def test_a_clip_plane_is_dragged_by_its_dot() -> None:
 
 
 def test_a_clip_plane_that_moves_towards_the_viewer_has_no_dot() -> None:
-    at = place()
+    at = context()
     state = State(camera=replace(LEVEL, projection="orthographic"), tool="crop")  # looks along +y
     assert {axis for axis, *_ in faces(state, at, "3d")} == {0, 2}
     assert {axis for axis, *_ in faces(replace(state, layout="slice", active="z"), at, "z")} == {0, 1}
@@ -349,8 +355,8 @@ def test_the_line_of_the_wiper_is_dragged() -> None:
 # -- keys --------------------------------------------------------------------------------------------------------
 
 
-def pressed(state: State, key: str, *modifiers: str, at: Place | None = None, **more: Any) -> Reduced:
-    return reduce(state, Hands(), {"event_type": "key_down", "key": key, "modifiers": list(modifiers), **more}, at or place())
+def pressed(state: State, key: str, *modifiers: str, at: Context | None = None, **more: Any) -> Reduced:
+    return reduce(state, Inputs(), {"event_type": "key_down", "key": key, "modifiers": list(modifiers), **more}, at or context())
 
 
 def test_six_arrows_are_a_quarter_turn() -> None:
@@ -375,10 +381,10 @@ def test_keys_do_what_they_say() -> None:
         "3d",
     ]  # type: ignore[arg-type]
     assert pressed(state, "h").state.heat
-    assert pressed(state, "r", at=place(initial=first)).state == first
+    assert pressed(state, "r", at=context(initial=first)).state == first
     assert pressed(state, "f").state.camera.target is None
-    assert pressed(state, "z", "Control").wishes == (("undo",),)
-    assert pressed(state, "Z", "Control", "Shift").wishes == (("redo",),)
+    assert pressed(state, "z", "Control").effects == (("undo",),)
+    assert pressed(state, "Z", "Control", "Shift").effects == (("redo",),)
     assert pressed(state, "PageUp", pane="z").state.crosshair is not None
     assert pressed(replace(state, layout="slice", active="z"), "x").state.active == "x"
     assert pressed(state, "F13").state == state
@@ -389,7 +395,7 @@ def test_keys_do_what_they_say() -> None:
 @pytest.mark.parametrize("space", ["", "LPS", "image"])
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_view_along_an_axis_is_along_it(space: str, axis: str) -> None:
-    at = place(space)
+    at = context(space)
     made = pressed(State(camera=LEVEL), axis, at=at).state
     assert np.abs(forward(made)).tolist() == np.eye(3)["xyz".index(axis)].tolist()
     seen, cut = at.pane(made, "3d"), at.pane(made, axis)
@@ -404,10 +410,10 @@ def test_a_view_along_an_axis_is_along_it(space: str, axis: str) -> None:
 
 def test_a_click_in_the_volume_wants_a_pick_where_slices_are_linked() -> None:
     state = State(layout="linked", camera=LEVEL)
-    assert drag(state, (100, 90), (102, 91), pane="3d").wishes == (("pick", "3d", 100.0, 90.0, True),)
-    assert drag(state, (100, 90), (140, 91), pane="3d").wishes == ()
-    made = reduce(state, Hands(), {"event_type": "double_click", "x": 5, "y": 6, "pane": "y"}, place())
-    assert made.wishes == (("pick", "y", 5.0, 6.0, True),)
+    assert drag(state, (100, 90), (102, 91), pane="3d").effects == (("pick", "3d", 100.0, 90.0, True),)
+    assert drag(state, (100, 90), (140, 91), pane="3d").effects == ()
+    made = reduce(state, Inputs(), {"event_type": "double_click", "x": 5, "y": 6, "pane": "y"}, context())
+    assert made.effects == (("pick", "y", 5.0, 6.0, True),)
 
 
 @pytest.mark.parametrize(
@@ -429,19 +435,19 @@ def test_a_click_in_the_volume_wants_a_pick_where_slices_are_linked() -> None:
 )
 def test_what_is_no_event_is_refused(event: Any) -> None:
     with pytest.raises(OptionError):
-        reduce(State(), Hands(), event, place())
+        reduce(State(), Inputs(), event, context())
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_events_by_chance_leave_a_state(seed: int) -> None:
     """Two thousand in all, from any state; whatever came, it reads back from its text."""
     chance = random.Random(seed)
-    at = place(["", "LPS", "image"][seed % 3])
-    state, hands = State().changed(random_changes(chance)), Hands()
+    at = context(["", "LPS", "image"][seed % 3])
+    state, inputs = State().changed(random_changes(chance)), Inputs()
     for i in range(500):
         event = random_event(chance, WIDTH, HEIGHT) | {"pane": chance.choice(["3d", "3d", "x", "y", "z"])}
-        made = reduce(state, hands, event, at)
-        state, hands = made.state, made.hands
+        made = reduce(state, inputs, event, at)
+        state, inputs = made.state, made.inputs
         if i % 25 == 0:
             assert State.from_text(state.text()) == state
     assert State.from_text(state.text()) == state

@@ -19,7 +19,7 @@ from clvol.bricks.source import needed_by
 from clvol.device import Device
 from clvol.show.picture import to_bytes
 from clvol.view import State, View
-from clvol.view.finer import at_hand
+from clvol.view.finer import resident_level
 from tests.view.clients import Client, decoded
 
 SIZE = 120, 90
@@ -85,9 +85,9 @@ def test_the_largest_size_that_fits_is_at_hand(samples: Waves, monkeypatch: pyte
     sizes = lazy, *lazy.levels
     for level, size in enumerate(sizes):
         monkeypatch.setattr(memory, "available", lambda size=size: 2 * needed_by(size))
-        assert at_hand(lazy) == level
+        assert resident_level(lazy) == level
     monkeypatch.setattr(memory, "available", lambda: needed_by(sizes[-1]))  # not half of it, but all
-    assert at_hand(lazy) == len(lazy.levels)
+    assert resident_level(lazy) == len(lazy.levels)
 
 
 def test_what_fits_in_no_size_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,9 +114,9 @@ def test_a_label_map_in_several_sizes_has_no_finer_pictures(device: Device, monk
     lazy = LazyVolume(data, labels=True, levels=[small])
     with monkeypatch.context() as patch:
         patch.setattr(memory, "available", lambda: 2 * needed_by(small))
-        assert at_hand(lazy) == 1
+        assert resident_level(lazy) == 1
         view = View(lazy, device=device)
-    assert view.finer is None
+    assert view.resident.finer is None
     assert view.volume.is_labels
     assert view.volume.shape == small.shape
     client = Client(view)
@@ -140,7 +140,7 @@ def test_pixels_that_show_no_more_read_nothing(view: View, client: Client, sampl
 
 @pytest.mark.parametrize("mode", ["isosurface", "composite", "mip"])
 def test_at_rest_a_picture_is_of_the_samples_that_it_shows(view: View, client: Client, samples: Waves, mode: str) -> None:
-    assert view.finer is not None
+    assert view.resident.finer is not None
     client.set(mode=mode, options={})
     client.set(camera__zoom=6.0)
     client.resize(*SIZE)
@@ -152,7 +152,7 @@ def test_at_rest_a_picture_is_of_the_samples_that_it_shows(view: View, client: C
     assert client.of("status")[-1]["text"] == ""
     program = client.session.python()
     assert "LazyVolume" in program
-    np.testing.assert_array_equal(pixels, drawn(program, view.finer.stored)[..., :3])
+    np.testing.assert_array_equal(pixels, drawn(program, view.resident.finer.stored)[..., :3])
 
 
 def test_it_shows_the_same_matter_in_the_same_place(client: Client) -> None:
@@ -170,14 +170,14 @@ def test_it_shows_the_same_matter_in_the_same_place(client: Client) -> None:
 
 
 def test_slices_too(view: View, client: Client, samples: Waves) -> None:
-    assert view.finer is not None
+    assert view.resident.finer is not None
     client.set(layout="slice", active="z")
     client.set(slice__zoom=4.0)
     client.resize(*SIZE)
     _, pixels = client.still("z")
     assert samples.read > 0
     program = client.session.python()
-    np.testing.assert_array_equal(pixels, drawn(program, view.finer.stored)[..., :3])
+    np.testing.assert_array_equal(pixels, drawn(program, view.resident.finer.stored)[..., :3])
 
 
 def test_what_is_stored_cannot_be_read_any_more(client: Client, samples: Waves) -> None:
@@ -197,8 +197,8 @@ def test_a_drag_does_not_wait_for_bricks(view: View, client: Client, samples: Wa
     client.set(camera__zoom=6.0)
     client.resize(*SIZE)
     client.still()
-    assert view.finer is not None
-    view.finer.close()  # they are read again
+    assert view.resident.finer is not None
+    view.resident.finer.close()  # they are read again
     slow = type(samples).__getitem__
 
     def late(self: Waves, index: Any) -> NDArray[Any]:
@@ -223,8 +223,8 @@ def test_a_drag_does_not_wait_for_bricks(view: View, client: Client, samples: Wa
 
 
 def test_levels_of_a_renderer(view: View, device: Device) -> None:
-    assert view.finer is not None
-    lazy = view.finer.stored
+    assert view.resident.finer is not None
+    lazy = view.resident.finer.stored
     with clvol.Renderer(lazy, "linear", device=device) as renderer:
         point = lazy.grid.center[None] + 3.3
         assert renderer.field_of_level(1)(point) == pytest.approx(clvol.Field(lazy.levels[0].whole(), "linear")(point), rel=1e-5)
@@ -255,8 +255,8 @@ def test_a_size_between_is_drawn_as_the_program_draws_it(device: Device, monkeyp
     try:
         client.resize(30, 30)
         _, pixels = client.still()
-        assert view.finer is not None
-        renderer = view.finer._renderer
+        assert view.resident.finer is not None
+        renderer = view.resident.finer._renderer
         assert renderer is not None
         assert renderer.shown.volume.size == (48, 48, 48)
         np.testing.assert_array_equal(pixels, drawn(client.session.python(), lazy)[..., :3])
@@ -277,7 +277,7 @@ def test_what_is_at_hand_is_reconstructed_as_its_bounds_say(
     try:
         client.resize(*SIZE)
         _, pixels = client.still()
-        assert (view.initial.filter, view.initial.boundary) == ("catmull-rom", "wrap")
+        assert (view.state.filter, view.state.boundary) == ("catmull-rom", "wrap")
         program = client.session.python()
         np.testing.assert_array_equal(pixels, drawn(program, lazy)[..., :3])
         text = client.session.toml()
@@ -297,7 +297,7 @@ def test_clients_draw_by_bricks_one_after_the_other(view: View, monkeypatch: pyt
     render = clvol.Renderer.render
 
     def watched(self: clvol.Renderer, *given: Any, **named: Any) -> Any:
-        if self.field is not getattr(view.finer and view.finer._renderer, "field", None):
+        if self.field is not getattr(view.resident.finer and view.resident.finer._renderer, "field", None):
             return render(self, *given, **named)
         alone = drawing.acquire(blocking=False)
         together[0] |= not alone
@@ -362,8 +362,8 @@ def test_nothing_is_left_of_a_client_that_went_while_bricks_were_read(
     for thread in readers:
         thread.join(60)
         assert not thread.is_alive()
-    assert view.finer is not None
-    assert view.finer._renderer is None
+    assert view.resident.finer is not None
+    assert view.resident.finer._renderer is None
 
 
 def test_a_state_that_the_volume_does_not_have_is_refused(view: View) -> None:

@@ -17,7 +17,8 @@ from clvol.device import Device
 from clvol.scene.palette import label_color
 from clvol.show.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url, section
-from clvol.view.resident import Resident, Which
+from clvol.view.catalog import Which
+from clvol.view.resident import Resident
 from clvol.view.state import LabelState
 from tests.view.clients import Client, at_rest
 
@@ -128,13 +129,13 @@ def test_the_other_ball_stays_where_it_is(client: Client, volume: Volume, device
 
 def test_the_camera_stays_and_undo_goes_back(client: Client, view: View) -> None:
     before = client.session.state
-    placed = view.placed(before, SIZE[0] / SIZE[1])
+    placed = view.resident.placed(before, SIZE[0] / SIZE[1])
     client.set(labels={"hidden": [2, 2]})
     client.still()
     state = client.session.state
     assert state.labels is not None
     assert state.labels.hidden == (2,)
-    now = view.placed(state, SIZE[0] / SIZE[1])
+    now = view.resident.placed(state, SIZE[0] / SIZE[1])
     assert (now.target, now.radius) == (placed.target, placed.radius)
     client.session.receive({"type": "do", "what": "undo", "id": 1})
     client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
@@ -149,12 +150,12 @@ def test_the_camera_stays_and_undo_goes_back(client: Client, view: View) -> None
 
 
 def test_what_is_edited_is_the_function_of_all_labels(view: View, client: Client) -> None:
-    before = view.effective(client.session.state)["transfer"]
+    before = view.resident.effective(client.session.state)["transfer"]
     client.set(labels={"shown": [2]})
     client.still()
-    assert view.effective(client.session.state)["transfer"] == before
-    drawn = view.transfer(client.session.state)([0, 2])
-    assert np.array_equal(drawn, view.transfer(State())([0, 2]))
+    assert view.resident.effective(client.session.state)["transfer"] == before
+    drawn = view.resident.transfer(client.session.state)([0, 2])
+    assert np.array_equal(drawn, view.resident.transfer(State())([0, 2]))
 
 
 def test_there_is_nothing_to_pick_where_a_label_is_hidden(client: Client) -> None:
@@ -267,18 +268,18 @@ def test_labels_are_hidden_once_and_nobody_else_waits(volume: Volume, device: De
 
     monkeypatch.setattr("clvol.labels.without", slow)
     hidden, found = State(labels=LabelState(hidden=(2,))), []
-    threads = [threading.Thread(target=lambda: found.append(resident.volume_of(hidden)), daemon=True) for _ in range(3)]
+    threads = [threading.Thread(target=lambda: found.append(resident.catalog.volume_of(hidden)), daemon=True) for _ in range(3)]
     for thread in threads:
         thread.start()
     assert begun.wait(30)
 
     def others() -> None:
-        assert not resident.knows(hidden)
-        assert not resident.knows(State())
-        assert resident.volume_of(State()) is volume
-        assert set(np.unique(resident.volume_of(State(labels=LabelState(shown=(2,)))).data)) == {0, 2}
-        resident.require(hidden)
-        told.append(resident.labels(hidden)[1])
+        assert not resident.catalog.known(resident.catalog.which(hidden))
+        assert not resident.catalog.known(resident.catalog.which(State()))
+        assert resident.catalog.volume_of(State()) is volume
+        assert set(np.unique(resident.catalog.volume_of(State(labels=LabelState(shown=(2,)))).data)) == {0, 2}
+        resident.catalog.require(hidden)
+        told.append(resident.catalog.labels(hidden)[1])
 
     told: list[int] = []
     other = threading.Thread(target=others, daemon=True)
@@ -303,24 +304,24 @@ def test_a_hidden_label_that_found_no_room_is_tried_again(volume: Volume, device
     with monkeypatch.context() as patch:
         patch.setattr("clvol.labels.without", refuse)
         with pytest.raises(OutOfMemoryError):
-            resident.volume_of(hidden)
-    assert set(np.unique(resident.volume_of(hidden).data)) == {0, 1}
+            resident.catalog.volume_of(hidden)
+    assert set(np.unique(resident.catalog.volume_of(hidden).data)) == {0, 1}
     resident.close()
 
 
 def test_all_labels_are_gone_through_once(view: View, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not at each message: there may be a million of them."""
-    view.require(State(labels=LabelState(hidden=(1,))))
+    view.resident.catalog.require(State(labels=LabelState(hidden=(1,))))
     monkeypatch.setattr("clvol.labels.numbers_of", lambda _: pytest.fail("all labels were gone through again"))
-    view.require(State(labels=LabelState(hidden=(2,))))
-    assert [row[0] for row in view.labels(State(), "ball")[0]] == [1, 2]
-    texts = view._listing(Which()).texts
-    assert view.labels(State(), "RIGHT")[1] == 1
-    assert view._listing(Which()).texts is texts
+    view.resident.catalog.require(State(labels=LabelState(hidden=(2,))))
+    assert [row[0] for row in view.resident.catalog.labels(State(), "ball")[0]] == [1, 2]
+    texts = view.resident.catalog._listing(Which())._texts
+    assert view.resident.catalog.labels(State(), "RIGHT")[1] == 1
+    assert view.resident.catalog._listing(Which())._texts is texts
     client.set(labels={"hidden": [1]})
     client.wait(lambda m: m["type"] == "state" and m["state"]["labels"])
     asked: list[State] = []
-    monkeypatch.setattr(view, "require", asked.append)
+    monkeypatch.setattr(view.resident.catalog, "require", asked.append)
     client.session.receive({"type": "set", "changes": {"step": 0.7}, "live": True})
     client.wait(lambda m: m["type"] == "state" and m["state"]["step"] == 0.7)
     assert not asked
@@ -343,7 +344,7 @@ def test_labels_that_a_search_finds(device: Device) -> None:
         "9" * 200: [],
         "-0": [],
     }.items():
-        rows, count = resident.labels(State(), words)
+        rows, count = resident.catalog.labels(State(), words)
         assert ([row[0] for row in rows], count) == (numbers, len(numbers))
     resident.close()
 
@@ -354,6 +355,6 @@ def test_few_sets_of_labels_take_memory(view: View, client: Client) -> None:
             client.forget()
             client.set(labels={how: chosen}, mode="composite" if chosen else "mip")
             client.still()
-    own = [which for which in view._views if which.labels is not None]
-    held = {key[2] for key in view._entries if key[2].labels is not None}
+    own = [which for which in view.resident.catalog._views if which.labels is not None]
+    held = {key[2] for key in view.resident.renderers._entries if key[2].labels is not None}
     assert len({*own, *held}) <= 4

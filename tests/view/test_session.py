@@ -20,7 +20,7 @@ from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
 from clvol.show.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url
-from clvol.view.drawing import Drawer, Shot
+from clvol.view.drawing import Drawer, Order, Shot
 from clvol.view.session import Session
 from tests.view.clients import Client, decoded, random_event
 
@@ -53,7 +53,7 @@ def test_a_rehearsal_builds_what_another_volume_needs(volume: Volume, device: De
     new = {key[0] for key in device.programs._built if key not in known}
     assert "march/draw.cl" in built
     assert not {"march/draw.cl", "spline/minmax.cl"} & new
-    assert made._infos
+    assert made.resident._descriptions
     made.close()
 
 
@@ -265,7 +265,7 @@ def test_after_a_click_and_a_change_the_session_still_hears(client: Client, monk
     client.still()
     budgets: list[float] = []
     shots = client.session._drawer.shots
-    monkeypatch.setattr(client.session._drawer, "shots", lambda *given, **more: budgets.append(given[4]) or shots(*given, **more))
+    monkeypatch.setattr(client.session._drawer, "shots", lambda order: budgets.append(order.budget) or shots(order))
     for kind, buttons in (("pointer_down", [1]), ("pointer_up", [])):
         client.event(kind, pane="3d", x=20, y=20, button=1, buttons=buttons)
     client.set(step=0.25)  # takes longer than what was seen before
@@ -284,12 +284,11 @@ def test_the_sizes_of_a_drag_do_not_alternate(view: View, monkeypatch: pytest.Mo
     client.still()
     budgets: list[float] = []
 
-    def shots(*given: Any, coarse: bool = False, elsewhere: Any = None) -> Iterator[Shot]:  # noqa: ARG001
-        budget = given[4]
-        if coarse:
-            budgets.append(budget)
-        edge = 60 if budget < 0.05 else 200
-        yield Shot(np.zeros((edge, edge, 3), np.uint8), not coarse)
+    def shots(order: Order) -> Iterator[Shot]:
+        if order.coarse:
+            budgets.append(order.budget)
+        edge = 60 if order.budget < 0.05 else 200
+        yield Shot(np.zeros((edge, edge, 3), np.uint8), not order.coarse)
 
     monkeypatch.setattr(client.session._drawer, "shots", shots)
     for _ in range(2):
@@ -332,9 +331,9 @@ def test_the_wiper_shows_previews_and_draws_nothing_twice(view: View, monkeypatc
     made: list[tuple[str | None, float]] = []
     of = Drawer._of
 
-    def noted(self: Drawer, *given: Any) -> Any:
-        made.append((given[2], given[5]))
-        return of(self, *given)
+    def noted(self: Drawer, order: Order, chosen: str | None) -> Any:
+        made.append((chosen, order.budget))
+        return of(self, order, chosen)
 
     monkeypatch.setattr(Drawer, "_of", noted)
     client.set(mode="isosurface", filter="bspline3", wiper={"filter": "nearest", "at": 0.5})
@@ -465,8 +464,9 @@ def test_a_failing_device_is_told_and_asked_again(view: View, monkeypatch: pytes
     client.resize(*SIZE)
     client.still()
     forgotten = []
-    refine, forget = clvol.Renderer.refine, view.forget
-    monkeypatch.setattr(view, "forget", lambda: forgotten.append(forget()))
+    resident = view.resident
+    refine, forget = clvol.Renderer.refine, resident.forget
+    monkeypatch.setattr(resident, "forget", lambda: forgotten.append(forget()))
     fails = [clvol.DeviceError("the device was lost"), MemoryError(), ZeroDivisionError("a fault of ours")]
 
     def broken(*args: Any, **options: Any) -> Any:
@@ -512,7 +512,7 @@ def test_two_sessions_share_the_coefficients_not_the_state(view: View) -> None:
         client.resize(*SIZE)
         client.still()
     assert [client.session.state.camera.zoom for client in (one, two)] == [1, 2]
-    assert sum(key[0] == "linear" for key in view._entries) == 1
+    assert sum(key[0] == "linear" for key in view.resident.renderers._entries) == 1
     for name in ("nearest", "bspline3"):
         one.forget()
         one.set(filter=name)
@@ -520,10 +520,10 @@ def test_two_sessions_share_the_coefficients_not_the_state(view: View) -> None:
     one.close()
     two.close()
     deadline = time.monotonic() + 60  # statistics beside a picture may still build a kernel
-    while any(entry.users for entry in view._entries.values()) and time.monotonic() < deadline:
+    while any(entry.users for entry in view.resident.renderers._entries.values()) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert len(view._entries) == 2  # the last two, now that nobody uses another
-    assert not any(entry.users for entry in view._entries.values())
+    assert len(view.resident.renderers._entries) == 2  # the last two, now that nobody uses another
+    assert not any(entry.users for entry in view.resident.renderers._entries.values())
 
 
 def test_linked_panes_are_drawn_and_follow_the_crosshair(client: Client) -> None:
@@ -556,7 +556,7 @@ def test_a_pick_is_exact(client: Client, volume: Volume, device: Device) -> None
     client.still()
     client.session.receive({"type": "do", "what": "pick", "x": 48.5, "y": 36.5, "id": 1})
     found, _ = client.wait(lambda m: m["type"] == "reply")
-    camera = client.session._place().placed(client.session.state, 4 / 3)
+    camera = client.session._control.context().placed(client.session.state, 4 / 3)
     options: dict[str, Any] = {"isovalue": 500, "filter": "bspline3", "size": SIZE, "device": device}
     at = clvol.render(volume, camera, "isosurface", outputs="position", **options)[36, 48]
     assert np.linalg.norm(np.subtract(found["position"], at)) < 1e-3
@@ -578,12 +578,12 @@ def test_the_point_under_the_cursor_stays_on_a_surface(client: Client) -> None:
     client.set(mode="isosurface", options__isovalue=500)
     client.resize(*SIZE)
     client.still()
-    before = client.session._pick("3d", 58, 30)["position"]
+    before = client.session._control.pick("3d", 58, 30)["position"]
     client.event("wheel", x=58, y=30, dy=-300)
     client.forget()
     client.wait(lambda m: m["type"] == "frame" and m["final"])
-    place = client.session._place()
-    assert place.pane(client.session.state, "3d").project(before) == pytest.approx((58, 30), abs=1e-3)
+    context = client.session._control.context()
+    assert context.pane(client.session.state, "3d").project(before) == pytest.approx((58, 30), abs=1e-3)
 
 
 def test_the_crop_box_is_dragged_in_the_volume_and_shown(client: Client, volume: Volume) -> None:
@@ -593,8 +593,8 @@ def test_the_crop_box_is_dragged_in_the_volume_and_shown(client: Client, volume:
     client.still()
     client.forget()
     high = volume.corners.max(0)
-    place = client.session._place()
-    x, y = place.pane(client.session.state, "3d").project([high[0], volume.center[1], volume.center[2]])
+    context = client.session._control.context()
+    x, y = context.pane(client.session.state, "3d").project([high[0], volume.center[1], volume.center[2]])
     client.event("pointer_down", x=x, y=y, button=1)
     for i in range(5):
         client.event("pointer_move", x=x - 4 * i, y=y, button=1)
@@ -603,7 +603,7 @@ def test_the_crop_box_is_dragged_in_the_volume_and_shown(client: Client, volume:
     _, pixels = client.still()
     clip = client.session.state.clip
     assert clip is not None
-    assert clip[1][0] == pytest.approx(high[0] - 16 / place.pane(client.session.state, "3d").unit_pixels, rel=1e-6)
+    assert clip[1][0] == pytest.approx(high[0] - 16 / context.pane(client.session.state, "3d").unit_pixels, rel=1e-6)
     assert np.array_equal(pixels, drawn(client.session.python(), volume))
     overlay, _ = client.wait(lambda m: m["type"] == "overlay" and m["box"] is not None)
     assert len(overlay["box"]) == 8
@@ -704,7 +704,7 @@ def test_nothing_is_left_of_sessions(view: View) -> None:
     gc.collect()
     assert threading.active_count() == threads
     assert _sessions() <= sessions
-    assert all(entry.users == 0 for entry in view._entries.values())
+    assert all(entry.users == 0 for entry in view.resident.renderers._entries.values())
 
 
 def _sessions() -> int:
@@ -734,9 +734,9 @@ def test_editing_a_point_keeps_the_length_that_opacities_are_of(device: Device) 
 def test_a_renderer_that_is_forgotten_is_closed_by_who_draws_it_last(view: View) -> None:
     session = view.session(lambda *_: None)
     resident = session._resident
-    with resident.renderer("linear", "mirror") as mine:
+    with resident.renderers.renderer("linear", "mirror") as mine:
         resident.forget()
-        with resident.renderer("linear", "mirror") as other:
+        with resident.renderers.renderer("linear", "mirror") as other:
             assert other is not mine
         assert mine.render(size=(8, 8)).shape == (8, 8, 4)
     with pytest.raises(OptionError, match="closed"):

@@ -20,7 +20,8 @@ from clvol.cli.view import _made, _read
 from clvol.device import Device
 from clvol.show.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url
-from clvol.view.resident import Resident, Which
+from clvol.view.catalog import Which
+from clvol.view.resident import Resident
 from clvol.volume.volumes import Leading
 from tests.view.clients import Client, at_rest, decoded
 
@@ -64,7 +65,7 @@ def ask(client: Client, what: str, **more: Any) -> dict[str, Any]:
 
 
 def test_the_panel_is_told_of_the_axes(view: View, client: Client) -> None:
-    info = view.info()
+    info = view.resident.info()
     assert info["axes"] == [
         {"axis": "time", "count": 4, "names": [], "first": 0},
         {"axis": "channel", "count": 2, "names": ["DAPI", "GFP"], "first": 0},
@@ -108,25 +109,25 @@ def test_camera_and_clip_stay_and_colours_follow_unless_they_were_edited(view: V
     client.still()
     client.forget()
     before = client.session.state
-    seen = view.placed(before, SIZE[0] / SIZE[1])
+    seen = view.resident.placed(before, SIZE[0] / SIZE[1])
     client.set(index__channel=1)
     client.still()
     after = client.session.state
-    now = view.placed(after, SIZE[0] / SIZE[1])
+    now = view.resident.placed(after, SIZE[0] / SIZE[1])
     assert (now.target, now.radius, now.direction, after.clip) == (seen.target, seen.radius, seen.direction, before.clip)
-    assert view.transfer(after).value_range[1] > 5 * view.transfer(before).value_range[1]
+    assert view.resident.transfer(after).value_range[1] > 5 * view.resident.transfer(before).value_range[1]
     edited = {"points": [[10, [1, 0, 0], 0], [90, [1, 1, 0], 1]]}
     client.set(transfer=edited)
     client.set(index__channel=0)
     client.still()
     client.event("key_down", key=".", pane="3d")
     client.wait(lambda m: m["type"] == "state" and m["state"]["index"].get("time") == 1)
-    assert view.transfer(client.session.state).value_range == (10, 90)
+    assert view.resident.transfer(client.session.state).value_range == (10, 90)
 
 
 def test_the_volume_is_told_once_of_many_steps(view: View, client: Client) -> None:
     session, infos = client.session, []
-    info = view.info
+    info = view.resident.info
 
     def slow(state: State | None = None) -> dict[str, Any]:  # meanwhile the others come
         infos.append(state)
@@ -134,7 +135,7 @@ def test_the_volume_is_told_once_of_many_steps(view: View, client: Client) -> No
         return info(state)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(view, "info", slow)
+        patch.setattr(view.resident, "info", slow)
         for at in (1, 2, 3, 2, 1, 2, 3, 2, 1, 3):
             session.receive({"type": "set", "changes": {"index.time": at}, "live": True})
         client.wait(lambda m: m["type"] == "state" and m["state"]["index"] == {"time": 3})
@@ -161,19 +162,19 @@ def test_keys_step_through_times_and_undo_goes_back(client: Client) -> None:
 
 def test_without_times_keys_step_along_the_first_axis_and_of_one_volume_nowhere(device: Device) -> None:
     few = Resident(Volumes(samples()[0]), device=device)
-    assert few.stepped(State(), 1).index == {"volume": 1}
-    assert few.stepped(State(index={"volume": 1}), 1).index == {"volume": 1}
-    assert Resident(samples()[0, 0], device=device).stepped(State(), 1) == State()
+    assert few.catalog.stepped(State(), 1).index == {"volume": 1}
+    assert few.catalog.stepped(State(index={"volume": 1}), 1).index == {"volume": 1}
+    assert Resident(samples()[0, 0], device=device).catalog.stepped(State(), 1) == State()
 
 
 def test_keys_step_from_a_channel_that_is_called_like_a_computed_one(device: Device) -> None:
     few = Resident(Volumes(samples()[0], leading=Leading(("channel",), (2,), {"channel": ("magnitude", "phase")})), device=device)
-    assert few.stepped(State(index={"channel": "magnitude"}), 1).index == {"channel": 1}
+    assert few.catalog.stepped(State(index={"channel": "magnitude"}), 1).index == {"channel": 1}
     with pytest.raises(OptionError, match="channel must be 0 to 1"):
-        few.stepped(State(index={"channel": "luminance"}), 1)
+        few.catalog.stepped(State(index={"channel": "luminance"}), 1)
     colors = Resident(Volumes(samples()[0, :1].repeat(3, 0), leading=Leading(("channel",), (3,), rgb=True)), device=device)
-    assert colors.stepped(State(), 1).index == {"channel": 0}
-    assert colors.stepped(State(index={"channel": 0}), -1).index == {"channel": "luminance"}
+    assert colors.catalog.stepped(State(), 1).index == {"channel": 0}
+    assert colors.catalog.stepped(State(index={"channel": 0}), -1).index == {"channel": "luminance"}
 
 
 @pytest.mark.parametrize(
@@ -199,7 +200,7 @@ def test_places_that_there_are_not_are_refused(view: View, client: Client, index
 
 def test_one_volume_has_no_axes(device: Device) -> None:
     view = View(clvol.phantoms.sphere(16), device=device)
-    assert view.info()["axes"] == []
+    assert view.resident.info()["axes"] == []
     client = Client(view)
     client.set(index={"time": 0})
     told, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
@@ -214,8 +215,8 @@ def test_colours_begin_with_their_luminance(device: Device) -> None:
     resident = Resident(volumes, device=device)
     assert np.array_equal(resident.volume.data, volumes.pick(channel="luminance").data)
     assert resident.info()["axes"][0]["first"] == "luminance"
-    assert np.array_equal(resident.volume_of(State(index={"channel": 2})).data, data[2])
-    assert resident.volume_of(State(index={"channel": "luminance"})) is resident.volume
+    assert np.array_equal(resident.catalog.volume_of(State(index={"channel": 2})).data, data[2])
+    assert resident.catalog.volume_of(State(index={"channel": "luminance"})) is resident.volume
 
 
 def test_labels_beside_an_image_are_hidden_there_alone(device: Device) -> None:
@@ -224,9 +225,9 @@ def test_labels_beside_an_image_are_hidden_there_alone(device: Device) -> None:
     data[1, 4:8], data[1, 9:13] = 1, 5
     resident = Resident(Volumes(data, leading=Leading(("channel",), (2,))), device=device)
     hidden = State().changed({"labels": {"hidden": [5]}})
-    resident.require(hidden)
-    assert resident.volume_of(hidden) is resident.volume
-    there = resident.volume_of(hidden.changed({"index.channel": 1}))
+    resident.catalog.require(hidden)
+    assert resident.catalog.volume_of(hidden) is resident.volume
+    there = resident.catalog.volume_of(hidden.changed({"index.channel": 1}))
     assert set(np.unique(there.data)) == {0, 1}
 
 
@@ -258,10 +259,10 @@ def test_renderers_stay_while_there_is_room(volumes: Volumes, device: Device, mo
     def tour() -> list[int]:
         for time_ in range(TIMES):
             state = State(index={"time": time_})
-            with resident.renderer(None, "mirror", resident.which(state)) as renderer:
+            with resident.renderers.renderer(None, "mirror", resident.catalog.which(state)) as renderer:
                 assert np.array_equal(renderer.volume.data, samples()[time_, 0])
                 size = renderer.field.nbytes
-        return [size, len(resident._entries)]
+        return [size, len(resident.renderers._entries)]
 
     size, kept = tour()
     assert kept == TIMES
@@ -270,7 +271,7 @@ def test_renderers_stay_while_there_is_room(volumes: Volumes, device: Device, mo
     monkeypatch.setattr(memory, "available", lambda: 0)
     assert tour()[1] == 2  # to come back to
     resident.close()
-    assert not resident._entries
+    assert not resident.renderers._entries
 
 
 def test_a_sketch_comes_before_a_large_one(device: Device) -> None:
@@ -301,9 +302,9 @@ def test_a_sketch_comes_before_a_large_one(device: Device) -> None:
 def test_a_maker_of_another_volume_is_another(volumes: Volumes, device: Device) -> None:
     resident = Resident(volumes, device=device)
     other = Which((2, 1))
-    resident.maker(None, "mirror", other).join(60)
-    assert resident._entries[None, "mirror", other].renderer is not None
-    assert (None, "mirror", Which((0, 0))) not in resident._entries
+    resident.renderers.prepare(None, "mirror", other).join(60)
+    assert resident.renderers._entries[None, "mirror", other].renderer is not None
+    assert (None, "mirror", Which((0, 0))) not in resident.renderers._entries
     resident.close()
 
 
@@ -318,7 +319,7 @@ def test_the_command_reads_all_of_a_file_and_copies_the_one(volumes: Volumes, tm
     assert isinstance(scene, Volumes)
     assert scene.axes == ("time", "channel")
     view = _made(scene, source, None, str(file), None, None, Look(), {})
-    assert view.title == "cells.ome.tif"
+    assert view.resident.title == "cells.ome.tif"
     view.state = view.state.changed({"index": {"channel": 1, "time": 2}})
     program = view.python(SIZE)
     assert f"volume = clvol.read({str(file)!r}, time=2, channel=1)" in program

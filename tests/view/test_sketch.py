@@ -13,6 +13,7 @@ import clvol
 from clvol import Volume
 from clvol.device import Device
 from clvol.view import View
+from clvol.view.renderers import Renderers
 from clvol.view.resident import Resident
 from clvol.view.sketch import Sketch, thinned
 from tests.view.clients import Client
@@ -58,7 +59,7 @@ def test_a_picture_of_few_samples_comes_first_and_facts_after_it(client: Client)
 @pytest.mark.parametrize("mode", ["isosurface", "composite", "mip"])
 def test_few_samples_lie_where_all_do_and_look_like_them(volume: Volume, device: Device, mode: str) -> None:
     resident = Resident(volume, device=device, mode=mode)
-    few = np.asarray(Sketch(resident, resident.which(resident.initial)).picture(resident.initial, SIZE))[..., :3]
+    few = np.asarray(Sketch(resident, resident.catalog.which(resident.initial)).picture(resident.initial, SIZE))[..., :3]
     with clvol.Renderer(volume, device=device) as renderer:
         whole = renderer.render(size=SIZE, **resident.arguments(resident.initial))[..., :3]
     height, width = few.shape[:2]
@@ -73,13 +74,13 @@ def test_few_samples_lie_where_all_do_and_look_like_them(volume: Volume, device:
 @pytest.fixture
 def made_late(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     """Coefficients are made when this is set."""
-    go, made = threading.Event(), Resident._made
+    go, made = threading.Event(), Renderers._made
 
-    def slowly(self: Resident, key: Any) -> clvol.Renderer:
+    def slowly(self: Renderers, key: Any) -> clvol.Renderer:
         assert go.wait(60)
         return made(self, key)
 
-    monkeypatch.setattr(Resident, "_made", slowly)
+    monkeypatch.setattr(Renderers, "_made", slowly)
     yield go
     go.set()
 
@@ -117,7 +118,7 @@ def test_a_wheel_and_a_pick_do_not_wait_for_coefficients(client: Client, made_la
     assert next_frame(client, first)["few"]
     client.session.receive({"type": "do", "what": "pick", "id": 7, "x": 40, "y": 30})
     reply, _ = client.wait(lambda m: m["type"] == "reply")
-    assert "before the coefficients are there" in reply["error"]
+    assert "before the coefficients are computed" in reply["error"]
     assert not made_late.is_set()
 
 
@@ -135,16 +136,16 @@ def test_beside_slices_it_is_turned_too(client: Client, made_late: threading.Eve
 
 
 def test_only_one_makes_coefficients_and_none_after_the_end(view: View, made_late: threading.Event) -> None:
-    view.maker(None, "mirror")
-    unwanted = view.maker("bspline5", "mirror")
-    last = view.maker("linear", "mirror")
+    view.resident.renderers.prepare(None, "mirror")
+    unwanted = view.resident.renderers.prepare("bspline5", "mirror")
+    last = view.resident.renderers.prepare("linear", "mirror")
     view.close()
     made_late.set()
     for thread in (unwanted, last):
         thread.join(60)
         assert not thread.is_alive()
-    assert not [key for key in view._entries if key[0] == "bspline5"]
-    assert not [entry for entry in view._entries.values() if entry.renderer is not None]
+    assert not [key for key in view.resident.renderers._entries if key[0] == "bspline5"]
+    assert not [entry for entry in view.resident.renderers._entries.values() if entry.renderer is not None]
 
 
 def test_of_small_volumes_and_slices_nothing_comes_before(device: Device, view: View) -> None:

@@ -27,7 +27,7 @@ from clvol.formats.guarded.limits import size_of
 if TYPE_CHECKING:
     from clvol.view import View
     from clvol.view.finer import Finer
-    from clvol.view.server import Server
+    from clvol.view.hosts.server import Server
     from clvol.volume.volume import Volume
     from clvol.volume.volumes import Volumes
 
@@ -112,12 +112,12 @@ def view(
         if terminal + desktop + serve > 1:
             raise OptionError("give one of --terminal, --desktop and --serve")
         if desktop:
-            from clvol.view.desktop import require_display, show_on_desktop
+            from clvol.view.hosts.desktop import require_display, show_on_desktop
 
             require_display()  # before the volume is read
             show_on_desktop(_made(*_read(reader, name, device), name, filter, device, look, options))
         else:
-            from clvol.view.terminal import show_in_terminal
+            from clvol.view.hosts.terminal import show_in_terminal
 
             show_in_terminal(_made(*_read(reader, name, device), name, filter, device, look, options))
         return
@@ -131,7 +131,7 @@ def view(
 
     reading = threading.Thread(target=make, name="clvol: reading", daemon=True)
     reading.start()
-    from clvol.view.server import Limits, Server, run, said
+    from clvol.view.hosts.server import Limits, Server, run, said
 
     server = Server(
         made.result,
@@ -197,11 +197,11 @@ def _read(reader: Input, name: str, device: str | None = None) -> tuple[Volume |
     if lazy is None:
         return reader.read(name), reader.python(name), None
     from clvol.bricks.source import needed_by
-    from clvol.view.finer import Finer, at_hand
+    from clvol.view.finer import Finer, resident_level
 
     sizes = (lazy, *lazy.levels)
     try:
-        level = at_hand(lazy)
+        level = resident_level(lazy)
     except OutOfMemoryError:
         smaller = "its smallest size" if lazy.levels else "it"
         raise OutOfMemoryError(

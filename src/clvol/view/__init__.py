@@ -4,15 +4,15 @@
 >>> session = view.session(send)            # send(message, data) is called from the session's thread
 >>> session.receive({"type": "event", "event": {"event_type": "resize", "width": 512, "height": 512, "ratio": 1}})
 
-`state` holds what is shown, `events` what a pointer does to it, `session` the thread that draws it, `code` its text. Hosts are
-beside it: a page from a server, notebooks, windows.
+`state` holds what is shown, `events` what a pointer does to it, `protocol` the messages, `session` the thread that draws, `code` a
+state's text. `hosts` show it: a page from a server, notebooks, windows, terminals, napari.
 """
 
 from __future__ import annotations
 
 import threading
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from clvol.base.errors import ClvolError, MissingDependencyError
 from clvol.filter.table import as_filter
@@ -28,24 +28,31 @@ from clvol.view.slices import section
 from clvol.view.state import State
 
 if TYPE_CHECKING:
-    from clvol.view.server import Serving
+    from collections.abc import Mapping
+
+    from clvol.device import Device
+    from clvol.march.options import ViewOptions
+    from clvol.view.finer import Finer
+    from clvol.view.hosts.server import Serving
+    from clvol.view.opening import Viewable
+    from clvol.view.protocol import Send
+    from clvol.volume.volume import Volume
 
 __all__ = ["Session", "State", "View", "from_toml", "from_url", "section", "show"]
 
 _SMALL = 64  # pixels along the edges of a picture that nobody sees
 
 
-class View(Resident):
+class View:
     """A volume to look at, in as many sessions as there are clients; they share its coefficients, not what they show.
 
-    It is light: options are checked at once, and the device is asked at the first picture. Of a `LazyVolume` the size that is at
-    hand is read at once.
+    Options are checked at once, and the device is asked at the first picture. The resident level of a `LazyVolume` is read at once.
 
     Parameters
     ----------
     scene : Volume, LazyVolume, Volumes, Scene, Medium, Field or array-like, 3-D
-        Of a `LazyVolume` the largest size is at hand that fits into half of the memory that is available, with its coefficients; a
-        picture at rest whose pixels are finer is drawn by bricks. Of several volumes one is shown at a time, which the panel
+        Of a `LazyVolume` the largest level is resident that fits, with its coefficients, into half of the memory that is available;
+        a picture at rest whose pixels are finer is drawn by bricks. Of several volumes one is shown at a time, which the panel
         chooses.
     device : Device, str or int, optional
     source : str, optional
@@ -54,11 +61,11 @@ class View(Resident):
     title : str, optional
         For people; by default the volume's name.
     finer : Finer, optional
-        All sizes of what is stored, where `scene` is one that was read of it.
+        All levels of the stored volume of which `scene` is one.
     limits : mapping, optional
         Limits of the device while it draws, as of `Device.limited`.
     **options
-        As for `clvol.render`, but `size`, `outputs`, `sigma` and `progress`: what is shown first.
+        As for `clvol.render`, except `size`, `outputs`, `sigma` and `progress`: what is shown first.
 
     Raises
     ------
@@ -67,18 +74,41 @@ class View(Resident):
     DataError
         The data are no volume, or cannot be read.
     OutOfMemoryError
-        A `LazyVolume` has no size that fits.
+        A `LazyVolume` has no level that fits.
     """
+
+    def __init__(
+        self,
+        scene: Viewable,
+        *,
+        device: Device | str | int | None = None,
+        source: str | None = None,
+        title: str | None = None,
+        finer: Finer | None = None,
+        limits: Mapping[str, Any] | None = None,
+        **options: Unpack[ViewOptions],
+    ) -> None:
+        self.resident = Resident(scene, device=device, source=source, title=title, finer=finer, limits=limits, **options)
+        """What its sessions share."""
+
+    @property
+    def volume(self) -> Volume:
+        """The volume that is shown first."""
+        return self.resident.volume
 
     @property
     def state(self) -> State:
         """What new sessions show first."""
-        return self.initial
+        return self.resident.initial
 
     @state.setter
     def state(self, state: State) -> None:
-        self.require(state)
-        self.initial = state
+        self.resident.catalog.require(state)
+        self.resident.initial = state
+
+    def close(self) -> None:
+        """Free the device's memory; a later picture takes it again."""
+        self.resident.close()
 
     def serve(self, **options: Any) -> Serving:
         """Show it in a browser: a page of a server in a thread of this process.
@@ -86,7 +116,7 @@ class View(Resident):
         Parameters
         ----------
         **options
-            Those of `clvol.view.server.Server`: `host`, `port`, `names`, `root_path`, ...
+            Those of `clvol.view.hosts.server.Server`: `host`, `port`, `names`, `root_path`, ...
 
         Returns
         -------
@@ -100,27 +130,28 @@ class View(Resident):
         OptionError
             The port is taken, or an option is not allowed.
         """
-        from clvol.view.server import serve
+        from clvol.view.hosts.server import serve
 
         return serve(self, **options)
 
-    def session(self, send: Any, state: State | None = None) -> Session:
+    def session(self, send: Send, state: State | None = None) -> Session:
         """A client's session: see `Session`."""
-        return Session(self, send, state)
+        return Session(self.resident, send, state)
 
     def picture(self, size: tuple[int, int] = (512, 512)) -> Picture:
-        """The still picture of the first state."""
-        finer = self.finer_than_at_hand(self.initial, PaneSize(*map(float, size)), "3d", size)
-        if finer is not None and self.finer is not None:
-            drawn = self.finer.drawn(finer, self.volume, lambda: False)
+        """The final picture of the first state."""
+        resident, state = self.resident, self.state
+        wanted = resident.finer_picture(state, PaneSize(*map(float, size)), "3d", size)
+        if wanted is not None and resident.finer is not None:
+            drawn = resident.finer.drawn(wanted, self.volume, lambda: False)
             assert drawn is not None  # nobody stops it
             return drawn
-        with self.renderer(self.initial.filter, self.initial.boundary, self.which(self.initial)) as renderer:
-            made: Picture = renderer.render(size=size, **self.arguments(self.initial))
-        return made
+        with resident.renderers.renderer(state.filter, state.boundary, resident.catalog.which(state)) as renderer:
+            picture: Picture = renderer.render(size=size, **resident.arguments(state))
+        return picture
 
     def prepare(self) -> None:
-        """Have at hand what a first picture takes, and what a page tells beside it: found out side by side.
+        """Compute what a first picture needs and, at the same time, what a page shows beside it.
 
         Raises
         ------
@@ -128,34 +159,35 @@ class View(Resident):
             As for `picture`.
         """
 
-        def known() -> None:
-            with suppress(Exception):  # whoever asks for it is told
-                self.info()
-                self.effective(self.initial)
+        def describe() -> None:
+            with suppress(Exception):  # whoever asks for it gets the error
+                self.resident.info()
+                self.resident.effective(self.state)
 
-        told = threading.Thread(target=known, name="clvol view: facts", daemon=True)
-        told.start()
+        thread = threading.Thread(target=describe, name="clvol view: facts", daemon=True)
+        thread.start()
         self.picture((_SMALL, _SMALL))
-        told.join()
+        thread.join()
 
     def rehearse(self) -> None:
-        """Draw the volume small, without its prefilter, and forget the picture: what is left are kernels for other volumes.
+        """Draw the volume small, without its prefilter, to build kernels for other volumes.
 
-        Kernels that take longest to load or to build depend on no volume, so a small one rehearses what another will need that
-        is still being read. The prefilter's do depend on it, if it has noise.
+        Kernels that take longest to load or to build depend on no volume, so a small one builds what another will need that is
+        still being read. The prefilter's do depend on it, if it has noise.
         """
-        row = as_filter(self.initial.filter or self.mode(self.initial).picture_filter)
-        plain = Renderer(self.volume, without_prefilter(row), self.initial.boundary, self.device)
-        with plain as renderer, renderer.device.limited(**self.limits):
-            renderer.render(size=(_SMALL, _SMALL), **self.arguments(self.initial))
+        resident, state = self.resident, self.state
+        row = as_filter(state.filter or resident.mode(state).picture_filter)
+        plain = Renderer(self.volume, without_prefilter(row), state.boundary, resident.device)
+        with plain as renderer, renderer.device.limited(**resident.limits):
+            renderer.render(size=(_SMALL, _SMALL), **resident.arguments(state))
 
     def python(self, size: tuple[int, int] = (512, 512)) -> str:
         """A program that draws `picture(size)`, bit for bit."""
-        return code.python(self, self.initial, "3d", PaneSize(*map(float, size)), size)
+        return code.python(self.resident, self.state, "3d", PaneSize(*map(float, size)), size)
 
     def widget(self) -> Any:
-        """A widget of notebooks: see `clvol.view.notebook.Widget` (``pip install clvol[view]``)."""
-        from clvol.view.notebook import Widget
+        """A widget of notebooks: see `clvol.view.hosts.notebook.Widget` (``pip install clvol[view]``)."""
+        from clvol.view.hosts.notebook import Widget
 
         return Widget(self)
 
@@ -172,7 +204,7 @@ class View(Resident):
 
 
 def show(view: View) -> None:
-    """Show a view below the cell of a notebook: see `clvol.view.notebook.show`."""
-    from clvol.view import notebook
+    """Show a view below the cell of a notebook: see `clvol.view.hosts.notebook.show`."""
+    from clvol.view.hosts import notebook
 
     notebook.show(view)

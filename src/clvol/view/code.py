@@ -1,4 +1,4 @@
-"""A state as text that draws it again: Python, the options of `clvol render` as TOML and command, the fragment of an address."""
+"""A state as text that reproduces it: Python, options of `clvol render` as TOML and command, the fragment of an address."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from clvol.view.state import State
 __all__ = ["from_toml", "from_url", "python", "to_url", "toml"]
 
 _PREFIX = "#s="
-_READS_ALL = ast.dump(ast.parse("clvol.read_all", mode="eval").body)  # what is called, whatever its arguments
+_READS_ALL = ast.dump(ast.parse("clvol.read_all", mode="eval").body)
 _LONGEST = 1 << 18  # characters
-_WIDE = 110  # characters of a line
+_WIDE = 110  # characters per line
 
 
 # -- Python --------------------------------------------------------------------------------------------------
 
 
 def python(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> str:
-    """A program whose `picture` is what a pane shows, in so many pixels.
+    """A program whose `picture` is what a pane shows.
 
     Parameters
     ----------
     resident : Resident
-        Its `source` is how the program gets the volume; without one it expects `volume`.
+        Its `source` gives the program its volume; without one it expects `volume`.
     state : State
     name : str
         The pane.
     shown : PaneSize
         Of the pane.
     size : (width, height)
-        Of the picture.
+        Of the picture, in pixels.
     """
     lines = ["import clvol"]
     lines += ["import numpy as np"] if state.wiper is not None else []
@@ -55,7 +55,7 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     lines += ["from clvol.show.picture import heat, to_bytes"] if state.heat and name == "3d" else []
     lines += ["from clvol.view import section"] if name != "3d" else []
     lines += [""]
-    if resident.finer is not None and resident.finer_than_at_hand(state, shown, name, size) is not None:
+    if resident.finer is not None and resident.finer_picture(state, shown, name, size) is not None:
         source = resident.finer.source
         lines += ["# volume: the clvol.LazyVolume that was viewed" if source is None else f"volume = {source}"]
     else:
@@ -72,12 +72,12 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
 
 
 def _volume(resident: Resident, state: State) -> list[str]:
-    """How a program gets the volume of a state."""
-    which = resident.which(state)
-    if resident.volumes is None:
+    """Lines that read the volume of a state."""
+    which = resident.catalog.which(state)
+    if resident.catalog.volumes is None:
         lines = ["# volume: the clvol.Volume that was viewed"] if resident.source is None else [f"volume = {resident.source}"]
     elif resident.source is None:
-        words = ", ".join(f"{axis}={at!r}" for axis, at in _places(resident, state).items())
+        words = ", ".join(f"{axis}={at!r}" for axis, at in resident.catalog.places(state).items())
         lines = ["# volumes: the clvol.Volumes that were viewed", f"volume = volumes.pick({words})"]
     else:
         lines = [f"volume = {_source(resident, state)}"]
@@ -88,29 +88,20 @@ def _volume(resident: Resident, state: State) -> list[str]:
     return lines
 
 
-def _places(resident: Resident, state: State) -> dict[str, int | str]:
-    """The place along each leading axis, of those that have several."""
-    if resident.volumes is None:
-        return {}
-    leading, place = resident.volumes.leading, resident.which(state).place
-    named = zip(leading.axes, leading.counts, place, strict=True)
-    return {axis: at for axis, count, at in named if count > 1 or isinstance(at, str)}
-
-
 def _source(resident: Resident, state: State) -> str | None:
-    """The Python text that gives a state's volume: of a file with several it reads that one alone."""
-    if resident.volumes is None or resident.source is None:
+    """The Python text that gives a state's volume: of a file with several it reads only that one."""
+    if resident.catalog.volumes is None or resident.source is None:
         return resident.source
-    words = [f"{axis}={at!r}" for axis, at in _places(resident, state).items()]
+    words = [f"{axis}={at!r}" for axis, at in resident.catalog.places(state).items()]
     try:
         tree = ast.parse(resident.source.strip(), mode="eval").body
-    except (SyntaxError, ValueError):  # text that is not a program: who copies it sees what was meant
+    except (SyntaxError, ValueError):  # no program; whoever copies it sees what was meant
         return f"({resident.source}).pick({', '.join(words)})"
     if isinstance(tree, ast.Call) and ast.dump(tree.func) == _READS_ALL:
         tree.func = ast.parse("clvol.read", mode="eval").body
-        tree.keywords += [ast.keyword(axis, ast.Constant(at)) for axis, at in _places(resident, state).items()]
+        tree.keywords += [ast.keyword(axis, ast.Constant(at)) for axis, at in resident.catalog.places(state).items()]
         return ast.unparse(tree)
-    text = ast.unparse(tree)  # without comments, behind which nothing could be appended
+    text = ast.unparse(tree)  # without comments, which would hide what follows
     text = text if isinstance(tree, (ast.Call, ast.Name, ast.Attribute, ast.Subscript)) else f"({text})"
     return f"{text}.pick({', '.join(words)})"
 
@@ -118,7 +109,7 @@ def _source(resident: Resident, state: State) -> str | None:
 def _drawn(
     resident: Resident, state: State, filter: str | None, name: str, shown: PaneSize, size: tuple[int, int], result: str
 ) -> list[str]:
-    finer = resident.finer_than_at_hand(state, shown, name, size)
+    finer = resident.finer_picture(state, shown, name, size)
     given = resident.arguments(state) if finer is None else dict(finer.given)
     camera, mode = given.pop("camera"), given.pop("mode")
     words = {"filter": filter} if filter is not None else {}
@@ -146,7 +137,7 @@ def _cut(
     words |= {key: value for key in ("window", "cmap") if (value := getattr(state, key)) is not None}
     words |= {"filter": filter} if filter is not None else {}
     words |= {"boundary": state.boundary} if state.boundary != "mirror" else {}
-    finer = resident.finer_than_at_hand(state, shown, name, size)
+    finer = resident.finer_picture(state, shown, name, size)
     words |= {} if finer is None else finer.given
     words |= {"background": state.background} | _device(resident)
     return [f"{result} = " + _call("section", ["volume", *(f"{key}={_text(value)}" for key, value in words.items())])]
@@ -166,7 +157,7 @@ def _limited(resident: Resident, lines: list[str]) -> list[str]:
 
 
 def _call(function: str, texts: list[str]) -> str:
-    """A call on one line, or a line for each argument."""
+    """A call on one line, or with a line for each argument."""
     line = f"{function}({', '.join(texts)})"
     return line if len(line) <= _WIDE else f"{function}(\n" + "".join(f"    {text},\n" for text in texts) + ")"
 
@@ -201,12 +192,12 @@ def _text(value: Any) -> str:
 
 
 def toml(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> str:
-    """The state as TOML: ``[view]`` reads back whole (`from_toml`), ``[render]`` has what flags of `clvol render` can say.
+    """The state as TOML: ``[view]`` has all of it (`from_toml`), ``[render]`` what flags of `clvol render` can express.
 
-    The command stands above; so does what its flags cannot say of this state.
+    A comment has the command, and what its flags cannot express.
     """
     flags, unsaid = _flags(resident, state, size)
-    finer = resident.finer_than_at_hand(state, shown, name, size)
+    finer = resident.finer_picture(state, shown, name, size)
     if finer is not None and resident.finer is not None and name == "3d":
         flags |= {word: finer.given[word] for word in ("filter", "lod")}
         path, given = _input(resident.finer.source)
@@ -224,7 +215,7 @@ def toml(resident: Resident, state: State, name: str, shown: PaneSize, size: tup
 
 
 def from_toml(text: str) -> State:
-    """The state of a text of `toml`; `OptionError` if it has none."""
+    """The state of a text of `toml`; `OptionError` if there is none."""
     try:
         found = tomllib.loads(text)
         coded = found["view"]["state"]
@@ -236,28 +227,28 @@ def from_toml(text: str) -> State:
 
 
 def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dict[str, Any], list[str]]:
-    """Options of `clvol render`, and what they leave out."""
+    """Options of `clvol render`, and what they cannot express."""
     camera, volume = state.camera, resident.volume
     view = camera_of(state).view(volume)
     x, y, z = (float(v) for v in view.forward)
     if volume.space == "image":
         y, z = -y, -z
-    made: dict[str, Any] = {"mode": state.mode, "size": list(size)}
-    made |= {"filter": state.filter} if state.filter is not None else {}
-    made |= {"boundary": state.boundary, "step": state.step}
-    made |= {
+    flags: dict[str, Any] = {"mode": state.mode, "size": list(size)}
+    flags |= {"filter": state.filter} if state.filter is not None else {}
+    flags |= {"boundary": state.boundary, "step": state.step}
+    flags |= {
         "azimuth": round(math.degrees(math.atan2(-x, y)), 9),
         "elevation": round(math.degrees(math.asin(max(-1.0, min(1.0, -z)))), 9),
     }
-    made |= {"zoom": camera.zoom, "fit": camera.fit, "projection": camera.projection}
-    made |= {flag: value for flag in ("preset", "cmap", "opacity") if (value := getattr(state, flag)) is not None}
-    made |= {"window": list(state.window)} if state.window is not None else {}
-    made["background"] = "none" if state.background is None else "#" + "".join(f"{round(255 * v):02x}" for v in state.background)
-    made |= {"clip": [*state.clip[0], *state.clip[1]]} if state.clip is not None else {}
-    made |= {flag.replace("_", "-"): _text(value).strip("'") if not isinstance(value, (bool, int, float)) else value
+    flags |= {"zoom": camera.zoom, "fit": camera.fit, "projection": camera.projection}
+    flags |= {flag: value for flag in ("preset", "cmap", "opacity") if (value := getattr(state, flag)) is not None}
+    flags |= {"window": list(state.window)} if state.window is not None else {}
+    flags["background"] = "none" if state.background is None else "#" + "".join(f"{round(255 * v):02x}" for v in state.background)
+    flags |= {"clip": [*state.clip[0], *state.clip[1]]} if state.clip is not None else {}
+    flags |= {flag.replace("_", "-"): _text(value).strip("'") if not isinstance(value, (bool, int, float)) else value
              for flag, value in resident.beside.items() if flag != "skipping"}  # fmt: skip
-    made |= {flag: value for flag, value in resident.limits.items() if flag in ("evaluator", "fetch")}
-    made |= dict(state.options)
+    flags |= {flag: value for flag, value in resident.limits.items() if flag in ("evaluator", "fetch")}
+    flags |= dict(state.options)
     unsaid = []
     if camera.target is not None or camera.distance is not None or camera.radius is not None:
         unsaid.append("where the camera was moved to")
@@ -268,17 +259,17 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
     if state.transfer is not None:
         unsaid.append("the transfer function")
         for flag in ("preset", "cmap", "opacity", "window"):
-            made.pop(flag, None)
-    unsaid += ["which labels are seen"] if resident.which(state).labels is not None else []
+            flags.pop(flag, None)
+    unsaid += ["which labels are seen"] if resident.catalog.which(state).labels is not None else []
     unsaid += ["lights"] if state.lights is not None else []
     unsaid += ["the material"] if state.material not in (None, Material()) else []
     unsaid += ["the other filter of the wiper"] if state.wiper is not None else []
     unsaid += ["the heat map (--heat-map FILE)"] if state.heat else []
-    return made, unsaid
+    return flags, unsaid
 
 
 def _input(source: str | None) -> tuple[str, dict[str, Any]]:
-    """The file of a Python text such as ``clvol.read("scan.nii.gz", channel=1).filled(0)``, and the options by which it is read."""
+    """The file in a Python text such as ``clvol.read("scan.nii.gz", channel=1).filled(0)``, and the options that read it."""
     try:
         tree = ast.parse(source or "", mode="eval").body
         filled: dict[str, Any] = {}
@@ -292,7 +283,7 @@ def _input(source: str | None) -> tuple[str, dict[str, Any]]:
             given = {keyword.arg: ast.literal_eval(keyword.value) for keyword in tree.keywords if keyword.arg} | filled
             given |= {"fill_nan": given.pop("missing")} if "missing" in given else {}
             return f"phantom:{name}" if tree.func.attr == "by_name" else name, given
-    except (SyntaxError, TypeError, ValueError, IndexError):  # text of another program
+    except (SyntaxError, TypeError, ValueError, IndexError):  # not one of our calls
         pass
     return "INPUT", {}
 
@@ -318,7 +309,7 @@ def _toml_value(value: Any) -> str:
 
 
 def to_url(state: State) -> str:
-    """The fragment of an address, ``#s=...``: base64url of compact JSON, of what differs from a state's defaults."""
+    """The fragment of an address, ``#s=...``: compact JSON of what differs from the defaults, as base64url."""
     default, own = State().json(), state.json()
     brief = {name: value for name, value in own.items() if name == "version" or value != default[name]}
     text = json.dumps(brief, separators=(",", ":"), allow_nan=False).encode()
@@ -331,7 +322,7 @@ def from_url(text: str) -> State:
     Raises
     ------
     OptionError
-        There is none in it, or it is no state.
+        It has none, or one that is not allowed.
     """
     if not isinstance(text, str) or len(text) > _LONGEST or "s=" not in text:
         raise OptionError(f"an address must end in #s= and a state; got {text!r:.120}")

@@ -1,4 +1,4 @@
-"""The pictures of a pane: of the volume, of a slice, of two filters side by side, and the heat map of samples looked at."""
+"""The pictures of a pane: of the volume, of a slice, of two filters side by side, and the heat map of samples per ray."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import ClvolError
 from clvol.march.renderer import Renderer
 from clvol.show.picture import Picture, heat, to_bytes
-from clvol.view.events import Place
+from clvol.view.events import Context
 from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane
 from clvol.view.resident import Resident
@@ -26,13 +26,48 @@ from clvol.view.slices import plane_points, shaded
 from clvol.view.state import State
 from clvol.view.wiper import joined
 
-__all__ = ["WHOLE", "Drawer", "Shot", "share_visited", "sketched"]
+__all__ = ["WHOLE", "Drawer", "Order", "Shot", "has_sketch", "share_visited"]
 
 _COARSE = 3  # pixels of a heat map that is dragged, along each edge
-_TOUR = 96  # pixels of the picture whose share of samples looked at is reported, along its longer edge
-WHOLE = 3600.0  # seconds: a budget in which any picture comes whole at once
-_TICK = 0.01  # seconds between looks at whether a picture of few samples is still wanted
-_KEPT = 2  # still pictures of the wiper's two filters
+_TOUR = 96  # pixels along the longer edge of the picture that measures the share of visited samples
+WHOLE = 3600.0  # seconds: a budget in which every picture is drawn in one go
+_TICK = 0.01  # seconds between checks whether a picture is still wanted
+_KEPT = 2  # final pictures of the wiper's two filters
+
+
+class Order(NamedTuple):
+    """A picture that is to be drawn, better and better until it is final.
+
+    Attributes
+    ----------
+    context : Context
+    state : State
+    name : str
+        The pane.
+    size : (width, height)
+        Of the final picture, in pixels.
+    budget : float
+        Seconds for the first picture; infinity asks for the final one in one go.
+    stop : callable
+        Asked while pictures are drawn; once it says so, no more come.
+    coarse : bool
+        Only the first picture: something is dragged.
+    elsewhere : callable
+        Asked while there is nothing to draw: whether the thread is needed for something else, and comes back to this order.
+    """
+
+    context: Context
+    state: State
+    name: str
+    size: tuple[int, int]
+    budget: float = math.inf
+    stop: Callable[[], bool] = lambda: False
+    coarse: bool = False
+    elsewhere: Callable[[], object] = lambda: False
+
+    def interrupted(self) -> bool:
+        """Whether to wait no longer."""
+        return self.stop() or bool(self.elsewhere())
 
 
 class Shot(NamedTuple):
@@ -42,15 +77,14 @@ class Shot(NamedTuple):
     ----------
     pixels : ndarray of uint8, shape (height, width, 3 or 4)
     final : bool
-        Whether it is the still picture.
     step : float or None
         In voxels; None for slices.
     visited : float or None
-        The mean share of samples that was looked at, where that is shown.
+        The mean share of samples that were visited, where that is shown.
     few : bool
-        Whether it shows few of the volume's samples, since the coefficients of all are not there yet.
+        Whether it shows few of the volume's samples, because the coefficients are still being computed.
     coarser : bool
-        Whether one follows of finer samples, which are read from where the volume is stored.
+        Whether a picture of finer samples follows, which are being read.
     """
 
     pixels: NDArray[np.uint8]
@@ -62,262 +96,210 @@ class Shot(NamedTuple):
 
 
 class _Reading(NamedTuple):
-    """A picture by bricks that another thread draws, and what it is of."""
+    """A picture by bricks that another thread draws, and what it shows."""
 
     key: object
-    made: Future[Picture | None]
+    future: Future[Picture | None]
     given_up: threading.Event
 
 
 class Drawer:
-    """Draws what states say; of one session, in its thread."""
+    """Draws the pictures of one session, in its thread."""
 
     def __init__(self, resident: Resident) -> None:
-        self.resident = resident
-        self._stills: dict[object, Shot] = {}
+        self._resident = resident
+        self._finals: dict[object, Shot] = {}
         self._sketch: Sketch | None = None
-        self._sketched_of: tuple[State, tuple[int, int]] | None = None
-        self._slice_rate = 0.0  # seconds a pixel, of the last slice
+        self._sketched: tuple[State, tuple[int, int]] | None = None
+        self._slice_rate = 0.0  # seconds per pixel of the last slice
         self._reading: _Reading | None = None
 
-    def _of_slice(self, size: tuple[int, int], budget: float) -> tuple[int, int]:
-        """The size of a slice that takes no longer than a budget, no less than a quarter along each edge."""
-        pixels = size[0] * size[1]
-        scale = min(1.0, max(0.25, math.sqrt(budget / max(self._slice_rate * pixels, 1e-9))))
-        return max(1, round(scale * size[0])), max(1, round(scale * size[1]))
-
-    def still(
-        self, place: Place, state: State, name: str, size: tuple[int, int], stop: Callable[[], bool] = lambda: False
-    ) -> NDArray[np.uint8] | None:
-        """The still picture, in one go; None if it was stopped."""
+    def still(self, order: Order) -> NDArray[np.uint8] | None:
+        """The final picture, in one go; None if it was stopped."""
         last = None
-        for shot in self.shots(place, state, name, size, math.inf, stop):
+        for shot in self.shots(order):
             last = shot
         return None if last is None else last.pixels
 
-    def shots(
-        self,
-        place: Place,
-        state: State,
-        name: str,
-        size: tuple[int, int],
-        budget: float,
-        stop: Callable[[], bool],
-        *,
-        coarse: bool = False,
-        elsewhere: Callable[[], object] = lambda: False,
-    ) -> Generator[Shot, None, None]:
-        """Pictures of a pane, each better than the one before; the last one is final unless `stop` said so or it is `coarse`.
-
-        Parameters
-        ----------
-        place : Place
-        state : State
-        name : str
-            The pane.
-        size : (width, height)
-            Of the still picture, in pixels.
-        budget : float
-            Seconds, for the first picture.
-        stop : callable
-            Asked while pictures of the volume are drawn.
-        coarse : bool
-            The first picture alone: something is dragged.
-        elsewhere : callable
-            Asked while there is nothing to draw: whether the thread is needed for something else, to come back to this.
-        """
-        if state.wiper is None:
-            self._stills.clear()
-            if name == "3d" and sketched(state) and math.isfinite(budget):
-                waiting = yield from self._sketched(state, size, lambda: stop() or bool(elsewhere()))
-                if waiting:
-                    return
-            yield from self._with_finer(place, state, name, size, budget, stop, coarse, elsewhere)
+    def shots(self, order: Order) -> Generator[Shot, None, None]:
+        """Pictures of a pane, each better than the one before; the last is final unless it was stopped, or the order is coarse."""
+        if order.state.wiper is not None:
+            yield from self._side_by_side(order)
             return
-        at, edge = state.wiper.at, round(state.wiper.at * size[0])
-        sides = [(state.filter, edge > 0), (state.wiper.filter, edge < size[0])]
-        plain = replace(state, wiper=None, layout="3d", active="3d", tool=None)
-        for first in (True, False) if math.isfinite(budget) else (False,):
-            parts: list[Shot | None] = []
-            seconds = budget / 2 if first else max(budget, WHOLE)
-            for chosen, seen in sides:
-                part = self._side(place, plain, chosen, name, size, seconds, stop, coarse, first) if seen else None
-                if seen and part is None:
-                    return  # it was stopped
-                parts.append(part)
-            left, right = parts
-            shown = [shot for shot in parts if shot is not None]
-            pixels = joined(None if left is None else left.pixels, None if right is None else right.pixels, at)
-            final = all(shot.final for shot in shown)
-            yield Shot(pixels, final, shown[0].step, shown[0].visited)
-            if final or coarse:
+        self._finals.clear()
+        if order.name == "3d" and has_sketch(order.state) and math.isfinite(order.budget):
+            interrupted = yield from self._while_prefiltering(order)
+            if interrupted:
                 return
-
-    def _with_finer(
-        self,
-        place: Place,
-        state: State,
-        name: str,
-        size: tuple[int, int],
-        budget: float,
-        stop: Callable[[], bool],
-        coarse: bool,
-        elsewhere: Callable[[], object],
-    ) -> Generator[Shot, None, None]:
-        """Pictures of the samples at hand, and the last one of finer ones where these are stored and the pane shows more."""
-        if coarse:
-            self.give_up()
-        wanted = None if coarse else self.resident.finer_than_at_hand(state, place.size(name), name, size)
-        key = state, name, size
-        going_on = self._reading is not None and self._reading.key == key
-        if wanted is None or (math.isfinite(budget) and not going_on):
-            for shot in self._of(place, state, state.filter, name, size, budget, stop, coarse):
-                yield shot if wanted is None else shot._replace(final=False, coarser=True)
-        if wanted is not None and not stop():
-            picture = self._read_beside(key, wanted, lambda: stop() or bool(elsewhere()))
-            if picture is not None:
-                yield Shot(to_bytes(picture), True, state.step if name == "3d" else None)
-
-    def _read_beside(self, key: object, wanted: Wanted, stop: Callable[[], bool]) -> Picture | None:
-        """A picture by bricks, which another thread draws; None once `stop` said so, and what asks for the same goes on with it."""
-        if self._reading is None or self._reading.key != key:
-            self.give_up()
-            finer = self.resident.finer
-            assert finer is not None  # or nothing would be wanted of it
-            made: Future[Picture | None] = Future()
-            given_up = threading.Event()
-
-            def work() -> None:
-                try:
-                    made.set_result(finer.drawn(wanted, self.resident.volume, given_up.is_set))
-                except BaseException as error:
-                    made.set_exception(error)
-
-            self._reading = _Reading(key, made, given_up)
-            threading.Thread(target=work, name="clvol view: bricks", daemon=True).start()
-        reading = self._reading
-        while not reading.made.done():
-            if stop():
-                return None
-            wait([reading.made], _TICK)
-        self._reading = None
-        return reading.made.result()
+        yield from self._with_finer(order)
 
     def give_up(self) -> None:
-        """What is read by bricks is not wanted any more; its thread ends after the brick that it is at."""
+        """Abandon a picture by bricks; its thread ends after the current brick."""
         if self._reading is not None:
             self._reading.given_up.set()
             self._reading = None
 
-    def _sketched(self, state: State, size: tuple[int, int], stop: Callable[[], bool]) -> Generator[Shot, None, bool]:
-        """A picture of few samples, while the coefficients of all of them are made; whether `stop` said so before they were."""
-        which = self.resident.which(state)
-        if self.resident.soon(state.filter, state.boundary, which):
-            self._sketch = self._sketched_of = None
-            return False
-        if self._sketched_of != (state, size):
-            with suppress(ClvolError):  # what is wrong is told of the whole volume
-                if self._sketch is None or self._sketch.which != which:
-                    self._sketch = Sketch(self.resident, which)
-                picture = self._sketch.picture(state, size)
-                self._sketched_of = state, size
-                yield Shot(to_bytes(picture), False, state.step, few=True)
-        maker = self.resident.maker(state.filter, state.boundary, which)  # not before: it takes all processors
-        while maker.is_alive():
-            if stop():
-                return True
-            maker.join(_TICK)
-        return False
-
     def forget_sketch(self) -> None:
-        """The last one was not seen."""
-        self._sketched_of = None
+        """The last sketch was not seen."""
+        self._sketched = None
 
-    def _side(
-        self,
-        place: Place,
-        state: State,
-        chosen: str | None,
-        name: str,
-        size: tuple[int, int],
-        budget: float,
-        stop: Callable[[], bool],
-        coarse: bool,
-        first: bool,
-    ) -> Shot | None:
-        """The first picture of one filter, or its last, which is kept; None if it was stopped."""
-        key = state, chosen, name, size, tuple(place.size(name))
-        if key in self._stills:
-            return self._stills[key]
-        made = None
-        with closing(self._of(place, state, chosen, name, size, budget, stop, coarse)) as shots:
-            for made in shots:  # noqa: B007  # the last is wanted
+    # -- two filters -------------------------------------------------------------------------------------------
+
+    def _side_by_side(self, order: Order) -> Generator[Shot, None, None]:
+        state, finite = order.state, math.isfinite(order.budget)
+        assert state.wiper is not None  # or there would be one filter
+        at, edge = state.wiper.at, round(state.wiper.at * order.size[0])
+        sides = [(state.filter, edge > 0), (state.wiper.filter, edge < order.size[0])]
+        plain = order._replace(state=replace(state, wiper=None, layout="3d", active="3d", tool=None))
+        for first in (True, False) if finite else (False,):
+            part = plain._replace(budget=order.budget / 2 if first else max(order.budget, WHOLE))
+            parts = []
+            for chosen, seen in sides:
+                parts.append(self._side(part, chosen, first=first) if seen else None)
+                if seen and parts[-1] is None:
+                    return  # it was stopped
+            shown = [shot for shot in parts if shot is not None]
+            left, right = (None if shot is None else shot.pixels for shot in parts)
+            final = all(shot.final for shot in shown)
+            yield Shot(joined(left, right, at), final, shown[0].step, shown[0].visited)
+            if final or order.coarse:
+                return
+
+    def _side(self, order: Order, chosen: str | None, *, first: bool) -> Shot | None:
+        """The first picture of one filter, or its final one, which is kept; None if it was stopped."""
+        key = order.state, chosen, order.name, order.size, tuple(order.context.size(order.name))
+        if key in self._finals:
+            return self._finals[key]
+        shot = None
+        with closing(self._of(order, chosen)) as shots:
+            for shot in shots:  # noqa: B007  # the last is wanted
                 if first:
                     break
-        if made is not None and made.final:
-            self._stills[key] = made
-            for old in list(self._stills)[: -2 * _KEPT]:
-                del self._stills[old]
-        return made if made is None or made.final or first else None
+        if shot is not None and shot.final:
+            self._finals[key] = shot
+            for old in list(self._finals)[: -2 * _KEPT]:
+                del self._finals[old]
+        return shot if shot is None or shot.final or first else None
 
-    def _of(
-        self,
-        place: Place,
-        state: State,
-        chosen: str | None,
-        name: str,
-        size: tuple[int, int],
-        budget: float,
-        stop: Callable[[], bool],
-        coarse: bool,
-    ) -> Generator[Shot, None, None]:
-        """Pictures by one filter."""
-        with self.resident.renderer(chosen, state.boundary, self.resident.which(state)) as renderer:
+    # -- what takes other threads ------------------------------------------------------------------------------
+
+    def _while_prefiltering(self, order: Order) -> Generator[Shot, None, bool]:
+        """A sketch while coefficients are computed; returns whether it was interrupted before they were resident."""
+        state, resident = order.state, self._resident
+        which = resident.catalog.which(state)
+        key = state.filter, state.boundary, which
+        if resident.renderers.soon(*key):
+            self._sketch = self._sketched = None
+            return False
+        if self._sketched != (state, order.size):
+            with suppress(ClvolError):  # the picture of all samples reports it
+                if self._sketch is None or self._sketch.which != which:
+                    self._sketch = Sketch(resident, which)
+                picture = self._sketch.picture(state, order.size)
+                self._sketched = state, order.size
+                yield Shot(to_bytes(picture), False, state.step, few=True)
+        thread = resident.renderers.prepare(*key)  # not before: it takes all cores
+        while thread.is_alive():
+            if order.interrupted():
+                return True
+            thread.join(_TICK)
+        return False
+
+    def _with_finer(self, order: Order) -> Generator[Shot, None, None]:
+        """Pictures of the resident samples, and a final one of finer samples if there are any and the pane shows more."""
+        state, name, size = order.state, order.name, order.size
+        if order.coarse:
+            self.give_up()
+        wanted = None if order.coarse else self._resident.finer_picture(state, order.context.size(name), name, size)
+        key = state, name, size
+        resumed = self._reading is not None and self._reading.key == key
+        if wanted is None or (math.isfinite(order.budget) and not resumed):
+            for shot in self._of(order, state.filter):
+                yield shot if wanted is None else shot._replace(final=False, coarser=True)
+        if wanted is not None and not order.stop():
+            picture = self._by_bricks(key, wanted, order.interrupted)
+            if picture is not None:
+                yield Shot(to_bytes(picture), True, state.step if name == "3d" else None)
+
+    def _by_bricks(self, key: object, wanted: Wanted, interrupted: Callable[[], bool]) -> Picture | None:
+        """A picture that another thread draws; None once interrupted, and the next call with this key resumes it."""
+        if self._reading is None or self._reading.key != key:
+            self.give_up()
+            finer = self._resident.finer
+            assert finer is not None  # or nothing would be wanted of it
+            future: Future[Picture | None] = Future()
+            given_up = threading.Event()
+
+            def work() -> None:
+                try:
+                    future.set_result(finer.drawn(wanted, self._resident.volume, given_up.is_set))
+                except BaseException as error:
+                    future.set_exception(error)
+
+            self._reading = _Reading(key, future, given_up)
+            threading.Thread(target=work, name="clvol view: bricks", daemon=True).start()
+        reading = self._reading
+        while not reading.future.done():
+            if interrupted():
+                return None
+            wait([reading.future], _TICK)
+        self._reading = None
+        return reading.future.result()
+
+    # -- one filter, resident samples --------------------------------------------------------------------------
+
+    def _of(self, order: Order, chosen: str | None) -> Generator[Shot, None, None]:
+        state, name, size, coarse = order.state, order.name, order.size, order.coarse
+        with self._resident.renderers.renderer(chosen, state.boundary, self._resident.catalog.which(state)) as renderer:
             if name != "3d":
-                shape = self._of_slice(size, budget) if coarse else size
+                shape = self._slice_size(size, order.budget) if coarse else size
                 began = time.perf_counter()
-                pixels = to_bytes(_slice(renderer, place, state, name, shape))
+                pixels = to_bytes(_slice(renderer, order, shape))
                 self._slice_rate = (time.perf_counter() - began) / (shape[0] * shape[1])
                 yield Shot(pixels, not coarse)
             elif state.heat:
                 shape = (max(1, size[0] // _COARSE), max(1, size[1] // _COARSE)) if coarse else size
-                share = np.asarray(renderer.render(size=shape, outputs="visited", **self.resident.arguments(state)))
+                share = np.asarray(renderer.render(size=shape, outputs="visited", **self._resident.arguments(state)))
                 yield Shot(to_bytes(heat(share)), not coarse, state.step, _mean(share))
             else:
-                yield from _refined(renderer, size, budget, stop, coarse, self.resident.arguments(state))
+                yield from _refined(renderer, order, self._resident.arguments(state))
+
+    def _slice_size(self, size: tuple[int, int], budget: float) -> tuple[int, int]:
+        """The size of a slice that takes no longer than a budget, but at least a quarter along each edge."""
+        pixels = size[0] * size[1]
+        scale = min(1.0, max(0.25, math.sqrt(budget / max(self._slice_rate * pixels, 1e-9))))
+        return max(1, round(scale * size[0])), max(1, round(scale * size[1]))
 
 
-def sketched(state: State) -> bool:
-    """Whether a sketch is shown of the volume while coefficients are made."""
+def has_sketch(state: State) -> bool:
+    """Whether a sketch is shown of the volume while coefficients are computed."""
     return state.wiper is None and not state.heat
 
 
-def _slice(renderer: Renderer, place: Place, state: State, name: str, size: tuple[int, int]) -> NDArray[Any]:
-    pane = place.pane(state, name)
+def _slice(renderer: Renderer, order: Order, size: tuple[int, int]) -> NDArray[Any]:
+    state, pane = order.state, order.context.pane(order.state, order.name)
     assert isinstance(pane, SlicePane)  # by its name
     values = renderer.field(plane_points(pane.middle, pane.right, pane.down, pane.pixel(size), size), fill=np.nan)
     return shaded(values, renderer.volume, state.window, state.cmap, state.background)
 
 
-def _refined(
-    renderer: Renderer, size: tuple[int, int], budget: float, stop: Callable[[], bool], coarse: bool, given: dict[str, Any]
-) -> Generator[Shot, None, None]:
-    if not math.isfinite(budget):
+def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generator[Shot, None, None]:
+    if not math.isfinite(order.budget):
         with suppress(Stopped):
-            yield Shot(to_bytes(renderer.render(size=size, progress=asking(stop), **given)), True, given["step"])
+            yield Shot(to_bytes(renderer.render(size=order.size, progress=asking(order.stop), **given)), True, given["step"])
         return
     camera, mode, step = (given.pop(name) for name in ("camera", "mode", "step"))
-    for picture in renderer.refine(camera, mode, size, step, budget=budget, cancelled=stop, **given):
-        yield Shot(to_bytes(picture), picture.final and not coarse, picture.step)
-        if coarse:
+    for picture in renderer.refine(camera, mode, order.size, step, budget=order.budget, cancelled=order.stop, **given):
+        yield Shot(to_bytes(picture), picture.final and not order.coarse, picture.step)
+        if order.coarse:
             return
 
 
 def share_visited(resident: Resident, state: State, shape: tuple[float, float]) -> float | None:
-    """The mean share of samples that a picture of this shape looks at, from a small one."""
+    """The mean share of samples that a picture of this shape visits, measured by a small one."""
     edge = _TOUR / max(shape)
     size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))
-    with resident.renderer(state.filter, state.boundary, resident.which(state)) as renderer:
+    with resident.renderers.renderer(state.filter, state.boundary, resident.catalog.which(state)) as renderer:
         given = resident.arguments(state) | {"samples": 1}
         return _mean(np.asarray(renderer.render(size=size, outputs="visited", **given)))
 

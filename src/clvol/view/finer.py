@@ -1,7 +1,7 @@
-"""What a view shows of a volume that does not fit into memory: stored samples, where pixels are finer than those at hand.
+"""Pictures of a volume that does not fit into memory: by bricks of stored samples, where pixels are finer than resident voxels.
 
-A size of the volume that fits is in memory, and is what is turned, dragged and picked. At rest, once a picture's pixels are
-finer than its voxels, the picture is drawn again by bricks, of the size that `clvol.render` would take.
+A level of the volume that fits is resident, and is what is turned, dragged and picked. At rest, once a picture's pixels are finer
+than its voxels, the picture is drawn again by bricks, of the level that `clvol.render` would take.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from clvol.view.slices import level_for, plane_points, shaded
 from clvol.view.state import State
 from clvol.volume.volume import Volume
 
-__all__ = ["Finer", "Stopped", "Wanted", "asking", "at_hand"]
+__all__ = ["Finer", "Stopped", "Wanted", "asking", "resident_level"]
 
-_ROOM = 0.5  # of the memory that is available: what samples and coefficients at hand may take
-_TICK = 0.01  # seconds between looks at whether a picture is still wanted
+_ROOM = 0.5  # of the memory that is available: for resident samples and coefficients
+_TICK = 0.01  # seconds between checks whether a picture is still wanted
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """A picture by bricks, and by which arguments a program draws it.
+    """A picture by bricks, and the arguments by which a program draws it.
 
     Attributes
     ----------
     state : State
     size : (width, height)
     given : dict
-        Arguments of `clvol.render`, or of `clvol.view.section` but the place.
+        Arguments of `clvol.render`, or of `clvol.view.section` without those of the plane.
     pane : SlicePane or None
-        The slice; None is the volume's picture.
+        The slice; None for the volume's picture.
     """
 
     state: State
@@ -55,32 +55,32 @@ class Wanted:
 
 
 class Finer:
-    """All sizes of a volume of which one is at hand; its bricks are read when they are first seen.
+    """All levels of a volume of which one is resident; bricks are read when they are first seen.
 
     Parameters
     ----------
     stored : LazyVolume
     level : int
-        Which of its sizes is at hand; 0 is the finest.
+        The resident one; 0 is the finest.
     source : str, optional
         Python text by which copied programs get it, such as ``clvol.open("brain.zarr")``.
     device : Device, str or int, optional
-        On which pictures are drawn.
+        Draws the pictures.
     """
 
     def __init__(self, stored: LazyVolume, level: int, source: str | None = None, device: Device | str | int | None = None) -> None:
         self.stored, self.level, self.source, self.device = stored, level, source, device
-        row_for(stored, None)  # reads a few samples, once: sessions do not wait for them
-        self._drawing = threading.Lock()  # one picture at a time: together they would take the bricks' budget several times
+        row_for(stored, None)  # reads a few samples now, so that sessions do not wait for them
+        self._drawing = threading.Lock()  # one picture at a time: each takes the whole budget for bricks
         self._lock = threading.Lock()
         self._renderer: Renderer | None = None
         self._key: tuple[str, str] | None = None
 
     def wanted(self, state: State, size: tuple[int, int], given: dict[str, Any]) -> Wanted | None:
-        """The volume's picture in a state; None if what is at hand shows as much.
+        """The volume's picture in a state; None if the resident level shows as much.
 
-        Voxels are no longer than a pixel where the camera's target is, which is what is looked at; the volume's nearest corner may
-        be much nearer. `given` are arguments by which other samples show the same matter in the same place (`Resident.seen`).
+        Voxels are no longer than a pixel at the camera's target; the volume's nearest corner may be much nearer. `given` are
+        arguments by which other samples show the same matter in the same place (`Resident.settled_arguments`).
         """
         if state.wiper is not None or state.heat or state.step > STEPPED_AT_MOST:
             return None
@@ -92,60 +92,60 @@ class Finer:
         return Wanted(state, size, given | self._reconstructed(state, as_mode(state.mode).picture_filter) | {"lod": lod})
 
     def wanted_slice(self, state: State, pane: SlicePane, size: tuple[int, int], window: tuple[float, float]) -> Wanted | None:
-        """A slice in a state; None if what is at hand shows as much."""
+        """A slice in a state; None if the resident level shows as much."""
         if state.wiper is not None or level_for(self.stored, pane.pixel(size)) >= self.level:
             return None
         return Wanted(state, size, self._reconstructed(state) | {"window": window}, pane)
 
     def _reconstructed(self, state: State, *usual: str) -> dict[str, Any]:
-        """Filter and boundary, said in full: what follows from samples differs from size to size."""
+        """Filter and boundary in full: what follows from samples differs between levels."""
         row, bounds = row_for(self.stored, state.filter, *usual), self.stored.bounds
         name = bounds.filter if row is None and bounds is not None else getattr(row, "name", row)
         return {"filter": name, "boundary": state.boundary}
 
-    def drawn(self, wanted: Wanted, at_hand: Volume, stop: Callable[[], bool]) -> Picture | None:
-        """A picture by bricks, slices in the colours of what is at hand; None if it was stopped."""
-        on = asking(stop)
-        with suppress(Stopped), self._turn(on):
+    def drawn(self, wanted: Wanted, resident: Volume, stop: Callable[[], bool]) -> Picture | None:
+        """A picture by bricks, slices in the colours of the resident level; None if it was stopped."""
+        progress = asking(stop)
+        with suppress(Stopped), self._turn(progress):
             given = dict(wanted.given)
-            renderer = self._renderer_of(given.pop("filter"), given.pop("boundary"), on)
+            renderer = self._renderer_of(given.pop("filter"), given.pop("boundary"), progress)
             if wanted.pane is None:
-                made: Picture = renderer.render(size=wanted.size, progress=on, **given)
-                return made
+                result: Picture = renderer.render(size=wanted.size, progress=progress, **given)
+                return result
             pane, pixel = wanted.pane, wanted.pane.pixel(wanted.size)
             points = plane_points(pane.middle, pane.right, pane.down, pixel, wanted.size)
-            values = renderer.field_of_level(level_for(self.stored, pixel))(points, fill=np.nan, progress=on)
-            return shaded(values, at_hand, given["window"], wanted.state.cmap, wanted.state.background)
+            values = renderer.field_of_level(level_for(self.stored, pixel))(points, fill=np.nan, progress=progress)
+            return shaded(values, resident, given["window"], wanted.state.cmap, wanted.state.background)
         return None
 
     @contextmanager
-    def _turn(self, on: Callable[[float], None]) -> Iterator[None]:
+    def _turn(self, progress: Callable[[float], None]) -> Iterator[None]:
         while not self._drawing.acquire(timeout=_TICK):
-            on(0.0)
+            progress(0.0)
         try:
-            on(0.0)
+            progress(0.0)
             yield
         finally:
             self._drawing.release()
 
-    def _renderer_of(self, filter: str, boundary: str, on: Callable[[float], None]) -> Renderer:
-        """The renderer; one is kept, and none that is ready when it is no longer wanted: the view may have been closed."""
+    def _renderer_of(self, filter: str, boundary: str, progress: Callable[[float], None]) -> Renderer:
+        """The renderer, of which one is kept; but none that is ready only after it was wanted: the view may have been closed."""
         with self._lock:
             if self._renderer is not None and self._key == (filter, boundary):
                 return self._renderer
         self.close()
-        made = Renderer(self.stored, filter, boundary, self.device)
+        result = Renderer(self.stored, filter, boundary, self.device)
         try:
-            on(0.0)
+            progress(0.0)
         except Stopped:
-            made.close()
+            result.close()
             raise
         with self._lock:
-            self._renderer, self._key = made, (filter, boundary)
-        return made
+            self._renderer, self._key = result, (filter, boundary)
+        return result
 
     def close(self) -> None:
-        """Free the device's memory, once a picture that is being drawn is ready; a later picture takes it again."""
+        """Free the device's memory, once the picture that is being drawn is ready; a later picture takes it again."""
         with self._lock:
             gone, self._renderer = self._renderer, None
         if gone is not None:
@@ -158,22 +158,22 @@ class Stopped(Exception):  # nothing went wrong
 
 
 def asking(stop: Callable[[], bool]) -> Callable[[float], None]:
-    """What is told of progress, and raises `Stopped` once `stop` says so."""
+    """A progress callback that raises `Stopped` once `stop` says so."""
 
-    def on(_: float) -> None:
+    def progress(_: float) -> None:
         if stop():
             raise Stopped
 
-    return on
+    return progress
 
 
-def at_hand(stored: LazyVolume) -> int:
-    """Which size of a volume is looked at: the largest that fits, with its coefficients, into half of the memory that is available.
+def resident_level(stored: LazyVolume) -> int:
+    """The largest level that fits, with its coefficients, into half of the memory that is available.
 
     Raises
     ------
     OutOfMemoryError
-        The smallest one does not fit into all of it.
+        The smallest does not fit into all of it.
     """
     sizes, available = (stored, *stored.levels), memory.available()
     for level, size in enumerate(sizes):
@@ -181,7 +181,7 @@ def at_hand(stored: LazyVolume) -> int:
             return level
     if needed_by(sizes[-1]) > available:
         raise OutOfMemoryError(
-            f"out of memory: a volume that is looked at must fit into the {available >> 20} MiB that are available, with its "
+            f"out of memory: a volume to be viewed must fit into the {available >> 20} MiB that are available, with its "
             f"coefficients; its smallest size, {sizes[-1].shape}, takes {-(-needed_by(sizes[-1]) >> 20)} MiB: clvol.pyramid makes "
             "smaller ones, and clvol.render draws it by bricks"
         )

@@ -1,4 +1,4 @@
-"""Where a pane's pixels lie in the world: of pictures of the volume, and of slices through it."""
+"""Where the pixels of panes lie in the world: pictures of the volume, and slices through it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from clvol.scene.camera import Camera, View
 from clvol.view.state import State
 from clvol.volume.volume import Volume
 
-__all__ = ["Pane3D", "PaneSize", "SlicePane", "bounds", "camera_of", "pane_of", "vertical", "visible"]
+__all__ = ["Pane3D", "PaneSize", "SlicePane", "active_pane", "bounds", "camera_of", "pane_of", "vertical", "visible"]
 
 Vector: TypeAlias = NDArray[np.float64]
 _MARGIN = 1.04
 
 
 class PaneSize(NamedTuple):
-    """Of a pane on the client's screen: CSS pixels, and how many pixels of the screen each of them is."""
+    """A pane on the client's screen: CSS pixels, and pixels of the screen per CSS pixel."""
 
     width: float = 512.0
     height: float = 512.0
@@ -28,12 +28,12 @@ class PaneSize(NamedTuple):
 
 
 def vertical(volume: Volume) -> Vector:
-    """The direction of the world that is up: z, or -z for stacks of images, whose slices run away from the viewer."""
+    """The world's up: z, or -z for stacks of images, whose slices run away from the viewer."""
     return np.array([0.0, 0.0, -1.0 if volume.space == "image" else 1.0])
 
 
 def bounds(volume: Volume) -> tuple[Vector, Vector]:
-    """The box of the world that holds the volume's domain."""
+    """The world's bounding box of the volume's domain."""
     return volume.corners.min(0), volume.corners.max(0)
 
 
@@ -44,6 +44,11 @@ def visible(state: State) -> tuple[str, ...]:
     if state.layout == "slice":
         return (state.active if state.active != "3d" else "z",)
     return ("3d", "x", "y", "z")
+
+
+def active_pane(state: State) -> str:
+    """The pane that keys and copies are for: the active one, if the layout shows it."""
+    return state.active if state.active in visible(state) else visible(state)[0]
 
 
 def camera_of(state: State) -> Camera:
@@ -64,15 +69,15 @@ def camera_of(state: State) -> Camera:
 
 @dataclass(frozen=True)
 class Pane3D:
-    """A picture of the volume; its camera must be placed.
+    """A picture of the volume by a placed camera.
 
     Parameters
     ----------
     size : PaneSize
     view : View
-        Of the placed camera.
+        Of the camera.
     target : ndarray, shape (3,)
-        What it looks at.
+        The point it looks at.
     """
 
     size: PaneSize
@@ -99,12 +104,12 @@ class Pane3D:
         return float((self.target - self.view.eye) @ self.view.forward)
 
     def pixel(self, depth: float | None = None) -> float:
-        """World units a CSS pixel, at a distance from the eye's plane; by default the target's."""
+        """World units per CSS pixel at a distance from the eye's plane; by default the target's."""
         scale = 2 * self.view.half_height / self.size.height
         return scale if self.view.orthographic else scale * (self.distance if depth is None else depth)
 
     def ray(self, x: float, y: float) -> tuple[Vector, Vector]:
-        """Where the ray of a place in CSS pixels begins, and its direction, of length 1."""
+        """Origin and unit direction of the ray through (x, y), in CSS pixels."""
         view, (width, height, _) = self.view, self.size
         scale = 2 * view.half_height / height
         offset = (x - width / 2) * scale * view.right - (y - height / 2) * scale * view.up
@@ -114,7 +119,7 @@ class Pane3D:
         return view.eye, way / np.linalg.norm(way)
 
     def at_depth(self, x: float, y: float, depth: float) -> Vector:
-        """The world point under a place at a distance from the eye's plane."""
+        """The world point on that ray at a distance from the eye's plane."""
         origin, way = self.ray(x, y)
         return np.asarray(origin + way * (depth / float(way @ self.view.forward)))
 
@@ -123,7 +128,7 @@ class Pane3D:
         return float((point - self.view.eye) @ self.view.forward)
 
     def project(self, point: Any) -> tuple[float, float] | None:
-        """The place of a world point, in CSS pixels; None behind the eye."""
+        """The position of a world point, in CSS pixels; None behind the eye."""
         to = np.asarray(point, np.float64) - self.view.eye
         depth = float(to @ self.view.forward)
         if not self.view.orthographic and depth <= 1e-9 * max(1.0, float(np.linalg.norm(to))):
@@ -133,25 +138,25 @@ class Pane3D:
 
     @property
     def unit_pixels(self) -> float:
-        """CSS pixels a world unit, at the target."""
+        """CSS pixels per world unit at the target."""
         return 1 / self.pixel()
 
 
 @dataclass(frozen=True)
 class SlicePane:
-    """A slice across an axis of the world, seen as radiologists do: a patient's right on the viewer's left, from the feet.
+    """A slice across an axis of the world, seen as by radiologists: from the feet, the patient's right on the left.
 
     Parameters
     ----------
     size : PaneSize
     axis : int
-        The axis of the world that it is across: 0, 1 or 2.
+        The axis that it is across: 0, 1 or 2.
     middle : ndarray, shape (3,)
-        The world point in the middle of the pane, on the slice.
+        The world point in the middle of the pane.
     right, down : ndarray, shape (3,)
-        Directions of the world to the right and down in the picture.
+        World directions right and down in the picture.
     per_pixel : float
-        World units a CSS pixel.
+        World units per CSS pixel.
     """
 
     size: PaneSize
@@ -166,7 +171,7 @@ class SlicePane:
         """The pane of a state."""
         across, along = [(1, 2), (0, 2), (0, 1)][axis]
         right, down = np.eye(3)[across], np.eye(3)[along]
-        # z runs up in pictures of volumes that are seen with z up, y up in their slices across z; rows of images run down
+        # up is z, or y in slices across z; rows of images run down
         if volume.space != "image" and not (axis == 2 and volume.space == "LPS"):
             down = -down
         extents = np.ptp(volume.corners, axis=0)
@@ -176,33 +181,33 @@ class SlicePane:
         return cls(size, axis, middle, right, down, float(fitted) / state.slice.zoom)
 
     def pixel(self, size: tuple[int, int]) -> tuple[float, float]:
-        """World units a pixel of a picture that fills it, along rows and columns."""
+        """World units per pixel of a picture that fills it, along rows and columns."""
         return self.size.width * self.per_pixel / size[0], self.size.height * self.per_pixel / size[1]
 
     def point(self, x: Any, y: Any) -> Vector:
-        """World points under places in CSS pixels; (..., 3)."""
+        """World points at (x, y), in CSS pixels; (..., 3)."""
         u = (np.asarray(x, np.float64) - self.size.width / 2) * self.per_pixel
         v = (np.asarray(y, np.float64) - self.size.height / 2) * self.per_pixel
         return np.asarray(self.middle + u[..., None] * self.right + v[..., None] * self.down)
 
     def project(self, point: Any) -> tuple[float, float]:
-        """The place of a world point, or of the one beside it on the slice, in CSS pixels."""
+        """The position of a world point's projection onto the slice, in CSS pixels."""
         to = (np.asarray(point, np.float64) - self.middle) / self.per_pixel
         return self.size.width / 2 + float(to @ self.right), self.size.height / 2 + float(to @ self.down)
 
     @property
     def unit_pixels(self) -> float:
-        """CSS pixels a world unit."""
+        """CSS pixels per world unit."""
         return 1 / self.per_pixel
 
 
 def pane_of(state: State, name: str, volume: Volume, size: PaneSize, placed: Camera) -> Pane3D | SlicePane:
-    """The pane of a name; `placed` is the camera with its target."""
+    """The pane with this name; `placed` is the camera with its target."""
     return Pane3D.of(placed, volume, size) if name == "3d" else SlicePane.of(state, volume, "xyz".index(name), size)
 
 
 def rotation(axis: Vector, angle: float) -> Vector:
-    """The matrix that turns by an angle, in radians, about an axis of length 1 (right hand)."""
+    """The right-handed rotation by an angle, in radians, about a unit axis."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(math.cos(angle) * np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * np.outer(axis, axis))

@@ -27,8 +27,8 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["level_for", "plane_points", "section", "shaded", "window_of_slices"]
 
-_LOOKED_AT = 1 << 20
-_ENDS = 0.002, 0.998  # of the samples: what slices show from black to white where nothing says it
+_SAMPLED = 1 << 20
+_ENDS = 0.002, 0.998  # quantiles of the samples that are black and white by default
 
 
 def section(
@@ -51,23 +51,23 @@ def section(
     Parameters
     ----------
     volume : Volume, LazyVolume or array-like
-        A LazyVolume is read where the plane lies, of its coarsest level whose voxels are at most a pixel long.
+        Of a LazyVolume the coarsest level whose voxels are at most a pixel long is read, where the plane lies.
     middle : (x, y, z)
         The world point in the middle of the picture.
     right, down : (x, y, z)
         Unit vectors of the world along rows and columns of the picture.
     pixel : (float, float)
-        World units a pixel, along rows and columns.
+        World units per pixel, along rows and columns.
     size : (width, height)
         In pixels.
     filter, boundary, device
         As for `clvol.render`.
     window : (center, width), optional
-        Values from black to white; by default the volume's own window, or nearly all of its values.
+        Values from black to white; by default the volume's window, or nearly all of its values.
     cmap : str, optional
-        Colours by the name of a map.
+        The name of a colour map.
     background : three numbers or None
-        Of what lies outside the volume; None leaves it transparent.
+        Outside the volume; None is transparent.
     """
     points = plane_points(middle, right, down, pixel, size)
     if isinstance(volume, LazyVolume):
@@ -80,7 +80,7 @@ def section(
 
 
 def level_for(volume: LazyVolume, pixel: tuple[float, float]) -> int:
-    """Of which level a slice is whose pixels are so large, in world units."""
+    """The level that a slice with pixels of this size, in world units, is read from."""
     return level_within(volume, max(pixel))
 
 
@@ -91,7 +91,7 @@ def plane_points(
     pixel: tuple[float, float],
     size: tuple[int, int],
 ) -> NDArray[np.float64]:
-    """World points at the middles of pixels; (height, width, 3)."""
+    """World points at the centres of pixels; (height, width, 3)."""
     width, height = whole("width", size[0], 1, 1 << 15), whole("height", size[1], 1, 1 << 15)
     u = (np.arange(width) + 0.5 - width / 2) * pixel[0]
     v = (np.arange(height) + 0.5 - height / 2) * pixel[1]
@@ -119,12 +119,12 @@ def shaded(
         else:
             table = TransferFunction.from_cmap(cmap, (0.0, 1.0))(np.linspace(0, 1, 1024))[:, :3]
             colors = table[np.rint(share * 1023).astype(np.intp)]
-    made = np.ones((*values.shape, 4), np.float32)
-    made[..., :3] = colors
+    picture = np.ones((*values.shape, 4), np.float32)
+    picture[..., :3] = colors
     outside = np.isnan(values)
     if outside.any():
-        made[outside] = (0, 0, 0, 0) if background is None else (*background, 1)
-    return Picture(made)
+        picture[outside] = (0, 0, 0, 0) if background is None else (*background, 1)
+    return Picture(picture)
 
 
 def _of_labels(values: NDArray[Any], volume: Volume) -> NDArray[np.float64]:
@@ -135,13 +135,13 @@ def _of_labels(values: NDArray[Any], volume: Volume) -> NDArray[np.float64]:
 
 
 def window_of_slices(volume: Volume) -> tuple[float, float]:
-    """(center, width) of the values that slices show from black to white by default."""
+    """The default window of slices: (center, width)."""
     if volume in _WINDOWS:
         return _WINDOWS[volume]
     if volume.window is not None:
         low, high = volume.window
     else:
-        step = max(1, -(-volume.data.size // _LOOKED_AT))
+        step = max(1, -(-volume.data.size // _SAMPLED))
         each = max(1, round(step ** (1 / 3)))
         some = volume.data[::each, ::each, ::each].astype(np.float64)
         low, high = np.quantile(some[np.isfinite(some)], _ENDS).tolist()

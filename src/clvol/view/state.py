@@ -1,6 +1,6 @@
-"""What a viewer shows, as one value: frozen, checked, and the same in JSON; and the history of such values for undo.
+"""What a viewer shows, as one value: frozen, validated, and the same in JSON; and the history of such values for undo.
 
-Everything that a picture depends on is here, and nothing else: two equal states of one volume give equal pictures.
+It holds everything that a picture depends on, and nothing else: equal states of one volume give equal pictures.
 """
 
 from __future__ import annotations
@@ -28,12 +28,14 @@ __all__ = [
     "MOST_LABELS",
     "MOST_POINTS",
     "PANES",
+    "WORDS",
     "CameraState",
     "History",
     "LabelState",
     "SliceState",
     "State",
     "Wiper",
+    "plain",
     "points_of",
     "transfer_json",
 ]
@@ -42,20 +44,23 @@ Triple: TypeAlias = tuple[float, float, float]
 Pane: TypeAlias = Literal["3d", "x", "y", "z"]
 
 PANES: tuple[Pane, ...] = ("3d", "x", "y", "z")
-"""Names of panes: the volume, and slices across x, y and z of the world."""
+"""Names of panes: the volume, and slices across x, y and z in the world."""
+
+WORDS = ("preset", "window", "cmap", "opacity")
+"""Fields that choose a transfer function in words."""
 
 VERSION = 1
-_MOST_LABEL = 1 << 53  # beyond, float64 tells labels no longer apart
-_MOST_PLACES = (1 << 31) - 1  # along an axis
+_MOST_LABEL = 1 << 53  # the largest integer up to which float64 holds all
+_MOST_PLACES = (1 << 31) - 1  # volumes along an axis
 _LAYOUTS = ("3d", "slice", "linked")
 _STYLES = ("turntable", "trackball")
 _PROJECTIONS = ("perspective", "orthographic")
 _FITS = ("matter", "volume")
 TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair")
 _ZOOMS = 0.05, 1000.0
-MOST_POINTS = 512  # of a transfer function: no editor makes more, and they fit into one message of a page
-MOST_LABELS = 2048  # likewise: numbers of those that are hidden, or of those that are shown
-_FARTHEST = 1e15  # of numbers of places: far from what float64 overflows by
+MOST_POINTS = 512  # of a transfer function; they fit into one message
+MOST_LABELS = 2048  # that are hidden or shown; they fit into one message
+_FARTHEST = 1e15  # world units; its square and cube do not overflow
 
 
 def _triple(what: str, value: object) -> Triple:
@@ -79,7 +84,7 @@ def _way(what: str, value: object) -> Triple:
 
 
 def _color(what: str, value: object) -> Triple:
-    """Numbers only: names would not come back from JSON as they went."""
+    """Only numbers: names would not come back from JSON unchanged."""
     color = _triple(what, value)
     if not all(0 <= v <= 1 for v in color):
         raise OptionError(f"{what} must be three numbers in 0..1; got {value!r}")
@@ -99,7 +104,7 @@ def _switch(what: str, value: object) -> bool:
 
 
 def _known(what: str, value: object, known: frozenset[str] | set[str]) -> dict[str, Any]:
-    """A mapping all of whose keys are known."""
+    """A mapping, all of whose keys are known."""
     if not isinstance(value, Mapping):
         raise OptionError(f"{what or 'a state'} must be an object of JSON; got {value!r:.200}")
     for key in value:
@@ -112,7 +117,7 @@ def _known(what: str, value: object, known: frozenset[str] | set[str]) -> dict[s
 
 @dataclass(frozen=True)
 class CameraState:
-    """Where from, as `clvol.Camera` has it; what is None is fitted.
+    """The camera, as `clvol.Camera`; what is None is fitted.
 
     Parameters
     ----------
@@ -150,7 +155,7 @@ class CameraState:
 
 @dataclass(frozen=True)
 class SliceState:
-    """What all slices have in common: how much they are magnified, and about which world point (None: the volume's centre)."""
+    """Magnification of all slices, and the world point in their middle (None: the volume's centre)."""
 
     zoom: float = 1.0
     center: Triple | None = None
@@ -162,7 +167,7 @@ class SliceState:
 
 @dataclass(frozen=True)
 class Wiper:
-    """Another filter's picture to the right of a line, which lies at this share of the width."""
+    """Another filter's picture to the right of a line, at this fraction of the width."""
 
     filter: str
     at: float = 0.5
@@ -174,12 +179,12 @@ class Wiper:
 
 @dataclass(frozen=True)
 class LabelState:
-    """Which labels are seen: all but those that are `hidden`, or those that are `shown` alone. One of the two is given.
+    """Which labels are seen: all but those `hidden`, or only those `shown`. One of the two is given.
 
     Parameters
     ----------
     hidden, shown : tuple of int, optional
-        Up to `MOST_LABELS` numbers of labels; kept in ascending order, each once.
+        Up to `MOST_LABELS` numbers of labels; sorted, without duplicates.
     """
 
     hidden: tuple[int, ...] | None = None
@@ -203,25 +208,25 @@ def _numbers(what: str, value: object) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class State:
-    """All that a viewer shows of a volume; `json` and `from_json` are its text.
+    """What a viewer shows of a volume; `json` and `from_json` convert it.
 
     Parameters
     ----------
     index : mapping of str to int or str
-        Of several volumes on one grid: the place along each leading axis, or the name of a channel that is computed of all. An
-        axis that is left out is at what `clvol.read` gives: 0, or the computed channel.
+        Which of several volumes on one grid: the index along each leading axis, or the name of a channel that is computed from
+        all. By default what `clvol.read` gives: 0, or the computed channel.
     layout : {"3d", "slice", "linked"}
-        One picture of the volume, one slice (that of `active`), or both with three slices and one crosshair.
+        The volume, one slice (`active`), or the volume and three slices with one crosshair.
     active : {"3d", "x", "y", "z"}
         The pane that keys and copies are for.
     tool : str or None
-        What the first button drags; None: "orbit" in the volume, "crosshair" in slices.
+        What the first button drags; by default "orbit" in the volume, "crosshair" in slices.
     camera : CameraState
     slice : SliceState
     mode, options, filter, boundary, step
-        As for `clvol.render`; `options` are the mode's. Without `filter` it is the mode's own.
+        As for `clvol.render`; `options` are the mode's, and so is the default of `filter`.
     transfer : TransferFunction, optional
-        In JSON ``{"points": [[value, [r, g, b], opacity], ...]}``. Where it is given, `preset`, `window`, `cmap` and
+        In JSON ``{"points": [[value, [r, g, b], opacity], ...]}``. If it is given, `preset`, `window`, `cmap` and
         `opacity` are not used for the volume's picture.
     preset, window, cmap, opacity
         As for `clvol.render`; slices take `window` and `cmap`.
@@ -229,14 +234,14 @@ class State:
     material : Material, optional
     background : three numbers in 0..1, or None
     clip : (low, high), optional
-        The crop box, in the world.
+        The crop box, in world units.
     labels : LabelState, optional
-        Which labels of a label map are seen; the others are background.
+        Which labels of a label map are seen; others are background.
     crosshair : three numbers, optional
-        In the world; None: the volume's centre.
+        In world units; by default the volume's centre.
     wiper : Wiper, optional
     heat : bool
-        Whether the share of samples that were looked at is shown instead of the picture.
+        Whether the fraction of samples that were visited is shown instead of the picture.
     """
 
     index: Mapping[str, int | str] = field(default_factory=dict)
@@ -272,7 +277,7 @@ class State:
         if self.tool is not None:
             _name_of("tool", self.tool, TOOLS)
         mode = as_mode(self.mode, _options(self.options))
-        put(self, "options", {name: _plain(getattr(mode, name)) for name in self.options})
+        put(self, "options", {name: plain(getattr(mode, name)) for name in self.options})
         put(self, "filter", None if self.filter is None else _filter("filter", self.filter))
         put(self, "boundary", _named("boundary", self.boundary, as_boundary))
         put(self, "step", number("step", self.step, minimum=0.02, maximum=16))
@@ -296,7 +301,7 @@ class State:
             put(self, "clip", _box(self.clip))
         if self.labels is not None and not isinstance(self.labels, LabelState):
             raise OptionError(f"labels must be a LabelState; got {self.labels!r:.200}")
-        if self.labels is not None and self.labels.hidden == ():  # the same picture, the same state
+        if self.labels is not None and self.labels.hidden == ():  # equal pictures have equal states
             put(self, "labels", None)
         put(self, "crosshair", _optional_triple("crosshair", self.crosshair))
         put(self, "heat", _switch("heat", self.heat))
@@ -304,28 +309,33 @@ class State:
     def __hash__(self) -> int:
         return hash(self.text())
 
+    @property
+    def words(self) -> dict[str, Any]:
+        """The values of `WORDS`, by name: arguments of `clvol.scene.look`."""
+        return {name: getattr(self, name) for name in WORDS}
+
     # -- in JSON -----------------------------------------------------------------------------------------------
 
     def json(self) -> dict[str, Any]:
-        """What `json.dumps` takes; `from_json` gives the same state back."""
-        made: dict[str, Any] = {"version": VERSION}
+        """A value for `json.dumps`, from which `from_json` makes the same state."""
+        result: dict[str, Any] = {"version": VERSION}
         for each in fields(self):
             value = getattr(self, each.name)
-            made[each.name] = _WRITERS[each.name](value) if value is not None and each.name in _WRITERS else _plain(value)
-        return made
+            result[each.name] = _WRITERS[each.name](value) if value is not None and each.name in _WRITERS else plain(value)
+        return result
 
     def text(self) -> str:
-        """The same as one compact line."""
+        """The JSON as one compact line."""
         return json.dumps(self.json(), separators=(",", ":"), allow_nan=False)
 
     @classmethod
     def from_json(cls, value: object) -> Self:
-        """The state of what `json` gave; fields that are left out have their defaults.
+        """The state that `json` describes; fields that are missing have their defaults.
 
         Raises
         ------
         OptionError
-            It is none: the message names the field, what is allowed and what came.
+            A field is unknown or has a value that is not allowed.
         """
         given = _known("", value, {"version", *(each.name for each in fields(cls))})
         version = given.pop("version", VERSION)
@@ -335,7 +345,7 @@ class State:
 
     @classmethod
     def from_text(cls, text: str | bytes) -> Self:
-        """The state of a line of JSON; `OptionError` if it is none."""
+        """The state of a line of JSON; raises `OptionError` as `from_json`."""
         try:
             value = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -343,9 +353,9 @@ class State:
         return cls.from_json(value)
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
-        """The same with other values, in JSON, by dotted names such as "camera.zoom" or "options.isovalue".
+        """A copy with other values, in JSON, by dotted names such as "camera.zoom" or "options.isovalue".
 
-        Options of another mode go with it, unless they are given.
+        A change of the mode drops options that are not given with it.
 
         Raises
         ------
@@ -354,15 +364,15 @@ class State:
         """
         if not isinstance(changes, Mapping):
             raise OptionError(f"changes must be an object of JSON; got {changes!r:.200}")
-        made = self.json()
+        result = self.json()
         names = sorted(changes, key=str)  # "options" before "options.isovalue"
         if "mode" in changes and changes["mode"] != self.mode:
-            made["options"] = {}
+            result["options"] = {}
         for name in names:
             head, *rest = str(name).split(".")
-            if head not in made or head == "version":
+            if head not in result or head == "version":
                 raise OptionError(f"{name!s:.80} is no field; a state has {', '.join(each.name for each in fields(self))}")
-            part, key = made, head
+            part, key = result, head
             for word in rest:
                 if part[key] is None:
                     part[key] = {}
@@ -370,15 +380,15 @@ class State:
                     raise OptionError(f"{name!s:.80} is no field; {key} has no parts of that name")
                 part, key = part[key], word
             part[key] = changes[name]
-        return type(self).from_json(made)
+        return type(self).from_json(result)
 
 
-def _plain(value: Any) -> Any:
-    """As JSON gives it back: lists for tuples."""
+def plain(value: Any) -> Any:
+    """The value as JSON gives it back: lists for tuples."""
     if isinstance(value, (tuple, list)):
-        return [_plain(part) for part in value]
+        return [plain(part) for part in value]
     if isinstance(value, Mapping):
-        return {str(key): _plain(part) for key, part in value.items()}
+        return {str(key): plain(part) for key, part in value.items()}
     return value
 
 
@@ -400,7 +410,7 @@ def _options(value: object) -> dict[str, Any]:
 
 
 def _named(what: str, value: object, known: Callable[[str], object]) -> str:
-    """A name that `known` knows: its own error says which there are."""
+    """A name that `known` accepts; its error lists the names."""
     if not isinstance(value, str) or len(value) > 200:
         raise OptionError(f"{what} must be a name; got {value!r:.200}")
     known(value)
@@ -442,20 +452,20 @@ def _box(value: object) -> tuple[Triple, Triple]:
 
 
 def points_of(transfer: TransferFunction) -> list[list[Any]]:
-    """Points of colour and opacity together, ``[value, [r, g, b], opacity]``; two at one value are a jump."""
+    """Points of colour and opacity merged, ``[value, [r, g, b], opacity]``; two at one value are a jump."""
     colors, opacities = _Ends(transfer.colors), _Ends(transfer.opacities)
-    made = []
+    result = []
     for value in sorted({*colors.values, *opacities.values}):
         before, after = (
             [value, [float(c) for c in colors.at(value, side)], float(min(1.0, max(0.0, opacities.at(value, side))))]
             for side in (0, 1)
         )
-        made += [before, after] if before != after else [after]
-    return made
+        result += [before, after] if before != after else [after]
+    return result
 
 
 class _Ends:
-    """Points of colour, or of opacity, by their values: what is reached there from below and from above."""
+    """Points of colour, or of opacity: the limits at each value from below and above."""
 
     def __init__(self, points: Sequence[tuple[float, Any]]) -> None:
         self._ends: dict[float, tuple[Any, Any]] = {}
@@ -464,7 +474,7 @@ class _Ends:
         self.values = sorted(self._ends)
 
     def at(self, value: float, side: int) -> Any:
-        """What stands at a value, reached from below (0) or above (1)."""
+        """The limit at a value from below (0) or above (1)."""
         if value in self._ends:
             return self._ends[value][side]
         i = bisect(self.values, value)
@@ -479,9 +489,9 @@ class _Ends:
 
 
 def transfer_json(transfer: TransferFunction) -> dict[str, Any]:
-    """A transfer function as a state's text has it."""
-    made: dict[str, Any] = {"points": points_of(transfer)}
-    return made if transfer.unit_distance is None else made | {"unit_distance": transfer.unit_distance}
+    """A transfer function in JSON."""
+    result: dict[str, Any] = {"points": points_of(transfer)}
+    return result if transfer.unit_distance is None else result | {"unit_distance": transfer.unit_distance}
 
 
 def _transfer_of(value: object) -> TransferFunction:
@@ -504,7 +514,7 @@ def _transfer_of(value: object) -> TransferFunction:
 
 
 def _light_json(light: Light) -> dict[str, Any]:
-    return {"direction": _plain(light.direction), "color": _plain(light.color), "frame": light.frame}
+    return {"direction": plain(light.direction), "color": plain(light.color), "frame": light.frame}
 
 
 def _light_of(value: object) -> Light:
@@ -515,7 +525,7 @@ def _light_of(value: object) -> Light:
     except ClvolError as error:
         raise OptionError(f"lights: {error}") from None
     if direction is not None and abs(math.hypot(*direction) - 1) < 1e-15:
-        # divided by its length it may differ in the last bit, and go to and fro: it shall come back as it went
+        # normalized again it might differ in the last bit; states must survive a round trip unchanged
         object.__setattr__(light, "direction", direction)
     return light
 
@@ -548,7 +558,7 @@ def _labels_json(labels: LabelState) -> dict[str, Any]:
 
 
 def _own_fields(value: Any) -> dict[str, Any]:
-    return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
+    return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
 
 
 _WRITERS: dict[str, Callable[[Any], Any]] = {
@@ -587,7 +597,7 @@ def _read(name: str, value: object) -> Any:
 class History:
     """A state, those before it and those that were undone.
 
-    A gesture, such as a drag, is one step: its states after the first have the same `gesture` and replace each other.
+    A gesture, such as a drag, is one step: its states have the same `gesture`, and replace each other.
     """
 
     present: State
@@ -598,7 +608,7 @@ class History:
     MOST = 200
 
     def with_state(self, state: State, gesture: object = None) -> History:
-        """The history after a change; changes of one gesture that is not None are one step."""
+        """The history after a change; consecutive changes of one gesture (not None) are one step."""
         if state == self.present:
             return self
         if gesture is not None and gesture == self.gesture:
@@ -606,7 +616,7 @@ class History:
         return History(state, (*self.past, self.present)[-self.MOST :], (), gesture)
 
     def ended(self) -> History:
-        """The same; what comes next is a step of its own."""
+        """The history after a gesture: the next change is a step of its own."""
         return replace(self, gesture=None)
 
     def undone(self) -> History:

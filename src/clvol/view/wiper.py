@@ -1,4 +1,4 @@
-"""A/B: two filters side by side along a line, and how far each is from samples that it was not shown."""
+"""A/B: two filters side by side along a line, and the error of each at samples that it was not given."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from clvol.volume.volume import Volume
 __all__ = ["MEANING", "joined", "measured"]
 
 MEANING = (
-    "Left out: RMS of what the filter predicts wrongly of every second sample along each axis from the others, less the samples' "
-    "noise; it is measured, at twice the spacing. Expected: RMS error at the samples' own spacing, from their spectrum and noise"
+    "Left out: RMS error of predicting every second sample along each axis from the others, less the samples' noise; measured, at "
+    "twice the spacing. Expected: RMS error at the samples' own spacing, from their spectrum and noise"
 )
-"""What the errors are, for people."""
+"""An explanation of the errors."""
 
 _BLOCK = 32  # samples along each edge of a block
 _BLOCKS = 3
@@ -29,7 +29,7 @@ _PREDICTED = 24  # blocks of `predict`
 
 
 def joined(left: NDArray[np.uint8] | None, right: NDArray[np.uint8] | None, at: float) -> NDArray[np.uint8]:
-    """The left picture up to a share of the width, and the right one beyond."""
+    """The left picture up to a fraction of the width, and the right one beyond."""
     if left is None or right is None:
         found = right if left is None else left
         assert found is not None  # one of them is there
@@ -41,7 +41,7 @@ def joined(left: NDArray[np.uint8] | None, right: NDArray[np.uint8] | None, at: 
 
 
 def _grown(pixels: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint8]:
-    """Previews of two filters may differ in size."""
+    """Scaled up: previews of two filters may differ in size."""
     if pixels.shape[:2] == shape:
         return pixels
     from PIL import Image
@@ -52,7 +52,7 @@ def _grown(pixels: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint
 def measured(
     volume: Volume, filters: Sequence[str], boundary: str = "mirror", stop: Callable[[], bool] = lambda: False
 ) -> dict[str, Any]:
-    """The error of each filter on the volume, as `clvol.analysis.leave_out` measures it on blocks where most happens.
+    """The error of each filter on the volume, as `clvol.analysis.leave_out` measures it, on blocks with the most variation.
 
     Parameters
     ----------
@@ -60,16 +60,16 @@ def measured(
     filters : sequence of str
     boundary : str
     stop : callable
-        Asked between blocks; when it says so the result is empty.
+        Asked between blocks; once it says so, the result is empty.
 
     Returns
     -------
     dict
-        "meaning" (text), "span" of the values, "blocks" (how many), and "filters": for each its "filter", its "rms" at samples
-        left out over all blocks and axes, in units of the data, its "share" of the span, and "x", "y", "z" by axis; and the
-        "expected" error at the samples' own spacing (`clvol.analysis.predict`).
+        "meaning" (text), "span" of the values, "blocks" (their number), and "filters": for each its "filter", its "rms" over all
+        blocks and axes, in units of the data, its "share" of the span, and "x", "y", "z" by axis; and the "expected" error at the
+        samples' own spacing (`clvol.analysis.predict`).
     """
-    from clvol.analysis.left_out import leave_out  # SciPy behind them takes as long to import as all the rest
+    from clvol.analysis.left_out import leave_out  # they import SciPy, which takes as long as all the rest
     from clvol.analysis.predicted import predict
 
     rows: list[Filter] = [settled(name, volume) for name in filters]
@@ -97,17 +97,17 @@ def measured(
         expected = [None] * len(rows)
     low, high = volume.value_range
     span = (high - low) or 1.0
-    made = []
+    measures = []
     for name, square, least in zip(filters, squares, expected, strict=True):
         along = {axis: math.sqrt(float(np.mean(values))) if values else None for axis, values in square.items()}
         known = [value**2 for value in along.values() if value is not None]
         rms = math.sqrt(float(np.mean(known))) if known else None
-        made.append({"filter": name, "rms": rms, "share": None if rms is None else rms / span, **along, "expected": least})
-    return {"meaning": MEANING, "span": span, "blocks": used, "filters": made}
+        measures.append({"filter": name, "rms": rms, "share": None if rms is None else rms / span, **along, "expected": least})
+    return {"meaning": MEANING, "span": span, "blocks": used, "filters": measures}
 
 
 def _blocks(volume: Volume) -> list[NDArray[Any]]:
-    """Those of the volume's blocks whose values spread most: what lies in even background says nothing of filters."""
+    """The blocks with the largest standard deviation: uniform background does not tell filters apart."""
     sizes = [min(n, _BLOCK) for n in volume.shape]
     starts = [range(0, n - m + 1, m) for n, m in zip(volume.shape, sizes, strict=True)]
     parts = [volume.data[tuple(slice(a, a + m) for a, m in zip(at, sizes, strict=True))] for at in itertools.product(*starts)]

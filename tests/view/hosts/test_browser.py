@@ -16,7 +16,7 @@ from tests.view.browser import Browser
 
 pytest.importorskip("aiohttp", reason="needs aiohttp")
 from clvol.view import View
-from clvol.view.server import Limits, Serving, serve
+from clvol.view.hosts.server import Limits, Serving, serve
 
 CANVAS = ".clvol-pane[data-pane='3d'] canvas"
 LAST = "document.querySelector('.clvol-pane[data-pane=\"3d\"]')?.dataset.final === 'true'"
@@ -157,5 +157,5 @@ def test_an_idle_page_says_so(browser: Browser, device: Device) -> None:
     view = View(clvol.phantoms.sphere(8), device=device)
     with serve(view, limits=Limits(idle=1)) as server:
         browser.open(server.url)
-        browser.wait("document.body.innerText.includes('nothing was done for 1 s')")
+        browser.wait("document.body.innerText.includes('idle for 1 s')")
         browser.wait(lambda: server.clients == 0)

@@ -20,8 +20,8 @@ import clvol
 from clvol.device import Device
 from clvol.show.picture import to_bytes
 from clvol.view import View
-from clvol.view.local import scaled
-from clvol.view.terminal import _printable, _read, ansi, keys_of, show_in_terminal
+from clvol.view.hosts.local import scaled
+from clvol.view.hosts.terminal import _printable, _read, ansi, keys_of, show_in_terminal
 from tests.view.threads import sessions, wait_for_sessions
 
 _CODE = re.compile(r"\x1b\[(?:(\d+);(\d+)H|([34]8);2;(\d+);(\d+);(\d+)m|0m|\?\d+[hl]|2J)")

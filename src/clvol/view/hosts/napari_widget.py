@@ -1,4 +1,4 @@
-"""In napari: a dock widget and an action of layers, which draw the selected layer as it is seen (``pip install clvol[napari]``)."""
+"""In napari: a dock widget and a layer action that draw the selected layer as it is seen (``pip install clvol[napari]``)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _MOST = 4096
 
 
 class RenderWidget(widgets.Container):  # type: ignore[misc]  # magicgui has no types
-    """The dock widget: draws the selected layer from where napari's camera looks, into a layer in colours."""
+    """The dock widget: draws the selected layer as napari's camera sees it into an RGB layer."""
 
     def __init__(self, napari_viewer: Any) -> None:
         self._viewer = napari_viewer
@@ -40,23 +40,23 @@ class RenderWidget(widgets.Container):  # type: ignore[misc]  # magicgui has no 
         self.preset = widgets.ComboBox(label="preset", choices=[_AUTO, *presets()], value=_AUTO)
         self.pixels = widgets.SpinBox(label="pixels", value=_SIZE, min=16, max=_MOST)
         self.button = widgets.PushButton(text="Render")
-        self.told = widgets.Label(value="")
-        super().__init__(widgets=[self.mode, self.filter, self.preset, self.pixels, self.button, self.told])
+        self.message = widgets.Label(value="")
+        super().__init__(widgets=[self.mode, self.filter, self.preset, self.pixels, self.button, self.message])
         self.button.changed.connect(self.draw)
 
     def draw(self) -> None:
-        """Draw it; what cannot be is said beneath the button."""
+        """Draw it; errors are shown below the button."""
         options = {"filter": self.filter.value, "preset": self.preset.value}
         try:
             _show(self._viewer, self.mode.value, self.pixels.value, **{k: v for k, v in options.items() if v != _AUTO})
-        except Exception as error:  # a user looks at the widget, not at a terminal
-            self.told.value = str(error)
+        except Exception as error:  # users see the widget, not a terminal
+            self.message.value = str(error)
         else:
-            self.told.value = ""
+            self.message.value = ""
 
 
 def render_selected() -> None:
-    """The action of a layer's menu: the selected layer, in the default mode."""
+    """The action of the layer menu: draw the selected layer in the default mode."""
     import napari
 
     viewer = napari.current_viewer()
@@ -68,7 +68,7 @@ def render_selected() -> None:
 def picture_of(
     viewer: Any, layer: Any, mode: str = DEFAULT_MODE, pixels: int = _SIZE, **options: Unpack[RenderOptions]
 ) -> NDArray[np.uint8]:
-    """The picture of a layer, square, as the viewer's camera looks at it; what is fitted is the layer.
+    """A square picture of a layer as the viewer's camera sees it, fitted to the layer.
 
     Parameters
     ----------
@@ -86,15 +86,15 @@ def picture_of(
 
 
 def camera_of(camera: Any) -> tuple[Camera, bool]:
-    """A camera of napari's direction, and whether its pictures are mirrored.
+    """A camera with the direction of napari's, and whether its pictures are mirrored.
 
-    napari counts z, y, x as right-handed since its version 0.6, if nobody turns an axis; that world is the mirror image of x, y, z.
+    Since version 0.6 napari's z, y, x are right-handed by default; that world is the mirror image of x, y, z.
     """
     direction, up = (tuple(float(v) for v in vector[::-1]) for vector in (camera.view_direction, camera.up_direction))
     handed = getattr(camera, "handedness", "left")
     fov = float(camera.perspective)
     flat = not 1 <= fov < 175
-    made = Camera(
+    found = Camera(
         direction=direction,  # type: ignore[arg-type]  # of three
         up=up,  # type: ignore[arg-type]
         upright=False,
@@ -102,16 +102,16 @@ def camera_of(camera: Any) -> tuple[Camera, bool]:
         projection="orthographic" if flat else "perspective",
         fov=30.0 if flat else fov,
     )
-    return made, str(getattr(handed, "value", handed)) == "right"
+    return found, str(getattr(handed, "value", handed)) == "right"
 
 
 def volume_of(viewer: Any, layer: Any) -> Volume:
-    """The layer's volume; of several the one at the viewer's sliders.
+    """The layer's volume; of several the one that the viewer's sliders select.
 
     Raises
     ------
     OptionError
-        The layer is in colours, or has no three axes.
+        The layer is RGB, or has fewer than three axes.
     """
     if getattr(layer, "rgb", False):
         raise OptionError(f"a layer must have one value a voxel; {layer.name!r} is in colours: split it into channels")
@@ -127,7 +127,7 @@ def volume_of(viewer: Any, layer: Any) -> Volume:
 
 
 def _show(viewer: Any, mode: str, pixels: int, **options: Unpack[RenderOptions]) -> None:
-    """Put the picture of the selected layer into a layer of its own, that of the last one if it is there."""
+    """Put the picture of the selected layer into another layer, or replace that of the last time."""
     layer = viewer.layers.selection.active
     if layer is None:
         raise OptionError("one layer must be selected, of an image or of labels")
@@ -137,4 +137,4 @@ def _show(viewer: Any, mode: str, pixels: int, **options: Unpack[RenderOptions])
         viewer.layers[name].data = picture
     else:
         viewer.add_image(picture, rgb=True, name=name)
-        viewer.layers.selection.active = layer  # the next picture is of it again
+        viewer.layers.selection.active = layer  # so that the next picture shows it again

@@ -14,7 +14,7 @@ import pytest
 
 from tests.view.browser import Browser
 
-SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "trame_view.py"
+SCRIPT = Path(__file__).resolve().parents[3] / "examples" / "trame_view.py"
 
 
 def test_a_page_of_trame_shows_pictures_and_drags(browser: Browser, tmp_path: Path) -> None:

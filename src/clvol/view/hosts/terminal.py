@@ -1,6 +1,6 @@
-"""A view in a terminal: two pixels a character, as half blocks in 24-bit colours; keys turn it, ``q`` ends it.
+"""A view in a terminal: two pixels per character, as half blocks in 24-bit colours; keys turn it, ``q`` quits.
 
-Plain ANSI sequences, over ssh too; nothing but Python's own modules is asked for.
+Plain ANSI sequences, which work over ssh and need no library. Only rows that changed are written.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.show.picture import to_bytes
-from clvol.view.local import LocalClient, scaled
+from clvol.view.encode import opaque
+from clvol.view.hosts.local import LocalClient, scaled
 
 if TYPE_CHECKING:
     from clvol.view import View
 
 __all__ = ["ansi", "keys_of", "show_in_terminal"]
 
-_FINER = 2  # pixels that are drawn for one that is shown, along each axis
-_OPEN, _CLOSE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"  # another screen without cursor, and back
+_FINER = 2  # pixels drawn for one shown, along each axis
+_OPEN, _CLOSE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"  # to the alternate screen without cursor, and back
 _HELP = "q quit  arrows turn  +/- zoom  1-6 mode  f fit  u undo"
 _KEYS = {
     "\x1b[A": "ArrowUp", "\x1b[B": "ArrowDown", "\x1b[C": "ArrowRight", "\x1b[D": "ArrowLeft",
@@ -36,16 +37,16 @@ _KEYS = {
 }  # fmt: skip
 _SEQUENCE = re.compile(r"\x1b\[[0-9;]*[ -/]*[@-~]|\x1bO.|.", re.DOTALL)
 _BEGUN = re.compile(rb"\x1b(\[[0-9;]*[ -/]*|O)?$")
-_PIECES = 0.05  # seconds between the pieces of a sequence; Escape alone is known after them
+_PIECES = 0.05  # seconds to wait for the rest of a sequence; then it is Escape alone
 _QUIT = ("q", "Q", "\x03", "\x04")
-_TICK = 0.25  # seconds, after which the terminal's size is looked at again
+_TICK = 0.25  # seconds between checks of the terminal's size
 _LONGEST = 400  # characters along an edge
 
 
 def show_in_terminal(
     view: View, stdin: IO[str] | None = None, stdout: IO[str] | None = None, size: tuple[int, int] | None = None
 ) -> None:
-    """Show a view in the terminal until ``q``; one still picture where nobody can type: stdin or stdout is none, or on Windows.
+    """Show a view in the terminal until ``q``; a still picture if stdin or stdout is no terminal, or on Windows.
 
     Parameters
     ----------
@@ -58,17 +59,17 @@ def show_in_terminal(
     stdin, stdout = stdin or sys.stdin, stdout or sys.stdout
     if not _typed(stdin, stdout):
         columns, lines = _size(size)
-        # it scrolls with the text: no higher than wide
+        # no higher than wide, because it scrolls with the text
         width, height = columns, min(2 * (lines - 1), columns)
         picture = np.asarray(to_bytes(view.picture((_FINER * width, _FINER * height))))
-        stdout.write(ansi(scaled(_opaque(picture), (width, height))) + "\n")
+        stdout.write(ansi(scaled(opaque(picture), (width, height))) + "\n")
         stdout.flush()
         return
     _Shown(view, stdin, stdout, size).run()
 
 
 class _Shown:
-    """A view in a terminal that somebody types at."""
+    """A view in a terminal with a keyboard."""
 
     def __init__(self, view: View, stdin: IO[str], stdout: IO[str], size: tuple[int, int] | None) -> None:
         self._stdin, self._stdout, self._given = stdin, stdout, size
@@ -79,7 +80,7 @@ class _Shown:
         self._client = LocalClient(view, self._wake, pointer=False)
 
     def run(self) -> None:
-        """Until it is quit, the terminal is gone, or Ctrl-C."""
+        """Until ``q``, Ctrl-C, or the terminal is gone."""
         import select
 
         terminal = self._stdin.fileno()
@@ -108,7 +109,7 @@ class _Shown:
         """From the session's thread."""
         with self._pipe_lock:
             if self._writer >= 0:
-                with contextlib.suppress(BlockingIOError):  # it is full of calls
+                with contextlib.suppress(BlockingIOError):  # it is full: the loop will wake
                     os.write(self._writer, b".")
 
     @contextmanager
@@ -127,18 +128,18 @@ class _Shown:
             self._client.resize(width, height)
 
     def _typed(self, typed: bytes) -> bool:
-        """Take what was typed; False: it ends."""
+        """Handle keys; returns False to quit."""
         if not typed:
             return False
         for key in keys_of(typed.decode("utf-8", "replace")):
             if key in _QUIT:
                 return False
-            for kind in ("key_down", "key_up"):  # a terminal does not say how long a key is held
+            for kind in ("key_down", "key_up"):  # a terminal does not report releases
                 self._client.event({"event_type": kind, "key": key, "modifiers": ()})
         return True
 
     def _show(self) -> None:
-        """Write the rows that changed, and the line of words."""
+        """Write the rows that changed, and the status line."""
         pixels = self._client.take()
         if not pixels.size:
             return
@@ -156,7 +157,7 @@ class _Shown:
 
 
 def ansi(pixels: NDArray[np.uint8]) -> str:
-    """A picture, (height, width, 3), as lines of text: each character holds a pixel above and one below."""
+    """A picture, (height, width, 3), as lines of text: each character has a pixel above and one below."""
     upper, lower = pixels[::2], pixels[1::2]
     if len(lower) < len(upper):
         lower = np.concatenate([lower, np.zeros_like(upper[:1])])
@@ -175,7 +176,7 @@ def ansi(pixels: NDArray[np.uint8]) -> str:
 
 
 def _read(terminal: int) -> bytes:
-    """What was typed; a key's sequence that comes in pieces, as over a network, whole."""
+    """What was typed; a sequence that arrives in pieces is completed."""
     import select
 
     typed = os.read(terminal, 1024)
@@ -188,7 +189,7 @@ def _read(terminal: int) -> bytes:
 
 
 def keys_of(typed: str) -> Iterator[str]:
-    """The names of keys, as events have them, of what a terminal sends; sequences that mean nothing here are dropped."""
+    """The keys that a terminal sends, by their names in events; other sequences are dropped."""
     for sequence in _SEQUENCE.findall(typed):
         if sequence in _KEYS:
             yield _KEYS[sequence]
@@ -198,7 +199,7 @@ def keys_of(typed: str) -> Iterator[str]:
 
 @contextmanager
 def _raw(terminal: int) -> Iterator[None]:
-    """Each key at once, and none shown; Ctrl-C still interrupts."""
+    """Read each key at once, without echo; Ctrl-C still interrupts."""
     import termios
     import tty
 
@@ -223,12 +224,6 @@ def _size(given: tuple[int, int] | None) -> tuple[int, int]:
     return min(_LONGEST, max(8, columns)), min(_LONGEST, max(5, lines))
 
 
-def _opaque(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    if pixels.shape[2] == 3:
-        return pixels
-    return (pixels[..., :3].astype(np.uint16) * pixels[..., 3:] // 255).astype(np.uint8)
-
-
 def _printable(text: str) -> str:
-    """Without what a terminal would take for a command: titles come from files."""
+    """Without control characters: titles come from files."""
     return "".join(c if c.isprintable() else " " for c in text)

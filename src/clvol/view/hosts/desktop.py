@@ -1,6 +1,6 @@
-"""A window: any canvas of rendercanvas shows a session (``pip install clvol[desktop]``). No GPU and no OpenGL is asked for.
+"""A window: any canvas of rendercanvas shows a session (``pip install clvol[desktop]``). It needs no GPU and no OpenGL.
 
-rendercanvas draws and takes events on its event loop; here the loop only shows what the session's thread has drawn.
+rendercanvas draws and receives events on its event loop, which here only shows what the session's thread has drawn.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clvol.base.errors import MissingDependencyError, UnsupportedError
-from clvol.view.local import LocalClient
+from clvol.view.hosts.local import LocalClient
 
 if TYPE_CHECKING:
     from clvol.view import View
     from clvol.view.state import State
 
-__all__ = ["Window", "require_display", "show_on_desktop"]
+__all__ = ["DesktopWindow", "require_display", "show_on_desktop"]
 
 _EVENTS = ("pointer_down", "pointer_move", "pointer_up", "double_click", "wheel", "key_down", "key_up")
 _SIZE = 900, 700
 
 
-class Window:
+class DesktopWindow:
     """A session in a canvas.
 
     Parameters
     ----------
     view : View
     canvas : rendercanvas.BaseRenderCanvas
-        Of Qt, offscreen, ...: one that shows bitmaps.
+        Of Qt, offscreen, ...: any that shows bitmaps.
     loop : rendercanvas loop, optional
-        Which is woken when there is a new picture. Without one, whoever calls the canvas's ``draw`` gets the newest.
+        It is woken for new pictures. Without one, the canvas's ``draw`` gives the newest.
     state : State, optional
         What is shown first.
     """
@@ -42,7 +42,7 @@ class Window:
     def __init__(self, view: View, canvas: Any, loop: Any = None, state: State | None = None) -> None:
         self._canvas, self._loop = canvas, loop
         self._context = canvas.get_bitmap_context()
-        self._told = ""
+        self._title = ""
         self.client = LocalClient(view, self._wake, state)
         canvas.add_event_handler(self._resized, "resize")
         canvas.add_event_handler(self._closed, "close")
@@ -57,7 +57,7 @@ class Window:
             self._canvas.close()
 
     def _wake(self) -> None:
-        """From the session's thread; the canvas may be touched on its loop alone."""
+        """From the session's thread; only the loop may use the canvas."""
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._request)
 
@@ -65,8 +65,8 @@ class Window:
         if self.client.closed or self._canvas.get_closed():
             return
         words = " – ".join(word for word in ("clvol", self.client.title, self.client.text) if word)
-        if words != self._told:
-            self._told = words
+        if words != self._title:
+            self._title = words
             self._canvas.set_title(words)
         self._canvas.request_draw()
 
@@ -78,7 +78,7 @@ class Window:
         self.client.close()
 
     def _draw(self) -> None:
-        self._resized({})  # some canvases tell no event of their first size
+        self._resized({})  # some canvases send no event of their first size
         pixels = self.client.take()
         opaque = np.full((*pixels.shape[:2], 4), 255, np.uint8)
         opaque[..., :3] = pixels
@@ -86,19 +86,19 @@ class Window:
 
 
 def show_on_desktop(view: View, size: tuple[int, int] = _SIZE, state: State | None = None) -> None:
-    """Show a view in a window of Qt, and wait until it is closed.
+    """Show a view in a Qt window, and wait until it is closed.
 
     Raises
     ------
     MissingDependencyError
-        rendercanvas, or all of PySide6 and PyQt6, are not installed.
+        rendercanvas, or both PySide6 and PyQt6, are not installed.
     UnsupportedError
         There is no display.
     """
     require_display()
     library = _qt()
     canvas = library.RenderCanvas(size=size, title="clvol", max_fps=60)
-    window = Window(view, canvas, library.loop, state)
+    window = DesktopWindow(view, canvas, library.loop, state)
     try:
         library.loop.run()
     finally:
@@ -106,7 +106,7 @@ def show_on_desktop(view: View, size: tuple[int, int] = _SIZE, state: State | No
 
 
 def require_display() -> None:
-    """Raise `UnsupportedError` where there is no display: Qt would end the process, without a word that Python could catch."""
+    """Raise `UnsupportedError` if there is no display: Qt would abort the process."""
     if sys.platform in ("win32", "darwin") or os.environ.get("QT_QPA_PLATFORM"):
         return
     if not os.environ.get("DISPLAY") and not os.environ.get("WAYLAND_DISPLAY"):
@@ -117,7 +117,7 @@ def require_display() -> None:
 
 
 def _qt() -> Any:
-    """The rendercanvas for the Qt that there is; one that the program has imported comes first."""
+    """The rendercanvas for an installed Qt, preferably one that is already imported."""
     from importlib import import_module
 
     names = sorted(("PySide6", "PyQt6"), key=lambda name: name not in sys.modules)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 _DRIVEN = """
 import json, sys, warnings
@@ -19,7 +19,7 @@ warnings.simplefilter("ignore")
 import numpy as np
 from napari.components import ViewerModel
 import clvol
-from clvol.view.napari_widget import RenderWidget, camera_of, picture_of, volume_of
+from clvol.view.hosts.napari_widget import RenderWidget, camera_of, picture_of, volume_of
 from npe2 import PluginManifest
 
 manifest = PluginManifest.from_file(sys.argv[1])
@@ -60,16 +60,16 @@ viewer.layers.selection.active = layer
 widget.mode.value, widget.filter.value, widget.pixels.value = "mip", "linear", 48
 widget.button.changed.emit(True)
 made = viewer.layers["block by clvol"]
-told["made"] = [made.rgb, list(made.data.shape), int(made.data.max()), widget.told.value]
+told["made"] = [made.rgb, list(made.data.shape), int(made.data.max()), widget.message.value]
 widget.pixels.value = 40
 widget.button.changed.emit(True)
 told["again"] = [len(viewer.layers), list(viewer.layers["block by clvol"].data.shape)]
 viewer.layers.selection.active = made
 widget.draw()
-told["colours"] = widget.told.value
+told["colours"] = widget.message.value
 viewer.layers.selection.clear()
 widget.draw()
-told["none"] = widget.told.value
+told["none"] = widget.message.value
 series = viewer.add_image(np.stack([0 * data, data, 2 * data]), name="series", scale=(5, 1, 1, 1))
 viewer.dims.set_point(0, 10)
 told["series"] = float(volume_of(viewer, series).data.max())

@@ -1,42 +1,36 @@
 """A view as a page of a web server: the page's files, and a websocket for each client.
 
-It listens on this machine alone unless told otherwise. Who may look proves it by a random token: once in the address, then by a
-cookie. The names that requests ask for (`Host`) and come from (`Origin`) are checked whatever token they bring, so that neither
-another site in the same browser nor a name that is made to point here gets in. No path of a request is ever opened: there is a
-table of the package's own files.
+By default it listens on this machine only. Clients prove that they may look by a random token: once in the address, then by a
+cookie (`clvol.view.hosts.access`). No path of a request is ever opened: there is a table of the package's own files.
 
 On the wire each message is one JSON text; where bytes follow it, it says how many (``"bytes"``), and they are the next message.
 
-One client costs no more than its share: messages are read at a limited rate, what waits for a slow one is bounded (of two frames of
-a pane the older is dropped), silent ones are sent away.
+One client costs no more than its share (`clvol.view.hosts.outbox`): messages are read at a limited rate, what waits for a slow
+client is bounded, idle ones are disconnected.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
-import ipaddress
 import json
-import math
 import mimetypes
-import re
-import secrets
 import socket
 import ssl
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
-from urllib.parse import urlsplit
+from typing import Any, Self
 
-from clvol.base.checks import number, whole
+from clvol.base.checks import whole
 from clvol.base.errors import ClvolError, MissingDependencyError, OptionError
+from clvol.view.hosts.access import Access, Refused, from_another_site, is_any, is_loopback
+from clvol.view.hosts.outbox import Limits, Outbox, Rate
+from clvol.view.protocol import Message, Receiver, SessionFactory, status
 
 try:
     from aiohttp import WSCloseCode, WSMsgType, web
@@ -45,188 +39,29 @@ except ImportError as missing:
 
 __all__ = ["Limits", "Server", "Serving", "serve"]
 
-Message = dict[str, Any]
-Send = Callable[[Message, bytes | None], None]
-
-_LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _IDLE, _FAILED = 4000, 4001  # close codes that an application may define
-_NEWEST_WINS = ("frame", "info", "overlay", "state", "stats", "status")  # of which a slow client gets the last alone, of each pane
-_FAREWELL = 0.4  # seconds that a client has to answer when it is sent away
-_TICKET = 60.0  # seconds that a browser has to start
+_FAREWELL = 0.4  # seconds that a client has to answer when it is disconnected
 _PORTS = 5  # tries to find a port that is free for all families of addresses
-_PAUSE = 0.05  # seconds between looks at whether something has ended
-
-
-class _Session(Protocol):
-    def receive(self, message: Message) -> None: ...
-    def close(self) -> None: ...
-
-
-class _View(Protocol):
-    def session(self, send: Send) -> _Session: ...
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What one client, and all of them, may cost.
-
-    Parameters
-    ----------
-    clients : int
-        Pages that may be open at once.
-    message : int
-        Bytes of the longest message that a client may send.
-    rate, burst : float
-        Messages a second that are read of one client, and how many at once; further ones wait in its own connection.
-    flood : float
-        Seconds for which it may send more than that, before it is sent away.
-    waiting : int
-        Bytes that may wait for one client: pictures that it asked for included.
-    messages : int
-        How many messages may wait for one client.
-    idle : float
-        Seconds without a message of its own after which a client is sent away, and its view is freed.
-    stuck : float
-        Seconds in which a client must take a message.
-    """
-
-    clients: int = 8
-    message: int = 64 << 10
-    rate: float = 500.0
-    burst: float = 1000.0
-    flood: float = 10.0
-    waiting: int = 64 << 20
-    messages: int = 256
-    idle: float = 1800.0
-    stuck: float = 30.0
-
-    def __post_init__(self) -> None:
-        for name in ("clients", "message", "waiting", "messages"):
-            whole(name, getattr(self, name), minimum=1)
-        for name in ("rate", "burst", "flood", "idle", "stuck"):
-            number(name, getattr(self, name), above=0)
-
-
-# -- what waits for a client -----------------------------------------------------------------------------------
-
-
-class _Outbox:
-    """Messages on their way to one client, put in by any thread; bounded, whatever the loop and the client do."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, limits: Limits) -> None:
-        self._loop, self._limits = loop, limits
-        self._lock = threading.Lock()
-        self._waiting: deque[tuple[Message, bytes | None]] = deque()
-        self._bytes = 0
-        self._woken = False
-        self._filled = asyncio.Event()
-        self.closed = False
-        self.overflowed = False
-        self.dropped: list[int] = []  # numbers of frames that the client will never see
-
-    def put(self, message: Message, data: bytes | None = None) -> None:
-        kind = message.get("type")
-        with self._lock:
-            if self.closed:
-                return
-            if kind in _NEWEST_WINS:
-                self._drop(lambda other: other.get("type") == kind and other.get("pane") == message.get("pane"))
-            elif data is not None and len(data) > self._limits.waiting // 2:
-                size = f"{len(data) / 2**20:.0f} MiB, more than the {self._limits.waiting / 2**21:g} that a page may get at once"
-                message, data = {**message, "error": f"the file has {size}; make it smaller"}, None
-            self._waiting.append((message, data))
-            self._bytes += _size(message, data)
-            if self._full():
-                self._drop(lambda other: other.get("type") == "frame")
-            self.overflowed |= self._full()  # of what may not be dropped
-            wake = not self._woken
-            self._woken = True
-        if wake:
-            with contextlib.suppress(RuntimeError):  # the loop has ended
-                self._loop.call_soon_threadsafe(self._filled.set)
-
-    def _full(self) -> bool:
-        return self._bytes > self._limits.waiting or len(self._waiting) > self._limits.messages
-
-    def _drop(self, wrong: Callable[[Message], bool]) -> None:
-        kept = deque[tuple[Message, bytes | None]]()
-        for message, data in self._waiting:
-            if not wrong(message):
-                kept.append((message, data))
-                continue
-            self._bytes -= _size(message, data)
-            if message.get("type") == "frame" and "number" in message:
-                self.dropped.append(message["number"])
-        self._waiting = kept
-
-    async def take(self) -> tuple[Message, bytes | None] | None:
-        """The next message; None once it is closed or has overflowed."""
-        while True:
-            with self._lock:
-                if self.closed or self.overflowed:
-                    return None
-                if self._waiting:
-                    message, data = self._waiting.popleft()
-                    self._bytes -= _size(message, data)
-                    return message, data
-                self._woken = False
-                self._filled.clear()
-            await self._filled.wait()
-
-    def take_dropped(self) -> list[int]:
-        with self._lock:
-            dropped, self.dropped = self.dropped, []
-        return dropped
-
-    def close(self) -> None:
-        with self._lock:
-            self.closed = True
-            self._waiting.clear()
-            self._bytes = 0
-        with contextlib.suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._filled.set)
-
-
-def _size(message: Message, data: bytes | None) -> int:
-    return 256 + (len(data) if data is not None else 0) + (0 if message.get("type") == "frame" else 8 * len(message))
-
-
-class _Rate:
-    """Tokens that a client spends: `take` says how many seconds it must wait for the next one."""
-
-    def __init__(self, rate: float, burst: float) -> None:
-        self._rate, self._burst = rate, burst
-        self._tokens, self._last = burst, time.monotonic()
-
-    def take(self) -> float:
-        now = time.monotonic()
-        self._tokens = min(self._burst, self._tokens + (now - self._last) * self._rate) - 1
-        self._last = now
-        return max(0.0, -self._tokens / self._rate)
-
-    @property
-    def calm(self) -> bool:
-        """Whether half of the tokens have come back: a sleep that was a little long does not count."""
-        return 2 * self._tokens > self._burst
+_PAUSE = 0.05  # seconds between checks whether the server has ended
 
 
 # -- one client ------------------------------------------------------------------------------------------------
 
 
 class _Client:
-    """A websocket and the session behind it."""
+    """A websocket and its session."""
 
     def __init__(self, server: Server, socket: web.WebSocketResponse) -> None:
         self._server, self._socket, self._limits = server, socket, server.limits
-        self._outbox = _Outbox(asyncio.get_running_loop(), server.limits)
-        self._session: _Session | None = None
-        self._making: asyncio.Future[_Session] | None = None
+        self._outbox = Outbox(asyncio.get_running_loop(), server.limits)
+        self._session: Receiver | None = None
+        self._making: asyncio.Future[Receiver] | None = None
         self._early: deque[Message] = deque(maxlen=64)  # sent before there was a session
         self._last = time.monotonic()
         self._ended: tuple[int, str] | None = None
 
     async def run(self) -> None:
-        """Until the client is gone, or is sent away."""
+        """Until the client is gone or disconnected."""
         tasks = [asyncio.ensure_future(part) for part in (self._read(), self._write(), self._open(), self._watch())]
         try:
             await asyncio.wait([tasks[0], tasks[1], tasks[3]], return_when=asyncio.FIRST_COMPLETED)
@@ -240,30 +75,31 @@ class _Client:
                 await asyncio.wait_for(self._socket.close(code=code, message=reason.encode()[:120]), _FAREWELL)
             if self._making is not None:  # a client may be gone before its session is there
                 with contextlib.suppress(Exception):
-                    session: _Session = await self._making
+                    session: Receiver = await self._making
                     await in_thread(session.close, "closing a view")
 
     def end(self, code: int, reason: str) -> None:
+        """Disconnect it."""
         self._ended = self._ended or (code, reason)
         self._outbox.close()
 
     async def _open(self) -> None:
-        """The session, as soon as there is a view; what prevents it is told to the client, which stays."""
+        """Open the session, as soon as there is a view; the client gets an error that prevents it, and stays."""
         if not self._server.opened.done():
-            self._outbox.put({"type": "status", "kind": "busy", "text": self._server.doing})
+            self._outbox.put(status(self._server.doing, "busy"))
         try:
             view = await asyncio.shield(self._server.opened)
             self._making = asyncio.ensure_future(in_thread(lambda: view.session(self._outbox.put), "a view"))
             session = await asyncio.shield(self._making)
         except Exception as error:
-            self._outbox.put({"type": "status", "kind": "error", "text": said(error)})
+            self._outbox.put(status(said(error), "error"))
             return
         while self._early:
             self._pass(session, self._early.popleft())
         self._session = session
 
     async def _read(self) -> None:
-        rate, since = _Rate(self._limits.rate, self._limits.burst), 0.0
+        rate, since = Rate(self._limits.rate, self._limits.burst), 0.0
         async for got in self._socket:
             if got.type is not WSMsgType.TEXT:
                 self.end(WSCloseCode.UNSUPPORTED_DATA, "messages must be JSON text")
@@ -275,12 +111,12 @@ class _Client:
                 if now - since > self._limits.flood:
                     self.end(WSCloseCode.POLICY_VIOLATION, f"more than {self._limits.rate:g} messages a second")
                     return
-                await asyncio.sleep(wait)  # its own connection fills up: others notice nothing
+                await asyncio.sleep(wait)  # its connection fills up; others notice nothing
             elif rate.calm:
                 since = 0.0
             message = parsed(got.data)
             if isinstance(message, str):
-                self._outbox.put({"type": "status", "kind": "error", "text": message})
+                self._outbox.put(status(message, "error"))
                 continue
             if message["type"] != "ack":
                 self._last = time.monotonic()
@@ -289,11 +125,11 @@ class _Client:
             else:
                 self._pass(self._session, message)
 
-    def _pass(self, session: _Session, message: Message) -> None:
+    def _pass(self, session: Receiver, message: Message) -> None:
         try:
             session.receive(message)
-        except Exception as error:  # of a session: it must not end what serves the others
-            self._outbox.put({"type": "status", "kind": "error", "text": said(error)})
+        except Exception as error:  # of one session: it must not end the server
+            self._outbox.put(status(said(error), "error"))
 
     async def _write(self) -> None:
         while (taken := await self._outbox.take()) is not None:
@@ -301,7 +137,7 @@ class _Client:
             try:
                 text = json.dumps(message if data is None else message | {"bytes": len(data)}, allow_nan=False)
             except (TypeError, ValueError) as error:
-                text = json.dumps({"type": "status", "kind": "error", "text": f"a message could not be written: {error}"})
+                text = json.dumps(status(f"a message could not be written: {error}", "error"))
                 data = None
             try:
                 async with asyncio.timeout(self._limits.stuck):
@@ -310,17 +146,17 @@ class _Client:
                         await self._socket.send_bytes(data)
             except (TimeoutError, ConnectionError):
                 return
-            if self._session is not None:  # a session waits for frames that were dropped, too
+            if self._session is not None:  # a session waits for acknowledgements of dropped frames, too
                 for number_ in self._outbox.take_dropped():
                     self._pass(self._session, {"type": "ack", "frame": number_, "dropped": True})
         if self._outbox.overflowed:
-            self.end(WSCloseCode.TRY_AGAIN_LATER, "the connection is too slow for what was asked for")
+            self.end(WSCloseCode.TRY_AGAIN_LATER, "the connection is too slow")
 
     async def _watch(self) -> None:
-        """Ends with what a server ends: silence."""
+        """End a client that is idle."""
         while (left := self._last + self._limits.idle - time.monotonic()) > 0:
             await asyncio.sleep(left)
-        self.end(_IDLE, f"nothing was done for {_duration(self._limits.idle)}")
+        self.end(_IDLE, f"idle for {_duration(self._limits.idle)}")
 
 
 def parsed(text: str) -> Message | str:
@@ -339,7 +175,7 @@ def _no_number(name: str) -> float:
 
 
 def said(error: BaseException) -> str:
-    """What people read of an error: its words, and its type where it is none of ours."""
+    """An error in words for people; with its type if it is not one of ours."""
     words = " ".join(str(error).split())
     if isinstance(error, (ClvolError, OSError)) and words:
         return words
@@ -353,7 +189,7 @@ def _duration(seconds: float) -> str:
 
 
 async def in_thread(work: Callable[[], Any], name: str) -> Any:
-    """Work in a thread of its own that does not keep the process: asyncio's are waited for at its end."""
+    """Run work in a daemon thread: the process waits for those of asyncio at its end."""
     loop = asyncio.get_running_loop()
     future: asyncio.Future[Any] = loop.create_future()
 
@@ -387,26 +223,26 @@ class Server:
     Parameters
     ----------
     view : View or callable
-        What is shown, or what makes it: called in a thread, so that the page is there while a volume is still read.
+        What is shown, or a function that makes it: called in a thread, so that the page is up while a volume is still read.
     host, port : str, int
         Where to listen; port 0 is a free one.
     names : sequence of str
-        Further names, with or without a port, by which browsers may ask for it: those of a proxy. Its pages may come from there.
+        Further names, with or without a port, by which browsers may reach it: those of a proxy. Its pages may come from there.
     root_path : str
         The path under which a proxy shows it, such as ``"/user/ada/clvol"``; requests may come with it or without.
     frame_ancestors : sequence of str
         Sites that may show the page in a frame; none by default.
     certificate, key : path, optional
-        Of a server that speaks TLS itself (https and wss).
+        Serve https and wss.
     limits : Limits
         What clients may cost.
     doing : str
-        What is said while the view is made.
+        A status for clients while the view is made.
     """
 
     def __init__(
         self,
-        view: _View | Callable[[], _View],
+        view: SessionFactory | Callable[[], SessionFactory],
         *,
         host: str = "127.0.0.1",
         port: int = 0,
@@ -420,15 +256,12 @@ class Server:
     ) -> None:
         self.host, self.port = host, whole("port", port, minimum=0, maximum=65535)
         self.limits, self.doing = limits or Limits(), doing
-        self.token = secrets.token_urlsafe(32)
-        self._secret = secrets.token_urlsafe(32)  # of the cookie: the address does not give it away
         self._make = (lambda: view) if hasattr(view, "session") else view
-        self._names = frozenset(map(_as_name, names))
+        self._access = Access(host, names)
         self._root = _as_root(root_path)
         self._tls = _tls(certificate, key)
         self._files = _static()
         self._headers = _headers([*map(_as_ancestor, frame_ancestors)])
-        self._tickets: dict[str, float] = {}  # until when each lets somebody in
         self._clients: set[_Client] = set()
         self._rest: asyncio.TimerHandle | None = None
         self._runner: web.AppRunner | None = None
@@ -437,23 +270,21 @@ class Server:
     @property
     def url(self) -> str:
         """The address with the token: whoever has it may look."""
-        return f"{self.address}?token={self.token}"
+        return f"{self.address}?token={self._access.token}"
 
     @property
     def elsewhere(self) -> str:
-        """The address with the token, by the name of this machine that others may know."""
-        return f"{self._address(socket.gethostname() if _is_any(self.host) else self.host)}?token={self.token}"
+        """The address with the token, for other machines."""
+        return f"{self._address(socket.gethostname() if is_any(self.host) else self.host)}?token={self._access.token}"
 
     def ticket(self) -> str:
-        """An address that lets in once, within a minute: command lines of browsers can be read by others on the machine."""
-        made = secrets.token_urlsafe(32)
-        self._tickets[made] = time.monotonic() + _TICKET
-        return f"{self.address}?token={made}"
+        """An address that is valid once, within a minute: others on the machine can read command lines of browsers."""
+        return f"{self.address}?token={self._access.ticket()}"
 
     @property
     def address(self) -> str:
         """The address without the token."""
-        return self._address(("::1" if ":" in self.host else "127.0.0.1") if _is_any(self.host) else self.host)
+        return self._address(("::1" if ":" in self.host else "127.0.0.1") if is_any(self.host) else self.host)
 
     def _address(self, host: str) -> str:
         bracketed = f"[{host}]" if ":" in host else host
@@ -462,15 +293,15 @@ class Server:
     @property
     def public(self) -> bool:
         """Whether other machines reach it."""
-        return not _is_loopback(self.host)
+        return not is_loopback(self.host)
 
     @property
     def clients(self) -> int:
-        """How many are connected."""
+        """The number of clients that are connected."""
         return len(self._clients)
 
     async def start(self) -> None:
-        """Listen, and begin to make the view."""
+        """Listen, and start to make the view."""
         app = web.Application(client_max_size=1 << 10)
         app.router.add_route("*", "/{path:.*}", self._answer)
         self._runner = web.AppRunner(
@@ -489,10 +320,10 @@ class Server:
             await self._runner.cleanup()
             raise OptionError(_why_not(error, self.host, self.port)) from error
         self.opened = asyncio.ensure_future(in_thread(self._make, "reading"))
-        self.opened.add_done_callback(lambda made: made.cancelled() or made.exception())  # it is told to clients
+        self.opened.add_done_callback(lambda made: made.cancelled() or made.exception())  # clients get the error
 
     async def _listen(self, runner: web.AppRunner) -> int:
-        """One port for all families of addresses that the host has, also where it is a free one."""
+        """One port for all families of addresses of the host, also if any free one will do."""
         port = self.port
         for tries in range(_PORTS, 0, -1):
             site = web.TCPSite(runner, self.host or None, port, ssl_context=self._tls)
@@ -511,7 +342,7 @@ class Server:
         return port
 
     async def stop(self) -> None:
-        """Send all clients away, and listen no more."""
+        """Disconnect all clients, and stop listening."""
         self.opened.cancel()
         if self._rest is not None:
             self._rest.cancel()
@@ -528,22 +359,21 @@ class Server:
     async def _answer(self, request: web.Request) -> web.StreamResponse:
         try:
             return await self._routed(request)
-        except _Refused as refused:
+        except Refused as refused:
             return self._response(f"clvol: {refused}\n".encode(), "text/plain; charset=utf-8", refused.status)
 
     async def _routed(self, request: web.Request) -> web.StreamResponse:
-        host = self._known_host(request)
-        self._known_origin(request, host)
+        self._access.check(request)
         if request.method not in ("GET", "HEAD"):
-            raise _Refused(405, "GET is all that is answered here")
+            raise Refused(405, "only GET is allowed here")
         path = request.rel_url.raw_path
         if self._root and (path == self._root or path.startswith(f"{self._root}/")):
             path = path[len(self._root) :]
         given = request.query.get("token")
         if given is not None:
             return self._let_in(request, given)
-        if not self._has_cookie(request):
-            raise _Refused(403, "open the address that was printed where clvol was started, with its token")
+        if not self._access.has_cookie(request, self._cookie):
+            raise Refused(403, "open the address that was printed where clvol was started, with its token")
         if path == "":
             return self._redirect()
         name = "index.html" if path == "/" else path[1:]
@@ -551,59 +381,27 @@ class Server:
             return await self._connect(request)
         found = self._files.get(name)
         if found is None:
-            raise _Refused(404, "there is no such page")
+            raise Refused(404, "there is no such page")
         return self._response(*found)
 
-    def _known_host(self, request: web.Request) -> str:
-        """The name that was asked for, if it is one of ours: another could be made to point here."""
-        values = request.headers.getall("Host", [])
-        asked = values[0].lower() if len(values) == 1 else ""
-        name = _without_port(asked)
-        if name and (name in _names_of(self.host) or asked in self._names or name in self._names or (self.public and _is_ip(name))):
-            return asked
-        raise _Refused(403, f"this server does not answer to the name {asked[:80]!r}; allow it with --allow-host")
-
-    def _known_origin(self, request: web.Request, host: str) -> None:
-        """Refuse what a page of another site asks for; other programs send no origin."""
-        origins = request.headers.getall("Origin", [])
-        for origin in origins:
-            try:
-                parts = urlsplit(origin.lower() if origin.isascii() else "")
-            except ValueError:  # brackets that hold no address
-                parts = urlsplit("")
-            known = parts.scheme in ("http", "https") and (
-                parts.netloc == host or parts.netloc in self._names or _without_port(parts.netloc) in self._names
-            )
-            if not known:
-                raise _Refused(403, f"requests from {origin[:80]!r} are not allowed; allow a proxy's name with --allow-host")
-        fetched = request.headers.get("Sec-Fetch-Site", "none")
-        if fetched in ("cross-site", "same-site") and request.headers.get("Sec-Fetch-Mode") != "navigate" and not origins:
-            raise _Refused(403, "requests from other sites are not allowed")
-
     def _let_in(self, request: web.Request, given: str) -> web.Response:
-        """From the token to the cookie, and to the address without the token."""
-        now, until = time.monotonic(), self._tickets.pop(given, -math.inf)
-        self._tickets = {ticket: end for ticket, end in self._tickets.items() if end > now}
-        if not (_equal(given, self.token) or now < until or self._has_cookie(request)):
-            raise _Refused(403, "this address does not let in, or no longer: open the one that was printed where clvol was started")
-        if request.headers.get("Sec-Fetch-Site") in ("cross-site", "same-site"):
-            # A redirect would be part of the other site's navigation, which brings no strict cookie: the page goes on by itself.
+        """Exchange the token for a cookie, and go to the address without the token."""
+        self._access.check_token(request, given, self._cookie)
+        if from_another_site(request):
+            # a redirect would be part of the other site's navigation, which brings no strict cookie
             body = f'<!doctype html><meta http-equiv="refresh" content="0; url={self._root or "."}/">'.encode()
             response = self._response(body, "text/html; charset=utf-8")
         else:
             response = self._redirect()
         secure = self._tls is not None or request.headers.get("X-Forwarded-Proto", "").lower() == "https"
         response.set_cookie(
-            self._cookie, self._secret, path=f"{self._root}/", httponly=True, samesite="Strict", secure=secure or None
+            self._cookie, self._access.secret, path=f"{self._root}/", httponly=True, samesite="Strict", secure=secure or None
         )
         return response
 
     @property
     def _cookie(self) -> str:
         return f"clvol-{self.port}"  # browsers keep one jar for all ports of a machine
-
-    def _has_cookie(self, request: web.Request) -> bool:
-        return _equal(request.cookies.get(self._cookie, ""), self._secret)
 
     def _redirect(self) -> web.Response:
         response = self._response(b"", "text/plain", 303)
@@ -618,10 +416,10 @@ class Server:
             max_msg_size=self.limits.message, compress=False, heartbeat=min(30.0, self.limits.stuck), timeout=1.0, decode_text=True
         )
         if not socket.can_prepare(request).ok:
-            raise _Refused(400, "this is the address of a websocket")
+            raise Refused(400, "this is the address of a websocket")
         await socket.prepare(request)
-        if len(self._clients) >= self.limits.clients:  # told here: pages do not learn why a handshake failed
-            text = f"{self.limits.clients} pages are open, which is the most; close one"
+        if len(self._clients) >= self.limits.clients:  # said here: pages do not learn why a handshake failed
+            text = f"{self.limits.clients} pages are open, the maximum; close one"
             await socket.close(code=WSCloseCode.TRY_AGAIN_LATER, message=text.encode())
             return socket
         client = _Client(self, socket)
@@ -635,7 +433,7 @@ class Server:
         return socket
 
     def _rest_later(self) -> None:
-        """Free what the view holds on the device, if nobody comes for as long as one may be silent."""
+        """Free the device's memory if no client comes for as long as one may be idle."""
         if self._rest is not None:
             self._rest.cancel()
         self._rest = asyncio.get_running_loop().call_later(self.limits.idle, self._free)
@@ -647,20 +445,9 @@ class Server:
             threading.Thread(target=close, name="clvol: freeing a view", daemon=True).start()
 
 
-class _Refused(Exception):
-    def __init__(self, status: int, why: str) -> None:
-        super().__init__(why)
-        self.status = status
-
-
-def _equal(given: str, expected: str) -> bool:
-    """Whether two secrets are equal, in a time that does not tell how much of them is."""
-    return hmac.compare_digest(given.encode("utf-8", "replace"), expected.encode())
-
-
 def _static() -> Mapping[str, tuple[bytes, str]]:
-    """The page's files by name, read once: requests choose from these alone."""
-    folder = resources.files("clvol.view") / "static"
+    """The page's files by name, read once: requests choose only from these."""
+    folder = resources.files("clvol.view.hosts") / "static"
     kinds = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".svg": "image/svg+xml"}
     found = {}
     for file in folder.iterdir():
@@ -672,7 +459,7 @@ def _static() -> Mapping[str, tuple[bytes, str]]:
 
 
 def _headers(ancestors: list[str]) -> Mapping[str, str]:
-    """No request leaves the server's page for another machine, no other site holds it in a frame, nothing tells its address."""
+    """The page makes no request to another machine, no other site shows it in a frame, and its address is not revealed."""
     policy = {
         "default-src": "'none'",
         "script-src": "'self'",
@@ -702,52 +489,11 @@ def _as_ancestor(given: str) -> str:
     return "'self'" if given.strip("'") == "self" else given
 
 
-def _as_name(given: str) -> str:
-    name = given.lower().removeprefix("http://").removeprefix("https://").rstrip("/")
-    if not name or any(c in name for c in "/@?#* \t\r\n") or not name.isascii():
-        raise OptionError(f"names must be hosts such as hub.example.org or hub.example.org:8000; got {given!r}")
-    return name
-
-
 def _as_root(given: str) -> str:
     root = "/" + given.strip("/") if given.strip("/") else ""
     if any(not (c.isalnum() or c in "/-._~@%+") for c in root) or not root.isascii() or ".." in root or "//" in root:
         raise OptionError(f"root_path must be a path such as /user/ada/clvol; got {given!r}")
     return root
-
-
-_NETLOC = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::\d{1,5})?")
-
-
-def _without_port(netloc: str) -> str:
-    """The name in ``name:port``; brackets of IPv6 are taken off. Nothing of what is no such text."""
-    found = _NETLOC.fullmatch(netloc)
-    return (found[1] or found[2]) if found else ""
-
-
-def _is_any(host: str) -> bool:
-    """Whether it stands for all addresses of this machine."""
-    return host == "" or (_is_ip(host) and ipaddress.ip_address(host).is_unspecified)
-
-
-def _is_ip(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
-
-
-def _is_loopback(host: str) -> bool:
-    return host.lower() == "localhost" or (_is_ip(host) and ipaddress.ip_address(host).is_loopback)
-
-
-def _names_of(host: str) -> frozenset[str]:
-    """By which names a server at `host` is asked for."""
-    if _is_loopback(host):
-        return frozenset((*_LOOPBACK, host.lower()))
-    here = socket.gethostname().lower()
-    return frozenset((*_LOOPBACK, host.lower(), here))
 
 
 def _tls(certificate: str | Path | None, key: str | Path | None) -> ssl.SSLContext | None:
@@ -775,11 +521,11 @@ def _why_not(error: OSError, host: str, port: int) -> str:
     return f"host must be an address or a name of this machine; got {host!r} ({error.strerror or error})"
 
 
-# -- in a thread of its own ------------------------------------------------------------------------------------
+# -- in a thread ------------------------------------------------------------------------------------
 
 
 class Serving:
-    """A server that runs in a thread: its address, and how to end it; also a context manager."""
+    """A server that runs in a thread; also a context manager."""
 
     def __init__(self, server: Server) -> None:
         self._server = server
@@ -796,7 +542,7 @@ class Serving:
     def _work(self) -> None:
         try:
             asyncio.run(self._run())
-        except Exception as error:  # there was no loop to be had
+        except Exception as error:  # there was no loop
             if self._ready.is_set():
                 raise
             self._failed = error
@@ -824,17 +570,17 @@ class Serving:
 
     @property
     def clients(self) -> int:
-        """How many are connected."""
+        """The number of clients that are connected."""
         return self._server.clients
 
     def wait(self, seconds: float | None = None) -> None:
-        """Return when it has ended, or after so many seconds."""
+        """Wait until it has ended, or for so many seconds."""
         until = None if seconds is None else time.monotonic() + seconds
         while self._thread.is_alive() and (until is None or time.monotonic() < until):
             self._thread.join(_PAUSE)
 
     def close(self) -> None:
-        """Send all clients away, and free the port."""
+        """Disconnect all clients, and free the port."""
         if self._loop is not None and self._enough is not None and self._thread.is_alive():
             with contextlib.suppress(RuntimeError):  # it ended just now
                 self._loop.call_soon_threadsafe(self._enough.set)
@@ -851,13 +597,13 @@ class Serving:
         return f"<{type(self).__name__} {state}>"
 
 
-def serve(view: _View | Callable[[], _View], **options: Any) -> Serving:
+def serve(view: SessionFactory | Callable[[], SessionFactory], **options: Any) -> Serving:
     """Serve a view from a thread of this process; `options` are those of `Server`.
 
     Returns
     -------
     Serving
-        It has the address (``url``), and ends by ``close()`` or a ``with`` block.
+        It has the address (``url``); ``close()`` or a ``with`` block ends it.
 
     Raises
     ------
@@ -868,9 +614,9 @@ def serve(view: _View | Callable[[], _View], **options: Any) -> Serving:
 
 
 def run(server: Server, ready: Callable[[Server], None], failed: Callable[[BaseException], bool]) -> BaseException | None:
-    """Serve until Ctrl-C or SIGTERM; returns why there was no view, if there was none.
+    """Serve until Ctrl-C or SIGTERM; returns the error if the view could not be made.
 
-    `ready` is called when the server listens, `failed` when the view could not be made: the server goes on if that is wanted, and
+    `ready` is called when the server listens, `failed` when the view could not be made; it returns whether the server goes on, and
     tells its clients.
     """
     import signal

@@ -20,7 +20,7 @@ from clvol.view.code import from_url
 from tests.view.browser import Browser, open_browser, why_none
 
 pytest.importorskip("aiohttp", reason="needs aiohttp")
-from clvol.view.server import Serving, serve
+from clvol.view.hosts.server import Serving, serve
 
 pytestmark = pytest.mark.skipif(bool(why_none()), reason=why_none())
 SHOWN = "document.querySelector('.clvol-pane[data-frame]')"
@@ -120,7 +120,7 @@ class Page:
 
     def let_go(self) -> State:
         """The state when no pointer is down: a gesture's last events are on their way when the browser has done with them."""
-        self.wait(lambda: self.view.last._hands.drag is None, 20, "the drag's end")
+        self.wait(lambda: self.view.last._control.inputs.drag is None, 20, "the drag's end")
         return self.state
 
 
@@ -323,7 +323,7 @@ def test_two_filters_are_compared_and_the_bar_is_dragged(page: Page) -> None:
     page.wait("document.querySelector('.clvol-wiper-right')?.textContent.includes('error')", 60)
     page.browser.drag((-100, 0), ".clvol-wiper")
     page.becomes(lambda state: state.wiper is not None and 0.2 < state.wiper.at < 0.45)
-    assert page.state.camera.direction == page.view.initial.camera.direction  # the bar, not the volume
+    assert page.state.camera.direction == page.view.state.camera.direction  # the bar, not the volume
 
 
 def test_a_crop_box_a_light_and_the_heat_map_are_set(page: Page) -> None:
@@ -338,7 +338,7 @@ def test_a_crop_box_a_light_and_the_heat_map_are_set(page: Page) -> None:
     assert page.told() == ""
     page.choose("Lights", "from above")
     page.becomes(lambda state: state.lights is not None and len(state.lights) == 1)
-    page.tick("Show where rays looked")
+    page.tick("Show visited samples")
     page.becomes(lambda state: state.heat)
 
 
@@ -364,12 +364,12 @@ def test_the_copied_address_shows_the_same_elsewhere(page: Page) -> None:
     url = page.wait("window.copied")
     wanted = page.state
     assert from_url(url) == wanted
-    page.view.initial = replace(page.view.initial, step=0.7)  # of which the address knows nothing: what it leaves out is a default
+    page.view.state = replace(page.view.state, step=0.7)  # of which the address knows nothing: what it leaves out is a default
     try:
         page.open(url[url.index("#") :])
         page.becomes(lambda state: state == wanted)
     finally:
-        page.view.initial = replace(page.view.initial, step=0.5)
+        page.view.state = replace(page.view.state, step=0.5)
 
 
 def test_the_saved_picture_is_the_still_one(page: Page) -> None:
@@ -389,7 +389,7 @@ def test_a_movie_is_saved_as_what_is_chosen(page: Page, kind: str, head: bytes) 
             window.kind = b.type; return 'data:,'; };
         const ask = WebSocket.prototype.send, more = '"what":"movie","frames":2';
         WebSocket.prototype.send = function (text) { return ask.call(this, text.replace('"what":"movie"', more)); };
-        document.querySelector('[aria-label="kind of movie"]').value = arguments[0];""",
+        document.querySelector('[aria-label="movie format"]').value = arguments[0];""",
         kind,
     )
     page.press("Save movie")

@@ -15,7 +15,7 @@ from clvol.volume.volumes import Leading
 from tests.view.browser import Browser, open_browser, why_none
 
 pytest.importorskip("aiohttp", reason="needs aiohttp")
-from clvol.view.server import serve
+from clvol.view.hosts.server import serve
 
 pytestmark = pytest.mark.skipif(bool(why_none()), reason=why_none())
 FINAL = "document.querySelector('.clvol-pane[data-frame]')?.dataset.final === 'true'"

@@ -30,7 +30,8 @@ from clvol.device import Device
 
 aiohttp = pytest.importorskip("aiohttp", reason="needs aiohttp")
 resource = pytest.importorskip("resource", reason="needs getrusage")
-from clvol.view.server import Limits, Server, Serving, _Outbox, _Rate, parsed, serve  # noqa: E402
+from clvol.view.hosts.outbox import Outbox, Rate  # noqa: E402
+from clvol.view.hosts.server import Limits, Server, Serving, parsed, serve  # noqa: E402
 
 Message = dict[str, Any]
 
@@ -166,7 +167,7 @@ def test_a_ticket_lets_in_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with serving() as server:
         ticket = server._server.ticket()
-        monkeypatch.setattr("clvol.view.server._TICKET", -1.0)
+        monkeypatch.setattr("clvol.view.hosts.access._TICKET", -1.0)
         late = server._server.ticket()
         assert len({ticket, late, server.url}) == 3
         visit(server, work)
@@ -547,7 +548,7 @@ def test_a_client_that_does_not_read_costs_no_memory() -> None:
 
 def test_what_may_not_be_dropped_is_bounded() -> None:
     async def main() -> None:
-        outbox = _Outbox(asyncio.get_running_loop(), Limits(waiting=10_000, messages=20))
+        outbox = Outbox(asyncio.get_running_loop(), Limits(waiting=10_000, messages=20))
         for number in range(100):
             outbox.put({"type": "state", "n": number})
             outbox.put({"type": "frame", "number": number, "pane": "xyz"[number % 3]}, bytes(1000))
@@ -567,7 +568,7 @@ def test_what_may_not_be_dropped_is_bounded() -> None:
 
 
 def test_the_rate_of_messages() -> None:
-    rate = _Rate(100, 50)
+    rate = Rate(100, 50)
     waits = [rate.take() for _ in range(150)]
     assert waits[:50] == [0] * 50
     assert waits[-1] == pytest.approx(1, abs=0.1)
@@ -586,7 +587,7 @@ def test_no_more_pages_than_are_allowed() -> None:
         await told(first, "info")
         await told(second, "info")
         third = await visitor.connect()
-        assert await ended(third) == (aiohttp.WSCloseCode.TRY_AGAIN_LATER, "2 pages are open, which is the most; close one")
+        assert await ended(third) == (aiohttp.WSCloseCode.TRY_AGAIN_LATER, "2 pages are open, the maximum; close one")
         await first.close()
         for _ in range(100):  # its place is free when its session has ended
             again = await visitor.connect()
@@ -612,7 +613,7 @@ def test_who_does_nothing_is_sent_away_and_its_view_freed() -> None:
             await silent_ack(silent)
             await busy.send_json({"type": "event", "event": {}})
             await asyncio.sleep(0.05)
-        assert await task == (4000, "nothing was done for 0.5 s")
+        assert await task == (4000, "idle for 0.5 s")
         assert 0.4 < time.monotonic() - begun < 5
         assert not busy.closed
 
@@ -964,6 +965,6 @@ def test_where_others_can_look_and_where_nobody_can_a_note_says_so() -> None:
 
 
 def test_the_command_line_alone_needs_no_server() -> None:
-    code = "import clvol.cli, sys; print([m for m in ('aiohttp', 'asyncio', 'clvol.view.server') if m in sys.modules])"
+    code = "import clvol.cli, sys; print([m for m in ('aiohttp', 'asyncio', 'clvol.view.hosts.server') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
     assert done.stdout == "[]\n"

@@ -21,7 +21,7 @@ from tests.view.browser import Browser, why_none
 from tests.view.threads import sessions, wait_for_sessions
 
 pytest.importorskip("anywidget", reason="needs anywidget")
-from clvol.view.notebook import Widget
+from clvol.view.hosts.notebook import Widget
 
 WIDGET = "application/vnd.jupyter.widget-view+json"
 RESIZE = {"type": "event", "event": {"event_type": "resize", "width": 48, "height": 48, "ratio": 1, "pane": "3d"}}
@@ -129,8 +129,8 @@ def test_without_anywidget_there_is_a_still_picture(device: Device, monkeypatch:
         return real(name, *args, **options)
 
     monkeypatch.setattr(builtins, "__import__", refusing)
-    monkeypatch.delitem(sys.modules, "clvol.view.notebook")
-    monkeypatch.delattr("clvol.view.notebook")
+    monkeypatch.delitem(sys.modules, "clvol.view.hosts.notebook")
+    monkeypatch.delattr("clvol.view.hosts.notebook")
     shown = small()._repr_mimebundle_()
     assert shown["image/png"].startswith(b"\x89PNG")
     assert "pip install clvol[view]" in shown["text/plain"]
@@ -195,7 +195,7 @@ print(sum(thread.name == "clvol view" for thread in threading.enumerate()))
 def test_the_module_shows_what_a_model_brings_and_says_farewell(widget: Sent, browser: Browser) -> None:
     """`render` of the module, its messages carried by the test between a model in the page and the widget."""
     pytest.importorskip("aiohttp", reason="needs aiohttp")
-    from clvol.view.server import serve
+    from clvol.view.hosts.server import serve
 
     with serve(small()) as server:
         browser.open(server.url)

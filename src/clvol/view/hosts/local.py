@@ -1,6 +1,6 @@
-"""A client in this process: what windows and terminals share. It puts the panes of a session into one picture.
+"""A client in this process, for windows and terminals: it composes the panes of a session into one picture.
 
-A session's thread decodes and scales its own frames, so that the host's loop only shows the newest picture.
+The session's thread decodes and scales its frames, so that the host's loop only shows the newest picture.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.view.encode import opaque
 from clvol.view.panes import visible
 from clvol.view.state import State
 
@@ -21,34 +22,34 @@ if TYPE_CHECKING:
 
 __all__ = ["LocalClient", "decoded", "scaled"]
 
-_MOST_RATIO = 2.0  # pixels a CSS pixel, along each axis: what screens have beyond that nobody sees, and all wait for
+_MOST_RATIO = 2.0  # pixels per CSS pixel: more are not seen, but take time
 _CROSS = 8  # pixels
 _MARK = np.array([120, 96, 24], np.uint8)  # half of an amber
-_DOT = 4.0, np.array([127, 209, 255], np.uint8)  # of a clip plane: its radius in CSS pixels, a light blue
-_AT_A_POINTER = ("pointer_down", "pointer_move", "pointer_up", "double_click", "wheel")
+_DOT = 4.0, np.array([127, 209, 255], np.uint8)  # of a clip plane: radius in CSS pixels, light blue
+_OF_POINTER = ("pointer_down", "pointer_move", "pointer_up", "double_click", "wheel")
 
 Array = NDArray[np.uint8]
 Rectangle = tuple[int, int, int, int]
 
 
 class LocalClient:
-    """A session whose frames are put together here.
+    """A session whose panes are composed here.
 
     Parameters
     ----------
     view : View
     changed : callable
-        Called from the session's thread when `take` would give something new; it must return at once.
+        Called from the session's thread when `take` has something new; it must return at once.
     state : State, optional
         What is shown first; by default the view's.
     pointer : bool
-        Whether there is one: the dots of clip planes are for it.
+        Whether there is one, for which clip planes have dots.
     """
 
     def __init__(self, view: View, changed: Callable[[], Any], state: State | None = None, *, pointer: bool = True) -> None:
         self._changed = changed
         self._lock = threading.Lock()
-        self._state = view.initial if state is None else state
+        self._state = view.state if state is None else state
         self._size, self._ratio = (0, 0), 1.0
         self._canvas: Array = np.zeros((0, 0, 3), np.uint8)
         self._parts: dict[str, Rectangle] = {}
@@ -66,7 +67,7 @@ class LocalClient:
     # -- for the host ----------------------------------------------------------------------------------------------
 
     def resize(self, width: int, height: int, ratio: float = 1.0) -> None:
-        """The picture is so many pixels wide and high, `ratio` of them a CSS pixel along each axis."""
+        """Set the size of the picture in pixels, and pixels per CSS pixel."""
         with self._lock:
             if ((width, height), ratio) == (self._size, self._ratio) or min(width, height) < 1:
                 return
@@ -74,10 +75,10 @@ class LocalClient:
             self._lay_out()
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """One of rendercanvas's events, in CSS pixels of the whole picture; it goes to the pane that lies there."""
+        """Pass on an event of rendercanvas, in CSS pixels of the whole picture, to the pane there."""
         kind = event.get("event_type")
         sent = dict(event)
-        if kind in _AT_A_POINTER:
+        if kind in _OF_POINTER:
             x, y = float(event.get("x", 0)), float(event.get("y", 0))
             with self._lock:
                 name = self._held if self._held in self._parts else self._pane_at(x, y)
@@ -85,18 +86,18 @@ class LocalClient:
             if name is None:
                 return
             if kind == "pointer_down":
-                self._held = name  # a drag stays with the pane where it began
+                self._held = name  # a drag belongs to the pane where it began
             elif kind == "pointer_up":
                 self._held = None
             sent |= {"pane": name, "x": x - left / self._ratio, "y": y - top / self._ratio}
         self.session.receive({"type": "event", "event": sent})
 
     def do(self, what: str, **arguments: Any) -> None:
-        """One of the deeds of the protocol, such as "undo"."""
+        """Send a request of the protocol, such as "undo"."""
         self.session.receive({"type": "do", "what": what, **arguments})
 
     def take(self) -> Array:
-        """The newest picture, (height, width, 3) uint8; what is in it counts as shown."""
+        """The newest picture, (height, width, 3) uint8; its frames count as shown."""
         with self._lock:
             picture, shown = self._canvas.copy(), self._shown
             self._shown = []
@@ -111,12 +112,12 @@ class LocalClient:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Pixels along x and y."""
+        """(width, height) in pixels."""
         return self._size
 
     @property
     def still(self) -> bool:
-        """Whether all panes show their last picture."""
+        """Whether all panes show their final picture."""
         with self._lock:
             return bool(self._parts) and self._still >= self._parts.keys()
 
@@ -164,7 +165,7 @@ class LocalClient:
         with self._lock:
             self._shown.append(message["number"])
             if pixels is None or self._parts.get(name) != part or part is None:
-                return  # of a layout that is gone
+                return  # of a former layout
             left, top, width, height = part
             self._canvas[top : top + height, left : left + width] = pixels
             (self._still.add if message.get("final") else self._still.discard)(name)
@@ -172,7 +173,7 @@ class LocalClient:
     # -- panes -----------------------------------------------------------------------------------------------------
 
     def _lay_out(self) -> None:
-        """Places of the panes: one has all, four have a quarter each. What was shown stays until there is something new."""
+        """Lay out the panes: one fills the picture, four have a quarter each. The old picture stays until there is a new one."""
         width, height = self._size
         names = visible(self._state)
         if not width or not height:
@@ -190,7 +191,7 @@ class LocalClient:
             self.session.receive({"type": "event", "event": {"event_type": "resize", "pane": name, **size}})
 
     def _mark(self, picture: Array, name: str, at: tuple[float, float]) -> None:
-        """Draw the crosshair of linked panes: lines across slices, a small cross in the volume."""
+        """Draw the crosshair of linked panes: lines in slices, a small cross in the volume."""
         part = self._parts.get(name)
         if part is None or len(self._parts) == 1:
             return
@@ -205,7 +206,7 @@ class LocalClient:
             line[:] = line // 2 + _MARK
 
     def _dot(self, picture: Array, name: str, at: tuple[float, float]) -> None:
-        """Draw the dot by which a clip plane is dragged."""
+        """Draw the dot that drags a clip plane."""
         if (part := self._parts.get(name)) is None:
             return
         left, top, width, height = part
@@ -228,17 +229,13 @@ def decoded(data: bytes) -> Array:
     from PIL import Image
 
     pixels = np.asarray(Image.open(io.BytesIO(data)))
-    if pixels.ndim == 2:
-        pixels = np.repeat(pixels[..., None], 3, 2)
-    if pixels.shape[2] == 4:
-        pixels = (pixels[..., :3].astype(np.uint16) * pixels[..., 3:] // 255).astype(np.uint8)
-    return np.asarray(pixels, np.uint8)
+    return opaque(np.repeat(pixels[..., None], 3, 2) if pixels.ndim == 2 else pixels)
 
 
 def scaled(pixels: Array, size: tuple[int, int]) -> Array:
-    """A picture (width, height) pixels large: the linear filter, and where there are fewer pixels means of what they cover.
+    """A picture scaled to (width, height): by the linear filter, or by means where the size is divided.
 
-    It is computed here and not on the device: a first picture must not wait for kernels to be built.
+    Not on the device: a first picture must not wait for its kernels.
     """
     for axis, count in ((0, size[1]), (1, size[0])):
         n = pixels.shape[axis]

@@ -16,8 +16,9 @@ from numpy.testing import assert_array_equal
 import clvol
 from clvol.base.errors import MissingDependencyError, UnsupportedError
 from clvol.device import Device
-from clvol.view import View, desktop
-from clvol.view.local import LocalClient, decoded, scaled
+from clvol.view import View
+from clvol.view.hosts import desktop
+from clvol.view.hosts.local import LocalClient, decoded, scaled
 
 SIDE = 16
 
@@ -151,7 +152,7 @@ def test_frames_are_over_black() -> None:
 def test_an_offscreen_canvas(device: Device) -> None:
     offscreen = pytest.importorskip("rendercanvas.offscreen")
     canvas = offscreen.RenderCanvas(size=(60, 40), pixel_ratio=2)
-    window = desktop.Window(view_of(device), canvas)
+    window = desktop.DesktopWindow(view_of(device), canvas)
     try:
         assert np.asarray(canvas.draw()).shape == (80, 120, 4)
 
@@ -166,7 +167,7 @@ def test_an_offscreen_canvas(device: Device) -> None:
         assert first[..., :3].max() > 100
         canvas.submit_event({"event_type": "key_down", "key": "ArrowLeft", "modifiers": ()})
         canvas._process_events()
-        until(lambda: (canvas.draw(), window.client.session.state.camera != view_of(device).initial.camera)[1])
+        until(lambda: (canvas.draw(), window.client.session.state.camera != view_of(device).state.camera)[1])
         until(lambda: rests() and np.abs(np.array(canvas.draw()).astype(int) - first).max() > 30)
         canvas.set_logical_size(50, 50)
         canvas.draw()
@@ -182,13 +183,14 @@ _IN_QT = """
 import sys, threading, time
 import numpy as np
 import clvol
-from clvol.view import View, desktop, local
+from clvol.view import View
+from clvol.view.hosts import desktop, local
 made = []
-class Kept(desktop.Window):
+class Kept(desktop.DesktopWindow):
     def __init__(self, *args):
         super().__init__(*args)
         made.append(self)
-desktop.Window = Kept
+desktop.DesktopWindow = Kept
 data = np.zeros((16, 16, 16), "f4"); data[4:12, 6:9, 2:14] = 1
 view = View(clvol.Volume(data, name="bar"), mode="mip", filter="linear")
 def drive():

@@ -1,17 +1,17 @@
 /**
  * clvol's viewer in a browser: the panes with the pictures, and the panel beside them.
  *
- * One module for the page of `clvol view` and for notebooks. It draws what a session sends and sends what a user does; it computes
- * no picture. A channel is all it knows of the other side: {send(object), onmessage(object, ArrayBuffer | null)}.
+ * One module for the page of `clvol view` and for notebooks. It shows what a session sends, and sends what a user does; it computes no
+ * picture. It knows the other side only as a channel: {send(object), onmessage(object, ArrayBuffer | null)}.
  */
 
 const PANES = { "3d": ["3d"], slice: ["z"], linked: ["z", "3d", "y", "x"] };
 const PANE_NAMES = { "3d": "3-D", x: "across x", y: "across y", z: "across z" };
 const PATIENT_PANES = { "3d": "3-D", x: "sagittal", y: "coronal", z: "axial" };
-const LINE_HEIGHT = 16; // CSS pixels of a wheel's line
-const PINCH = 60; // of a wheel's dy: two fingers twice as far apart
-const PINCHED = 12; // CSS pixels from which fingers mean it
-const GRASP = 12; // CSS pixels around the dot of a clip plane, as the session has it
+const LINE_HEIGHT = 16; // CSS pixels per line of a wheel
+const PINCH = 60; // dy of a wheel for two fingers twice as far apart
+const PINCHED = 12; // CSS pixels after which two fingers zoom or pan
+const GRASP = 12; // CSS pixels around the dot of a clip plane, as in the session
 const NOTHING = "\u2013";
 const WAITING = "waiting for the first picture";
 
@@ -20,7 +20,7 @@ const WAITING = "waiting for the first picture";
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 
-/** A number as people read it: four digits, no trailing zeros. */
+/** A number with four digits and no trailing zeros. */
 function short(value, digits = 4) {
   if (value === null || value === undefined || !Number.isFinite(Number(value))) return NOTHING;
   return String(Number(Number(value).toPrecision(digits)));
@@ -46,13 +46,13 @@ function attributes(element, values) {
 const hex = (color) => "#" + color.map((c) => Math.round(255 * clamp(c, 0, 1)).toString(16).padStart(2, "0")).join("");
 const rgb = (text) => [1, 3, 5].map((at) => Math.round((parseInt(text.slice(at, at + 2), 16) / 255) * 1e4) / 1e4);
 
-/** What lies between two colours, or points. */
+/** Linear interpolation between two colours, or points. */
 const mixed = (a, b, share) => a.map((c, i) => c + (b[i] - c) * share);
 
 let counted = 0;
 const unique = (word) => `clvol-${word}-${++counted}`;
 
-/** Calls `work` at most once a frame of the screen, with the last arguments; `flush` calls it now if it is due. */
+/** Calls `work` at most once per frame of the screen, with the last arguments; `flush` calls it now if it is due. */
 function oncePerFrame(work) {
   let due = null;
   let handle = 0;
@@ -76,7 +76,7 @@ function oncePerFrame(work) {
   return later;
 }
 
-/** Follows a pointer that went down on `element` until it goes up; `moved` and `ended` get its events. */
+/** Follows a pointer that went down on `element` until it is released; `moved` and `ended` get its events. */
 function drag(event, element, moved, ended = () => {}) {
   event.preventDefault();
   event.stopPropagation();
@@ -93,12 +93,12 @@ function drag(event, element, moved, ended = () => {}) {
 
 // -- controls: {element, show(value)} --------------------------------------------------------------------------
 
-/** A row of the panel: what it is, and what sets it. */
+/** A row of the panel: a label and its control. */
 function row(label, control, hint) {
   return make("label", { class: "clvol-row", title: hint }, make("span", {}, label), control);
 }
 
-/** A choice of several; `options` are texts, or [value, text]. */
+/** A list to choose from; `options` are texts, or [value, text]. */
 function choice(label, changed, hint) {
   const list = make("select", { onchange: () => changed(list.value) });
   return {
@@ -126,7 +126,7 @@ function toggle(label, changed, hint) {
   };
 }
 
-/** A number by slider and by keyboard; `changed(value, live)`, live while the slider moves. */
+/** A number by slider and keyboard; `changed(value, live)`, live while the slider moves. */
 function slider(label, { low, high, step = "any" }, changed, hint) {
   const range = make("input", { type: "range", min: low, max: high, step, "aria-label": label });
   const number = make("input", { type: "number", step: "any", "aria-label": `${label}, as a number` });
@@ -153,7 +153,7 @@ function slider(label, { low, high, step = "any" }, changed, hint) {
     element: make("div", { class: "clvol-row clvol-slider", title: hint }, make("span", {}, label), range, number),
     range,
     limit(least, most) {
-      const by = step === "any" ? (most - least) / 200 || 1 : step; // "any" makes arrow keys leap a whole unit
+      const by = step === "any" ? (most - least) / 200 || 1 : step; // with "any", arrow keys step by a whole unit
       attributes(range, { min: least, max: most, step: by });
     },
     show(value) {
@@ -181,19 +181,19 @@ function section(title, open, ...children) {
   return make("details", { class: "clvol-section", open }, make("summary", {}, title), make("div", { class: "clvol-body" }, ...children));
 }
 
-// -- a pane: a picture, what lies over it, and what is done to it -----------------------------------------------
+// -- a pane: a picture, its overlay, and its events -----------------------------------------------
 
 class Pane {
   constructor(viewer, name) {
     this.viewer = viewer;
     this.name = name;
     this.bitmap = null;
-    this.latest = 0; // of the frames that were drawn
+    this.latest = 0; // number of the frame that is shown
     this.touches = new Map();
     this.pinch = null;
     this.pressed = false;
     this.face = null; // the clip plane under the pointer: its axis and side
-    this.keys = new Set(); // that are down
+    this.keys = new Set(); // pressed ones
     this.canvas = make("canvas", {});
     this.overlay = make("div", { class: "clvol-overlay", "aria-hidden": "true" });
     this.element = make(
@@ -221,7 +221,7 @@ class Pane {
     this.element.remove();
   }
 
-  /** Draws a frame, unless a newer one was faster; then it is acknowledged either way. */
+  /** Draws a frame, unless a newer one was faster; it is acknowledged in any case. */
   async take(frame, data) {
     try {
       const bitmap = await createImageBitmap(new Blob([data], { type: `image/${frame.format}` }));
@@ -246,7 +246,7 @@ class Pane {
     if (!bitmap || !canvas.width || !canvas.height) return;
     const context = canvas.getContext("2d");
     const scale = Math.max(canvas.width / bitmap.width, canvas.height / bitmap.height);
-    const [width, height] = [bitmap.width * scale, bitmap.height * scale]; // covers the pane, where that has just been resized
+    const [width, height] = [bitmap.width * scale, bitmap.height * scale]; // covers the pane, even if that was just resized
     context.imageSmoothingEnabled = scale !== 1;
     context.imageSmoothingQuality = "high";
     context.clearRect(0, 0, canvas.width, canvas.height);
@@ -275,7 +275,7 @@ class Pane {
     return { x: event.clientX - box.left, y: event.clientY - box.top, modifiers: modifiersOf(event) };
   }
 
-  // What is done to it
+  // Events
 
   listen() {
     const on = (type, work) => this.element.addEventListener(type, work, { passive: false });
@@ -294,7 +294,7 @@ class Pane {
 
   down(event) {
     if (event.target.closest(".clvol-grip")) return;
-    event.preventDefault(); // no selection of text, no scrolling
+    event.preventDefault(); // neither select text nor scroll
     this.element.focus({ preventScroll: true });
     this.element.setPointerCapture(event.pointerId);
     if (event.pointerType === "touch") {
@@ -302,7 +302,7 @@ class Pane {
       if (this.touches.size === 2) return this.startPinch();
       if (this.touches.size > 2) return;
     }
-    this.hover(this.place(event)); // fingers have not been over it before
+    this.hover(this.place(event)); // fingers do not hover
     this.press(this.place(event), buttonOf(event), buttonsOf(event));
   }
 
@@ -346,11 +346,11 @@ class Pane {
     this.pressed = buttons.length > 0;
   }
 
-  /** Two fingers: their distance zooms, or their middle pans as the middle button does, whichever changes first. */
+  /** Two fingers: their distance zooms, or their middle pans like the middle button, whichever changes first. */
   startPinch() {
     this.moved.drop();
     const at = this.fingers();
-    this.release(at.middle, 1); // what the first finger began
+    this.release(at.middle, 1); // ends what the first finger began
     this.pinch = { ...at, first: at, does: "" };
   }
 
@@ -378,7 +378,7 @@ class Pane {
 
   turn(event) {
     const focused = this.element.contains(document.activeElement);
-    if (this.viewer.embedded && !focused && !event.ctrlKey) return; // the notebook scrolls
+    if (this.viewer.embedded && !focused && !event.ctrlKey) return; // scrolls the notebook
     event.preventDefault();
     const unit = [1, LINE_HEIGHT, this.element.clientHeight][event.deltaMode];
     this.addWheel(this.place(event), event.deltaX * unit, event.deltaY * unit);
@@ -394,16 +394,16 @@ class Pane {
     this.wheel = null;
   }
 
-  /** Keys are the session's, but for those by which one leaves, and those of the browser. */
+  /** Passes keys to the session, except those of the browser and those that leave the pane. */
   key(event) {
     if (event.target !== this.element) return;
     const down = event.type === "keydown";
-    const typed = event.getModifierState("AltGraph"); // with which some keyboards have brackets
+    const typed = event.getModifierState("AltGraph"); // needed for brackets on some keyboards
     const command = (event.ctrlKey || event.metaKey) && !typed && !["Control", "Meta"].includes(event.key);
     if (down && event.altKey && event.key.startsWith("Arrow")) return;
     if (down && (event.key === "Tab" || /^F\d/.test(event.key) || (command && !["z", "y"].includes(event.key.toLowerCase())))) return;
     event.preventDefault();
-    event.stopPropagation(); // notebooks have shortcuts of their own
+    event.stopPropagation(); // notebooks have their own shortcuts
     if (down) this.keys.add(event.key);
     else this.keys.delete(event.key);
     this.send({ event_type: down ? "key_down" : "key_up", key: event.key, modifiers: modifiersOf(event) });
@@ -414,9 +414,9 @@ class Pane {
     this.keys.clear();
   }
 
-  // What lies over it
+  // Overlay
 
-  /** `seen`: where the session's message "overlay" says that things are, in CSS pixels. */
+  /** `seen`: the session's message "overlay", in CSS pixels. */
   decorate(seen = this.seen) {
     this.seen = seen;
     const parts = [make("span", { class: "clvol-name" }, this.viewer.paneName(this.name))];
@@ -424,7 +424,7 @@ class Pane {
     this.overlay.replaceChildren(...parts.filter(Boolean));
   }
 
-  /** The crosshair, the edges of the crop box, and a dot for each of its planes that can be dragged here. */
+  /** The crosshair, the edges of the crop box, and a dot for each plane that can be dragged here. */
   drawing({ crosshair, box, faces = [] }) {
     const paths = [];
     if (crosshair) {
@@ -445,14 +445,14 @@ class Pane {
     return paths.length ? make("svg", {}, ...paths) : null;
   }
 
-  /** The face of the crop box that a clip plane is. */
+  /** A face of the crop box. */
   plane(box, axis, side) {
     const [one, other] = [0, 1, 2].filter((a) => a !== axis).map((a) => 1 << a);
     const corners = [0, one, one | other, other].map((i) => box[i | (side << axis)]);
     return make("path", { class: "clvol-plane", d: corners.every(Boolean) ? `M${corners.map((c) => c.join(" ")).join("L")}Z` : "" });
   }
 
-  /** Which sides of a patient, whose x, y and z run to the left, to the back and to the head, the picture's edges are towards. */
+  /** The patient's directions at the edges of the picture; x, y, z run left, posterior, superior. */
   letters({ right, down }) {
     if (this.viewer.info?.volume?.space !== "LPS") return [];
     const word = (v) => {
@@ -465,7 +465,7 @@ class Pane {
     );
   }
 
-  /** A bar of 1, 2 or 5 times a power of ten, about a fifth of the pane long. */
+  /** A scale bar of 1, 2 or 5 times a power of ten, about a fifth of the pane long. */
   scale(worldPerPixel) {
     if (!(worldPerPixel > 0) || !Number.isFinite(worldPerPixel)) return null;
     const wanted = (this.element.clientWidth / 5) * worldPerPixel;
@@ -477,7 +477,7 @@ class Pane {
   }
 }
 
-const buttonOf = (event) => ({ 0: 1, 1: 3, 2: 2, 3: 4, 4: 5 })[event.button] ?? 0; // as rendercanvas numbers them
+const buttonOf = (event) => ({ 0: 1, 1: 3, 2: 2, 3: 4, 4: 5 })[event.button] ?? 0; // numbers of rendercanvas
 const buttonsOf = (event) => [1, 2, 3, 4, 5].filter((_, bit) => event.buttons & (1 << bit));
 const modifiersOf = (event) => ["Shift", "Control", "Alt", "Meta"].filter((_, i) => [event.shiftKey, event.ctrlKey, event.altKey, event.metaKey][i]);
 
@@ -539,10 +539,10 @@ class TransferEditor {
     this.observer.disconnect();
   }
 
-  // Where things lie
+  // Coordinates
 
   get width() {
-    return Math.max(this.svg.clientWidth - 16, 50); // points at the ends are seen whole
+    return Math.max(this.svg.clientWidth - 16, 50); // points at the ends are not cut off
   }
 
   x(value) {
@@ -561,7 +561,7 @@ class TransferEditor {
     return { value: low + share * (high - low), opacity: opacityOf(1 - (event.clientY - box.top - 8) / (GRAPH.height - 8)) };
   }
 
-  /** What is drawn between the points at a value: [colour, opacity]. */
+  /** The interpolated [colour, opacity] at a value. */
   between(value) {
     const { points } = this;
     const after = points.findIndex((p) => p[0] > value);
@@ -572,7 +572,7 @@ class TransferEditor {
     return [mixed(a[1], b[1], share), a[2] + (b[2] - a[2]) * share];
   }
 
-  // What it shows
+  // Drawing
 
   show(points, isovalue) {
     this.isovalue = isovalue;
@@ -611,7 +611,7 @@ class TransferEditor {
   bars(edges, counts) {
     const heights = counts.map((n) => (this.log ? Math.log1p(n) : n));
     const sorted = [...heights].sort((a, b) => b - a);
-    const top = (this.log ? sorted[0] : sorted[Math.min(2, sorted.length - 1)]) || 1; // the background's bar may leave the graph
+    const top = (this.log ? sorted[0] : sorted[Math.min(2, sorted.length - 1)]) || 1; // the bar of the background may be cut off
     const steps = heights.map((n, i) => {
       const y = GRAPH.height - (GRAPH.height - 8) * Math.min(n / top, 1);
       return `H${this.x(edges[i]).toFixed(1)}V${y.toFixed(1)}`;
@@ -710,7 +710,7 @@ class TransferEditor {
     this.draw();
   }
 
-  /** Moves or colours a point; it stays between its neighbours. */
+  /** Moves or recolours a point, between its neighbours. */
   edit(index, { value, opacity, color }, live = false) {
     const points = this.points.map((p) => [...p]);
     if (!points[index]) return;
@@ -732,7 +732,7 @@ class TransferEditor {
     this.insert(value, opacity);
   }
 
-  /** In the middle between a point and the next one. */
+  /** Adds a point midway between this and the next. */
   addAfter(index) {
     const [a, b] = this.points[index + 1] ? [this.points[index], this.points[index + 1]] : [this.points[index], [this.range[1]]];
     if (a) this.insert((a[0] + b[0]) / 2);
@@ -756,11 +756,11 @@ class TransferEditor {
     this.points = points;
     this.selected = selected;
     this.draw();
-    const unit = (this.viewer.state.transfer ?? this.viewer.effective.transfer)?.unit_distance; // opacities are of this length
+    const unit = (this.viewer.state.transfer ?? this.viewer.effective.transfer)?.unit_distance; // the length that opacities refer to
     this.viewer.set({ "transfer.points": points, ...(unit ? { "transfer.unit_distance": unit } : {}) }, live);
   }
 
-  // The isovalue: a line with a grip at its top
+  // The isovalue: a line with a handle at its top
 
   makeIsovalue() {
     this.grip = make("path", { class: "clvol-handle", d: "M-7 0H7V9L0 16L-7 9Z", tabindex: 0, role: "slider", "aria-label": "isovalue in the histogram" });
@@ -771,7 +771,7 @@ class TransferEditor {
     return make("g", {}, line, wide, this.grip);
   }
 
-  /** From where to where there are values. */
+  /** The range of values. */
   isovalues() {
     const edges = this.viewer.info?.histogram?.edges ?? this.range;
     return [edges[0], edges.at(-1)];
@@ -781,7 +781,7 @@ class TransferEditor {
     if (event.button !== 0) return;
     this.held = true;
     this.grip.focus({ preventScroll: true });
-    const aside = this.at(event).value - this.isovalue; // it does not jump to the pointer
+    const aside = this.at(event).value - this.isovalue; // so that it does not jump to the pointer
     const moved = oncePerFrame((value) => this.moveIsovalue(value, true));
     drag(event, part, (other) => moved(this.at(other).value - aside), () => {
       moved.flush();
@@ -808,7 +808,7 @@ class TransferEditor {
     this.viewer.set({ "options.isovalue": this.isovalue }, live);
   }
 
-  // The window: from where to where the colours reach
+  // The window: the range of the colours
 
   makeWindow() {
     this.span = make("rect", { class: "clvol-span", y: GRAPH.height + 12 + GRAPH.strip, height: 4 });
@@ -859,7 +859,7 @@ class TransferEditor {
     this.moveWindow(this.windowEnds(), this.points, which, by, false);
   }
 
-  /** Moves one end, or both. Points that were edited move with it; else the session moves those of the preset. */
+  /** Moves one end, or both. Edited points move with it; those of a preset are moved by the session. */
   moveWindow([low, high], points, which, by, live) {
     const least = (this.range[1] - this.range[0]) / 1000;
     const ends = [which === 1 ? low : low + by, which === 0 ? high : high + by];
@@ -906,7 +906,7 @@ class Wiper {
     this.pane.viewer.set({ "wiper.at": Math.round(at * 1e4) / 1e4 }, live);
   }
 
-  /** `own`: the full name of the filter that is used; `errors`: what was measured of both, or nothing yet. */
+  /** `own`: the full name of the filter in use; `errors`: of both filters, once they are measured. */
   show(state, own, errors) {
     const { wiper } = state;
     this.element.hidden = !wiper;
@@ -933,15 +933,15 @@ const LIGHTS = {
 const MATERIAL = { ambient: [0, 1, 0.25], diffuse: [0, 1.5, 0.75], specular: [0, 1, 0.2], shininess: [1, 120, 30] };
 const TOOL_HINT = "what the first button drags";
 const EDITED = "\u0000edited";
-const LOOKED_FOR = 12; // labels from which a filter is worth its place
-const LISTED = 200; // channels that are a list; more are a slider
-const TYPED = 150; // milliseconds after which what was typed is looked for
+const LOOKED_FOR = 12; // labels from which there is a search field
+const LISTED = 200; // channels that are listed; more have a slider
+const TYPED = 150; // milliseconds without typing before a search
 
-/** Which labels of a label map are seen: a row for each of the first that fit the filter, which the session finds. */
+/** Which labels of a label map are seen: a row for each of the first that match the filter; the session searches. */
 class Labels {
   constructor(viewer) {
     this.viewer = viewer;
-    this.told = null; // what the session said of the volume's labels
+    this.listed = null; // labels of the volume that the session sent first
     this.boxes = new Map(); // by number
     this.filter = make("input", { type: "search", placeholder: "name or number", "aria-label": "filter the labels", maxlength: 200 });
     this.filter.addEventListener("input", () => {
@@ -961,20 +961,20 @@ class Labels {
   }
 
   tell(info) {
-    this.told = info.labels ?? null;
-    this.element.hidden = !this.told;
-    if (!this.told) return;
-    this.filter.hidden = this.told.count <= LOOKED_FOR;
+    this.listed = info.labels ?? null;
+    this.element.hidden = !this.listed;
+    if (!this.listed) return;
+    this.filter.hidden = this.listed.count <= LOOKED_FOR;
     if (this.filter.hidden) this.filter.value = "";
-    this.fill(this.told);
+    this.fill(this.listed);
     if (this.filter.value) this.find();
   }
 
-  /** Asks for the labels that fit the filter. */
+  /** Requests the labels that match the filter. */
   async find() {
     const words = this.filter.value;
-    const answer = words ? await this.viewer.ask("labels", { words }).catch(() => null) : { message: this.told }; // why not is told already
-    if (!answer || words !== this.filter.value) return; // more was typed meanwhile
+    const answer = words ? await this.viewer.ask("labels", { words }).catch(() => null) : { message: this.listed }; // the error is shown already
+    if (!answer || words !== this.filter.value) return; // the text has changed meanwhile
     this.fill(answer.message);
     this.show(this.viewer.state);
   }
@@ -996,7 +996,7 @@ class Labels {
     return make("li", {}, make("label", { class: "clvol-check" }, box, swatch, text), only);
   }
 
-  /** One more or one fewer of those that are hidden, or of those that are shown. */
+  /** Shows or hides one label. */
   put(number, on) {
     const { labels } = this.viewer.state;
     const what = labels?.shown ? "shown" : "hidden";
@@ -1006,10 +1006,10 @@ class Labels {
   }
 
   show({ labels }) {
-    if (!this.told) return;
+    if (!this.listed) return;
     const chosen = new Set(labels?.shown ?? labels?.hidden ?? []);
     for (const [number, box] of this.boxes) box.checked = chosen.has(number) === Boolean(labels?.shown);
-    const { count } = this.told;
+    const { count } = this.listed;
     const seen = labels?.shown ? chosen.size : Math.max(count - chosen.size, 0);
     const [listed, some] = [this.boxes.size, this.filter.value ? "of these" : "of them"];
     const found = this.filter.value ? `; ${this.found} found` : "";
@@ -1030,7 +1030,7 @@ class Axes {
 
   tell({ axes = [] }) {
     this.element.hidden = !axes.length;
-    if (same(axes, this.about)) return; // a slider that is held stays
+    if (same(axes, this.about)) return; // do not replace a slider that is held
     this.about = axes;
     this.controls = axes.map((about) => this.controlOf(about));
     this.body.replaceChildren(...this.controls.map((control) => control.element));
@@ -1059,7 +1059,7 @@ class Panel {
     this.transfer = new TransferEditor(viewer);
     this.axes = new Axes(viewer);
     this.labels = new Labels(viewer);
-    this.made = null; // the mode whose options are shown
+    this.made = null; // mode whose options are shown
     this.element = make("div", { class: "clvol-panel", role: "region", "aria-label": "settings" });
     this.element.append(
       this.toolbar(),
@@ -1092,7 +1092,7 @@ class Panel {
     this.undo = button("Undo", () => viewer.ask("undo"), { title: "undo (Ctrl+Z)" });
     this.redo = button("Redo", () => viewer.ask("redo"), { title: "redo (Ctrl+Shift+Z)" });
     const fit = button("Fit", () => viewer.ask("fit"), { title: "fit the view to the volume" });
-    const reset = button("Reset", () => viewer.ask("reset"), { title: "everything as it was at first" });
+    const reset = button("Reset", () => viewer.ask("reset"), { title: "back to the first state" });
     this.layout = choice("Layout", (value) => viewer.set(value === "slice" ? this.oneSlice() : { layout: value }));
     this.layout.fill([["3d", "3-D"], ["slice", "slice"], ["linked", "3-D and slices"]]);
     this.tool = choice("Drag", this.setter("tool", (value) => value || null), TOOL_HINT);
@@ -1111,15 +1111,15 @@ class Panel {
     this.preset = choice("Preset", (value) => {
       if (value !== EDITED) this.viewer.set({ transfer: null, preset: value || null, window: null, cmap: null, opacity: null });
     });
-    this.cmap = choice("Colours", (value) => this.viewer.set({ transfer: null, cmap: value || null }), "a colour map in place of the preset's colours");
-    this.opacity = slider("Opacity ×", { low: 0, high: 4 }, this.setter("opacity"), "a factor on all opacities of the preset");
+    this.cmap = choice("Colours", (value) => this.viewer.set({ transfer: null, cmap: value || null }), "colour map instead of the preset's colours");
+    this.opacity = slider("Opacity ×", { low: 0, high: 4 }, this.setter("opacity"), "factor on all opacities of the preset");
     return make("div", {}, this.mode.element, this.options, this.preset.element, this.transfer.element, this.cmap.element, this.opacity.element);
   }
 
   filterControls() {
-    this.filter = choice("Filter", this.setter("filter", (value) => value || null), "how the function between the samples is made");
-    this.boundary = choice("Boundary", this.setter("boundary"), "what lies beyond the faces of the volume");
-    this.step = slider("Step", { low: 0.1, high: 2, step: 0.05 }, this.setter("step"), "distance of samples along a ray, in voxels");
+    this.filter = choice("Filter", this.setter("filter", (value) => value || null), "reconstruction filter between samples");
+    this.boundary = choice("Boundary", this.setter("boundary"), "values outside the volume");
+    this.step = slider("Step", { low: 0.1, high: 2, step: 0.05 }, this.setter("step"), "distance between samples along a ray, in voxels");
     this.compare = toggle("Compare with", (on) => this.viewer.set({ wiper: on ? { filter: this.other.list.value || "linear", at: 0.5 } : null }), "A/B: another filter to the right of a bar");
     this.other = choice("Other filter", (value) => this.viewer.state.wiper && this.viewer.set({ "wiper.filter": value }));
     this.errors = make("p", { class: "clvol-note", "aria-live": "polite" });
@@ -1157,7 +1157,7 @@ class Panel {
   }
 
   cropControls() {
-    const hint = "six planes across the axes: drag their dots in the picture, or move them here";
+    const hint = "six planes across the axes: drag their dots in the picture, or set them here";
     this.cropping = toggle("Crop to a box", (on) => this.viewer.set({ clip: on ? this.box() : null }), hint);
     this.crop = ["x", "y", "z"].flatMap((axis, i) =>
       ["low", "high"].map((side) => slider(`${axis} ${side === "low" ? "from" : "to"}`, { low: 0, high: 1 }, (value, live) => this.cropTo(i, side, value, live))),
@@ -1169,22 +1169,22 @@ class Panel {
     const { viewer } = this;
     const copy = (what, name) => button(name, () => viewer.copy(what, name), { title: `copy this picture as ${name}` });
     const buttons = [copy("copy_python", "Python"), copy("copy_toml", "TOML"), copy("copy_url", "URL")];
-    const save = button("Save picture", () => viewer.save("save_picture"), { title: "the still picture, without loss" });
-    this.movie = button("Save movie", () => viewer.save("movie", { format: this.movieAs.value }), { title: "once around" });
-    this.movieAs = make("select", { "aria-label": "kind of movie" }, new Option("GIF", "gif"), new Option("MP4", "mp4"), new Option("WebM", "webm"), new Option("PNGs in a zip", "zip"));
-    this.text = make("textarea", { class: "clvol-text", readonly: true, rows: 4, hidden: true, "aria-label": "what was to be copied" });
+    const save = button("Save picture", () => viewer.save("save_picture"), { title: "the final picture, lossless" });
+    this.movie = button("Save movie", () => viewer.save("movie", { format: this.movieAs.value }), { title: "one turn" });
+    this.movieAs = make("select", { "aria-label": "movie format" }, new Option("GIF", "gif"), new Option("MP4", "mp4"), new Option("WebM", "webm"), new Option("PNGs in a zip", "zip"));
+    this.text = make("textarea", { class: "clvol-text", readonly: true, rows: 4, hidden: true, "aria-label": "text to copy" });
     return make("div", {}, make("div", { class: "clvol-buttons" }, make("span", {}, "Copy as"), ...buttons), make("div", { class: "clvol-buttons" }, save, make("span", { class: "clvol-together" }, this.movie, this.movieAs)), this.text);
   }
 
   statisticsControls() {
     this.statistics = make("dl", { class: "clvol-statistics" });
-    this.heat = toggle("Show where rays looked", this.setter("heat"), "a heat map of the share of samples that were looked at");
+    this.heat = toggle("Show visited samples", this.setter("heat"), "heat map of the fraction of samples that rays visit");
     return make("div", {}, this.statistics, this.heat.element);
   }
 
-  // What the volume is
+  // The volume
 
-  /** The box that is not cropped. */
+  /** The crop box, by default the whole volume. */
   box() {
     const [low, high] = this.viewer.info.volume.bounds;
     return { low, high };
@@ -1201,7 +1201,7 @@ class Panel {
   tell(info) {
     const names = (found) => (Array.isArray(found) ? found.map((f) => f.name ?? f) : Object.keys(found ?? {}));
     this.mode.fill(names(info.modes));
-    this.filter.fill([["", "the mode's own"], ...names(info.filters)]);
+    this.filter.fill([["", "the mode's"], ...names(info.filters)]);
     this.other.fill(names(info.filters));
     this.other.show("linear");
     this.boundary.fill(names(info.boundaries).length ? names(info.boundaries) : ["mirror"]);
@@ -1241,7 +1241,7 @@ class Panel {
     this.step.show(state.step);
     this.compare.show(state.wiper);
     this.other.element.hidden = this.errors.hidden = !state.wiper;
-    this.filter.list.options[0].textContent = state.filter || !viewer.effective.filter ? "the mode's own" : `the mode's own: ${viewer.effective.filter}`;
+    this.filter.list.options[0].textContent = state.filter || !viewer.effective.filter ? "the mode's" : `the mode's: ${viewer.effective.filter}`;
     if (state.wiper) this.other.show(state.wiper.filter);
     this.plane.show(state.active === "3d" ? "z" : state.active);
     (state.crosshair ?? viewer.info.volume.center).forEach((value, i) => this.crosshair[i].show(value));
@@ -1300,18 +1300,18 @@ class Panel {
     return slider(name, { low, high }, change, about.help);
   }
 
-  /** `errors`: what the session has measured of the two filters. */
+  /** `errors`: measured by the session for both filters. */
   tellErrors(errors) {
     const known = (value, digits = 3) => (Number.isFinite(value) ? short(value, digits) : "unknown");
     const lines = (errors?.filters ?? []).map((e) => `${e.filter}: left out ${known(e.rms)}, expected ${known(e.expected)}`);
-    this.errors.replaceChildren(...lines.flatMap((line) => [line, make("br")]), errors ? errors.problem ?? errors.meaning ?? "" : "the errors are being measured");
+    this.errors.replaceChildren(...lines.flatMap((line) => [line, make("br")]), errors ? errors.problem ?? errors.meaning ?? "" : "measuring the errors");
   }
 
   stats(stats) {
     const rows = [
-      ["pictures a second", short(stats.fps, 3)],
-      ["from a drag to the screen", Number.isFinite(stats.latency_ms) ? `${short(stats.latency_ms, 3)} ms` : NOTHING],
-      ["samples looked at", Number.isFinite(stats.visited) ? `${short(100 * stats.visited, 3)} %` : NOTHING],
+      ["frames per second", short(stats.fps, 3)],
+      ["latency", Number.isFinite(stats.latency_ms) ? `${short(stats.latency_ms, 3)} ms` : NOTHING],
+      ["samples visited", Number.isFinite(stats.visited) ? `${short(100 * stats.visited, 3)} %` : NOTHING],
       ["picture", stats.picture ?? NOTHING],
     ];
     this.statistics.replaceChildren(...rows.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]));
@@ -1325,16 +1325,16 @@ class Viewer {
     Object.assign(this, { channel, embedded, onLink });
     this.info = null;
     this.state = null;
-    this.told = null; // the last state of the session's own
-    this.unheard = []; // changes that it did not know of
+    this.confirmed = null; // the session's last state
+    this.unheard = []; // changes that it does not include
     this.lastSet = 0;
-    this.effective = {}; // what applies where the state leaves it open
+    this.effective = {}; // values where the state leaves them open
     this.errors = null; // of the wiper's filters
     this.overlays = new Map(); // the last message of each pane
     this.panes = new Map();
     this.asked = new Map();
     this.lastId = 0;
-    this.gesture = 0; // changes of one are one step of undo
+    this.gesture = 0; // number of the gesture, which is one step of undo
     this.picture = NOTHING;
     this.grid = make("div", { class: "clvol-panes" });
     this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, WAITING);
@@ -1358,7 +1358,7 @@ class Viewer {
     this.root.remove();
   }
 
-  /** Undo and redo wherever the focus is, but where the browser has its own. */
+  /** Undo and redo wherever the focus is, except in fields with their own. */
   key(event) {
     const key = event.key.toLowerCase();
     if (!(event.ctrlKey || event.metaKey) || !["z", "y"].includes(key) || event.target.matches("input[type=number], textarea")) return;
@@ -1383,7 +1383,7 @@ class Viewer {
     else if (message.type === "info") this.tell(message);
     else if (message.type === "state") this.take(message);
     else if (message.type === "stats") this.panel.stats({ ...message, picture: this.picture });
-    else if (message.type === "status") this.said(message);
+    else if (message.type === "status") this.report(message);
     else if (message.type === "reply") this.reply(message, data);
     else if (message.type === "overlay") this.overlay(message);
     else if (message.type === "wiper") this.compared(message.errors);
@@ -1398,7 +1398,7 @@ class Viewer {
 
   take(message) {
     this.state = message.state;
-    this.told = structuredClone(message.state);
+    this.confirmed = structuredClone(message.state);
     this.unheard = this.unheard.filter(({ number }) => !(number <= message.heard));
     for (const { changes, whole } of this.unheard) this.apply(changes, whole);
     this.canUndo = message.can_undo;
@@ -1448,7 +1448,7 @@ class Viewer {
   }
 
   frame(message, data) {
-    if (this.line.textContent === WAITING) this.status(""); // notebooks open no connection that would clear it
+    if (this.line.textContent === WAITING) this.status(""); // in notebooks no connection clears it
     const pane = this.panes.get(message.pane ?? "3d");
     if (!pane || !data) return this.channel.send({ type: "ack", frame: message.number });
     const step = message.step ? `, step ${short(message.step, 3)}` : "";
@@ -1461,18 +1461,18 @@ class Viewer {
     this.line.dataset.kind = kind;
   }
 
-  /** What the session says; after an error, which may be of what was set here, the last state that it told is shown. */
-  said({ text, kind }) {
+  /** A status of the session; after an error, which may concern a change made here, its last state is shown. */
+  report({ text, kind }) {
     this.status(text, kind);
-    if (kind !== "error" || !this.told) return;
+    if (kind !== "error" || !this.confirmed) return;
     this.unheard = [];
-    this.state = structuredClone(this.told);
+    this.state = structuredClone(this.confirmed);
     this.show();
   }
 
   // To the session
 
-  /** Changes fields of the state by dotted names; `live` while a control still moves: what follows is the same step of undo. */
+  /** Changes fields of the state by dotted names; changes while a control moves are `live`: one step of undo. */
   set(changes, live = false) {
     if (!this.state) return;
     this.apply(changes);
@@ -1481,7 +1481,7 @@ class Viewer {
     this.show();
   }
 
-  /** The state as it is shown here, once more: to a session that does not know it. */
+  /** Sends the whole state to a session that does not have it. */
   setAll() {
     this.unheard = [];
     if (this.state) this.tellSet({ changes: structuredClone(this.state), whole: true });
@@ -1493,7 +1493,7 @@ class Viewer {
     this.channel.send({ type: "set", changes, whole, number: this.lastSet, ...more });
   }
 
-  /** Changes of the state as it is shown here. */
+  /** Applies changes to the state shown here. */
   apply(changes, whole = false) {
     if (whole) {
       this.state = structuredClone(changes);
@@ -1508,12 +1508,12 @@ class Viewer {
     }
   }
 
-  /** Ends what was live: the next change is a step of its own. */
+  /** Ends live changes: the next one is a new step of undo. */
   settle() {
     this.channel.send({ type: "set", changes: {}, gesture: `panel-${this.gesture++}` });
   }
 
-  /** Has something done; the promise is of {message, data}. */
+  /** Sends a request; the promise is of {message, data}. */
   ask(what, more = {}) {
     const id = ++this.lastId;
     const answer = new Promise((answered, refused) => this.asked.set(id, { answered, refused }));
@@ -1531,16 +1531,16 @@ class Viewer {
     else waiting.answered({ message, data });
   }
 
-  /** What lies under the pointer. */
+  /** Shows what was picked. */
   picked({ position, value, steepness, units, label }) {
-    if (!position) return this.status("there is nothing under the pointer");
+    if (!position) return this.status("nothing under the pointer");
     const parts = [`(${position.map((c) => short(c, 5)).join(", ")}) ${units}`.trim(), `value ${short(value, 6)}${label ? `, ${label}` : ""}`];
     if (steepness !== undefined) parts.push(`gradient ${short(steepness)}${units ? ` per ${units}` : ""}`);
     return this.status(parts.join(" · "));
   }
 
   async copy(what, name) {
-    const answer = await this.ask(what).catch(() => null); // why not is told already
+    const answer = await this.ask(what).catch(() => null); // the error is shown already
     if (!answer) return;
     const { message } = answer;
     let { text = message.url ?? "" } = message;
@@ -1549,15 +1549,15 @@ class Viewer {
     const box = this.panel.text;
     Object.assign(box, { hidden: copied, value: text });
     if (!copied) box.select();
-    this.status(copied ? `copied as ${name}` : "this page may not use the clipboard: copy the selected text", copied ? "info" : "error");
+    this.status(copied ? `copied as ${name}` : "no access to the clipboard: copy the selected text", copied ? "info" : "error");
   }
 
   async save(what, more = {}) {
-    this.status(what === "movie" ? "the movie is being made" : "the picture is being made", "busy");
-    const answer = await this.ask(what, more).catch(() => null); // why not is told already
+    this.status(what === "movie" ? "drawing the movie" : "drawing the picture", "busy");
+    const answer = await this.ask(what, more).catch(() => null); // the error is shown already
     if (!answer) return undefined;
     const { message, data } = answer;
-    if (!data) return this.status(message.text ?? "nothing was made", "error");
+    if (!data) return this.status(message.text ?? "no result", "error");
     const kind = { mp4: "video/mp4", webm: "video/webm", zip: "application/zip" }[message.format] ?? `image/${message.format ?? "png"}`;
     const url = URL.createObjectURL(new Blob([data], { type: kind }));
     const name = message.name ?? `${(this.info.title ?? "clvol").replace(/[^\w.-]+/g, "-")}.${kind.split("/")[1]}`;
@@ -1567,7 +1567,7 @@ class Viewer {
   }
 }
 
-/** Whether a text is on the clipboard now; pages without https, and some notebooks, must take the old way. */
+/** Copies a text, and whether that worked; pages without https, and some notebooks, need the old way. */
 async function toClipboard(text) {
   try {
     await navigator.clipboard.writeText(text);
@@ -1585,16 +1585,16 @@ async function toClipboard(text) {
 
 // -- hosts -------------------------------------------------------------------------------------------------------
 
-/** Puts a viewer into an element; `close` of what it returns takes it away again. */
+/** Mounts a viewer in an element; `close` of the result removes it. */
 export function mount(element, channel, options = {}) {
   return new Viewer(element, channel, options);
 }
 
-const RETRY = [500, 1000, 2000, 4000]; // milliseconds until a lost connection is tried again
-const IDLE = 4000; // the code of a page with which nothing was done for long: what it shows is kept here
-const LEFT_ALONE = [1008, 1009, 4001]; // codes of a server that does not want to be asked again at once
+const RETRY = [500, 1000, 2000, 4000]; // milliseconds before reconnecting
+const IDLE = 4000; // close code of an idle page, which keeps its state
+const LEFT_ALONE = [1008, 1009, 4001]; // close codes after which the page does not reconnect by itself
 
-/** The page of `clvol view`: a websocket, whose frames are a header and the bytes that follow it. */
+/** The page of `clvol view`: a websocket, with a JSON header before the bytes of each frame. */
 export function page(element) {
   let socket = null;
   let header = null;
@@ -1613,7 +1613,7 @@ export function page(element) {
       const bytes = Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (c) => c.charCodeAt(0));
       channel.send({ type: "set", changes: JSON.parse(new TextDecoder().decode(bytes)), whole: true });
     } catch {
-      viewer.status("the state in this page's address cannot be read: it was cut short, perhaps", "error");
+      viewer.status("the state in this page's address cannot be read; it may be incomplete", "error");
     }
   };
 
@@ -1629,7 +1629,7 @@ export function page(element) {
       viewer.status("");
       for (const pane of viewer.panes.values()) pane.latest = 0;
       last = "";
-      if (viewer.state) viewer.setAll(); // of before the connection was lost
+      if (viewer.state) viewer.setAll(); // from before the connection was lost
       else restore();
       for (const pane of viewer.panes.values()) pane.resized();
     };
@@ -1648,7 +1648,7 @@ export function page(element) {
       const wait = RETRY[Math.min(tries++, RETRY.length - 1)];
       const idle = code === IDLE;
       const final = LEFT_ALONE.includes(code);
-      const next = idle ? "click to go on" : final ? "reload to go on" : `trying again in ${wait / 1000} s`;
+      const next = idle ? "click to continue" : final ? "reload to continue" : `trying again in ${wait / 1000} s`;
       viewer.status(`${reason || "the connection to clvol was lost"}; ${next}`, "error");
       if (idle) element.addEventListener("pointerdown", connect, { once: true });
       else if (!final) setTimeout(connect, wait);
@@ -1659,7 +1659,7 @@ export function page(element) {
   return viewer;
 }
 
-/** The widget of notebooks (anywidget). Each place that shows it has a name, and a session of its own. */
+/** The widget for notebooks (anywidget). Each place that shows it has a name and its own session. */
 function render({ model, el }) {
   const client = Array.from(crypto.getRandomValues(new Uint32Array(2)), (n) => n.toString(36)).join("-");
   const channel = { send: (object) => model.send({ ...object, client }), onmessage: () => {} };

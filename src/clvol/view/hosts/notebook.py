@@ -1,10 +1,10 @@
 """A view in notebooks, wherever anywidget shows widgets: Jupyter, JupyterLab, VS Code, Colab, Marimo.
 
-Pictures come from the session's thread, also while a cell runs. Events are messages to the kernel, and kernels take those between
-cells: a view that is dragged during a long computation follows when that has ended (JupyterLab 4.4 with ipykernel 7 or newer takes
-them at once, in a subshell).
+Pictures come from the session's thread, also while a cell runs. Events are messages to the kernel, which handles them between
+cells: a view that is dragged during a long computation follows when that has ended (JupyterLab 4.4 with ipykernel 7 or newer
+handles them at once, in a subshell).
 
-A widget may be shown in several places. Each is a client of its own, with its own session, which ends when the place is closed.
+A widget may be shown in several places. Each is a client with its own session, which ends when the place is closed.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from importlib import resources
-from typing import Any, Protocol
+from typing import Any
 
 from clvol.base.errors import MissingDependencyError, OptionError
+from clvol.view.protocol import Receiver, SessionFactory
 
 try:
     import anywidget
@@ -25,21 +26,12 @@ except ImportError as missing:
 
 __all__ = ["Widget", "show"]
 
-_MOST_CLIENTS = 8  # places that show one widget: a page that was reloaded says no farewell
+_MOST_CLIENTS = 8  # places that show one widget: a page that is reloaded does not close its session
 _LONGEST_NAME = 64
 
 
 def _static(name: str) -> str:
-    return (resources.files("clvol.view") / "static" / name).read_text(encoding="utf-8")
-
-
-class _Session(Protocol):
-    def receive(self, message: Mapping[str, Any]) -> None: ...
-    def close(self, timeout: float | None = ...) -> None: ...
-
-
-class _View(Protocol):
-    def session(self, send: Any) -> Any: ...
+    return (resources.files("clvol.view.hosts") / "static" / name).read_text(encoding="utf-8")
 
 
 class Widget(anywidget.AnyWidget):
@@ -53,14 +45,14 @@ class Widget(anywidget.AnyWidget):
     _esm = _static("clvol.js")
     _css = _static("clvol.css")
 
-    def __init__(self, view: _View) -> None:
+    def __init__(self, view: SessionFactory) -> None:
         super().__init__()
         self.view = view
-        self._sessions: dict[str, _Session] = {}
+        self._sessions: dict[str, Receiver] = {}
         self.on_msg(self._receive)
 
     def _receive(self, _: Any, message: Any, __: Any) -> None:
-        """A message of one of the places that show it, which bears the place's name."""
+        """A message from one of the places that show it, with the place's name."""
         if not isinstance(message, Mapping):
             return
         client, kind = message.get("client"), message.get("type")
@@ -88,22 +80,22 @@ class Widget(anywidget.AnyWidget):
     def _end(self, client: str) -> None:
         session = self._sessions.pop(client, None)
         if session is not None:
-            session.close(1.0)  # it ends by itself: the thread of the notebook does not wait for a long picture
+            session.close(1.0)  # it ends by itself: the notebook does not wait for a long picture
 
     def close(self) -> None:
-        """Take it off the page, and end its sessions."""
+        """Remove it from the page, and end its sessions."""
         for client in list(self._sessions):
             self._end(client)
         super().close()
 
 
-def show(view: _View) -> None:
+def show(view: SessionFactory) -> None:
     """Show a view below the cell of a notebook.
 
     Raises
     ------
     OptionError
-        The program runs in no notebook.
+        The program does not run in a notebook.
     """
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is None:

@@ -1,0 +1,160 @@
+"""What a view is opened with: the scene taken apart, and the first state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clvol.base.checks import instance
+from clvol.base.color import color_of
+from clvol.base.errors import DataError, OptionError
+from clvol.bricks.source import LazyVolume
+from clvol.device import Device
+from clvol.march.options import KEYWORDS
+from clvol.scene.camera import Camera
+from clvol.scene.look import look
+from clvol.scene.mode import as_mode, modes
+from clvol.scene.scene import Medium, Scene
+from clvol.spline.field import Field
+from clvol.view.finer import Finer, resident_level
+from clvol.view.panes import vertical
+from clvol.view.state import WORDS, CameraState, State, plain
+from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volumes import Volumes
+
+__all__ = ["Opened", "Viewable", "first_state", "opened"]
+
+Viewable: TypeAlias = Scene | Medium | Volume | LazyVolume | Volumes | Field | ArrayLike
+_STATED = ("step", "transfer", *WORDS, "material", "lights", "background", "clip")
+
+
+@dataclass
+class Opened:
+    """A scene, taken apart.
+
+    Attributes
+    ----------
+    volume : Volume
+        The one that is shown first.
+    volumes : Volumes or None
+        All, if there are several.
+    coefficients : Field or None
+        Of the volume, if they exist already.
+    finer : Finer or None
+        All sizes of a volume of which only one is in memory.
+    device, source
+        As for `View`.
+    options : dict
+        Those of `clvol.render` that the scene or the caller gives.
+    """
+
+    volume: Volume
+    volumes: Volumes | None = None
+    coefficients: Field | None = None
+    finer: Finer | None = None
+    device: Device | str | int | None = None
+    source: str | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+def opened(
+    scene: Viewable, device: Device | str | int | None, source: str | None, finer: Finer | None, options: dict[str, Any]
+) -> Opened:
+    """Take a scene apart; of a `LazyVolume` the largest size that fits is read."""
+    if isinstance(scene, LazyVolume):
+        first_state(scene.preview(), dict(options))  # refuses wrong options before all samples are read
+        level = resident_level(scene)
+        if level:
+            finer = Finer(scene, level, source, device)
+        source = source and f"{source}{f'.levels[{level - 1}]' if level else ''}.whole()"
+        scene = (scene, *scene.levels)[level].whole()
+    coefficients = None
+    if isinstance(scene, Field):
+        if "filter" in options or "boundary" in options or device is not None:
+            raise OptionError("filter, boundary and device must be left to the field; got them beside it")
+        coefficients, device = scene, scene.device
+        scene = Medium(scene.coefficients.volume, filter=scene.filter, boundary=scene.boundary)
+    volumes = scene if isinstance(scene, Volumes) else None
+    if isinstance(scene, Scene):
+        options = {name: getattr(scene, name) for name in ("lights", "background", "clip")} | options
+        scene = scene.media[0]
+    if isinstance(scene, Medium):
+        options = _of_medium(scene, options)
+        volume = scene.volume
+    else:
+        volume = as_volume(scene if volumes is None else volumes.first)
+    if volume.ndim != 3:
+        raise DataError(f"a view takes a volume of 3 axes [z, y, x]; got shape {volume.shape}")
+    if finer is not None and finer.stored.bounds is not None:  # so that bounds are used, and all sizes look the same
+        bounds = finer.stored.bounds
+        options = {**options, "filter": options.get("filter") or bounds.filter}
+        options["boundary"] = options.get("boundary") or bounds.boundary
+    if volume.is_labels:  # whose colours depend on the labels that are resident
+        finer = None
+    return Opened(volume, volumes, coefficients, finer, device, source, options)
+
+
+def _of_medium(medium: Medium, options: dict[str, Any]) -> dict[str, Any]:
+    """The options, and what the medium has beside its volume."""
+    given = {"material": medium.material} | options
+    if not given.keys() & {"filter", "boundary"}:
+        given |= {"filter": medium.filter, "boundary": medium.boundary}
+    if medium.transfer is not None and not given.keys() & {"transfer", *WORDS}:
+        given["transfer"] = medium.transfer
+    return given
+
+
+def first_state(volume: Volume, given: dict[str, Any]) -> State:
+    """The state that shows what `clvol.render` draws with these options; raises `OptionError` like that."""
+    camera, mode = given.pop("camera", None), given.pop("mode", None)
+    for name in ("size", "outputs", "sigma", "progress"):
+        if name in given:
+            raise OptionError(f"{name} is no option of a view: its hosts decide it")
+    row, boundary = given.pop("filter", None), given.pop("boundary", None)
+    values = {name: given.pop(name) for name in _STATED if name in given}
+    chosen = as_mode("composite" if mode is None else mode, given, (*KEYWORDS, "filter", "boundary", "device"))
+    if chosen.name not in modes():
+        raise OptionError(f"mode must be one of {', '.join(modes())} in a view; got {chosen.name!r}")
+    default = type(chosen)()
+    options = {f.name: getattr(chosen, f.name) for f in fields(chosen) if getattr(chosen, f.name) != getattr(default, f.name)}
+    if values.get("opacity") is not None and np.ndim(np.asarray(values["opacity"], dtype=object)) > 0:
+        values["transfer"] = look(volume, chosen, **{name: values.pop(name, None) for name in WORDS})
+    if isinstance(values.get("background"), str):
+        values["background"] = color_of("background", values["background"])
+    lights = values.get("lights")
+    if lights is not None and not isinstance(lights, (list, tuple)):
+        values["lights"] = (lights,)
+    if camera is not None:
+        instance("camera", camera, Camera)
+    return State(
+        camera=_camera_state(volume, camera or Camera.orbit()),
+        mode=chosen.name,
+        options={name: plain(value) for name, value in options.items()},
+        filter=None if row is None else getattr(row, "name", row),
+        boundary="mirror" if boundary is None else getattr(boundary, "name", boundary),
+        **values,
+    )
+
+
+def _camera_state(volume: Volume, camera: Camera) -> CameraState:
+    view = camera.view(volume)
+    forward, up = view.forward, vertical(volume)
+    level = abs(float(view.right @ up)) < 1e-9 and float(view.up @ up) > 1e-6
+    distance, target, radius = camera.distance, camera.target, camera.radius
+    if camera.position is not None:
+        aim = volume.center if target is None else np.asarray(target)
+        distance, target = float(np.linalg.norm(aim - view.eye)), tuple(map(float, aim))  # type: ignore[assignment]  # three
+    return CameraState(
+        target=target,
+        direction=tuple(map(float, forward)),  # type: ignore[arg-type]  # three
+        up=tuple(map(float, up if level else view.up)),  # type: ignore[arg-type]
+        distance=distance,
+        radius=radius,
+        zoom=camera.zoom,
+        projection=camera.projection,
+        fov=camera.fov,
+        fit=camera.fit,
+    )

@@ -1,0 +1,195 @@
+"""Messages between a session and its client: JSON objects, some followed by bytes.
+
+From the client:
+
+- `{"type": "event", "event": {...}}`: an event of rendercanvas. Without "pane" it is for the pane that is shown; a `resize`
+  without it is for all panes that had none of their own.
+- `{"type": "set", "changes": {...}, "live": true?, "gesture": "..."?, "number": n?, "whole": true?}`: `live` changes are
+  one step of undo (a slider that is dragged); one without it ends them, and belongs to the same step if it has the gesture's name.
+  The number comes back as "heard" with states that include the change, so that a client that has sent more shows that.
+- `{"type": "do", "what": "...", "id": ..., ...}`: answered by a `reply` with that id. `save_picture` (width, height, pane) gives a
+  PNG; `movie` (width, height, frames, format: "gif", "mp4", "webm" or "zip" of PNG) a file; `pick` (x, y, pane) what lies there;
+  a double click gives such a reply without an id.
+- `{"type": "ack", "frame": number}`: the client has shown a frame.
+
+To the client:
+
+- `{"type": "state", "state", "heard", "can_undo", "can_redo", "effective"?}`: `effective` is what applies where the state leaves it
+  open: "transfer" (points), "window" of slices, "filter" by its full name, "options" of the mode (the isovalue), "crosshair". The
+  first may come without, and a second one once that is known.
+- `{"type": "frame", "number", "pane", "width", "height", "shown_width", "shown_height", "format", "final", "seconds", "step"?,
+  "few"?, "share_visited"?}` and its bytes. A frame with `few` shows few of the samples: coefficients of all are being computed.
+- `{"type": "overlay", "pane", "crosshair": [x, y] | null, "box": [[x, y] | null, ... 8] | null, "faces", "unit_pixels", "right",
+  "down"}`: where to draw the crosshair and the crop box, in CSS pixels of the pane (corner ``i`` is at the high end along x, y, z
+  where bit 0, 1, 2 of ``i`` is set); `faces` has ``[axis, side, x, y]`` of each clip plane that can be dragged there; CSS pixels
+  per world unit; the world directions that run right and down. Sent when one changed.
+- `{"type": "wiper", "errors": {...} | null}`: the measured error of both filters (`clvol.view.wiper`); null until it is known.
+- `info`, `stats`, `status` ("text", and "kind": "info", "busy" or "error") and `reply`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
+
+from clvol.base.checks import number, one_of, whole
+from clvol.base.errors import OptionError
+from clvol.view.panes import PaneSize
+from clvol.view.state import PANES
+
+__all__ = [
+    "Change",
+    "Message",
+    "PointerOrKey",
+    "Receiver",
+    "Request",
+    "Resize",
+    "Send",
+    "SessionFactory",
+    "ends_drag",
+    "parse",
+    "replaces",
+    "status",
+]
+
+Message: TypeAlias = dict[str, Any]
+Send: TypeAlias = Callable[[Message, bytes | None], None]
+
+_SMALLEST, _LARGEST = 16.0, 8192.0  # CSS pixels along an edge of a pane
+_LEAST_RATIO, _MOST_RATIO = 0.25, 4.0  # pixels of the screen per CSS pixel
+
+
+class Receiver(Protocol):
+    """A session, as hosts use it."""
+
+    def receive(self, message: Mapping[str, Any]) -> None: ...
+    def close(self, timeout: float | None = ...) -> None: ...
+
+
+class SessionFactory(Protocol):
+    """A view, as hosts use it."""
+
+    def session(self, send: Send) -> Receiver: ...
+
+
+@dataclass(frozen=True)
+class Resize:
+    """The size of a pane, or, with the name "", of all panes that have none of their own."""
+
+    pane: str
+    size: PaneSize
+
+
+@dataclass(frozen=True)
+class PointerOrKey:
+    """Any other event; `events.reduce` checks it."""
+
+    event: Any
+
+
+@dataclass(frozen=True)
+class Change:
+    """Changes of the state, or a whole one; `State` checks them."""
+
+    changes: Any
+    whole: bool
+    live: bool
+    gesture: str | None
+    number: int | None
+
+    @property
+    def step(self) -> tuple[str, ...] | None:
+        """What changes of one step of undo have in common; None: it is a step of its own."""
+        if self.gesture is not None:
+            return "set", self.gesture
+        return ("set", *sorted(map(str, self.changes))) if self.live else None
+
+
+@dataclass(frozen=True)
+class Request:
+    """Something to be done and answered; its arguments are checked as they are used."""
+
+    what: Any
+    id: Any
+    arguments: Mapping[str, Any]
+
+    def pane(self, default: str) -> str:
+        """The pane that it is for."""
+        name = self.arguments.get("pane") or default
+        if name not in PANES:
+            raise one_of("pane", name, PANES)
+        return str(name)
+
+    def size(self, default: tuple[int, int], minimum: int, maximum: int) -> tuple[int, int]:
+        """Width and height in pixels."""
+        names = zip(("width", "height"), default, strict=True)
+        width, height = (whole(name, self.arguments.get(name, usual), minimum, maximum) for name, usual in names)
+        return width, height
+
+    def position(self) -> tuple[float, float]:
+        """A position in CSS pixels."""
+        x, y = (number(axis, self.arguments.get(axis), minimum=-1e6, maximum=1e6) for axis in "xy")
+        return x, y
+
+
+def parse(message: Any) -> Resize | PointerOrKey | Change | Request:
+    """The typed message; acknowledgements never come this far.
+
+    Raises
+    ------
+    OptionError
+        It is not an object, or of no known type.
+    """
+    if not isinstance(message, Mapping):
+        raise OptionError(f"a message must be an object of JSON; got {message!r:.200}")
+    kind = message.get("type")
+    if kind == "event":
+        event: Any = message.get("event")
+        return _resize(event) if _kind_of(event) == "resize" else PointerOrKey(event)
+    if kind == "set":
+        gesture, count = message.get("gesture"), message.get("number")
+        return Change(
+            changes=message.get("changes"),
+            whole=bool(message.get("whole")),
+            live=bool(message.get("live")),
+            gesture=gesture if isinstance(gesture, str) else None,
+            number=count if isinstance(count, int) else None,
+        )
+    if kind == "do":
+        return Request(message.get("what"), message.get("id"), message)
+    raise one_of("the type of a message", kind, ("event", "set", "do", "ack"))
+
+
+def _resize(event: Mapping[str, Any]) -> Resize:
+    name = event.get("pane", "")
+    if name != "" and name not in PANES:
+        raise one_of("pane", name, PANES)
+    width, height = (number(what, event.get(what), minimum=0, maximum=1e6) for what in ("width", "height"))
+    ratio = number("ratio", event.get("ratio", event.get("pixel_ratio", 1)), above=0, maximum=16)
+    width, height = (min(max(edge, _SMALLEST), _LARGEST) for edge in (width, height))
+    return Resize(name, PaneSize(width, height, min(max(ratio, _LEAST_RATIO), _MOST_RATIO)))
+
+
+def _kind_of(event: Any) -> Any:
+    return event.get("event_type", event.get("type")) if isinstance(event, Mapping) else None
+
+
+def ends_drag(message: Any) -> bool:
+    """Whether a message says that the pointer was let go."""
+    return isinstance(message, Mapping) and _kind_of(message.get("event")) == "pointer_up"
+
+
+def replaces(message: Any, other: Any) -> bool:
+    """Whether a message makes the one before it redundant: moves of a pointer, and resizes."""
+    if not (isinstance(message, Mapping) and isinstance(other, Mapping) and message.get("type") == other.get("type") == "event"):
+        return False
+    one, two = message.get("event"), other.get("event")
+    if not (isinstance(one, Mapping) and isinstance(two, Mapping)) or one.get("pane") != two.get("pane"):
+        return False
+    return _kind_of(one) == _kind_of(two) and _kind_of(one) in ("pointer_move", "resize")
+
+
+def status(text: str, kind: str) -> Message:
+    """A line of text for people; `kind` is "info", "busy" or "error"."""
+    return {"type": "status", "text": text, "kind": kind}

@@ -1,0 +1,43 @@
+"""Which job comes next: without threads, without a clock, without a device."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from clvol.view.schedule import Draw, FindFacts, Shown, Situation, Wait, next_job
+
+LINKED = {"3d": "a", "x": "b", "y": "c"}
+DONE = {name: Shown(key, True) for name, key in LINKED.items()}
+
+
+@pytest.mark.parametrize(
+    ("given", "job"),
+    [
+        ({"shown": DONE}, Wait(None)),
+        ({"shown": {}}, Draw("3d", True)),
+        ({"wanted": {}, "shown": {}}, Wait(None)),
+        ({"shown": DONE | {"y": Shown("old", True)}}, Draw("y", True)),
+        ({"shown": DONE | {"3d": Shown("a", False)}}, Draw("3d", False)),
+        ({"shown": DONE | {"3d": Shown("a", False), "y": Shown("old", True)}}, Draw("y", True)),  # first pictures come first
+        ({"shown": DONE | {"3d": Shown("a", False)}, "rest_in": 0.1}, Wait(0.1)),
+        ({"shown": DONE | {"3d": Shown("old", True)}, "rest_in": 0.1}, Draw("3d", True)),
+        ({"shown": {}, "room_in": 1.5}, Wait(1.5)),
+        ({"shown": DONE, "room_in": 1.5}, Wait(None)),
+        ({"shown": DONE, "facts_in": 0.3}, Wait(0.3)),
+        ({"shown": DONE, "facts_in": -0.1}, FindFacts()),
+        ({"shown": {}, "facts_in": -0.1}, Draw("3d", True)),
+        ({"wanted": {}, "shown": {}, "facts_in": 0.0}, FindFacts()),
+        ({"shown": {}, "sketching": True}, Draw("3d", True)),
+        ({"shown": {"3d": Shown("a", True)}, "sketching": True}, Wait(None)),  # slices wait for the coefficients
+        ({"wanted": {"x": "b"}, "shown": {}, "sketching": True}, Draw("x", True)),
+    ],
+)
+def test_the_next_job(given: dict[str, Any], job: object) -> None:
+    found = next_job(Situation(**({"wanted": LINKED} | given)))
+    assert (type(found), found) == (type(job), job)
+
+
+def test_the_pane_in_focus_comes_first() -> None:
+    assert next_job(Situation(wanted={"y": "c", "3d": "a"}, shown={})) == Draw("y", True)
