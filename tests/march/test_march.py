@@ -158,9 +158,10 @@ def check(
     ways: dict[str, Any] | None = None,
     **options: Any,
 ) -> dict[str, NDArray[Any]]:
-    """Draw both ways and compare; `ways` are options of the kernels only."""
+    """Draw both ways and compare; `ways` are limits of the device."""
     options = suited(mode, {**OPTIONS, **options})
-    got = renderer.render(camera, mode, size, step, **options, **(ways or {}))
+    with renderer.device.limited(**(ways or {})):
+        got = renderer.render(camera, mode, size, step, **options)
     want = reference.render(renderer.volume, camera, mode, renderer.filter, renderer.field.boundary, size, step, **options)
     assert isinstance(want, dict)
     for name in want:
@@ -220,8 +221,8 @@ PAIRWISE = [("bspline3", mode, way) for mode in MODES for way in range(1, len(WA
 def test_every_way_to_the_coefficients(device: Device, keep: dict[Any, Renderer], filter: str, mode: str, way: int) -> None:
     ways = WAYS[way]
     if ways["fetch"] == "image" and not device.has_images:
-        with pytest.raises(DeviceError, match="images"):
-            held(keep, device, block(), filter).render(CAMERA, mode, SIZE, **ways)
+        with pytest.raises(DeviceError, match="images"), device.limited(**ways):
+            held(keep, device, block(), filter).render(CAMERA, mode, SIZE)
         return
     check(held(keep, device, block(), filter), CAMERA, mode, allowance(filter, mode, device, ways), ways=ways)
 
