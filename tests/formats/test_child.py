@@ -230,7 +230,7 @@ def test_what_is_trusted_is_read_here(plain: Path, monkeypatch: pytest.MonkeyPat
     def refuse(*_: Any, **__: Any) -> None:
         raise DataError("another process was asked")
 
-    monkeypatch.setattr(formats, "call", refuse)
+    monkeypatch.setattr("clvol.formats.reading.call", refuse)
     clvol.read(plain, trusted=True)
     clvol.read_all(plain, trusted=True)
     formats.series_of(plain, trusted=True)

@@ -268,7 +268,7 @@ def test_the_working_folder_may_change(tmp_path: Path, monkeypatch: pytest.Monke
 @pytest.mark.parametrize("most", [1 << 11, 2])
 def test_chunks_that_vanish_are_noticed(tmp_path: Path, layout: dict[str, Any], most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """All of them, and of a folder that was looked at one; but not what was never there."""
-    monkeypatch.setattr("clvol.formats.zarr._FOLDERS", most)
+    monkeypatch.setattr("clvol.formats.zarr.files._FOLDERS", most)
     for all_of_them in (True, False):
         array = stored(tmp_path / "v.zarr", overwrite=True, fill_value=7, **layout)
         for hole in (slice(0, 10), slice(20, 30)):
@@ -287,7 +287,7 @@ def test_chunks_that_vanish_are_noticed(tmp_path: Path, layout: dict[str, Any], 
 
 def test_folders_of_chunks_that_vanish_are_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for most, gone in ((1 << 11, "c"), (1 << 11, "c/1"), (1 << 11, "c/1/1"), (2, "c"), (2, "c/1")):
-        monkeypatch.setattr("clvol.formats.zarr._FOLDERS", most)
+        monkeypatch.setattr("clvol.formats.zarr.files._FOLDERS", most)
         stored(tmp_path / "v.zarr", overwrite=True)
         lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
         later()
@@ -326,7 +326,7 @@ def test_a_store_that_stays_the_same_is_read_whatever_its_times(tmp_path: Path, 
 
 def test_folders_without_times_are_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As of an object store that is mounted: a chunk that is missing is one then."""
-    monkeypatch.setattr("clvol.formats.zarr._keeps_times", lambda _: False)
+    monkeypatch.setattr("clvol.formats.zarr.files._keeps_times", lambda _: False)
     stored(tmp_path / "v.zarr", fill_value=7)
     (tmp_path / "v.zarr" / "c" / "1" / "1" / "1").unlink()
     lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
@@ -340,7 +340,7 @@ def test_folders_without_times_are_not_believed(tmp_path: Path, monkeypatch: pyt
 
 def test_of_very_many_chunks_the_last_are_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And the metadata, however many chunks come after them."""
-    monkeypatch.setattr("clvol.formats.zarr._WATCHED", 4)
+    monkeypatch.setattr("clvol.formats.zarr.files._WATCHED", 4)
     stored(tmp_path / "v.zarr")
     lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
     for _ in range(2):
@@ -358,19 +358,19 @@ def test_of_very_many_chunks_the_last_are_watched(tmp_path: Path, monkeypatch: p
 
 def test_large_chunks_of_a_folder_without_times_that_vanishes_are_no_zeros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It goes while it is read: chunks that are stored as they are, are read without zarr."""
-    from clvol.formats import zarr as zarr_format
+    from clvol.formats.zarr import array, files
 
-    monkeypatch.setattr(zarr_format, "_keeps_times", lambda _: False)
-    monkeypatch.setattr(zarr_format, "_LARGE", 100)
+    monkeypatch.setattr(files, "_keeps_times", lambda _: False)
+    monkeypatch.setattr(array, "_LARGE", 100)
     stored(tmp_path / "v.zarr", compressors=None)
     lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
-    of_chunk = zarr_format._Unpacked._of_chunk
+    of_chunk = array._Uncompressed._of_chunk
 
     def going(self: Any, chunk: tuple[int, ...], inside: Any) -> Any:
         shutil.rmtree(tmp_path / "v.zarr")
         return of_chunk(self, chunk, inside)
 
-    monkeypatch.setattr(zarr_format._Unpacked, "_of_chunk", going)
+    monkeypatch.setattr(array._Uncompressed, "_of_chunk", going)
     no_zeros(lazy, "is gone")
 
 
@@ -529,7 +529,7 @@ def test_faults_behind_http(served: tuple[str, Path, type[Slow]], monkeypatch: p
     for place, named in (((10, 10, 10), "c/1/1/1 is empty"), ((0, 0, 0), "chunk c/0/0/0 of v.zarr.*500")):
         with pytest.raises(FormatError, match=named):
             far.read(place, tuple(n + 10 for n in place))  # type: ignore[arg-type]  # three of them
-    monkeypatch.setattr("clvol.formats.zarr._SECONDS", 0.0)
+    monkeypatch.setattr("clvol.formats.zarr.array._SECONDS", 0.0)
     far.read((30, 0, 0), (40, 10, 10))
     stored(folder / "v.zarr", fill_value=8, overwrite=True)
     with pytest.raises(FormatError, match=r"changed since it was opened"):

@@ -175,7 +175,7 @@ def test_who_may_not_read_is_told_so_and_nobody_else_the_password(server: int) -
 
 
 def test_secrets_are_left_out_of_what_others_say() -> None:
-    from clvol.formats.zarr import said, shown
+    from clvol.formats.zarr.addresses import said, shown
 
     address = "https://me:my-password@server.org/a/v.zarr?X-Signature=0123456789"
     about = {"client_kwargs": {"headers": [("Authorization", "Bearer of-news")]}, "endpoint_url": "http://root:toor-toor@host:1/x"}

@@ -229,7 +229,7 @@ def test_formats_of_one_volume_refuse_several(tmp_path: Path, monkeypatch: pytes
     def save(volume: Volume, path: Path) -> None:
         np.save(path.open("wb"), volume.data)
 
-    monkeypatch.setattr(formats, "FORMATS", (*formats.FORMATS, formats.Format("plain", (".one",), tiff.read, save)))
+    monkeypatch.setattr("clvol.formats.table.FORMATS", (*formats.FORMATS, formats.Format("plain", (".one",), tiff.read, save)))
     with pytest.raises(FormatError, match=r"plain holds one volume; got 3 volumes: choose one.*\.tif \.tiff"):
         clvol.write(Volumes(DATA[0]), tmp_path / "v.one")
     clvol.write(Volumes(DATA[0, :1]), tmp_path / "v.one")

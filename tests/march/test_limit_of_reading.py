@@ -170,9 +170,9 @@ def test_what_is_stored_as_it_is_is_read_by_its_parts(tmp_path: Path, monkeypatc
     """Large chunks of Zarr and HDF5, and pages of TIFF that lie apart: of both byte orders, and a chunk that is not stored."""
     zarr, h5py, tifffile = (pytest.importorskip(name) for name in ("zarr", "h5py", "tifffile"))
     from clvol.formats import hdf5
-    from clvol.formats import zarr as zarr_format
+    from clvol.formats.zarr import array
 
-    monkeypatch.setattr(zarr_format, "_LARGE", 1000)
+    monkeypatch.setattr(array, "_LARGE", 1000)
     monkeypatch.setattr(hdf5, "_CACHED", 1000)
     rng = np.random.default_rng(0)
     data = rng.integers(1, 1 << 16, (40, 50, 60), np.uint16)

@@ -1,6 +1,6 @@
-"""Ctrl-C while the command still imports its parts, which takes a second: one line, as `clvol.cli.main` gives later on.
+"""Ctrl-C while the command is still importing, which takes a second: prints one line, as `clvol.cli.main` does later.
 
-Imported before all else, and by itself without effect unless this process is the command.
+Imported first; has no effect unless this process is the command.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 from itertools import pairwise
 from types import TracebackType
 
-__all__ = ["is_the_command", "told"]
+__all__ = ["excepthook", "is_the_command"]
 
 
 def is_the_command() -> bool:
@@ -21,8 +21,8 @@ def is_the_command() -> bool:
     return as_module or script in ("clvol", "clvol.exe", "clvol-script.py")
 
 
-def told(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """What `sys.excepthook` is in the command: an interrupt ends it with one line and the code 130."""
+def excepthook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Value of `sys.excepthook` in the command: an interrupt ends it with one line and exit code 130."""
     if not issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
         return
@@ -31,4 +31,4 @@ def told(kind: type[BaseException], error: BaseException, trace: TracebackType |
 
 
 if is_the_command():
-    sys.excepthook = told
+    sys.excepthook = excepthook

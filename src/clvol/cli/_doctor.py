@@ -1,4 +1,4 @@
-"""What ``clvol doctor`` looks at: whether OpenCL is usable here, which runtime is used and why, and which extras there are."""
+"""Checks of ``clvol doctor``: whether OpenCL is usable, which runtime is used and why, and which extras are installed."""
 
 from __future__ import annotations
 
@@ -32,20 +32,19 @@ _USES = {
     "torch": "gradients of tensors",
     "bench": "measuring beside other libraries",
 }
-_TOOLS = ("pocl", "intel", "test", "dev", "docs")  # no one misses these to use clvol; the first two are reported as devices
+_TOOLS = ("pocl", "intel", "test", "dev", "docs")  # not needed to use clvol; the first two show up as devices
 
 
 class Check(NamedTuple):
-    """One thing that was looked at.
+    """One check and its result.
 
     Attributes
     ----------
     check : str
-        What it is.
+        What is checked.
     ok : bool
-        Whether it is there, or works.
     detail : str
-        What was found; else what to do.
+        What was found, or what to do.
     """
 
     check: str
@@ -54,7 +53,7 @@ class Check(NamedTuple):
 
 
 def opencl() -> Iterator[Check]:
-    """What computing needs, in the order of need; the last one is ``ok`` if clvol can be used. Nothing is raised."""
+    """Checks of what computing needs, each one needing those before; clvol is usable if the last is ``ok``. Raises nothing."""
     probe.forget()
     for what, look in (
         ("an OpenCL device", _found),
@@ -69,13 +68,13 @@ def opencl() -> Iterator[Check]:
 
 
 def extras() -> Iterator[Check]:
-    """What is optional: Intel's runtime if it is installed but not found, and each extra of the installed package."""
+    """Checks of what is optional: Intel's runtime if it is installed but not found, and each extra of the installed package."""
     silent = _silent_intel()
     if silent:
         yield Check("Intel's runtime (optional)", False, silent)
     try:
         extras = metadata("clvol").get_all("Provides-Extra") or []
-    except PackageNotFoundError:  # it is on the path, and was not installed
+    except PackageNotFoundError:  # on the path, but not installed
         return
     for extra in extras:
         if extra in _TOOLS:
@@ -95,7 +94,7 @@ def extras() -> Iterator[Check]:
 def _tried(what: str, look: Callable[[], str]) -> Check:
     try:
         return Check(what, True, look())
-    except Exception as error:  # whatever is wrong here is what the user wants to know
+    except Exception as error:  # whatever is wrong, the user wants to know
         return Check(what, False, " ".join(str(error).split()) or type(error).__name__)
 
 
@@ -145,13 +144,13 @@ def _parity() -> str:
 
 
 def _silent_intel() -> str:
-    """Why Intel's runtime shows no device though it is installed; "" if it does, or is not."""
+    """Why Intel's runtime is installed but shows no device; "" if it shows one, or is not installed."""
     runtime = intel.library()
     try:
         if runtime is None or any("intel" in device.platform.lower() and device.kind == "cpu" for device in devices()):
             return ""
         ctypes.CDLL(str(runtime))
-    except DeviceError:  # told already
+    except DeviceError:  # reported by another check
         return ""
     except OSError as error:
         return f"{runtime} does not load ({error}): pip install clvol[intel] brings what it needs"
@@ -160,7 +159,7 @@ def _silent_intel() -> str:
 
 
 def _packages(extra: str) -> list[str]:
-    """The distributions that an extra brings, those of other extras too."""
+    """Distributions that an extra installs, by way of other extras too."""
     found: dict[str, None] = {}
     for line in requires("clvol") or []:
         if not re.search(rf"""extra *== *['"]{re.escape(extra)}['"]""", line):

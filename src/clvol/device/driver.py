@@ -7,7 +7,7 @@ import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
@@ -111,12 +111,9 @@ class Driver(Identity, ABC):
             _name_processor(self.handle.int_ptr)
 
     @property
-    def errors(self) -> AbstractContextManager[None]:
-        """Context manager that translates OpenCL's errors into clvol's."""
-        return self._translated()
-
     @contextmanager
-    def _translated(self) -> Iterator[None]:
+    def errors(self) -> Iterator[None]:
+        """Context manager that translates OpenCL's errors into clvol's."""
         require_unforked(self._process)
         if self._gone:
             raise DeviceError(self._gone)

@@ -1,8 +1,8 @@
-"""Whether the OpenCL runtimes of this machine can be used without harm: another process tries them first.
+"""Trial of this machine's OpenCL runtimes in another process, before this one loads them.
 
-A driver may abort, or never return, when it is loaded, when a context is made, or when a kernel is built. What happened in the
-trial is noted in clvol's cache with all that could change it: which libraries the loader finds and of what date they are, the
-linker, the environment's variables, and the versions of drivers.
+A driver may abort, or hang, when it is loaded, when a context is created, or when a kernel is built. The verdict is cached under
+a hash of everything that may change it: the libraries that the loader finds and their dates, the linker, environment variables,
+and driver versions.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from clvol.device.runtimes import intel, processor
 __all__ = ["Verdict", "forget", "identity", "tried"]
 
 SECONDS = 90.0
-"""Time for a trial of everything; longer is never."""
+"""Time limit of a trial; longer counts as a hang."""
 
-_DOUBT = 600.0  # seconds for which the note of a failure is believed: what failed may have been put right
-_LEFT_OUT = 86400.0  # the same of libraries, which are known by their dates: one that never answers takes minutes to try
-_KEPT = 16
+_DOUBT = 600.0  # seconds for which a failure is cached: it may have been fixed since
+_LEFT_OUT = 86400.0  # the same for libraries, which have dates: one that hangs takes minutes to try
+_KEPT = 16  # cached verdicts
 _VARIABLES = ("OCL_", "OPENCL_", "POCL_", "CL_", "CUDA_", "HIP_", "ROCR_", "LD_", "DYLD_")
 
 _TRIAL = """
 import json, os, runpy, signal, sys
-signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits: nothing follows from it for a driver
+signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits, and says nothing about a driver
 try:
     import resource
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -51,7 +51,7 @@ kept, first = runpy.run_path(sys.argv[1]), int(sys.argv[2])
 try:
     import pyopencl as cl
 except ImportError:
-    os._exit(0)  # whoever imports it is told
+    os._exit(0)  # the parent reports it
 try:
     platforms = cl.get_platforms()
 except cl.Error:
@@ -83,16 +83,16 @@ os._exit(0)
 
 @dataclass
 class Verdict:
-    """What a trial has shown.
+    """Result of a trial.
 
     Attributes
     ----------
     unloadable : str
-        Why no runtime can be loaded at all; "" if they can.
+        Why no runtime can be loaded at all; "" if one can.
     libraries : dict of str to str
-        Vendors' libraries that must be kept from the loader, and why.
+        Vendors' libraries that must be hidden from the loader, and why.
     devices : dict of str to str
-        Why each device (its `identity`) cannot be used; "" if it can.
+        Why each device (by its `identity`) is unusable; "" if it is usable.
     """
 
     unloadable: str = ""
@@ -105,19 +105,19 @@ class Verdict:
 
 
 class _NotBegun(Exception):
-    """A trial said nothing: what was started is not Python, as in a program that it is a part of. Nothing follows for drivers."""
+    """A trial printed nothing: what was started is not Python, as in a program that embeds it. It says nothing about drivers."""
 
 
 def identity(handle: Any) -> str:
-    """A device by its names and its driver's versions."""
+    """Names of a device and its platform, and versions of its driver."""
     platform = handle.platform
     return "|".join(str(text).strip() for text in (platform.name, platform.version, handle.name, handle.driver_version))
 
 
 def tried() -> Verdict:
-    """What the trial of this machine's runtimes has shown: as noted, or now."""
+    """The cached verdict on this machine's runtimes, or that of a trial now."""
     if not sys.executable or getattr(sys, "frozen", False):
-        return Verdict()  # a program of its own: what there is to start is not Python
+        return Verdict()  # a frozen program: there is no Python to start
     note = _note()
     if note is not None:
         with suppress(OSError, ValueError, TypeError):
@@ -139,7 +139,7 @@ def tried() -> Verdict:
 
 
 def forget() -> None:
-    """Let the next use try again."""
+    """Discard the cached verdict."""
     note = _note()
     if note is not None:
         with suppress(OSError):
@@ -147,7 +147,7 @@ def forget() -> None:
 
 
 def _note() -> Path | None:
-    """The file that notes the verdict on what is there now."""
+    """The file of the verdict on what is installed now."""
     folder = cache.folder()
     if folder is None:
         return None
@@ -155,10 +155,10 @@ def _note() -> Path | None:
     variables = (name for name in os.environ if name.startswith(_VARIABLES) and name != "POCL_CACHE_DIR")
     stamp += sorted(f"{name}={os.environ[name]}" for name in variables)
     loader = find_spec("pyopencl")
-    own = Path(loader.origin).parent if loader and loader.origin else None
+    package = Path(loader.origin).parent if loader and loader.origin else None
     linker = shutil.which("ld")
     files = [Path(text) for text in intel.vendors() or () if Path(text).is_absolute()]
-    files += [own / "version.py", *sorted(own.glob(".libs/*"))] if own else []
+    files += [package / "version.py", *sorted(package.glob(".libs/*"))] if package else []
     for file in (*files, *([Path(linker)] if linker else ())):
         with suppress(OSError):
             about = file.stat()
@@ -190,7 +190,7 @@ def _try() -> Verdict:
 
 
 def _all(without: Collection[str]) -> tuple[list[str] | None, dict[int, str]]:
-    """The devices, None if loading them fails; why some fail, by their numbers (-1: loading)."""
+    """Names of the devices, None if loading fails; why some fail, by number (-1: loading)."""
     failures: dict[int, str] = {}
     first = 0
     while True:
@@ -204,7 +204,7 @@ def _all(without: Collection[str]) -> tuple[list[str] | None, dict[int, str]]:
 
 
 def _run(first: int, without: Collection[str], failures: dict[int, str] | None = None) -> tuple[int | None, list[str] | None, str]:
-    """One trial, from device `first` on: the device at which it ended early, the devices found, and how it ended."""
+    """One trial, from device `first` on: the device that ended it early, the devices found, and how it ended."""
     begun, trying, names, why, platform = False, None, None, "", ""
     with tempfile.TemporaryDirectory(prefix="clvol-trial-") as folder, intel.known_to_the_loader(without):
         environment = {
@@ -215,7 +215,7 @@ def _run(first: int, without: Collection[str], failures: dict[int, str] | None =
         }
         command = [sys.executable, "-P", "-c", _TRIAL, processor.__file__, str(first)]
         try:
-            nothing = subprocess.DEVNULL  # where a driver would ask
+            nothing = subprocess.DEVNULL  # in case a driver reads input
             done = subprocess.run(command, capture_output=True, env=environment, timeout=SECONDS, check=False, stdin=nothing)
             output = done.stdout
             why = "" if done.returncode == 0 else _ending(done.returncode, done.stderr)
@@ -247,7 +247,7 @@ def _said(output: bytes) -> Iterator[list[Any]]:
     for line in output.decode(errors="replace").splitlines():
         _, found, text = line.partition("clvol:")
         if found:
-            with suppress(ValueError):  # the last line of one that was ended
+            with suppress(ValueError):  # the last line of a process that was killed
                 yield json.loads(text)
 
 

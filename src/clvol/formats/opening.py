@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, DTypeLike
 from clvol.base.checks import as_path
 from clvol.base.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.bricks.source import LazyVolume
-from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, options_of
-from clvol.formats import zarr as zarr_format
+from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, options_of, zarr
 from clvol.formats._choice import Choice, Pick
 from clvol.formats._files import foreign_errors
+from clvol.formats.zarr.addresses import said, shown
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading
@@ -116,13 +116,13 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     choice = Choice({name: v for name, v in wanted.items() if v is not None})
     held_to = allowed(trusted, limits)
     if isinstance(path, str) and "://" in path:
-        chosen = next(one for one in FORMATS if one.read is zarr_format.read)
+        chosen = next(one for one in FORMATS if one.read is zarr.read)
         options = options_of(chosen, Path(path), given)
-        name = zarr_format.shown(path)
+        name = shown(path)
         if "::" not in path and name.lower().endswith(tuple(suffix for row in FORMATS for suffix in row.suffixes)):
             raise FormatError(f"{name} must be a Zarr store, for these alone are read by their address; download the file first")
-        with foreign_errors(f"open {name}", partial(zarr_format.said, address=path, options=storage_options)):
-            contents = zarr_format.lazily(path, _Once(choice.given), **options, storage_options=storage_options)
+        with foreign_errors(f"open {name}", partial(said, address=path, options=storage_options)):
+            contents = zarr.lazily(path, _Once(choice.given), **options, storage_options=storage_options)
         return opened(name, contents, replaced, missing).reopened_by(partial(open, path, **arguments))
     if storage_options is not None:
         raise OptionError(f"storage_options are for addresses, as s3://bucket/cells.zarr; got the path {path}")

@@ -1,8 +1,8 @@
-"""Intel's OpenCL runtime for processors as pip installs it (``clvol[intel]``): found, and made known to OpenCL's loader.
+"""Intel's OpenCL runtime for processors as pip installs it (``clvol[intel]``): found, and announced to OpenCL's loader.
 
-The wheels put it among the environment's libraries, where no loader looks, with a vendor file (``.icd``) that names a folder of
-Intel's own machines. What every loader takes is an environment variable: of files on Windows, of a folder of vendor files
-elsewhere. The folder stands for the usual one, so what that holds is put into ours too.
+The wheels put it into the environment's ``lib``, where no loader looks, with a vendor file (``.icd``) that names a folder of
+Intel's build machines. All loaders read an environment variable: libraries on Windows, a folder of vendor files elsewhere. That
+folder replaces the usual one, so the content of the latter is copied into it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _NAMES = ("libintelocl.so", "intelocl64.dll")
 
 
 def library() -> Path | None:
-    """The runtime's library in this Python's environment; None if it is not installed there."""
+    """The runtime's library in this Python environment; None if it is not installed."""
     from importlib.metadata import PackageNotFoundError, distribution  # a tenth of the time that importing clvol takes
 
     try:
@@ -33,10 +33,10 @@ def library() -> Path | None:
 
 @contextmanager
 def known_to_the_loader(without: Collection[str] = ()) -> Iterator[None]:
-    """For the time of a block, in which the loader must first be used: it finds Intel's runtime beside all that it finds otherwise.
+    """Let the loader find Intel's runtime beside others, for the duration of a block in which it is first used.
 
-    Nothing changes where the runtime is not installed, where the system has one of Intel's for processors (a process takes no two),
-    or where ``OCL_ICD_VENDORS`` names no folder: then it was set to keep others out. Libraries in `without` are kept out.
+    Nothing changes if the runtime is not installed, if the system has Intel's runtime for processors (a process cannot load two),
+    or if ``OCL_ICD_VENDORS`` names no folder, which is meant to exclude others. Libraries in `without` are hidden from it.
     """
     if without:
         with _only([text for text in vendors() or () if text not in without]):
@@ -46,8 +46,8 @@ def known_to_the_loader(without: Collection[str] = ()) -> Iterator[None]:
     if runtime is None:
         yield
         return
-    # Our kernels are written in vectors already: vectors of these are no faster, and take Intel's compiler five times as long.
-    # It reads this when the first context is made, so it stays; a user's own word comes first.
+    # Our kernels are vectorised by hand: Intel's vectoriser makes them no faster, and compilation takes five times as long.
+    # It is read when the first context is created, so it stays set; a user's own setting wins.
     os.environ.setdefault("CL_CONFIG_USE_VECTORIZER", "False")
     if sys.platform == "win32":
         _add_to_path(runtime.parent)
@@ -66,18 +66,18 @@ def known_to_the_loader(without: Collection[str] = ()) -> Iterator[None]:
 
 @contextmanager
 def _only(libraries: list[str]) -> Iterator[None]:
-    """For the time of a block the loader finds these, and what lies in its own folder."""
+    """For the duration of a block the loader finds only these, and what lies in its own folder."""
     with tempfile.TemporaryDirectory(prefix="clvol-vendors-") as folder:
-        for i, text in enumerate(libraries):  # loaders take them by name or as they come
+        for i, text in enumerate(libraries):  # loaders sort them by name, or take them in directory order
             Path(folder, f"{i:03}.icd").write_bytes(os.fsencode(text) + b"\n")
         with _set("OCL_ICD_VENDORS", folder), _set("OPENCL_VENDOR_PATH", folder):
             yield
 
 
 def vendors() -> list[str] | None:
-    """The libraries that the loader will find, Intel's of this environment last; None where it must not look into a folder.
+    """The libraries that the loader will find, Intel's of this environment last; None if it must not read a folder.
 
-    Those that lie in the loader's own folder, as PoCL by pip, are not among them, nor are those of Windows.
+    Excludes those in the loader's own folder, as PoCL by pip, and those of Windows.
     """
     if sys.platform == "win32":
         return None
@@ -88,22 +88,22 @@ def vendors() -> list[str] | None:
 
 
 def _vendor_files() -> list[str] | None:
-    """The libraries that vendors' files name, where the loader would look for them; None if it must not look into a folder."""
+    """The libraries named by the vendor files that the loader reads; None if it must not read a folder."""
     given = os.environ.get("OCL_ICD_VENDORS") or os.environ.get("OPENCL_VENDOR_PATH")
-    # conda's loader looks into the environment, others into the system's folder
+    # conda's loader reads the environment's folder, others the system's
     folders = [Path(given)] if given else [Path("/etc/OpenCL/vendors"), Path(sys.prefix, "etc/OpenCL/vendors")]
     if given and not folders[0].is_dir():
         return None
     texts = []
     for file in (file for folder in folders for file in sorted(folder.glob("*.icd"))):
-        with suppress(OSError):  # a link to nowhere, or not for us to read: nor can the loader
+        with suppress(OSError):  # a broken link, or no permission: the loader cannot read it either
             texts.append(os.fsdecode(file.read_bytes()).strip())
-    # a file that names a library by a path where there is none, as those that Intel's wheels bring, is no vendor's
+    # ignore files that name a library that does not exist, as those of Intel's wheels
     return [text for text in dict.fromkeys(texts) if text and (not Path(text).is_absolute() or Path(text).exists())]
 
 
 def _add_to_path(folder: Path) -> None:
-    """Where Windows looks for the libraries that the runtime loads by name, later too."""
+    """Let Windows find libraries that the runtime loads by name, also later."""
     if str(folder) not in os.environ.get("PATH", "").split(os.pathsep):
         os.environ["PATH"] = os.pathsep.join(filter(None, (os.environ.get("PATH"), str(folder))))
 

@@ -1,10 +1,10 @@
-"""Processors that PoCL's compiler does not know by name, because they are newer than it.
+"""Processors newer than PoCL's compiler, which does not know their names.
 
-LLVM calls them "generic", and its compiler then refuses that name for x86-64: no kernel builds on such a processor, Zen 5 for
-PoCL 3.0 (https://github.com/pocl/pocl/issues/1049). No option or environment variable of PoCL says otherwise; its record of the
-device does. This writes the name there of a processor that can do no more than this one.
+LLVM calls them "generic", a name that its x86-64 compiler then refuses: no kernel builds, for instance on Zen 5 with PoCL 3.0,
+which ``clvol[pocl]`` installs (https://github.com/pocl/pocl/issues/1049). No option or environment variable of PoCL changes the
+name, but its device record does: this writes the name of a processor with a subset of the features into it.
 
-Imports nothing of clvol, so that the probe of `clvol.device` can run it in a process of its own.
+Imports nothing of clvol, so that `clvol.device.probe` can run it in another process.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 __all__ = ["name_processor"]
 
-# What PoCL builds its own library for, the best last, and what of /proc/cpuinfo it takes to be that.
+# Processors for which PoCL has a kernel library, the best last, and the flags of /proc/cpuinfo that each needs.
 _KNOWN = (
     (b"x86-64", {"sse2"}),
     (b"core2", {"sse2", "ssse3", "cx16"}),
@@ -27,22 +27,22 @@ _KNOWN = (
     (b"haswell", {"avx", "avx2", "cx16", "popcnt", "abm", "f16c", "fma", "bmi1", "bmi2"}),
     (b"skylake-avx512", {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl", "bmi2", "fma"}),
 )
-_RECORD = 2048  # bytes of PoCL's record that are searched
-_NAMES = {name: ctypes.create_string_buffer(name) for name, _ in _KNOWN}  # PoCL keeps their addresses
+_RECORD = 2048  # bytes of the record that are searched
+_NAMES = {name: ctypes.create_string_buffer(name) for name, _ in _KNOWN}  # kept alive: PoCL keeps their addresses
 
 
 def name_processor(address: int) -> str | None:
-    """Give PoCL the name of a processor like this one, if it has none.
+    """Name a processor that PoCL calls "generic".
 
     Parameters
     ----------
     address : int
-        Of PoCL's record of a device, ``pyopencl.Device.int_ptr``.
+        Address of PoCL's device record, ``pyopencl.Device.int_ptr``.
 
     Returns
     -------
     str or None
-        The name; None if PoCL has one already, or none is known here.
+        The name; None if PoCL has one already, or none fits.
     """
     if not sys.platform.startswith("linux") or platform.machine() not in ("x86_64", "AMD64"):
         return None
@@ -52,7 +52,7 @@ def name_processor(address: int) -> str | None:
         if not _lies_in(readable, place):
             return None
         text = _text(readable, ctypes.c_uint64.from_address(place).value)
-        if text == b"generic\0" and before == b"x86_64-u":  # it follows the name of the platform
+        if text == b"generic\0" and before == b"x86_64-u":  # it follows the target triple
             name = _like_this()
             if name is not None:
                 ctypes.c_uint64.from_address(place).value = ctypes.addressof(_NAMES[name])
@@ -84,5 +84,5 @@ def _lies_in(readable: list[tuple[int, int]], place: int) -> bool:
 
 
 def _text(readable: list[tuple[int, int]], place: int) -> bytes:
-    """The first eight bytes there, or none where nothing may be read."""
+    """The first eight bytes at an address; none if it cannot be read."""
     return ctypes.string_at(place, 8) if _lies_in(readable, place) else b""

@@ -32,7 +32,7 @@ from clvol.formats.pyramid.journal import Journal
 from clvol.formats.pyramid.levels import FIXED, METHODS, Level, Method, filter_at, levels_of, require_reducible, sums_for
 from clvol.formats.pyramid.reduce import Reduction
 from clvol.formats.pyramid.source import require_apart, said_of
-from clvol.formats.zarr import shown
+from clvol.formats.zarr.addresses import shown
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.volume import Volume, as_volume
 

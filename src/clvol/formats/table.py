@@ -1,0 +1,227 @@
+"""The table of file formats: one row each, found by suffix, by what a file holds, or by what a folder holds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clvol.base.errors import FormatError, OptionError
+from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
+from clvol.formats._choice import Series
+from clvol.formats._files import Reader, Writer, foreign_errors
+from clvol.interop.kinds import Content
+from clvol.volume.volumes import Volumes
+
+__all__ = ["FORMATS", "WRITTEN", "Format", "by_suffix", "format_of", "options_of"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format.
+
+    Parameters
+    ----------
+    name : str
+        Shown to users.
+    suffixes : tuple of str
+        Endings of file names, in lower case; empty if the format is recognised by content.
+    read : callable
+        Returns the samples and their geometry. With `several` it takes ``choose``, a `Choice`, calls it with the file's name and
+        `Leading` axes, loads the samples of the resulting `Pick`, and adds its `about` to the geometry.
+    write : callable or None
+        None: read only.
+    options : frozenset of str
+        Arguments of `clvol.read` for this format.
+    several : bool
+        Whether a file may hold more than one volume.
+    file : callable or None
+        Recognises a file of unknown suffix by its content.
+    folder : callable or None
+        Recognises a folder; None: files only.
+    series : callable or None
+        Lists the images of a file or folder, as a tuple of `Series`, if ``series=`` chooses one.
+    native : tuple of str
+        Modules with native code that read it: in another process, which imports them, unless the file is trusted. Empty: Python
+        and NumPy read it in this process.
+    write_several : callable or None
+        Writes `Volumes` into one file; None: the format holds one volume.
+    lazily : callable or None
+        As `read`, but returns a list of sizes, the largest first, each with a `Window` of its samples; an empty list if this file
+        cannot be read in parts. None: no file can.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    read: Reader
+    write: Writer | None = None
+    options: frozenset[str] = frozenset()
+    several: bool = False
+    file: Callable[[Path], bool] | None = None
+    folder: Callable[[Path], bool] | None = None
+    series: Callable[[Path], tuple[Series, ...]] | None = None
+    native: tuple[str, ...] = ()
+    write_several: Callable[[Volumes, Path], None] | None = None
+    lazily: Callable[..., list[Content]] | None = None
+
+
+_ITK = ("SimpleITK",)
+_PILLOW = ("imageio.v3", "PIL.Image")
+
+FORMATS = (
+    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write, lazily=npy.lazily),
+    Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive, several=True, write_several=npy.write_archive),
+    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write, lazily=nifti.lazily),
+    Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True, lazily=nifti.lazily_pair),
+    Format(
+        "NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write, several=True, native=_ITK, write_several=nrrd.write, lazily=nrrd.lazily
+    ),
+    Format(
+        "MetaImage",
+        (".mha", ".mhd"),
+        metaimage.read,
+        metaimage.write,
+        several=True,
+        native=_ITK,
+        write_several=metaimage.write,
+        lazily=metaimage.lazily,
+    ),
+    Format("FreeSurfer MGH", (".mgh", ".mgz"), mgz.read, several=True),
+    Format(
+        "Zarr",
+        (".zarr.zip", ".ozx", ".zip"),
+        zarr.read,
+        None,
+        frozenset({"series", "level"}),
+        several=True,
+        folder=zarr.is_one,
+        series=zarr.series,
+        native=("zarr",),
+        lazily=zarr.lazily,
+    ),
+    Format(
+        "DICOM",
+        dicom.SUFFIXES,
+        dicom.read,
+        options=frozenset({"series"}),
+        several=True,
+        file=dicom.is_file,
+        folder=dicom.is_folder,
+        series=dicom.series_of,
+        native=_ITK,
+    ),
+    Format(
+        "TIFF stack",
+        (".tif", ".tiff"),
+        tiff.read,
+        tiff.write,
+        frozenset({"series", "level"}),
+        several=True,
+        series=tiff.series,
+        native=("tifffile",),
+        lazily=tiff.lazily,
+        write_several=tiff.write_several,
+    ),
+    Format(
+        "HDF5",
+        (".h5", ".hdf5", ".hdf", ".he5", ".nc"),
+        hdf5.read,
+        None,
+        frozenset({"series"}),
+        several=True,
+        series=hdf5.series,
+        native=("h5py",),
+        lazily=hdf5.lazily,
+    ),
+    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True, native=("h5py",), lazily=imaris.lazily),
+    Format(
+        "VTK image data",
+        (".vti",),
+        vti.read,
+        None,
+        frozenset({"series"}),
+        several=True,
+        series=vti.series,
+        native=("vtkmodules.vtkIOCore",),
+    ),
+    Format(
+        "microscope makers' files",
+        bioio.SUFFIXES,
+        bioio.read,
+        None,
+        frozenset({"series", "level"}),
+        several=True,
+        series=bioio.series,
+        native=("bioio",),
+    ),
+    Format("image", slices.SUFFIXES, slices.read, several=True, native=_PILLOW),
+    Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in, native=(*_PILLOW, "tifffile")),
+    Format(
+        "raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"}), lazily=raw.lazily
+    ),
+)
+
+_FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
+_LISTED = 5  # kinds of files that a message lists
+
+WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
+"""Suffixes that `write` knows."""
+
+
+def format_of(path: Path) -> Format:
+    """The format of a file by its name, of a folder by its content."""
+    with foreign_errors(f"read {path}"):
+        if not path.exists():
+            raise FormatError(f"cannot read {path}: there is no such file or folder")
+        if path.is_dir():
+            found = next((f for f in FORMATS if f.folder is not None and f.folder(path)), None)
+            if found is None:
+                raise FormatError(f"cannot read {path}: a folder must hold {_FOLDERS}; this one holds {_holdings(path)}")
+            return found
+        if not path.is_file():
+            raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
+        if not path.name.lower().endswith(tuple(suffix for row in FORMATS for suffix in row.suffixes)):
+            for row in FORMATS:
+                if row.file is not None and row.file(path):
+                    return row
+        return by_suffix(path)[0]
+
+
+def by_suffix(path: Path, written: bool = False) -> tuple[Format, str]:
+    """The format of a file name, and its suffix: the longest match, as .nii.gz."""
+    name = path.name.lower()
+    rows = [row for row in FORMATS if row.write or not written]
+    found = [(suffix, row) for row in FORMATS for suffix in row.suffixes if name.endswith(suffix)]
+    if not found:
+        known = " ".join(suffix for row in rows for suffix in row.suffixes)
+        rule = "write" if written else "read"
+        also = "" if written else f"; a folder may hold {_FOLDERS}"
+        raise FormatError(f"cannot {rule} {path}: its suffix must be one of {known}{also}")
+    suffix, row = max(found, key=lambda pair: len(pair[0]))
+    return row, suffix
+
+
+def options_of(chosen: Format, path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are not None; `OptionError` for one that does not apply to this format."""
+    options = {name: value for name, value in given.items() if value is not None}
+    for name in options:
+        if name not in chosen.options:
+            having = ", ".join(f.name for f in FORMATS if name in f.options)
+            raise OptionError(f"{name} is only for: {having}; {path} is read as: {chosen.name}")
+    return options
+
+
+def _holdings(path: Path) -> str:
+    """A summary of a folder for messages."""
+    entries = [entry for entry in path.iterdir() if not entry.name.startswith(".")]
+    folders = sorted(entry.name for entry in entries if entry.is_dir())
+    kinds = Counter(entry.suffix.lower() or "without a suffix" for entry in entries if not entry.is_dir())
+    parts = [f"{n} file{'s' if n > 1 else ''} {kind}" for kind, n in kinds.most_common(_LISTED)]
+    if len(kinds) > _LISTED:
+        parts.append("others")
+    if folders:
+        names = ", ".join(folders[:_LISTED]) + (", …" if len(folders) > _LISTED else "")
+        parts.append(f"{len(folders)} folder{'s' if len(folders) > 1 else ''} ({names}): give one of them")
+    return ", ".join(parts) or "nothing"

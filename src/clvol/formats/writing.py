@@ -1,0 +1,64 @@
+"""Writing volumes to files."""
+
+from __future__ import annotations
+
+import os
+
+from numpy.typing import ArrayLike
+
+from clvol.base.checks import as_path
+from clvol.base.errors import FormatError
+from clvol.base.files import staged
+from clvol.formats._files import foreign_errors
+from clvol.formats.table import FORMATS, WRITTEN, by_suffix
+from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volumes import Volumes
+
+__all__ = ["write"]
+
+
+def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) -> None:
+    """Write a volume (or image), or several on one grid, to a file.
+
+    The file appears when it is complete: a failure leaves what was at `path`. Nothing is lost silently: what a format cannot hold
+    is refused, except that boolean samples become uint8, and float16 float32, in formats without these types.
+
+    Parameters
+    ----------
+    volume : Volume, Volumes or array-like
+        What to write.
+    path : path-like
+        ``.npz``: everything, exactly. ``.nrrd .nhdr .mha .mhd``: samples and geometry, in mm. ``.nii .nii.gz``: the same, with
+        geometry in float32, and the window, time step and other fields of `Volume.header`. ``.tif .tiff`` (OME): spacing and
+        units, times, and channels with names and colours. ``.npy``: samples only.
+        ``.nhdr`` and ``.mhd`` put the samples beside the header, into a ``.raw`` file.
+
+    Raises
+    ------
+    FormatError
+        No format with this suffix can be written, the format cannot hold the volume, or only one, or writing failed.
+    MissingDependencyError
+        The format needs ``clvol[medical]`` or ``clvol[microscopy]``.
+    """
+    path = as_path(path)
+    if isinstance(volume, Volumes) and len(volume) == 1:
+        volume = volume[0]
+    what = volume if isinstance(volume, Volumes) else as_volume(volume)
+    chosen, suffix = by_suffix(path, written=True)
+    if chosen.write is None:
+        raise FormatError(
+            f"cannot write {path}: {chosen.name} is only read; written are {' '.join(WRITTEN)}, of which .mhd or .nhdr puts raw "
+            "samples beside a header that says how they are arranged"
+        )
+    if isinstance(what, Volumes) and chosen.write_several is None:
+        holding = " ".join(s for f in FORMATS if f.write_several for s in f.suffixes)
+        raise FormatError(
+            f"cannot write {path}: {chosen.name} holds one volume; got {what.leading}: choose one, as volumes[0]"
+            + (f", or write {holding}" if holding else "")
+        )
+    with foreign_errors(f"write {path}"), staged(path, suffix) as file:
+        if isinstance(what, Volumes):
+            assert chosen.write_several is not None
+            chosen.write_several(what, file)
+        else:
+            chosen.write(what, file)

@@ -1,0 +1,216 @@
+"""OME-Zarr images (0.4 and 0.5, and older ones), and plain arrays and groups of Zarr 2 and 3, in folders and ``.zip`` files."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from clvol.base.errors import DataError, FormatError, MissingDependencyError
+from clvol.formats._bounds import KEY, bounds_of
+from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
+from clvol.formats._layout import decoded, lay_out, place, shrunk, uniform, unnamed
+from clvol.formats.zarr import ome
+from clvol.formats.zarr.addresses import shown
+from clvol.formats.zarr.array import loaded, require_chunks, window
+from clvol.formats.zarr.files import is_one
+from clvol.interop.kinds import Content
+
+if TYPE_CHECKING:
+    from clvol.formats.zarr._store import CheckedStore
+
+__all__ = ["is_one", "lazily", "read", "series"]
+
+Load: TypeAlias = Callable[..., Any]
+"""From a name, an array and an index to its samples there, or a window of them."""
+
+
+@dataclass(frozen=True)
+class _Image:
+    """A plain array, or a group with an image in several sizes, which `multiscales` describes."""
+
+    id: str
+    node: Any
+    multiscales: Mapping[str, Any] | None = None
+    labels: bool = False
+
+    def level(self, level: int) -> Any:
+        """The array of a size."""
+        if self.multiscales is None:
+            return self.node
+        path = None
+        try:
+            path = self.multiscales["datasets"][level]["path"]
+            array = self.node[path]
+        except (IndexError, KeyError, TypeError):
+            array = None
+        if not hasattr(array, "shape"):  # a group has none
+            name = self.node.store_path.store.name
+            raise FormatError(f"{name} must hold an array for each of its sizes; that of size {level} has the path {path!r}")
+        return array
+
+    @property
+    def sizes(self) -> list[tuple[int, ...]]:
+        """The shape of each size."""
+        return [self.level(i).shape for i in range(len(self.multiscales["datasets"]) if self.multiscales is not None else 1)]
+
+    @property
+    def series(self) -> Series:
+        array = self.level(0)
+        words = [str((self.multiscales or {}).get("name") or "")] if self.multiscales else [array.dtype.name]
+        return Series(self.id, ", ".join(filter(None, [*words, "labels" * self.labels])), tuple(array.shape))
+
+
+def read(path: Path, choose: Choice, series: int | str | None = None, level: int = 0) -> Content:
+    """The chosen samples of one image or array; missing chunks have the array's fill value."""
+    with _images(path) as images:
+        image = _one_of(path.name, images, series)
+        return _content(path.name, image, chosen_level(path.name, image.sizes, level), choose, loaded)
+
+
+def lazily(
+    source: Path | str,
+    choose: Choice,
+    series: int | str | None = None,
+    level: int = 0,
+    storage_options: Mapping[str, Any] | None = None,
+) -> list[Content]:
+    """Windows of an image in all its sizes from `level` on, the largest first; no samples are read yet.
+
+    `source` may be an address (``s3://...``, ``https://...``), which fsspec understands with these `storage_options`.
+    """
+    store, inner = _opened(source, storage_options, watched=True)
+    try:
+        image = _one_of(store.name, _found(store, inner), series)
+    except FileNotFoundError as error:
+        if store.files is not None:
+            raise
+        raise FormatError(f"there is no Zarr array or group at {shown(str(source))}, or no such server or bucket") from error
+    contents, sizes = [], image.sizes
+    for number in range(chosen_level(store.name, sizes, level), len(sizes)):
+        require_chunks(store.name, image.level(number))
+        contents.append(_content(store.name, image, number, choose, window))
+    if image.multiscales and not any(one.get("coordinateTransformations") for one in image.multiscales["datasets"]):
+        contents = [shrunk(contents[0], content) for content in contents]  # before 0.4 shapes alone told how sizes are placed
+    return contents
+
+
+def series(path: Path) -> tuple[Series, ...]:
+    """The images and arrays that there are, images before their labels."""
+    with _images(path) as images:
+        return tuple(image.series for image in images)
+
+
+def _opened(source: Path | str, options: Mapping[str, Any] | None = None, watched: bool = False) -> tuple[CheckedStore, str]:
+    """The store, and the path in it of the array or group."""
+    try:
+        import zarr  # noqa: F401  # a store imported before does not show that it is still there
+
+        from clvol.formats.zarr._store import open_store
+    except ImportError as error:
+        raise MissingDependencyError("Zarr needs zarr: pip install clvol[microscopy]") from error
+    return open_store(source, options, watched)
+
+
+@contextmanager
+def _images(path: Path) -> Iterator[list[_Image]]:
+    store, inner = _opened(path)
+    with closing(store):
+        yield _found(store, inner)
+
+
+def _found(store: CheckedStore, inner: str) -> list[_Image]:
+    """The images of a store, before their labels."""
+    import zarr
+
+    with warnings.catch_warnings():  # about other files in the folders
+        warnings.simplefilter("ignore")
+        found = list(_below(zarr.open(store, path=inner, mode="r"), ""))
+    if not found:
+        raise DataError(f"{store.name} must hold an array of numbers with two axes or more; it holds none")
+    return sorted(found, key=lambda image: image.labels)
+
+
+def _below(node: Any, path: str, labels: bool = False) -> Iterator[_Image]:
+    """The images in `node` and the groups below, in the natural order of their names."""
+    if hasattr(node, "shape"):
+        if node.ndim >= 2 and node.dtype.kind in "biuf":
+            yield _Image(path or ".", node, None, labels)
+        return
+    about = ome.metadata_of(dict(node.attrs))
+    multiscales = about.get("multiscales")
+    if multiscales:
+        yield _Image(path or ".", node, multiscales[0], labels or "image-label" in about)
+        if "labels" in node:
+            yield from _below(node["labels"], f"{path}/labels".lstrip("/"), labels=True)
+        return
+    for name, member in sorted(node.members(), key=lambda pair: _natural(pair[0])):
+        yield from _below(member, f"{path}/{name}".lstrip("/"), labels)
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def _one_of(name: str, images: list[_Image], series: int | str | None) -> _Image:
+    main = [image for image in images if not image.labels]
+    any_ome = any(image.multiscales for image in main)
+    what = "images" if any_ome else "arrays"
+    return images[chosen_series(name, [image.series for image in images], series, what=what, main=len(main), first=any_ome)]
+
+
+def _content(source: str, image: _Image, level: int, choose: Choice, load: Load) -> Content:
+    return _plain(source, image, choose, load) if image.multiscales is None else _multiscale(source, image, level, choose, load)
+
+
+def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Load) -> Content:
+    assert image.multiscales is not None
+    array, attributes = image.level(level), dict(image.node.attrs)
+    keep = () if load is loaded else ("z",)  # lazy volumes have three axes
+    layout, leading, known = ome.described(source, attributes, image.multiscales, level, array.shape, keep)
+    if image.labels:
+        known["labels"] = ome.labels_of(attributes) or True
+    if attributes.get(KEY) and layout.axes == ("z", "y", "x") and load is not loaded:
+        about, path = attributes[KEY], image.multiscales["datasets"][level]["path"]
+        known["bounds"] = bounds_of(image.node, about, path, array.shape[::-1], lambda one: window(source, one))
+    data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
+    return data, known | chosen
+
+
+def _plain(source: str, image: _Image, choose: Choice, load: Load) -> Content:
+    """An array as it is; its axes by name and coordinate, if it has them, as xarray stores these."""
+    array = image.node
+    words = _dimensions(array)
+    named = any(words)
+    words = words if named else unnamed(array.shape, array.dtype)
+    layout = lay_out(source, words, array.shape, asked=choose.given)
+    lines, units = {}, {}
+    for axis, word in zip(layout.axes, words, strict=True):
+        values = _beside(image, word) if axis in ("x", "y", "z") and word else None
+        if values is not None and values.shape == (layout.shape[layout.axes.index(axis)],):
+            lines[axis] = uniform(loaded(source, values)) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
+            units[axis] = str(values.attrs.get("units", ""))
+    leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
+    data, chosen = layout.chosen(source, choose, lambda index: decoded(load(source, array, index), dict(array.attrs)), leading)
+    return data, {"name": image.id.rpartition("/")[2].strip(".")} | place(layout, lines, units) | chosen
+
+
+def _dimensions(array: Any) -> list[str]:
+    """Names of the axes: a field of Zarr 3, an attribute that xarray adds in Zarr 2."""
+    names = getattr(array.metadata, "dimension_names", None) or array.attrs.get("_ARRAY_DIMENSIONS")
+    return [str(name or "") for name in names] if names is not None and len(names) == array.ndim else [""] * array.ndim
+
+
+def _beside(image: _Image, name: str) -> Any:
+    """The array of this name beside an image: the coordinates of an axis."""
+    import zarr
+
+    store, group = image.node.store_path.store, image.node.path.rpartition("/")[0]
+    try:
+        return zarr.open_array(store, path=f"{group}/{name}".lstrip("/"), mode="r")
+    except (FileNotFoundError, KeyError):
+        return None
