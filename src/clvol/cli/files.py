@@ -321,7 +321,7 @@ def pyramid(
 ) -> None:
     """Write a volume as OME-Zarr of several sizes, part by part, however large it is.
 
-    If it is killed or interrupted, the same command goes on where it stopped.
+    If it is killed or interrupted, the same command resumes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What `clvol.pyramid` keeps beside the samples: minima and maxima of the function, and what else OME-Zarr has no place for."""
+"""What `clvol.pyramid` stores beside OME-Zarr: minima and maxima of the function, and metadata."""
 
 from __future__ import annotations
 
@@ -18,43 +18,43 @@ from clvol.bricks.source import Index
 __all__ = ["BLOCK", "KEY", "VERSION", "StoredBounds", "blocks_of", "bounds_of"]
 
 KEY = "clvol"
-"""The attribute of the image's group that says what there is, and the name of the group that holds it."""
+"""The attribute of the image's group with the metadata, and the name of the group with the bounds."""
 
 VERSION = 1
 BLOCK = 8
 """Cells along an edge of the finest blocks."""
 
-_LOOKED_AT = 1 << 15  # blocks for one answer, about; of more, coarser ones are taken
-_KEPT = 1 << 6  # chunks of blocks, 256 KiB each
+_MAX_BLOCKS = 1 << 15  # to read for one answer; for more, coarser blocks are read
+_CACHED = 1 << 6  # chunks of blocks, 256 KiB each
 
 
 def blocks_of(size: Sequence[int], block: int = BLOCK) -> tuple[int, ...]:
-    """Blocks along each axis of so many samples: those of the cells between them."""
+    """Blocks of cells along axes of `size` samples."""
     return tuple(max(1, -(-(n - 1) // block)) for n in size)
 
 
 class StoredBounds:
-    """Bounds that lie in a store: read when they are asked for, and kept.
+    """Bounds in a store, read on demand and cached.
 
     Parameters
     ----------
     arrays : sequence of array-like, shape (bz, by, bx, 2)
-        Minima and maxima in blocks, the finest first; each next one has blocks twice as large.
+        Minima and maxima in blocks, the finest first; each next array has blocks twice as large.
     size : tuple of int
         Samples of the volume along x, y and z.
     filter, boundary : str
-        Whose function they bound.
+        Of the function.
     value_range : (float, float)
         The smallest and the largest sample.
     block : int
         Cells along an edge of the finest blocks.
     filled : bool
-        Whether chunks that are not stored read as zeros, so that nobody knows what zeros throughout a chunk mean.
+        Whether missing chunks read as zeros, so that a chunk of zeros may be missing.
 
     Raises
     ------
     FormatError
-        They do not fit the volume.
+        The arrays do not fit the volume.
     """
 
     def __init__(
@@ -87,9 +87,9 @@ class StoredBounds:
         return f"<bounds of {self.filter}, {self.boundary}: samples of {self.value_range[0]:g} to {self.value_range[1]:g}>"
 
     def within(self, low: Index, high: Index) -> tuple[float, float]:
-        """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these.
+        """Bounds of the function in the cells between samples `low` and `high`; infinite where a chunk of bounds is missing.
 
-        The outer half cells of the domain belong to the cells beside them. Where a chunk of bounds is missing they are infinite.
+        The outer half cells of the domain belong to the cells beside them.
         """
         for number, array in enumerate(self._arrays):
             edge = self._block << number
@@ -97,7 +97,7 @@ class StoredBounds:
             for begin, end, n in zip(low, high, array.shape[2::-1], strict=True):
                 first = min(max(0, begin // edge), n - 1)
                 box.append((first, max(first + 1, min(n, -(-end // edge)))))
-            if math.prod(last - first for first, last in box) <= _LOOKED_AT or number == len(self._arrays) - 1:
+            if math.prod(last - first for first, last in box) <= _MAX_BLOCKS or number == len(self._arrays) - 1:
                 break
         least, most = math.inf, -math.inf
         for part in self._parts(number, box[::-1]):
@@ -106,7 +106,7 @@ class StoredBounds:
         return least, most
 
     def _parts(self, number: int, box: Sequence[tuple[int, int]]) -> list[NDArray[Any]]:
-        """What a box of blocks holds, chunk by chunk: [z, y, x, 2] each."""
+        """The blocks in a box, chunk by chunk: [z, y, x, 2] each."""
         array = self._arrays[number]
         chunks = (getattr(array, "chunks", None) or array.shape)[:3]
         found = []
@@ -120,7 +120,7 @@ class StoredBounds:
                     part = np.full_like(part, np.nan)
                 with self._lock:
                     self._kept[number, *at] = part
-                    while len(self._kept) > _KEPT:
+                    while len(self._kept) > _CACHED:
                         self._kept.popitem(last=False)
             inside = (slice(max(0, a - f), b - f) for (a, b), f in zip(box, first, strict=True))
             found.append(part[tuple(inside)])
@@ -128,12 +128,12 @@ class StoredBounds:
 
 
 def bounds_of(group: Any, about: Mapping[str, Any], path: str, size: Sequence[int], wrapped: Any) -> StoredBounds | None:
-    """Those of one size of an image, if `clvol.pyramid` made it; `wrapped` makes of an array one whose faults are named.
+    """The bounds of one level of an image that `clvol.pyramid` wrote, else None; `wrapped` adds names to an array's errors.
 
     Raises
     ------
     FormatError
-        What the attributes say is not there.
+        The store lacks what its attributes describe.
     """
     if about.get("version") != VERSION:
         return None

@@ -84,39 +84,20 @@ class Choice:
         OptionError
             The file has no such axis, or the index is out of range; the message says what there is.
         """
-        places = dict(self.given)
-        if "volume" in places and "volume" not in leading.axes:
-            if len(places) > 1:
-                raise OptionError(f"give volume or {', '.join(name for name in places if name != 'volume')}; got both")
-            flat = Leading(("volume",), (leading.total,)).place("volume", places.pop("volume"), source)
-            places = {
-                axis: int(i)
-                for axis, i in zip(leading.axes, np.unravel_index(flat, leading.counts or (1,)), strict=bool(leading.axes))
-            }
-        if leading.axes == ("volume",) and "time" in places and "volume" not in places:
-            places["volume"] = places.pop("time")
-        for name in places:
-            if name not in leading.axes and places[name] not in (0, "0"):
-                raise OptionError(f"{name} must be 0, for {source} holds one {name}; it holds {leading}; got {places[name]!r}")
+        places = self._places(source, leading)
+        wanted = places.get("channel", "" if self.whole else leading.computed)
+        computed = leading.computed if "channel" in leading.axes and wanted == leading.computed else ""
+        if computed:
+            places["channel"] = computed
         index: list[int | slice] = []
-        left: list[str] = []
-        computed = ""
-        for axis, count in zip(leading.axes, leading.counts, strict=True):
+        for axis in leading.axes:
             choice = places.get(axis)
-            if choice is None and not self.whole and axis == "channel" and leading.computed:
-                choice = leading.computed
-            if axis == "channel" and choice and choice == leading.computed:
-                computed = leading.computed
-                index.append(slice(None))
-            elif choice is not None:
-                index.append(leading.place(axis, choice, source))
-            elif self.whole:
+            if (axis == "channel" and computed) or (choice is None and self.whole):
                 index.append(slice(None))
             else:
-                index.append(0)
-                if count > 1:
-                    left.append(axis)
-        self._warn(source, leading, left, index, guessed)
+                index.append(0 if choice is None else leading.place(axis, choice, source))
+        left = [axis for axis, n in zip(leading.axes, leading.counts, strict=True) if n > 1 and axis not in places]
+        self._warn(source, leading, [] if self.whole else left, index, guessed)
         taken = {axis: at for axis, at in zip(leading.axes, index, strict=True) if not isinstance(at, slice)}
         fixed = leading.without(*(axis for axis in leading.axes if axis not in taken))
         about = fixed.about(list(taken.values()))
@@ -127,6 +108,22 @@ class Choice:
             about["leading"] = rest
         at = sum(isinstance(i, slice) for i in index[: leading.axes.index("channel")]) if computed else 0
         return Pick(tuple(index), about, (lambda data: leading.combined(data, at)) if computed else (lambda data: data))
+
+    def _places(self, source: str, leading: Leading) -> dict[str, int | str]:
+        """The given choices, by the axes of `leading`."""
+        places = dict(self.given)
+        if "volume" in places and "volume" not in leading.axes:
+            if len(places) > 1:
+                raise OptionError(f"give volume or {', '.join(name for name in places if name != 'volume')}; got both")
+            flat = Leading(("volume",), (leading.total,)).place("volume", places.pop("volume"), source)
+            at = np.unravel_index(flat, leading.counts or (1,))
+            places = {axis: int(i) for axis, i in zip(leading.axes, at, strict=bool(leading.axes))}
+        if leading.axes == ("volume",) and "time" in places and "volume" not in places:
+            places["volume"] = places.pop("time")
+        for name in places:
+            if name not in leading.axes and places[name] not in (0, "0"):
+                raise OptionError(f"{name} must be 0, for {source} holds one {name}; it holds {leading}; got {places[name]!r}")
+        return places
 
     def _warn(self, source: str, leading: Leading, left: list[str], index: list[int | slice], guessed: str) -> None:
         if left:

@@ -1,4 +1,4 @@
-"""The directories of a TIFF file, walked before any library believes them: one for each page, chained by offsets."""
+"""The directories of a TIFF file, checked before a library reads them: one per page, chained by offsets."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from clvol.base.errors import FormatError
 __all__ = ["Directory", "directories", "segments"]
 
 _WIDTH, _LENGTH, _BITS, _COMPRESSION, _COLOR, _SAMPLES, _PLANES = 256, 257, 258, 259, 262, 277, 284
-_CHILDREN = 330  # offsets of directories below
+_CHILDREN = 330  # offsets of child directories
 _ROWS, _TILE_WIDTH, _TILE_LENGTH, _DEPTH, _TILE_DEPTH = 278, 322, 323, 32997, 32998
-_SUBSAMPLED = 6  # colour that is stored at every other pixel
-_DEFAULTS: dict[int, tuple[int, ...]] = {  # how samples are stored; a page that does not say has these
+_SUBSAMPLED = 6  # colours may be stored for every other pixel only
+_DEFAULTS: dict[int, tuple[int, ...]] = {  # how samples are stored, by default
     _WIDTH: (),
     _LENGTH: (),
     _BITS: (1,),
     _COMPRESSION: (1,),
     _COLOR: (),
     266: (1,),  # order of the bits of a byte
-    _SAMPLES: (1,),  # a pixel
-    _PLANES: (1,),  # samples beside each other, or in planes of their own
+    _SAMPLES: (1,),  # per pixel
+    _PLANES: (1,),  # samples interleaved, or in separate planes
     317: (1,),  # predictor
     339: (1,),  # unsigned, signed or floating
     _ROWS: (),
@@ -31,22 +31,22 @@ _DEFAULTS: dict[int, tuple[int, ...]] = {  # how samples are stored; a page that
     _DEPTH: (1,),
     _TILE_DEPTH: (1,),
 }
-_TOLD = {*_DEFAULTS, _CHILDREN}
+_READ = {*_DEFAULTS, _CHILDREN}
 _BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}  # of a type
 _WHOLE = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
-_MOST_VALUES = 1 << 16  # of a field that says how samples are stored
+_MAX_VALUES = 1 << 16  # of a field that says how samples are stored
 
 Directory = Mapping[int, tuple[int, ...]]
-"""What a page says of how its samples are stored: values by the number of their tag."""
+"""How the samples of a page are stored: values by tag."""
 
 
 def directories(stream: IO[bytes], size: int, name: str) -> dict[int, Directory]:
-    """The directories of a file of `size` bytes, by their offsets; pages that are stored alike share one object.
+    """The directories of a file of `size` bytes, by offset; pages that are stored alike share one object.
 
     Raises
     ------
     FormatError
-        It is no TIFF file; a directory or a value lies past the end of the file, or directories lead in a circle.
+        The file is no TIFF file; a directory or a value lies beyond its end, or directories form a cycle.
     """
     head = stream.read(16)
     order = {b"II": "<", b"MM": ">"}.get(head[:2], "")
@@ -76,11 +76,11 @@ def directories(stream: IO[bytes], size: int, name: str) -> dict[int, Directory]
             length = count * _BYTES.get(kind, 0)
             if length > room and pointer.unpack(value)[0] + length > size:
                 raise FormatError(f"{name} must hold the values of every field; {count} of tag {tag} end past its end, {size}")
-            if tag not in _TOLD:
+            if tag not in _READ:
                 continue
-            if kind not in _WHOLE or count > _MOST_VALUES:
+            if kind not in _WHOLE or count > _MAX_VALUES:
                 raise FormatError(
-                    f"{name} must have up to {_MOST_VALUES} whole numbers for tag {tag}; it has {count} of type {kind}"
+                    f"{name} must have up to {_MAX_VALUES} whole numbers for tag {tag}; it has {count} of type {kind}"
                 )
             content = value[:length] if length <= room else _at(stream, pointer.unpack(value)[0], length)
             values = struct.unpack(f"{order}{count}{_WHOLE[kind]}", content)
@@ -101,10 +101,7 @@ def _at(stream: IO[bytes], offset: int, length: int) -> bytes:
 
 
 def segments(page: Directory) -> tuple[int, int, int, int] | None:
-    """Strips or tiles of a plane, planes, bytes of a segment and of the last one; None where the samples do not follow each other.
-
-    What a codec stores them in is another matter.
-    """
+    """Strips or tiles per plane, planes, unpacked bytes of a segment and of the last one; None if samples are not contiguous."""
     width, length, samples, planes = ((page[tag] or (0,))[0] for tag in (_WIDTH, _LENGTH, _SAMPLES, _PLANES))
     bits = set(page[_BITS])
     if len(bits) != 1 or page[_COLOR] == (_SUBSAMPLED,) or page[_DEPTH] != (1,):

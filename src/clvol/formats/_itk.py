@@ -1,7 +1,6 @@
-"""Between `Volume` and SimpleITK, for the formats that ITK reads and writes.
+"""Files that SimpleITK reads and writes.
 
-SimpleITK crashes, hangs or zero-fills on damaged files: each format checks the header
-itself, and only what is sound is handed over.
+SimpleITK crashes, hangs or fills with zeros on damaged files, so each format first checks the header itself.
 """
 
 from __future__ import annotations
@@ -29,24 +28,24 @@ from clvol.volume.volumes import Leading, Volumes
 
 __all__ = ["Flat", "Header", "open_image", "quiet", "read_image", "reason", "write_image"]
 
-_TOLERANCE = 1e-12  # of what was to be written, to what was
+_TOLERANCE = 1e-12  # relative, between the geometry to write and the one written
 
 
 @dataclass(frozen=True)
 class Flat:
-    """Samples that follow each other in a file.
+    """Uncompressed samples, contiguous in a file.
 
     Parameters
     ----------
     path : Path
     start : int
-        Bytes before them.
+        Offset of the first sample in bytes.
     dtype : dtype
         As stored.
     shape : tuple of int
         The last axis varies fastest.
     channels : int or None
-        Which of these axes counts the values of a voxel.
+        The axis of the values of a voxel.
     """
 
     path: Path
@@ -58,7 +57,7 @@ class Flat:
 
 @dataclass(frozen=True)
 class Header:
-    """What a format's own check found in a file.
+    """What a format's check found in a file.
 
     Parameters
     ----------
@@ -67,11 +66,11 @@ class Header:
     units : str
         World unit.
     spacing_known : bool
-        False where the header says that the spacing is unknown; ITK would make it 1.
+        False if the header says that the spacing is unknown; ITK would make it 1.
     slope, offset : float
-        What turns a sample into the value that is meant, ``slope * sample + offset``; ITK passes it over.
+        Values are ``slope * sample + offset``; ITK ignores that.
     values : {"", "vector", "rgb", "channel", "volume"}
-        What the values of a voxel are; "": the header does not say.
+        What the values of a voxel are; "" if the header does not say.
     timed : bool
         Whether the fourth axis is time.
     bytes : int
@@ -79,7 +78,7 @@ class Header:
     stored : int
         Bytes of the file that holds them.
     flat : Flat, optional
-        Where the samples lie, if they are not packed.
+        Location of the samples, if they are not compressed.
     """
 
     size: tuple[int, ...]
@@ -95,14 +94,14 @@ class Header:
 
 
 def reason(error: Exception) -> str:
-    """What an exception of SimpleITK says, without source lines and addresses."""
+    """The message of an exception of SimpleITK, without source lines and addresses."""
     text = str(error).partition("ITK ERROR:")[2] or str(error).partition("sitk::ERROR:")[2] or str(error)
     return " ".join(re.sub(r"\w+\(0x[0-9a-f]+\):", "", text).split())
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep ITK's warnings from the terminal: what matters becomes an exception."""
+    """Keep ITK's warnings off the terminal: what matters raises an exception."""
     process = simpleitk().ProcessObject
     shown = process.GetGlobalWarningDisplay()
     process.SetGlobalWarningDisplay(False)
@@ -113,7 +112,7 @@ def quiet() -> Iterator[None]:
 
 
 def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Content:
-    """Samples and geometry of what is chosen of a file that `header` was found sound for."""
+    """Samples and geometry of the chosen volumes of a file whose header was checked."""
     sitk = simpleitk()
     announce(path.name, header.bytes, header.stored)
     with quiet(), foreign_errors(f"read {path}", reason):
@@ -129,7 +128,7 @@ def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Con
 
 
 def open_image(path: Path, image_io: str, header: Header, choose: Choice) -> list[Content]:
-    """As `read_image`, but no samples are read yet: ITK is asked for the geometry alone. Nothing where they are packed."""
+    """As `read_image`, but samples are read on demand; ITK gives the geometry. Empty if the samples are compressed."""
     flat = header.flat
     if flat is None:
         return []
@@ -163,7 +162,7 @@ def open_image(path: Path, image_io: str, header: Header, choose: Choice) -> lis
 
 
 class _Information:
-    """What a reader of ITK knows before it reads, by the names that images have for it."""
+    """The metadata of an `ImageFileReader`, with the methods of an image."""
 
     def __init__(self, reader: Any, kind: str) -> None:
         self.kind = kind
@@ -176,13 +175,13 @@ class _Information:
 
 
 def _require_alike(path: Path, header: Header, shape: Sequence[int]) -> None:
-    """Two readings of one header that differ: trust neither."""
+    """Raise if ITK and our check understand the header differently."""
     if sorted(n for n in shape if n > 1) != sorted(n for n in header.size if n > 1):
         raise FormatError(f"cannot read {path}: its header says {header.size}, ITK finds {tuple(shape[::-1])} samples")
 
 
 def _leading(found: dict[str, Any], header: Header) -> tuple[Leading, str]:
-    """The leading axes that ITK finds, as the header explains them; and how they were understood where it does not."""
+    """The leading axes that ITK finds, with the header's meaning; and how they were interpreted if it has none."""
     axes, counts, values = found.get("axes", ()), found.get("counts", ()), header.values
     if header.timed:
         axes = tuple("time" if axis == "volume" else axis for axis in axes)
@@ -198,7 +197,7 @@ def _leading(found: dict[str, Any], header: Header) -> tuple[Leading, str]:
 
 
 def write_image(what: Volume | Volumes, path: Path, image_io: str, check: Callable[[Path], Header]) -> None:
-    """Write one volume or several, and verify the file: ITK does not notice a full disk."""
+    """Write one volume or several, and verify the file: ITK does not report a full disk."""
     volume = what.grid if isinstance(what, Volumes) else what
     if volume.units != "mm":
         require_default(volume, ["units"], "the format measures in mm; .npz")
@@ -227,9 +226,9 @@ def write_image(what: Volume | Volumes, path: Path, image_io: str, check: Callab
 
 
 def _write_detached(sitk: Any, image: Any, path: Path) -> None:
-    """Write a NRRD header, and the samples beside it: ITK would keep their file open for good where the disk is full.
+    """Write a NRRD header, and the samples beside it; ITK would never close their file if the disk is full.
 
-    The header is that of an image of one sample on the same grid, with the sizes of this one.
+    The header is that of an image of one sample on the same grid, with the sizes replaced.
     """
     one = sitk.Image([1] * image.GetDimension(), image.GetPixelID(), image.GetNumberOfComponentsPerPixel())
     one.SetSpacing(image.GetSpacing())

@@ -1,4 +1,4 @@
-"""Files of microscopes' makers (CZI, LIF, ND2, ...), by way of bioio and its plug-ins, one for each maker."""
+"""Microscope vendors' files (CZI, LIF, ND2, ...), by bioio and its plug-ins, one per vendor."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from clvol.volume.volumes import Leading
 
 __all__ = ["SUFFIXES", "read", "series"]
 
-_JAVA = "bioio-bioformats"  # reads almost all, by way of Java
+_JAVA = "bioio-bioformats"  # reads almost all, in Java
 _PLUGINS = {
     ".czi": "bioio-czi",
     ".lif": "bioio-lif",
@@ -36,14 +36,14 @@ _PLUGINS = {
     ".vsi": _JAVA,
 }
 
-_BLUE_FIRST = (".czi",)  # files whose colours are blue, green, red, and whose plug-in gives them so
+_BLUE_FIRST = (".czi",)  # files with colours blue, green, red, which the plug-in returns in that order
 
 SUFFIXES = tuple(_PLUGINS)
-"""Of the files that are read, if the plug-in is installed."""
+"""Suffixes of the files that are read, if the plug-in is installed."""
 
 
 def read(path: Path, choose: Choice, series: int | str | None = None, level: int = 0) -> Content:
-    """The planes of one scene that are chosen, in micrometres."""
+    """The chosen planes of one scene, in micrometres."""
     image = _opened(path)
     listed = _scenes(image)
     number = chosen_series(path.name, listed, series, what="scenes")
@@ -70,7 +70,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         announce(path.name, bytes_at(shape, whole if "S" in order else index, image.dtype))
         if "S" not in order:
             return np.asarray(image.dask_data[index])
-        samples = image.data  # bioio-czi 3.0 gives one colour for all three where it reads parts
+        samples = image.data  # bioio-czi 3.0 returns one colour for all three when it reads parts
         return np.asarray((samples[..., ::-1] if path.suffix.lower() in _BLUE_FIRST else samples)[index])
 
     data, chosen = layout.chosen(path.name, choose, load, leading)
@@ -96,7 +96,7 @@ def _scenes(image: Any) -> tuple[Series, ...]:
 
 
 def _opened(path: Path) -> Any:
-    """The image as bioio has it; the plug-in is named, for bioio's own search tells nothing of what fails."""
+    """The image as bioio opens it. The plug-in is given explicitly, for bioio's own search does not report what failed."""
     suffix = path.suffix.lower()
     plugin = _PLUGINS[suffix]
     module = plugin.replace("-", "_")
@@ -106,7 +106,7 @@ def _opened(path: Path) -> Any:
         raise MissingDependencyError(f"{suffix} files need bioio and its plug-in {plugin}: pip install {extra}")
     logger = logging.getLogger("bioio.bio_image")
     level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)  # what it logs is raised too
+    logger.setLevel(logging.CRITICAL + 1)  # it logs what it raises
     try:
         return import_module("bioio").BioImage(path, reader=import_module(module).Reader)
     except Exception as error:

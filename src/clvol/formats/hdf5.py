@@ -1,4 +1,4 @@
-"""Arrays in HDF5 files: of simulations and netCDF-4, of ilastik and Fiji, and images of ITK; by way of h5py."""
+"""Arrays in HDF5 files (simulations, netCDF-4, ilastik, Fiji), and ITK's images in HDF5, by h5py."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from clvol.volume.volumes import Leading
 
 __all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]
 
-_CACHED = 1 << 20  # bytes of chunks that HDF5 keeps: of its own it does 1 MiB, from 2.0 on 8. It takes no larger ones as a whole
+_CACHED = 1 << 20  # bytes of HDF5's chunk cache, by default 1 MiB, from 2.0 on 8. Larger chunks are not read as a whole
 _NETCDF_3 = b"CDF"
 _INSTEAD = "clvol.LazyVolume(dataset) takes what h5py makes of it, if you trust it"
 _LISTED = 5  # links in a message
@@ -30,7 +30,7 @@ _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # NAME of
 
 
 def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
-    """What is chosen of one array: the only one with three axes or more, else the only one with two.
+    """The chosen volumes of one array: the only one with three axes or more, else the only one with two.
 
     Names of axes are taken from vigra's ``axistags``, ``axes``, or the labels and scales of dimensions; spacing from
     ``element_size_um``, the tags, or evenly spaced scales; all of it from ITK's files.
@@ -40,12 +40,12 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
 
 
 def lazily(path: Path, choose: Choice, series: int | str | None = None) -> list[Content]:
-    """What is chosen of one array, of which no samples are read yet."""
+    """As `read`, but samples are read on demand."""
     return [_content(path, opened(path), choose, series, lambda source, array, index: window(path, source, array, index))]
 
 
 def _content(path: Path, file: Any, choose: Choice, series: int | str | None, load: Callable[..., Any]) -> Content:
-    """The array that is chosen, whose samples `load` gives at an index."""
+    """The chosen volumes; `load` returns the samples of an array at an index."""
     arrays = _arrays(file)
     listed = [_listed(array) for array in arrays]
     if not arrays:
@@ -70,13 +70,13 @@ def _content(path: Path, file: Any, choose: Choice, series: int | str | None, lo
 
 
 def series(path: Path) -> tuple[Series, ...]:
-    """The arrays of numbers that have two axes or more, by their paths in the file; those with more than two before others."""
+    """The arrays of numbers with two axes or more, by their paths in the file; those with two come last."""
     with opened(path) as file:
         return tuple(_listed(array) for array in _arrays(file))
 
 
 def opened(path: Path) -> Any:
-    """The file as h5py has it."""
+    """The file, opened by h5py."""
     try:
         import h5py
     except ImportError as error:
@@ -88,7 +88,7 @@ def opened(path: Path) -> Any:
 
 
 def member(group: Any, name: str) -> Any:
-    """A member of a group; `FormatError` for a link, which leads to another file or round in a circle, and where there is none."""
+    """A member of a group. A `FormatError` if there is none, or if it is a link, which may lead to another file or in a circle."""
     import h5py
 
     link = group.get(name, getlink=True)
@@ -99,14 +99,14 @@ def member(group: Any, name: str) -> Any:
 
 
 def loaded(source: str, array: Any, index: Index = ()) -> NDArray[Any]:
-    """Samples of an array, which must be stored in this file. Chunks that are not stored have the array's fill value."""
+    """Samples of an array, which must be in this file. Chunks that are not stored have the array's fill value."""
     _require_own(source, array)
     announce(source, max(sample_count(array.chunks or ()) * array.dtype.itemsize, bytes_at(array.shape, index, array.dtype)))
     return np.asarray(array[index])
 
 
 def window(path: Path, source: str, array: Any, index: Index = ()) -> Window:
-    """The same, read part by part; a chunk that cannot be read is named."""
+    """As `loaded`, but samples are read on demand; errors name the chunk."""
     _require_own(source, array)
     announce(source, sample_count(array.chunks or ()) * array.dtype.itemsize)
 
@@ -117,12 +117,12 @@ def window(path: Path, source: str, array: Any, index: Index = ()) -> Window:
             raise FormatError(f"cannot read {_damaged(array, index)} of {array.name} in {source}: {error}") from error
 
     chunk = sample_count(array.chunks or ()) * array.dtype.itemsize
-    by_parts = chunk > _CACHED and not array.id.get_create_plist().get_nfilters()  # HDF5 reads what is wanted of such a chunk
+    by_parts = chunk > _CACHED and not array.id.get_create_plist().get_nfilters()  # HDF5 reads parts of such a chunk
     return Window(Watched(path, source, read), array.shape, array.dtype, None if by_parts else array.chunks, index)
 
 
 def _damaged(array: Any, index: Index) -> str:
-    """The first chunk at an index that cannot be read by itself."""
+    """The first damaged chunk at an index, for messages."""
     if not array.chunks:
         return "the samples"
     at = damaged_chunk(array, index)
@@ -130,7 +130,7 @@ def _damaged(array: Any, index: Index) -> str:
 
 
 def _require_own(source: str, array: Any) -> None:
-    """Raise unless an array is stored in this file, by whole chunks."""
+    """Raise unless an array is stored in this file, in whole chunks."""
     elsewhere = array.external or (array.is_virtual and any(one.file_name != "." for one in array.virtual_sources()))
     if elsewhere:
         raise FormatError(f"{source} must hold its samples; those of {array.name} are in other files: {_INSTEAD}")
@@ -142,7 +142,7 @@ def _require_own(source: str, array: Any) -> None:
 
 
 def _check_chunks(source: str, array: Any) -> None:
-    """Raise if a chunk that is stored as it is has other bytes than it should: HDF5 takes what is missing from anywhere."""
+    """Raise if an uncompressed chunk has a wrong size: HDF5 would read what is missing from anywhere."""
     whole = sample_count(array.chunks) * array.dtype.itemsize
     wrong: list[int] = []
 
@@ -173,7 +173,7 @@ def _arrays(file: Any) -> list[Any]:
 
 
 def _links(file: Any) -> str:
-    """What leads to other files, which are not followed: that may be any that the caller can read."""
+    """External links, for messages. They are not followed: they may lead to any file that the caller can read."""
     import h5py
 
     groups = [file]
@@ -189,7 +189,7 @@ def _listed(array: Any) -> Series:
 
 
 def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[int, str]]:
-    """Name of each axis, "" where it has none; first coordinate and step, and unit, of those of which they are known."""
+    """Name of each axis or ""; first coordinate and step, and unit, of axes where they are known."""
     attributes, count = array.attrs, array.ndim
     words = _texts(attributes.get("axes", ()), count) or [str(dimension.label) for dimension in array.dims]
     lines: dict[int, tuple[float, float]] = {}
@@ -207,7 +207,7 @@ def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[i
         if tag.get("resolution"):
             lines[i] = (0.0, float(tag["resolution"]))
     size = np.ravel(attributes.get("element_size_um", ()))
-    if len(size) == 3 and size.dtype.kind in "iuf":  # along z, y and x, whatever comes before
+    if len(size) == 3 and size.dtype.kind in "iuf":  # along z, y and x, whatever precedes them
         at = [words.index(axis) if axis in words else count - 3 + k for k, axis in enumerate("zyx")]
         for i, step in zip(at, size, strict=True):
             if i >= 0:
@@ -221,13 +221,13 @@ def _text(value: Any) -> str:
 
 
 def _texts(value: Any, count: int) -> list[str]:
-    """One word for each axis, of an array of words or of a word of letters; none if they are not so many."""
+    """A word per axis, from an array of words or the letters of one word; empty if the number is wrong."""
     words = list(_text(value)) if isinstance(value, (str, bytes)) else [_text(one) for one in np.ravel(value)]
     return words if len(words) == count else []
 
 
 def _tags(value: Any, count: int) -> list[Mapping[str, Any]]:
-    """Vigra's description of the axes, which ilastik writes."""
+    """Vigra's axis tags, which ilastik writes."""
     text = _text(value)
     tags = json.loads(text).get("axes", []) if text else []
     return tags if len(tags) == count else []
@@ -240,7 +240,7 @@ def _is_of_itk(array: Any) -> bool:
 
 
 def _itk(source: str, array: Any, choose: Choice, load: Callable[..., Any]) -> Content:
-    """An image as ITK stores it: rows of ``Directions`` are where its axes go, x first; components come last."""
+    """ITK's image: the rows of ``Directions`` are the directions of its axes, x first; components are the last axis."""
     about = {
         name: np.asarray(loaded(source, member(array.parent, name)), np.float64) for name in ("Spacing", "Origin", "Directions")
     }

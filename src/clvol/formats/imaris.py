@@ -1,4 +1,4 @@
-"""Imaris 5.5 files (``.ims``), which are HDF5: an array for each size, time and channel, padded to whole chunks."""
+"""Imaris 5.5 files (``.ims``), which are HDF5: an array for each level, time and channel, padded to whole chunks."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ __all__ = ["lazily", "read"]
 
 
 def read(path: Path, choose: Choice, level: int = 0) -> Content:
-    """The times and channels that are chosen; their grid lies where Imaris has it."""
+    """The chosen times and channels, in Imaris's geometry."""
     with opened(path) as file:
         return _content(path, file, choose, level, _load)
 
 
 def lazily(path: Path, choose: Choice, level: int = 0) -> list[Content]:
-    """The same in all sizes from `level` on, of which no samples are read yet."""
+    """As `read`, in all levels from `level` on, but samples are read on demand."""
     file = opened(path)
 
     def load(times: list[Any], size: tuple[int, ...], index: Index) -> Window:
@@ -45,7 +45,7 @@ def lazily(path: Path, choose: Choice, level: int = 0) -> list[Content]:
 
 
 def _content(path: Path, file: Any, choose: Choice, level: int, load: Callable[..., Any]) -> Content:
-    """One size, whose samples `load` gives."""
+    """One level; `load` returns its samples."""
     if "DataSet" not in file or "DataSetInfo/Image" not in file:
         raise FormatError(f"{path.name} must be of Imaris 5.5 or later, which has the groups DataSet and DataSetInfo")
     levels = _numbered(member(file, "DataSet"), "ResolutionLevel")
@@ -71,7 +71,7 @@ def _numbered(group: Any, word: str) -> list[Any]:
 
 
 def _size(channel: Any) -> tuple[int, int, int]:
-    """Samples along z, y and x without the padding."""
+    """Samples along z, y and x, without padding."""
     stored = member(channel, "Data").shape
     z, y, x = (int(_text(channel, f"ImageSize{axis}", str(n))) for axis, n in zip("ZYX", stored, strict=True))
     if not all(0 < n <= m for n, m in zip((z, y, x), stored, strict=True)):
@@ -95,7 +95,7 @@ def _load(times: list[Any], size: tuple[int, ...], index: tuple[int | slice, ...
 
 
 def _leading(file: Any, layout: Layout) -> Leading:
-    """With the names, colours and windows of channels."""
+    """The leading axes, with names, colours and windows of channels."""
     infos = [file.get(f"DataSetInfo/Channel {i}") for i in range(layout.shape[1])]
     texts = [{key: "" if one is None else _text(one, key, "") for key in ("Name", "Color", "ColorRange")} for one in infos]
     names = tuple(text["Name"] for text in texts)
@@ -109,7 +109,7 @@ def _leading(file: Any, layout: Layout) -> Leading:
 
 
 def _text(node: Any, key: str, default: str | None = None) -> str:
-    """An attribute, which Imaris stores as an array of single letters."""
+    """A text attribute, which Imaris stores as an array of letters."""
     if key not in node.attrs:
         if default is not None:
             return default

@@ -1,4 +1,4 @@
-"""MetaImage (``.mha``; ``.mhd`` with its samples in a file of their own), by way of SimpleITK."""
+"""MetaImage (``.mha``; ``.mhd`` with its samples in another file), by SimpleITK."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ _DTYPES = {
     "MET_DOUBLE": "float64",
 }
 _ORDERS = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
-_STEEPEST = 1.01  # direction cosines that were rounded
+_STEEPEST = 1.01  # largest direction cosine, after rounding
 _UNITS = {"?": "mm", "um": "um", "mm": "mm", "cm": "cm"}
-# How many numbers a field has, as a power of the number of axes: ITK reads past what is not there.
+# Numbers in a field, as a power of the number of axes: ITK reads beyond a field that is too short.
 _NUMBERS = {
     "TransformMatrix": 2,
     "Rotation": 2,
@@ -53,12 +53,12 @@ _NUMBERS = {
 
 
 def read(path: Path, choose: Choice) -> Content:
-    """Samples, scaled as the header says, and geometry, which is in ITK's LPS frame already."""
+    """Samples, scaled as the header says, and geometry in ITK's LPS frame."""
     return _itk.read_image(path, _IO, check(path), choose)
 
 
 def lazily(path: Path, choose: Choice) -> list[Content]:
-    """As `read`, but no samples are read yet, where they are not packed."""
+    """As `read`, but samples are read on demand; empty if they are compressed."""
     return _itk.open_image(path, _IO, check(path), choose)
 
 
@@ -81,12 +81,12 @@ def check(path: Path) -> _itk.Header:
         else:
             with place.open("rb") as samples:
                 found = _samples(samples, fields, path, expected)
-    # -1: the samples end with the file, whatever stands before them
+    # -1: the samples end with the file, whatever precedes them
     require_bytes(path.name, found, size[::-1], dtype, exact=fields.get("HeaderSize") != "-1")
     slope, offset = _intensity(fields, path.name)
     orders = {_flag(fields, key, path.name) for key in _ORDERS if key in fields}
     flat = None
-    if not _flag(fields, "CompressedData", path.name) and len(orders) < 2:  # the samples end with the file
+    if not _flag(fields, "CompressedData", path.name) and len(orders) < 2:  # samples end with the file
         kind = np.dtype(dtype).newbyteorder(">" if True in orders else "<")
         flat = _itk.Flat(place, stored - expected, kind, (*size[-2::-1], size[-1]), len(size) - 1)
     return _itk.Header(size, _unit(fields, path.name), slope=slope, offset=offset, bytes=expected, stored=stored, flat=flat)
@@ -111,7 +111,7 @@ def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
 
 
 def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
-    """Samples along the axes, then values of a voxel; their dtype; and every number that ITK will look for is there."""
+    """Samples along the axes, then values per voxel; and their dtype. Every number that ITK will read is there."""
     for key in ("NDims", "DimSize", "ElementType"):
         if key not in fields:
             raise FormatError(f"{name} must have a MetaImage header with the field {key!r}; it has {list(fields)}")
@@ -135,7 +135,7 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
 
 
 def _samples(stream: IO[bytes], fields: dict[str, str], path: Path, expected: int) -> int:
-    """How many bytes of samples follow in `stream`, unpacked."""
+    """Bytes of samples that follow in `stream`, unpacked."""
     (skip,) = whole(path.name, "HeaderSize", fields.get("HeaderSize", "0"), -1)
     start = stream.tell()
     end = stream.seek(0, 2)
@@ -154,7 +154,7 @@ def _samples(stream: IO[bytes], fields: dict[str, str], path: Path, expected: in
 
 
 def _intensity(fields: dict[str, str], name: str) -> tuple[float, float]:
-    """What samples are multiplied by and what is added then, to give the values that are meant."""
+    """Slope and offset from samples to values."""
     slope, offset = (
         numbers(name, key, fields.get(key, default), 1)[0]
         for key, default in (("ElementToIntensityFunctionSlope", "1"), ("ElementToIntensityFunctionOffset", "0"))
@@ -165,7 +165,7 @@ def _intensity(fields: dict[str, str], name: str) -> tuple[float, float]:
 
 
 def _unit(fields: dict[str, str], name: str) -> str:
-    """The world unit, millimetres where the header has none."""
+    """The world unit; mm by default."""
     unit = fields.get("DistanceUnits", "mm")
     if unit not in _UNITS:
         raise FormatError(f"{name} must measure in {', '.join(_UNITS)} (DistanceUnits); its header says {unit!r}")
@@ -173,7 +173,7 @@ def _unit(fields: dict[str, str], name: str) -> str:
 
 
 def _flag(fields: dict[str, str], key: str, name: str, default: str = "False") -> bool:
-    """Whether a field says so; MetaIO looks at the first letter, and takes what it does not know for a no."""
+    """A boolean field; MetaIO reads its first letter only, and anything unknown as False."""
     text = fields.get(key, default)
     if text.lower() not in ("true", "false", "t", "f", "1", "0"):
         raise FormatError(f"{name} must say True or False for {key!r}; got {text[:80]!r}")

@@ -1,4 +1,4 @@
-"""FreeSurfer's volumes (``.mgh``, ``.mgz``), by way of nibabel."""
+"""FreeSurfer's volumes (``.mgh``, ``.mgz``), by nibabel."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ __all__ = ["read"]
 
 _HEADER_BYTES = 284
 _DTYPES = {0: "uint8", 1: "int32", 3: "float32", 4: "int16"}
-_AFTER = 1 << 26  # bytes behind the samples, where FreeSurfer keeps times of the scan, commands and transforms
+_AFTER = 1 << 26  # most bytes after the samples, for FreeSurfer's scan parameters, commands and transforms
 
 
 def read(path: Path, choose: Choice) -> Content:
-    """Samples of what is chosen, and geometry, turned from FreeSurfer's RAS to ITK's LPS."""
+    """Samples of the chosen volumes, and geometry, converted from FreeSurfer's RAS to ITK's LPS."""
     library = nibabel()
     _require_samples(path)
     with _opened(path) as stream:
-        with np.errstate(all="ignore"):  # a geometry that is not finite is refused by its volume
+        with np.errstate(all="ignore"):  # `Volume` refuses a geometry that is not finite
             image = library.freesurfer.MGHImage.from_stream(stream)
             about = describe_nibabel(image)
         pick = choose(path.name, Leading(**about.pop("leading", {})))
@@ -40,7 +40,7 @@ def read(path: Path, choose: Choice) -> Content:
 
 
 def _require_samples(path: Path) -> None:
-    """Raise before memory is asked for that the samples do not fill; nibabel looks behind them for what else there is."""
+    """Raise if samples are missing, before memory is allocated for them; nibabel reads beyond their end."""
     with _opened(path) as stream:
         head = stream.read(_HEADER_BYTES)
     if len(head) < _HEADER_BYTES:

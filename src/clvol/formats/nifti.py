@@ -1,7 +1,7 @@
-"""NIfTI-1 and -2 (``.nii``, ``.nii.gz``, and pairs of ``.hdr`` and ``.img``): read here, written by way of nibabel.
+"""NIfTI-1 and -2 (``.nii``, ``.nii.gz``, and pairs of ``.hdr`` and ``.img``): read here, written by nibabel.
 
-ITK looks for a NIfTI image by its name: beside ``x.nii`` it takes the samples of that for ``x.nii.gz``. It also prefers the
-qform to a sform that differs, and drops small slopes. Reading follows nibabel instead, and needs no other package.
+ITK finds a NIfTI image by its name: for ``x.nii.gz`` it reads the samples of ``x.nii`` beside it. It also prefers the qform to a
+different sform, and drops small slopes. Reading here follows nibabel instead, and needs no other package.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _numbered(names: str, kind: str, start: int) -> list[tuple[str, str, int]]:
 
 
 _INTENT = "intent_p1 intent_p2 intent_p3"
-_HEADERS = {  # by the length that a header begins with; the fields that are read, as nibabel names them
+_HEADERS = {  # by the length at the start of a header; the fields that are read, by nibabel's names
     348: _record(
         [
             ("dim", "8i2", 40),
@@ -93,8 +93,8 @@ _HEADERS = {  # by the length that a header begins with; the fields that are rea
         540,
     ),
 }
-_MAGIC = {348: (b"n+1\0", b"ni1\0"), 540: (b"n+2\0\r\n\x1a\n", b"ni2\0\r\n\x1a\n")}  # one file, and two
-_AFTER = 4  # bytes behind a header that say whether extensions follow, before samples in the same file
+_MAGIC = {348: (b"n+1\0", b"ni1\0"), 540: (b"n+2\0\r\n\x1a\n", b"ni2\0\r\n\x1a\n")}  # in one file, and in two
+_AFTER = 4  # bytes between header and samples in one file, which say whether extensions follow
 _DTYPES = {
     2: "uint8",
     4: "int16",
@@ -107,21 +107,21 @@ _DTYPES = {
     1024: "int64",
     1280: "uint64",
 }
-_COLORS = {128: 3, 2304: 4}  # bytes of each voxel
-_AT_ONCE = 1 << 18  # bytes
-_TRUSTED = 1 << 26  # bytes of samples that are believed of any packed file
-_PACKED = 20  # and for every byte of it; beyond, they are counted first, for gzip packs up to 1032 into one
-_PLACED = range(1, 6)  # codes of a sform or qform that says where the grid lies; nibabel takes any other for 0, nowhere
-_ROUNDING = 3 * float(np.finfo(np.float32).eps)  # of a quaternion's squared length in float32; nibabel's number
+_COLORS = {128: 3, 2304: 4}  # bytes per voxel
+_AT_ONCE = 1 << 18  # bytes to unpack at a time
+_TRUSTED = 1 << 26  # bytes of samples that any packed file may claim without being counted
+_PACKED = 20  # bytes that it may claim for each of its own; gzip packs up to 1032 into one
+_PLACED = range(1, 6)  # codes of a valid sform or qform; nibabel treats any other as 0, none
+_ROUNDING = 3 * float(np.finfo(np.float32).eps)  # of a quaternion's squared length in float32; nibabel's value
 
 Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class _Header:
-    """What the header says: samples along x, y(, z) and how many volumes of these, their type and where they begin.
+    """The contents of a header: samples along x, y(, z), number of volumes, dtype, start of the samples, ...
 
-    A volume of colours has its `parts` beside each other.
+    Colours have interleaved `parts`.
     """
 
     size: tuple[int, ...]
@@ -142,44 +142,44 @@ class _Header:
 
     @property
     def end(self) -> int:
-        """Where the samples end."""
+        """One past the last byte of the samples."""
         return self.start + self.volumes * self.step
 
 
 def read(path: Path, choose: Choice) -> Content:
-    """Samples of what is chosen, scaled as the header says, and geometry, turned from NIfTI's RAS to ITK's LPS.
+    """Samples of the chosen volumes, scaled as the header says, and geometry, converted from NIfTI's RAS to ITK's LPS.
 
-    Both are as nibabel has them. No other volume is loaded; a packed file is unpacked to its end all the same, for its checksum.
+    Both equal nibabel's. Other volumes are not loaded, but a packed file is unpacked to its end, for its checksum.
     """
-    with _opened(path) as stream:
-        header = _parse(stream, path.name)
-    return _read(path, header, choose)
+    return _read(path, _header(path), choose)
 
 
 def read_pair(path: Path, choose: Choice) -> Content:
-    """As `read`, where the header has a file of its own; `path` is that of either."""
-    with _beside(path, ".hdr").open("rb") as stream:
-        header = _parse(stream, path.name, pair=True)
-    return _read(_beside(path, ".img"), header, choose)
+    """As `read`, of a pair of files; `path` is that of either."""
+    return _read(_beside(path, ".img"), _header(path, pair=True), choose)
 
 
 def lazily(path: Path, choose: Choice) -> list[Content]:
-    """As `read`, but no samples are read yet; nothing of a packed file, of which a part cannot be found without all before it."""
-    if _packed(path):
-        return []
-    with _opened(path) as stream:
-        header = _parse(stream, path.name)
-    return _lazily(path, header, choose)
+    """As `read`, but samples are read on demand; empty for a packed file, which has no random access."""
+    return [] if _packed(path) else [_lazily(path, _header(path), choose)]
 
 
 def lazily_pair(path: Path, choose: Choice) -> list[Content]:
-    """As `lazily`, where the header has a file of its own; `path` is that of either."""
-    with _beside(path, ".hdr").open("rb") as stream:
-        header = _parse(stream, path.name, pair=True)
-    return _lazily(_beside(path, ".img"), header, choose)
+    """As `lazily`, of a pair of files; `path` is that of either."""
+    return [_lazily(_beside(path, ".img"), _header(path, pair=True), choose)]
 
 
-def _lazily(path: Path, header: _Header, choose: Choice) -> list[Content]:
+def check(path: Path) -> None:
+    """Read the header, and count the samples."""
+    _count(path, _header(path))
+
+
+def _header(path: Path, pair: bool = False) -> _Header:
+    with _beside(path, ".hdr").open("rb") if pair else _opened(path) as stream:
+        return _parse(stream, path.name, pair)
+
+
+def _lazily(path: Path, header: _Header, choose: Choice) -> Content:
     _count(path, header)
     colours = header.parts > 1
     before = header.leading.counts[:-1] if colours else header.leading.counts
@@ -192,7 +192,7 @@ def _lazily(path: Path, header: _Header, choose: Choice) -> list[Content]:
         return scaled_window(stored, header.slope, header.offset)
 
     data, about = Layout(names, shape, header.guessed).chosen(path.name, choose, window, header.leading)
-    return [(data, header.about | about)]
+    return data, header.about | about
 
 
 def _beside(path: Path, suffix: str) -> Path:
@@ -207,9 +207,9 @@ def _read(path: Path, header: _Header, choose: Choice) -> Content:
     size = path.stat().st_size
     believed = max(_TRUSTED, _PACKED * size)
     if not _packed(path) or header.volumes > believed:
-        _count(path, header)  # raises before memory is asked for that the samples do not fill
+        _count(path, header)  # raises if samples are missing, before memory is allocated for them
     pick = choose(path.name, header.leading, header.guessed)
-    # colours lie beside each other in the file, and are parted when they are in memory
+    # colours are interleaved in the file, and separated in memory
     own = len(header.leading.axes) - (header.parts > 1)
     wanted = np.arange(header.volumes).reshape(header.leading.counts[:own])[pick.index[:own]]
     needed = wanted.size * header.step
@@ -230,25 +230,18 @@ def _read(path: Path, header: _Header, choose: Choice) -> Content:
 
 
 def write(what: Volume | Volumes, path: Path) -> None:
-    """Write samples exactly, and geometry in float32, which is what NIfTI keeps."""
+    """Write samples exactly, and geometry in float32, as NIfTI stores it."""
     grid = what.grid if isinstance(what, Volumes) else what
     if grid.units != "mm":
         require_default(grid, ["units"], "the format measures in mm; .npz")
     turn = grid.direction
-    if not np.allclose(turn.T @ turn, np.eye(grid.ndim), atol=1e-4):  # the qform, which ITK prefers, has no place for it
+    if not np.allclose(turn.T @ turn, np.eye(grid.ndim), atol=1e-4):  # the qform, which ITK prefers, cannot hold it
         raise FormatError("NIfTI cannot hold a direction whose columns are not at right angles; .nrrd and .mha can")
     try:
         image = what.to_nibabel()
     except (DataError, GeometryError) as error:
         raise FormatError(f"{error}; .nrrd, .mha and .npz can") from error
     image.to_filename(path)
-
-
-def check(path: Path) -> None:
-    """Read the header, and count the samples."""
-    with _opened(path) as stream:
-        header = _parse(stream, path.name)
-    _count(path, header)
 
 
 def _count(path: Path, header: _Header) -> None:
@@ -270,18 +263,18 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _fill(raw: NDArray[np.uint8], stream: BinaryIO, header: _Header, wanted: NDArray[np.intp]) -> int:
-    """Fill `raw` from the volumes of `stream` with these numbers; how many bytes of samples there are, one more if more follow."""
+    """Fill `raw` with the `wanted` volumes of a stream. Returns the bytes of all samples in it, and one more if more follow."""
     room = memoryview(raw.data)
     for n, volume in enumerate(wanted):
         stream.seek(header.start + int(volume) * header.step)
         done, end = n * header.step, (n + 1) * header.step
-        # a packed stream unpacks as much as is asked for at once, before it is copied
+        # gzip unpacks all that one call asks for before it copies
         while done < end and (count := stream.readinto(room[done : min(end, done + _AT_ONCE)])):  # type: ignore[attr-defined]
             done += count
         if done < end:
             return max(0, stream.tell() - header.start)
     stream.seek(header.end)
-    surplus = stream.read(1)  # past the end the checksum of a packed stream is compared
+    surplus = stream.read(1)  # at the end, gzip verifies the checksum
     return stream.tell() - header.start if surplus else max(0, min(stream.tell(), header.end) - header.start)
 
 
@@ -306,42 +299,48 @@ def _parse(stream: BinaryIO, name: str, pair: bool = False) -> _Header:
     first = 0 if pair else length + _AFTER
     if not (math.isfinite(start) and start == int(start) and start >= first):
         raise FormatError(f"{name} must say where its samples begin, at byte {first} or later; its header says {start:g}")
-    if slope == 0 or not math.isfinite(slope):  # the format's way of saying that there is no scale, and no offset either
+    if slope == 0 or not math.isfinite(slope):  # the format's way of saying: no scale, and no offset
         slope, offset = 1.0, 0.0
     if not math.isfinite(offset):
         raise FormatError(f"{name} must scale its samples by finite numbers; its header says scl_slope {slope}, scl_inter {offset}")
     size, parts = tuple(counts[: min(rank, 3)]), _COLORS.get(code, 1)
-    qform, sform = int(fields["qform_code"]), int(fields["sform_code"])
-    pixdim = np.asarray(fields["pixdim"], np.float64)
-    if sform in _PLACED:
-        placed = _by_sform(name, np.reshape(np.asarray(fields["srow"], np.float64), (3, 4)))
-    elif qform in _PLACED:
-        placed = _by_qform(name, np.asarray(fields["quaternion"], np.float64), np.abs(pixdim[1:4]), pixdim[0])
-    else:
-        placed = _by_pixdim(np.abs(pixdim[1:4]), (*size, 1)[:3])
     unit = int(fields["xyzt_units"]) & 7
     if unit not in NIFTI_MILLIMETRES:
         raise FormatError(f"{name} must measure in m, mm or µm (xyzt_units 1, 2 or 3, or 0 for none); its header says {unit}")
+    placed, alike = _placed(name, fields, size)
     about = from_ras(placed, len(size), NIFTI_MILLIMETRES[unit]) | describe_nifti(fields, counts[:rank], parts if parts > 1 else 0)
-    if sform in _PLACED and qform in _PLACED and not _agree(name, fields, placed):
-        about["header"]["qform_code"] = sform
+    if not alike:
+        about["header"]["qform_code"] = int(fields["sform_code"])
     dtype = np.dtype(_DTYPES.get(code, "uint8")).newbyteorder(lengths[length])  # type: ignore[arg-type]
     leading = Leading(**about.pop("leading", {}))
     guessed = f"its axes 4 to {rank} were taken for one, of volumes" if math.prod(counts[5:rank]) > 1 else ""
     return _Header(size, math.prod(counts[3:rank]), parts, dtype, int(start), slope, offset, leading, about, guessed)
 
 
-# -- where the grid lies: spacing, origin and direction in the RAS world, by the first of three ways that the header has ----------
+# -- spacing, origin and direction in the RAS world, by the first of three methods that the header provides -----------------------
 
 
-def _by_sform(name: str, rows: Vector) -> Placement:
-    """By an affine matrix; pixdim has no say."""
+def _placed(name: str, fields: Any, size: tuple[int, ...]) -> tuple[Placement, bool]:
+    """The placement; and False if there are sform and qform, and they differ."""
+    pixdim, rows, numbers = (np.asarray(fields[key], np.float64) for key in ("pixdim", "srow", "quaternion"))
+    has_qform = int(fields["qform_code"]) in _PLACED
+    if int(fields["sform_code"]) not in _PLACED:
+        if has_qform:
+            return _by_qform(name, numbers, np.abs(pixdim[1:4]), pixdim[0]), True
+        return _by_pixdim(np.abs(pixdim[1:4]), (*size, 1)[:3]), True
+    rows = rows.reshape(3, 4)
     _require_finite(name, "srow", rows)
-    return affine_parts(rows[:, :3], rows[:, 3])
+    sform = affine_parts(rows[:, :3], rows[:, 3])  # pixdim is ignored
+    if not has_qform:
+        return sform, True
+    try:
+        return sform, same_place(sform, _by_qform(name, numbers, np.abs(pixdim[1:4]), pixdim[0]))
+    except FormatError:  # the qform is not in use
+        return sform, False
 
 
 def _by_qform(name: str, numbers: Vector, pixdim: Vector, qfac: float) -> Placement:
-    """By a unit quaternion, of which three parts are kept, and an offset."""
+    """By a unit quaternion, of which three components are stored, and an offset."""
     _require_finite(name, "quatern and qoffset", numbers)
     axis, offset = numbers[:3], numbers[3:]
     rest = 1 - float(axis @ axis)
@@ -355,20 +354,10 @@ def _by_qform(name: str, numbers: Vector, pixdim: Vector, qfac: float) -> Placem
     return pixdim, offset, direction
 
 
-def _agree(name: str, fields: Any, placed: Placement) -> bool:
-    """Whether the qform says the same as the sform, by which the samples are placed."""
-    pixdim = np.asarray(fields["pixdim"], np.float64)
-    try:
-        qform = _by_qform(name, np.asarray(fields["quaternion"], np.float64), np.abs(pixdim[1:4]), pixdim[0])
-    except FormatError:  # it is not asked where the grid lies
-        return False
-    return same_place(placed, qform)
-
-
 def _by_pixdim(pixdim: Vector, size: tuple[int, ...]) -> Placement:
-    """By the spacing alone: nibabel puts the world's origin into the middle, and takes x to run from right to left."""
+    """By the spacing alone: nibabel centres the grid at the origin, with x from right to left."""
     flip = np.array([-1.0, 1.0, 1.0])
-    known = np.where(np.isfinite(pixdim), pixdim, 0)  # an unknown spacing is refused, unless the caller gives it
+    known = np.where(np.isfinite(pixdim), pixdim, 0)  # an unknown spacing is refused later, unless the caller gives one
     return pixdim, -flip * known * (np.array(size) - 1) / 2, np.diag(flip)
 
 

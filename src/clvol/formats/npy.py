@@ -1,4 +1,4 @@
-"""NumPy's own files: ``.npy`` holds samples only, ``.npz`` the whole volume."""
+"""NumPy's files: ``.npy`` holds samples only, ``.npz`` a whole volume."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from clvol.volume.volumes import Leading, Volumes
 __all__ = ["lazily", "read", "read_archive", "write", "write_archive"]
 
 _GEOMETRY = ("spacing", "origin", "direction", "units")
-_ABOUT = ("space", "name", "color", "window", "labels", "header")  # what else a volume says, as JSON
+_ABOUT = ("space", "name", "color", "window", "labels", "header")  # other attributes, as JSON
 _OWN = (*_GEOMETRY, "about", "leading")
 
 
 def read(path: Path, choose: Choice) -> Content:
-    """Samples of a ``.npy`` file, which knows no geometry."""
+    """Samples of a ``.npy`` file, which has no geometry."""
     with path.open("rb") as stream:
         return _chosen(_read_array(stream, path.stat().st_size, path.name), None, {}, path.name, choose)
 
 
 def lazily(path: Path, choose: Choice) -> list[Content]:
-    """The same, of which no samples are read yet."""
+    """As `read`, but samples are read on demand."""
     with path.open("rb") as stream:
         shape, transposed, dtype = _header(stream, path.stat().st_size, path.name)
         flat = FlatFile(path, shape, dtype, stream.tell(), transposed)
@@ -50,14 +50,14 @@ def lazily(path: Path, choose: Choice) -> list[Content]:
 
 
 def write(what: Volume | Volumes, path: Path) -> None:
-    """Write samples; a volume that has a place in the world is refused, it would lose it."""
+    """Write samples; a volume with a geometry is refused, for it would be lost."""
     require_default(what.grid if isinstance(what, Volumes) else what, _GEOMETRY, ".npz, .nrrd, .mha and .nii")
     with path.open("wb") as stream:
         np.save(stream, np.asarray(what), allow_pickle=False)
 
 
 def read_archive(path: Path, choose: Choice) -> Content:
-    """What `write_archive` wrote, or any archive with one array or an array ``data``."""
+    """An archive that `write_archive` wrote, or any with one array or an array ``data``."""
     with zipfile.ZipFile(path) as archive:
         require_members(path.name, archive)
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
@@ -85,7 +85,7 @@ def read_archive(path: Path, choose: Choice) -> Content:
 
 
 def write_archive(what: Volume | Volumes, path: Path) -> None:
-    """Write samples and geometry bit for bit, and what else is said of them as JSON."""
+    """Write samples and geometry bit for bit, and other attributes as JSON."""
     volume = what.grid if isinstance(what, Volumes) else what
     said = {name: value for name in _ABOUT if (value := getattr(volume, name)) or value is False}
     arrays: dict[str, Any] = {name: getattr(volume, name) for name in _GEOMETRY} | {"about": json.dumps(said, default=_plain)}
@@ -96,19 +96,19 @@ def write_archive(what: Volume | Volumes, path: Path) -> None:
 
 
 def _plain(value: object) -> object:
-    """What JSON has for an object of a header."""
+    """An object of a header, as JSON can hold it."""
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else str(value)
 
 
 def _tuples(value: Any) -> Any:
-    """Lists of JSON as the tuples that they were."""
+    """Lists of JSON as tuples."""
     if isinstance(value, Mapping):
         return {name: _tuples(part) for name, part in value.items()}
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def _chosen(data: NDArray[Any], leading: Leading | None, about: dict[str, Any], name: str, choose: Choice) -> Content:
-    """The volumes that are chosen of an array; what the axes of four and more count is guessed if nothing says it."""
+    """The chosen volumes of an array; the meaning of four and more axes is guessed if it is unknown."""
     if leading is None and data.ndim > 3 and 0 not in data.shape:
         samples, known = lay_out(name, unnamed(data.shape, data.dtype), data.shape, asked=choose.given).chosen(
             name, choose, data.__getitem__
@@ -119,7 +119,7 @@ def _chosen(data: NDArray[Any], leading: Leading | None, about: dict[str, Any], 
 
 
 def _read_array(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") -> NDArray[Any]:
-    """The array in `stream` of `size` bytes; nothing is allocated before the header has been believed."""
+    """The array in `stream` of `size` bytes; its header is checked before memory is allocated."""
     _header(stream, size, source, kinds)
     announce(source, size)
     stream.seek(0)
@@ -127,13 +127,13 @@ def _read_array(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") 
 
 
 def _header(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """The shape, whether it is in Fortran's order, and the type; the stream is then at the first sample."""
+    """Shape, whether in Fortran order, and dtype; leaves the stream at the first sample."""
     version = np.lib.format.read_magic(stream)
     at = stream.tell()
     length = int.from_bytes(stream.read(2 if version == (1, 0) else 4), "little")
     if length > MAX_HEADER:
         raise FormatError(f"{source} must have a header of up to {MAX_HEADER} bytes")
-    if found := re.search(rb"\\|'descr': '[<>|=]?a\d*'", stream.read(length)):  # NumPy warns of these, or will refuse them
+    if found := re.search(rb"\\|'descr': '[<>|=]?a\d*'", stream.read(length)):  # deprecated in NumPy
         raise FormatError(f"{source} must have a header as NumPy writes it; found {found[0]!r}")
     stream.seek(at)
     if version == (1, 0):

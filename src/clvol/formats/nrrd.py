@@ -1,4 +1,4 @@
-"""NRRD (``.nrrd``; ``.nhdr`` with its samples in a file of their own), by way of SimpleITK."""
+"""NRRD (``.nrrd``; ``.nhdr`` with its samples in another file), by SimpleITK."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from clvol.volume.volumes import Volumes
 __all__ = ["check", "lazily", "read", "write"]
 
 _IO = "NrrdImageIO"
-_NAMES = {  # every name that the format has for a type
+_NAMES = {  # the format's names of types
     "int8": "signed char, int8, int8_t",
     "uint8": "uchar, unsigned char, uint8, uint8_t",
     "int16": "short, short int, signed short, signed short int, int16, int16_t",
@@ -36,7 +36,7 @@ _NAMES = {  # every name that the format has for a type
     "float64": "double",
 }
 _DTYPES = {alias: dtype for dtype, aliases in _NAMES.items() for alias in aliases.split(", ")}
-_VALUES = {  # what an axis of these kinds counts: the values of a voxel, or in a list (of gradients, of times) volumes
+_VALUES = {  # meaning of an axis of these kinds: values of a voxel, or for a list (of gradients, of times) volumes
     "rgb": "rgb-color, rgba-color, 3-color, 4-color",
     "vector": "vector, covariant-vector, normal, 2-vector, 3-vector, 3-gradient, 3-normal, point",
     "volume": "list",
@@ -47,16 +47,16 @@ _PER_AXIS = ("spacings", "thicknesses", "axis mins", "axismins", "axis maxs", "a
 _VECTORS = ("space directions", "space origin", "measurement frame")
 _PART = r"(?:none|\([^()]*\))"
 _ENCODINGS = ("raw", "gzip", "gz")
-_MAX_FIELD = 500  # the reader inside ITK writes a field that it rejects into a buffer of 1024 bytes
+_MAX_FIELD = 500  # bytes; ITK's reader writes a field that it rejects into a buffer of 1024
 
 
 def read(path: Path, choose: Choice) -> Content:
-    """Samples and geometry, turned to ITK's LPS frame from the one that the header names."""
+    """Samples and geometry, converted to ITK's LPS frame from the header's."""
     return _itk.read_image(path, _IO, check(path), choose)
 
 
 def lazily(path: Path, choose: Choice) -> list[Content]:
-    """As `read`, but no samples are read yet, where they are not packed."""
+    """As `read`, but samples are read on demand; empty if they are compressed."""
     return _itk.open_image(path, _IO, check(path), choose)
 
 
@@ -80,7 +80,7 @@ def check(path: Path) -> _itk.Header:
                 found = _samples(samples, fields, path.name, expected)
         else:
             found = _samples(stream, fields, path.name, expected)
-    # -1: the samples end with the file, whatever stands before them
+    # -1: the samples end with the file, whatever precedes them
     require_bytes(path.name, found, size[::-1], dtype, exact=fields.get("byte skip") != "-1")
     _check_numbers(fields, path.name, len(size))
     units = re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))
@@ -89,7 +89,7 @@ def check(path: Path) -> _itk.Header:
     domain = [axis for axis, kind in enumerate(kinds) if kind in _DOMAIN][:3]
     known = not any(said[axis].lower() in ("nan", "none") for said in texts for axis in domain if axis < len(said))
     spans = [kind for kind in kinds if kind in _DOMAIN]
-    if "time" in spans[:-1]:  # ITK would take it for an axis of space
+    if "time" in spans[:-1]:  # ITK would treat it as an axis of space
         raise FormatError(f"{path.name} must have its axis of time last; its header says kinds: {fields['kinds'][:80]}")
     ranges = [axis for axis, kind in enumerate(kinds) if kind not in _DOMAIN]
     flat = None
@@ -110,7 +110,7 @@ def check(path: Path) -> _itk.Header:
 
 
 def _order(name: str, fields: dict[str, str], dtype: str) -> np.dtype[np.generic]:
-    """The type in the byte order that the header names, as it must where samples have several bytes."""
+    """The dtype in the header's byte order, which it must give for samples of several bytes."""
     kind = np.dtype(dtype)
     order = fields.get("endian", "little" if kind.itemsize == 1 else "").lower()
     if order not in ("little", "big"):
@@ -134,7 +134,7 @@ def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
         if (length := len(os.fsencode(text))) > _MAX_FIELD and key != "content":
             raise FormatError(f"{name} must have fields of up to {_MAX_FIELD} bytes; {key[:80]!r} has {length}")
         fields[key] = value.strip()
-        if key == "data file" and fields[key].upper().startswith("LIST"):  # names follow, up to the end
+        if key == "data file" and fields[key].upper().startswith("LIST"):  # file names follow, up to the end
             break
     return fields
 
@@ -157,7 +157,7 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
 
 
 def _check_numbers(fields: dict[str, str], name: str, rank: int) -> None:
-    """Raise for a number that is none: the reader inside ITK takes "1,5" for 1, and what is too large for no spacing."""
+    """Raise for malformed numbers: ITK's reader reads "1,5" as 1, and a number that is too large as no spacing."""
     for key in _PER_AXIS:
         if key in fields:
             numbers(name, key, fields[key], rank, nan=True)
@@ -165,15 +165,15 @@ def _check_numbers(fields: dict[str, str], name: str, rank: int) -> None:
         if key in fields:
             numbers(name, key, fields[key], 1, nan=True)
     spaces = {len(_vector(name, key, part)) for key in _VECTORS if key in fields for part in _parts(name, key, fields[key])} - {0}
-    told = whole(name, "space dimension", fields["space dimension"], 1) if "space dimension" in fields else ()
-    if len(spaces.union(told)) > 1:
+    declared = whole(name, "space dimension", fields["space dimension"], 1) if "space dimension" in fields else ()
+    if len(spaces.union(declared)) > 1:
         raise FormatError(f"{name} must give vectors of one space; some have {' and some '.join(map(str, sorted(spaces)))} numbers")
     if "space directions" in fields and len(parts := _parts(name, "space directions", fields["space directions"])) != rank:
         raise FormatError(f"{name} must give {rank} vectors for 'space directions', one for each axis; got {len(parts)}")
 
 
 def _parts(name: str, key: str, text: str) -> list[str]:
-    """The vectors of a field, and "none" where an axis has none."""
+    """The vectors of a field, or "none" for an axis without one."""
     if not re.fullmatch(rf"\s*{_PART}(\s+{_PART})*\s*", text, re.IGNORECASE):
         raise FormatError(f"{name} must give vectors such as (1,0,0), or none, for {key!r}; got {text[:80]!r}")
     return re.findall(_PART, text, re.IGNORECASE)
@@ -187,7 +187,7 @@ def _vector(name: str, key: str, text: str) -> tuple[float, ...]:
 
 
 def _samples(stream: IO[bytes], fields: dict[str, str], name: str, expected: int) -> int:
-    """How many bytes of samples follow in `stream`, unpacked."""
+    """Bytes of samples that follow in `stream`, unpacked."""
     (lines,) = whole(name, "line skip", fields.get("line skip", "0"), 0)
     (skip,) = whole(name, "byte skip", fields.get("byte skip", "0"), -1)
     if fields["encoding"].lower() != "raw":

@@ -1,4 +1,4 @@
-"""Opening volumes whose samples are read part by part: the metadata now, the samples when they are needed."""
+"""`open` reads the metadata of a volume now, and its samples on demand."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from clvol.volume.volumes import Leading
 
 __all__ = ["WholeOnlyError", "open", "opened", "opened_if"]
 
-_OFF = 1.5  # samples of a level, by which its ends may lie beside those of the finest: shapes are rounded, and many writers have
-# the first samples of all levels in one place, though they are means
+_OFF = 1.5  # samples between the ends of a level and of the finest: shapes are rounded, and many writers put the first samples of
+# all levels at one place, though they are means
 
 
 def open(  # noqa: A001  # as files are opened: clvol.open
@@ -51,38 +51,38 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     trusted: bool = False,
     limits: Limits | None = None,
 ) -> LazyVolume:
-    """Open a volume to read it part by part: larger than memory, or far away.
+    """Open a volume to read it part by part: one larger than memory, or a remote one.
 
     Parameters
     ----------
     path : path-like or address
         Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris; NIfTI, NRRD, MetaImage,
         ``.npy`` and raw samples that are not packed. Or the
-        address of a Zarr store: ``s3://...`` and ``https://...`` (extra ``s3``), ``memory://...`` and all else that fsspec knows.
-        What follows a ``?`` in one of HTTP, such as a token, goes with all that is asked for.
+        address of a Zarr store: ``s3://...`` and ``https://...`` (extra ``s3``), ``memory://...`` and others that fsspec supports.
+        The query of an HTTP address (after ``?``, such as a token) goes with every request.
     volume, time, channel, position, series, shape, dtype, byte_order, offset : optional
         As of `clvol.read`.
     level : int, optional
-        The first of the sizes that are stored, 0 the largest, and the default. Those that follow become `LazyVolume.levels`.
+        The first of the stored levels, by default 0, the largest. The coarser ones become `LazyVolume.levels`.
     spacing, origin, direction : optional
-        In place of what the file says of its largest size; the others lie where that does.
+        Replace the file's geometry of the largest level; the others move with it.
     missing : float, optional
-        What stands for samples that are NaN or infinite; without it these are an error once they are read.
+        Replaces samples that are NaN or infinite, which otherwise are an error when they are read.
     storage_options : mapping, optional
-        For an address, as of ``fsspec.open``: ``{"anon": True}`` for public buckets of S3. Messages leave out what they hold; a
-        pickle has them, for it opens the store again. How long a server is waited for is among them too: for S3
+        For an address, as of ``fsspec.open``: ``{"anon": True}`` for public buckets of S3. Messages do not show them; a pickle has
+        them, for it opens the store again. Timeouts are options too: for S3
         ``{"config_kwargs": {"connect_timeout": 2, "read_timeout": 5, "retries": {"max_attempts": 1}}}``, in seconds.
     trusted : bool, optional
-        Whether the file is known to be sound. What is not is looked through first in a process of its own, within `limits`: a file
-        whose metadata crash a library, or hang it, is an error. Samples are always decoded in this process, by zarr, tifffile and
-        h5py: `clvol.read` is for files of strangers.
+        Whether the file is trusted. The metadata of an untrusted one are first read in a child process, within `limits`: if they
+        crash or hang a library, that is an error. Samples are always decoded in this process, by zarr, tifffile and h5py: use
+        `clvol.read` for strangers' files.
     limits : Limits, optional
-        What that may cost.
+        For reading the metadata.
 
     Returns
     -------
     LazyVolume
-        With all sizes that are stored, and with the `Bounds` that `clvol.pyramid` put beside them.
+        With all stored levels, and the `Bounds` that `clvol.pyramid` wrote.
 
     Warns
     -----
@@ -92,16 +92,16 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     Raises
     ------
     FormatError
-        As of `clvol.read`; the format can only be read whole; the store holds no samples; sizes do not lie in one place.
+        As of `clvol.read`; the format can only be read whole; the store holds no samples; levels do not lie at one place.
     DataError, GeometryError, OptionError, MissingDependencyError
         As of `clvol.read`.
 
     Notes
     -----
-    A part that cannot be read is a `FormatError` that names its samples, and of Zarr the chunk. A chunk that is not stored has the
-    array's fill value, as Zarr has it; in an array that has none it is an error. A file that changes after it was opened is an
-    error too, and so is a chunk, as far as times of files and folders tell; of a store far away the metadata are compared, every
-    ten seconds and where a chunk is missing. "Stores larger than memory" in the documentation lists what is noticed.
+    A part that cannot be read raises a `FormatError` that names its samples, and for Zarr the chunk. A chunk that is not stored has
+    the array's fill value, as Zarr defines it; without a fill value it is an error. So is a file that changes after it was opened,
+    or a chunk, as far as times of files and folders show it; the metadata of a remote store are compared every ten seconds, and
+    when a chunk is missing. "Stores larger than memory" in the documentation lists which changes are noticed.
 
     Examples
     --------
@@ -142,15 +142,15 @@ def open(  # noqa: A001  # as files are opened: clvol.open
 
 
 def opened_if(path: str | os.PathLike[str], wanted: Callable[[LazyVolume], bool], **options: Any) -> LazyVolume | None:
-    """What `open` gives, if it is far away, or `wanted` says so of it; else None: it is to be read.
+    """The opened volume, if it is remote or `wanted` returns True for it; else None, and `clvol.read` should read it.
 
-    What cannot be opened is None too: `clvol.read` says what is wrong with it, or reads it nevertheless.
+    None also if it cannot be opened: `clvol.read` reads it, or says what is wrong.
     """
     if "://" in str(path):
         return open(path, **options)
     if not format_of(as_path(path)).lazily:
         return None
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         try:
             lazy = open(path, **options)
@@ -158,20 +158,20 @@ def opened_if(path: str | os.PathLike[str], wanted: Callable[[LazyVolume], bool]
             return None
     if not wanted(lazy):
         return None
-    for one in told:
+    for one in warned:
         warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
     return lazy
 
 
 def _look(lazily: Callable[..., list[Content]], path: Path, choice: Choice, options: Mapping[str, Any]) -> None:
-    """Read the metadata once, where it does no harm."""
+    """Read the metadata once, in a child process."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they are given to the caller when it is done again
+        warnings.simplefilter("ignore")  # the second reading, in this process, will warn
         lazily(path, choice, **options)
 
 
 class WholeOnlyError(FormatError):
-    """A file that can only be read as one."""
+    """A file that can only be read whole."""
 
 
 def _whole_only(path: Path, chosen: Format) -> WholeOnlyError:
@@ -184,21 +184,21 @@ def _whole_only(path: Path, chosen: Format) -> WholeOnlyError:
 
 @dataclass(frozen=True)
 class _Once(Choice):
-    """Chooses the same of all sizes, and warns once."""
+    """Makes the same choice for all levels, and warns once."""
 
-    _made: list[tuple[Leading, Pick]] = field(default_factory=list)
+    _picked: list[tuple[Leading, Pick]] = field(default_factory=list)
 
     def __call__(self, source: str, leading: Leading, guessed: str = "") -> Pick:
-        if not self._made:
-            self._made.append((leading, super().__call__(source, leading, guessed)))
-        first, pick = self._made[0]
+        if not self._picked:
+            self._picked.append((leading, super().__call__(source, leading, guessed)))
+        first, pick = self._picked[0]
         if (first.axes, first.counts) != (leading.axes, leading.counts):
             raise FormatError(f"{source} must hold the same volumes in all sizes; it holds {first} in one, {leading} in another")
         return pick
 
 
 def opened(name: str, contents: Sequence[Content], replaced: Mapping[str, Any], missing: float | None) -> LazyVolume:
-    """A lazy volume of what readers give for each size."""
+    """A lazy volume from the contents of its levels."""
     try:
         volumes: list[LazyVolume] = []
         for number, (data, about) in enumerate(contents):
@@ -221,7 +221,7 @@ def opened(name: str, contents: Sequence[Content], replaced: Mapping[str, Any], 
 
 
 def _moved(base: Mapping[str, Any], about: Mapping[str, Any], moved: Volume) -> dict[str, Any]:
-    """Where a size lies, once the largest has been moved."""
+    """Geometry of a level after the largest was moved."""
     grid = {key: base[key] for key in ("spacing", "origin", "direction") if key in base}
     with np.errstate(all="ignore"):
         ratio = np.divide(about["spacing"], base["spacing"]) if "spacing" in base else np.ones(3)
@@ -236,7 +236,7 @@ def _moved(base: Mapping[str, Any], about: Mapping[str, Any], moved: Volume) -> 
 
 
 def _require_one_place(name: str, number: int, finest: LazyVolume, level: LazyVolume) -> None:
-    """Raise unless a level fills about the place that the finest does."""
+    """Raise unless a level covers about the same box as the finest."""
     first = finest.grid.world_to_index(level.grid.index_to_world(np.array([[-0.5] * 3, [n - 0.5 for n in level.size]])))
     expected = np.array([[-0.5] * 3, [n - 0.5 for n in finest.size]])
     step = np.divide(level.spacing, finest.spacing)

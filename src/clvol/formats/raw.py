@@ -1,4 +1,4 @@
-"""Samples without any header: the caller says how they are arranged."""
+"""Samples without a header: the caller says how they are arranged."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def read(
     byte_order: str | None = None,
     offset: int | None = None,
 ) -> Content:
-    """Samples from `offset` to the end of the file, which must be as many as `shape` says.
+    """Samples from `offset` to the end of the file, as many as `shape` says.
 
-    They are read into memory, not mapped: should a mapped file shrink or its disk vanish, touching
-    the samples would kill the process where reading raises an error.
+    They are read, not mapped: if a mapped file shrinks or its disk vanishes, access to the samples ends the process, where reading
+    raises an error.
     """
     counts, kind, start = _arranged(path, shape, dtype, byte_order, offset)
     announce(path.name, sample_count(counts) * kind.itemsize)
@@ -52,9 +52,9 @@ def lazily(
     byte_order: str | None = None,
     offset: int | None = None,
 ) -> list[Content]:
-    """The same, of which none are read yet."""
+    """As `read`, but samples are read on demand."""
     counts, kind, start = _arranged(path, shape, dtype, byte_order, offset)
-    choose(path.name, Leading())  # refuses what is asked of one volume
+    choose(path.name, Leading())  # raises if a volume is chosen
     data: Any = Window(FlatFile(path, counts, kind, start), counts, kind)
     return [(data, {})]
 
@@ -62,7 +62,7 @@ def lazily(
 def _arranged(
     path: Path, shape: Sequence[int] | None, dtype: DTypeLike | None, byte_order: str | None, offset: int | None
 ) -> tuple[tuple[int, ...], np.dtype[np.generic], int]:
-    """The shape, the type and the first byte, which fit the file."""
+    """Shape, dtype and offset, which fit the file."""
     if shape is None or dtype is None:
         raise OptionError("a raw file says nothing about its samples: give shape=(nz, ny, nx) and dtype=")
     counts, kind, start = _shape(shape), _dtype(dtype, byte_order), _offset(0 if offset is None else offset)

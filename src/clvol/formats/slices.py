@@ -1,4 +1,4 @@
-"""Images one by one (PNG, JPEG, BMP), and folders of them, each a slice; TIFF files too may be slices."""
+"""Single images (PNG, JPEG, BMP), and folders of slices, which may be TIFF files too."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from clvol.volume.volumes import Leading
 __all__ = ["SUFFIXES", "are_in", "read", "read_folder"]
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-"""Of single images that imageio reads."""
+"""Suffixes of the images that imageio reads."""
 
 _KINDS = {suffix: {".jpeg": ".jpg", ".tiff": ".tif"}.get(suffix, suffix) for suffix in (*SUFFIXES, ".tif", ".tiff")}
-_MODES = ("1", "L", "I", "F", "I;16", "I;16B", "I;16L", "LA", "RGB", "RGBA")  # of Pillow, whose samples mean what they seem to
+_MODES = ("1", "L", "I", "F", "I;16", "I;16B", "I;16L", "LA", "RGB", "RGBA")  # Pillow's modes that need no conversion
 _IHDR = struct.Struct(">IIBBBBB")  # width, height, bits, colours, compression, filter, whether it is interlaced
-_PADDING = 4  # bytes that may follow the palette, and the samples, of a BMP image
+_PADDING = 4  # bytes that may follow the palette and the samples of a BMP image
 _BMP = struct.Struct("<2s8xIIii2xHI12xI")  # start of the samples; length of the header, width, height, bits, packing, colours
-_CHANNELS = {2: 3, 4: 2, 6: 4}  # of the kinds of colour; the others have one
+_CHANNELS = {2: 3, 4: 2, 6: 4}  # channels of PNG's colour types; others have one
 _ADAM7 = (
     (0, 0, 8, 8),
     (4, 0, 8, 8),
@@ -45,15 +45,15 @@ _ADAM7 = (
 )  # first and step of x, y
 _AT_ONCE = 1 << 20
 _JPG = b"\xff\xd8"
-_MARKER = re.compile(rb"\xff+[\x01\xc0-\xcf\xd9-\xfe]")  # of a segment, which may be filled up before it
-_AFTER_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]")  # what is not among samples, as zeros and restarts are
+_MARKER = re.compile(rb"\xff+[\x01\xc0-\xcf\xd9-\xfe]")  # of a segment, after fill bytes
+_AFTER_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]")  # a marker other than the zeros and restarts among samples
 _END_OF_IMAGE, _SCAN, _NOTHING = 0xD9, 0xDA, 0x01
 _PNG = b"\x89PNG\r\n\x1a\n"
 _GREY = Leading(("channel",), (2,), {"channel": ("grey", "alpha")})
 
 
 def read(path: Path, choose: Choice) -> Content:
-    """One image, [y, x]; of one in colour the luminance or a channel."""
+    """One image, [y, x]: of a coloured one the luminance, or a channel."""
     samples, leading = _picture(path)
     pick = choose(path.name, leading)
     return pick.finish(samples[pick.index]), {"space": "image"} | pick.about
@@ -65,7 +65,7 @@ def are_in(path: Path) -> bool:
 
 
 def read_folder(path: Path, choose: Choice) -> Content:
-    """The images of a folder, each a slice, in the natural order of their names: 9 before 10."""
+    """The slices in a folder, in the natural order of their names: 9 before 10."""
     entries = list(path.iterdir())
     if gone := sorted(file.name for file in entries if _is_named_so(file) and not (file.is_file() or file.is_dir())):
         raise FormatError(f"{path} must hold files; {gone[0]} is a link that leads nowhere, or no file: a slice would be missing")
@@ -84,8 +84,8 @@ def read_folder(path: Path, choose: Choice) -> Content:
     for i, file in enumerate(files):
         samples = _slice(file)[0] if i else first
         if samples.shape != first.shape or samples.dtype != first.dtype:
-            told = [f"{f.name}: {s.shape} of {s.dtype}" for f, s in ((files[0], first), (file, samples))]
-            raise DataError(f"{path} must hold slices of one shape and dtype; got {' and '.join(told)}")
+            got = [f"{f.name}: {s.shape} of {s.dtype}" for f, s in ((files[0], first), (file, samples))]
+            raise DataError(f"{path} must hold slices of one shape and dtype; got {' and '.join(got)}")
         data[..., i, :, :] = samples[pick.index]
     geometry["spacing"] = (*geometry.get("spacing", (1.0, 1.0)), 1.0)
     return pick.finish(data), geometry | pick.about
@@ -96,7 +96,7 @@ def _is_slice(file: Path) -> bool:
 
 
 def _is_named_so(file: Path) -> bool:
-    # programs leave hidden files beside images, such as ._1.tif
+    # hidden files such as ._1.tif may lie beside images
     return file.suffix.lower() in _KINDS and not file.name.startswith(".")
 
 
@@ -105,7 +105,7 @@ def _natural(file: Path) -> tuple[list[Any], str]:
 
 
 def _slice(path: Path) -> tuple[NDArray[Any], Leading, dict[str, Any]]:
-    """Samples [y, x] or [channel, y, x] of one image, and what is known of it."""
+    """Samples [y, x] or [channel, y, x] of one image, their leading axes, and arguments of `Volume`."""
     if _KINDS[path.suffix.lower()] != ".tif":
         return *_picture(path), {"space": "image"}
     samples, geometry = tiff.read(path, Choice(whole=True))
@@ -118,7 +118,7 @@ def _slice(path: Path) -> tuple[NDArray[Any], Leading, dict[str, Any]]:
 
 
 def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
-    """Samples [y, x] or [channel, y, x] as imageio reads them; of colours in other models than RGB, those in RGB."""
+    """Samples [y, x] or [channel, y, x], read by imageio; other colour models are converted to RGB."""
     import imageio.v3 as iio
 
     if path.suffix.lower() == ".png":
@@ -134,7 +134,7 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
             announce(path.name, sample_count(about.shape) * about.dtype.itemsize)
             mode = file.metadata(index=0)["mode"]
             samples = np.asarray(file.read(index=0, **({} if mode in (*_MODES, "P") else {"mode": "RGB"})))
-    except (OSError, SyntaxError, ValueError) as error:  # imageio's own words are of plug-ins
+    except (OSError, SyntaxError, ValueError) as error:  # imageio's message is about plug-ins
         raise FormatError(f"cannot read {path}: it is damaged, or no image that imageio reads") from error
     if samples.ndim == 2:
         return samples, Leading()
@@ -143,10 +143,10 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
 
 
 def _check_png(path: Path) -> None:
-    """Raise if a part of the file is missing or has another checksum, or has too few rows, which Pillow fills up with 0."""
+    """Raise if a chunk is missing or has a wrong checksum, or rows are missing, which Pillow would fill with 0."""
     end, found, needed, packed = path.stat().st_size, 0, 0, zlib.decompressobj()
     with path.open("rb") as stream:
-        if stream.read(len(_PNG)) != _PNG:  # Pillow goes by what files hold, not by their names
+        if stream.read(len(_PNG)) != _PNG:  # Pillow goes by content, not by name
             return
         name = b""
         while name != b"IEND":
@@ -161,7 +161,7 @@ def _check_png(path: Path) -> None:
                 checksum, length = zlib.crc32(part, checksum), length - len(part)
                 if name == b"IHDR" and len(part) == _IHDR.size:
                     header = _IHDR.unpack(part)
-                    if needed or header[4:6] != (0, 0) or header[6] > 1:  # Pillow would not look
+                    if needed or header[4:6] != (0, 0) or header[6] > 1:  # Pillow does not check
                         raise FormatError(f"cannot read {path}: it is damaged, it has two headers, or one that no PNG image has")
                     needed = _unpacked(*header)
                 while name == b"IDAT" and part and found <= needed:
@@ -174,13 +174,13 @@ def _check_png(path: Path) -> None:
 
 
 def _check_bmp(path: Path) -> None:
-    """Raise if the samples do not follow the palette, or do not end with the file: Pillow takes memory for all of them first."""
+    """Raise if the samples do not follow the palette, or do not end with the file: Pillow would allocate memory for them first."""
     with path.open("rb") as stream:
         head = stream.read(_BMP.size)
     if len(head) < _BMP.size or not head.startswith(b"BM"):
         return
     _, start, size, width, height, bits, packing, colours = _BMP.unpack(head)
-    if size != 40:  # others have their fields elsewhere, or may have profiles behind the samples
+    if size != 40:  # other versions have other fields, or profiles after the samples
         return
     palette = 4 * (colours or 1 << bits) if bits <= 8 else 0
     head_end = 14 + size + palette + (12 if packing == 3 else 0)  # with masks of the colours
@@ -194,9 +194,9 @@ def _check_bmp(path: Path) -> None:
 
 
 def _check_jpg(path: Path) -> None:
-    """Raise if segments do not follow each other up to the end of the image: Pillow passes over what lies between, tables too."""
+    """Raise unless segments follow each other up to the end of the image: Pillow skips gaps, and with them tables."""
     with path.open("rb") as stream:
-        if stream.read(2) != _JPG or path.stat().st_size < 4:  # Pillow goes by what files hold, not by their names
+        if stream.read(2) != _JPG or path.stat().st_size < 4:  # Pillow goes by content, not by name
             return
         with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
             at, kind = len(_JPG), 0
@@ -214,7 +214,7 @@ def _check_jpg(path: Path) -> None:
 
 
 def _unpacked(width: int, height: int, depth: int, color: int, _: int, __: int, interlaced: int) -> int:
-    """Bytes of the rows of a PNG image, each with one that says how it is filtered; in seven parts where it is interlaced."""
+    """Bytes of the rows of a PNG image, each with a byte for its filter; in seven passes if it is interlaced."""
     bits = depth * _CHANNELS.get(color, 1)
     sizes = [(-(-(width - x) // dx), -(-(height - y) // dy)) for x, y, dx, dy in _ADAM7] if interlaced else [(width, height)]
     return sum(h * (1 + -(-w * bits // 8)) for w, h in sizes if w > 0 and h > 0)

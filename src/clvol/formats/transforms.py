@@ -1,4 +1,4 @@
-"""Transforms that registration programs write: ITK's transform files, and images of displacements."""
+"""Transforms written by registration programs: ITK's transform files, and images of displacements."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TRANSFORMS = (".tfm", ".txt", ".h5", ".hdf5", ".hdf", ".mat", ".xfm")
 _IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
-_UNPACKED = 20  # bytes in memory for one of a file, at most: a displacement of 0 takes two letters and eight bytes
+_UNPACKED = 20  # bytes in memory per byte of a file, at most: a displacement of 0 takes two letters and eight bytes
 
 
 def read_transform(path: str | os.PathLike[str], *, trusted: bool = False, limits: Limits | None = None) -> list[Transform]:
@@ -35,9 +35,9 @@ def read_transform(path: str | os.PathLike[str], *, trusted: bool = False, limit
     ----------
     path : path-like
         ``.tfm .txt .h5 .hdf5 .hdf .mat .xfm``: a transform, composite or not. ``.nii .nii.gz .nrrd .nhdr .mha .mhd``: an image
-        with a displacement in each voxel, in ITK's LPS world and in mm; it is interpolated linearly.
+        with a displacement per voxel, in ITK's LPS world and in mm; it is interpolated linearly.
     trusted, limits : optional
-        As of `clvol.read`: what is not trusted is read in a process of its own.
+        As of `clvol.read`: untrusted files are read in a child process.
 
     Returns
     -------
@@ -49,9 +49,9 @@ def read_transform(path: str | os.PathLike[str], *, trusted: bool = False, limit
     FormatError
         The file is missing, of no known format, or damaged.
     OptionError
-        It holds a transform of a kind that is not known; see `clvol.volume.transform.from_simpleitk`.
+        The kind of a transform is not supported; see `clvol.volume.transform.from_simpleitk`.
     DataError
-        An image is not one of displacements, or holds a value that is not finite.
+        An image holds no displacements, or values that are not finite.
     GeometryError
         A matrix is singular.
     MissingDependencyError
@@ -69,7 +69,7 @@ def read_transform(path: str | os.PathLike[str], *, trusted: bool = False, limit
 
 
 def _parts(file: Path) -> list[tuple[Any, ...]]:
-    """For each transform its kind, and what it is made of."""
+    """Kind and parameters of each transform."""
     sitk = simpleitk()
     with quiet(), foreign_errors(f"read {file}", reason):
         if file.name.lower().endswith(_TRANSFORMS):

@@ -1,7 +1,7 @@
 """VTK's image data (``.vti``): arrays at the points or in the cells of a grid.
 
-VTK's own reader ends the process on lengths that lie, and takes samples that are missing from anywhere; this one follows the
-description of the format in VTK's documentation, "VTK XML Formats".
+VTK's own reader ends the process on false lengths, and reads missing samples from anywhere. This one follows the description of the
+format in VTK's documentation, "VTK XML Formats".
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _LENGTHS = {"UInt32": "I", "UInt64": "Q"}
 _COMPRESSORS = ("", "vtkZLibDataCompressor", "vtkLZMADataCompressor", "vtkLZ4DataCompressor")
 _APPENDED = re.compile(rb"<AppendedData\s+encoding\s*=\s*[\"'](raw|base64)[\"']\s*>\s*_")
 _END = re.compile(rb"\s*</AppendedData>\s*</VTKFile>\s*\Z")
-_MOST_AXIS = 1 << 31  # of samples: an extent is of numbers of 32 bits
+_MAX_AXIS = 1 << 31  # samples along an axis: extents have 32 bits
 
 
 @dataclass(frozen=True)
 class _Array:
-    """One array of a file: at points or in cells, and whether VTK's programs show it; where its pieces lie, and what holds them."""
+    """An array at points or in cells: whether it is the one that VTK shows, and the slices and elements of its pieces."""
 
     kind: str
     name: str
@@ -63,7 +63,7 @@ class _Array:
 
 @dataclass(frozen=True)
 class _File:
-    """What a file holds: its grid, its arrays, and how their samples are written."""
+    """The contents of a file: its grid, its arrays, and how samples are encoded."""
 
     name: str
     spacing: NDArray[np.float64]
@@ -79,7 +79,7 @@ class _File:
 
 
 def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
-    """One array at the points, or in the cells: then samples lie at the cells' centres. Components are channels."""
+    """One array at points or in cells, with samples at the cells' centres. Components are channels."""
     file = _parsed(path)
     active = sum(array.active for array in file.arrays)
     listed = [array.series for array in file.arrays]
@@ -101,12 +101,12 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
 
 
 def series(path: Path) -> tuple[Series, ...]:
-    """The arrays of a file, those at points before those in cells."""
+    """The arrays of a file: those at points, then those in cells."""
     return tuple(array.series for array in _parsed(path).arrays)
 
 
 def _parsed(path: Path) -> _File:
-    """The file without its samples: its XML, up to where samples are appended to it."""
+    """The file's metadata, from its XML before appended samples."""
     announce(path.name, path.stat().st_size)
     content = path.read_bytes()
     found, end = _APPENDED.search(content), _END.search(content, max(0, len(content) - 1024))
@@ -128,19 +128,17 @@ def _parsed(path: Path) -> _File:
     order, length = _ORDERS.get(root.get("byte_order", "")), _LENGTHS.get(root.get("header_type", "UInt32"))
     compressor = root.get("compressor", "")
     if order is None or length is None or compressor not in _COMPRESSORS:
-        told = {key: root.get(key) for key in ("byte_order", "header_type", "compressor")}
-        raise FormatError(f"{path.name} must be written in a way of {_ORDERS}, {_LENGTHS}, {_COMPRESSORS}; it has {told}")
+        found_in = {key: root.get(key) for key in ("byte_order", "header_type", "compressor")}
+        raise FormatError(f"{path.name} must be written in a way of {_ORDERS}, {_LENGTHS}, {_COMPRESSORS}; it has {found_in}")
     extent = _extent(path.name, grid.get("WholeExtent", ""))
     numbers = {key: _numbers(path.name, key, grid.get(key, usual)) for key, usual in _USUAL.items()}
-    direction = np.array(numbers["Direction"]).reshape(3, 3)
-    arrays = _arrays(path.name, grid, extent)
     return _File(
         path.name,
         np.array(numbers["Spacing"]),
         np.array(numbers["Origin"]),
-        direction,
+        np.array(numbers["Direction"]).reshape(3, 3),
         extent,
-        arrays,
+        _arrays(path.name, grid, extent),
         order,
         length,
         compressor,
@@ -153,7 +151,7 @@ _USUAL = {"Spacing": "1 1 1", "Origin": "0 0 0", "Direction": "1 0 0 0 1 0 0 0 1
 
 
 def _numbers(name: str, key: str, text: str) -> list[float]:
-    """As many finite numbers as the attribute has by default."""
+    """Finite numbers, as many as the attribute has by default."""
     try:
         values = [float(word) for word in text.split()] if text.isascii() else []
     except ValueError:
@@ -167,13 +165,13 @@ def _extent(name: str, text: str) -> tuple[int, ...]:
     """First and last index along x, y and z."""
     words = text.split()
     values = tuple(map(int, words)) if all(re.fullmatch(r"-?[0-9]{1,10}", word) for word in words) else ()
-    if len(values) != 6 or not all(0 <= high - low < _MOST_AXIS for low, high in zip(values[::2], values[1::2], strict=True)):
+    if len(values) != 6 or not all(0 <= high - low < _MAX_AXIS for low, high in zip(values[::2], values[1::2], strict=True)):
         raise FormatError(f"{name} must hold at least one sample along each axis; its extent is {text[:80]!r}")
     return values
 
 
 def _arrays(name: str, grid: ET.Element, whole: tuple[int, ...]) -> list[_Array]:
-    """The arrays of numbers, those that are shown before others."""
+    """The arrays of numbers, the active ones first."""
     found: dict[tuple[str, str], _Array] = {}
     pieces = grid.findall("Piece")
     for piece in pieces:
@@ -213,13 +211,13 @@ def _array(name: str, kind: str, element: ET.Element, dtype: np.dtype[Any], whol
 
 
 def _size(kind: str, extent: tuple[int, ...]) -> tuple[int, ...]:
-    """Samples along z, y and x; an axis of one point has cells all the same."""
+    """Samples along z, y and x; an axis of one point has one cell."""
     points = [high - low + 1 for low, high in zip(extent[::2], extent[1::2], strict=True)][::-1]
     return tuple(points if kind == "Point" else [max(1, n - 1) for n in points])
 
 
 def _box(kind: str, extent: tuple[int, ...], whole: tuple[int, ...]) -> tuple[slice, ...]:
-    """Where the samples of a piece lie in the array."""
+    """The slices of a piece in the array."""
     return tuple(
         slice(extent[axis] - whole[axis], extent[axis] - whole[axis] + n)
         for axis, n in zip((4, 2, 0), _size(kind, extent), strict=True)
@@ -243,7 +241,7 @@ def _samples(file: _File, array: _Array) -> NDArray[Any]:
 
 
 def _values(file: _File, element: ET.Element, count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """The samples of one element, of which there must be `count`."""
+    """The `count` samples of an element."""
     if element.get("format") == "ascii":
         words = (element.text or "").split()
         try:
@@ -263,7 +261,7 @@ def _values(file: _File, element: ET.Element, count: int, dtype: np.dtype[Any]) 
 
 
 def _blocks(file: _File, element: ET.Element, expected: int) -> Iterator[bytes | memoryview]:
-    """The samples as they were before they were packed; each block behind a header with lengths of all."""
+    """The unpacked blocks of an element, whose lengths stand before them."""
     stored = _stored(file, element)
     word = struct.calcsize(file.length)
 
@@ -290,7 +288,7 @@ def _blocks(file: _File, element: ET.Element, expected: int) -> Iterator[bytes |
 
 
 class _Stored:
-    """What stands for an array: bytes, or base64 of them, of which each part is padded by itself."""
+    """The encoded array: bytes, or base64, whose parts are padded separately."""
 
     def __init__(self, name: str, content: memoryview, encoded: bool, closed: bool) -> None:
         self.name, self.content, self.encoded, self.closed = name, content, encoded, closed
@@ -318,11 +316,11 @@ class _Stored:
         return taken
 
     def part(self) -> None:
-        """A part of base64 ends here."""
+        """End a part of base64."""
         self.ready = memoryview(b"")
 
     def finish(self) -> None:
-        """Nothing may follow, but other arrays."""
+        """Raise if anything but other arrays follows."""
         if self.closed and (len(self.ready) or self.at < len(self.content)):
             raise FormatError(f"{self.name} must hold the samples that its headers say; there are more")
 
@@ -332,15 +330,15 @@ def _stored(file: _File, element: ET.Element) -> _Stored:
         return _Stored(file.name, memoryview("".join((element.text or "").split()).encode()), True, True)
     offset = element.get("offset", "")
     if element.get("format") != "appended" or not re.fullmatch(r"[0-9]{1,18}", offset) or int(offset) >= len(file.appended):
-        told = {key: element.get(key) for key in ("format", "offset")}
+        found = {key: element.get(key) for key in ("format", "offset")}
         raise FormatError(
-            f"{file.name} must hold arrays as ascii, binary, or appended within the file; {element.get('Name')!r} has {told}"
+            f"{file.name} must hold arrays as ascii, binary, or appended within the file; {element.get('Name')!r} has {found}"
         )
     return _Stored(file.name, file.appended[int(offset) :], file.encoded, False)
 
 
 def _unpacked(file: _File, packed: bytes, size: int) -> bytes:
-    """One block, which must have `size` bytes."""
+    """A block of `size` bytes, unpacked."""
     try:
         if file.compressor == "vtkZLibDataCompressor":
             stream = zlib.decompressobj()
@@ -367,7 +365,7 @@ def _unpacked_lz4(packed: bytes, size: int) -> bytes:
     block: Any = np.empty(size, np.uint8)
     compressor = vtkLZ4DataCompressor()
     shown = compressor.GetGlobalWarningDisplay()
-    compressor.SetGlobalWarningDisplay(False)  # what it would tell the terminal is raised
+    compressor.SetGlobalWarningDisplay(False)  # an error is raised instead
     try:
         found = compressor.Uncompress(source, len(packed), block, size)
     finally:

@@ -28,7 +28,8 @@ from clvol.volume.volumes import Leading
 
 __all__ = ["MessageError", "as_stored", "copied", "empty", "receive", "send", "share_samples"]
 
-_LARGE = 1 << 20  # bytes from which on arrays are handed over
+_LARGE = 1 << 16  # bytes from which on arrays are handed over
+_HUGE = 1 << 21  # bytes of a huge page
 _STRETCH = 1 << 26  # bytes read at a time, so that Ctrl-C need not wait for all
 _MAX_TEXT = 1 << 28  # bytes of JSON
 _KINDS = "biufcSU"
@@ -105,8 +106,9 @@ def _memory_file(size: int) -> _MemoryFile:
         os.close(fd)
         raise
     memory.fd = fd
-    with contextlib.suppress(OSError, AttributeError):  # not every kernel has huge pages for memory files
-        memory.madvise(mmap.MADV_HUGEPAGE)
+    if size >= _HUGE:
+        with contextlib.suppress(OSError, AttributeError):  # not every kernel has huge pages for memory files
+            memory.madvise(mmap.MADV_HUGEPAGE)
     return memory
 
 

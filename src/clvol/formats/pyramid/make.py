@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -147,7 +147,8 @@ def pyramid(
     require_apart(given, target)
     room = _room(budget, given)
     volume, cache = _kept(given, room)
-    plan = _plan(volume, filter, boundary, method, levels, chunks, shards, compressor, bounds, version, as_device(device))
+    storage = _Storage.of(chunks, shards, compressor, version)
+    plan = _plan(volume, filter, boundary, method, levels, storage, bounds, as_device(device))
     if plan.bounds:
         Bricks.edge_for(plan.filter, room)
     with foreign_errors(f"write {path}"), Journal(target, plan.command(volume), flag("overwrite", overwrite)) as journal:
@@ -214,11 +215,8 @@ class _Plan:
     boundary: Boundary
     method: Method
     levels: list[Level]
-    chunks: tuple[int, int, int]
-    shards: tuple[int, int, int] | None
-    compressor: str
+    storage: _Storage
     bounds: bool
-    version: str
     device: Device
     labels: bool
 
@@ -230,16 +228,16 @@ class _Plan:
         """What must be the same for another process to resume."""
         grid = volume.grid
         return {
-            "version": f"{VERSION}, {self.version}",
+            "version": f"{VERSION}, {self.storage.version}",
             "source": said_of(volume),
             "grid": [*grid.spacing, *grid.origin, *grid.direction.ravel().tolist(), grid.units, volume.missing],
             "filter": self.filter.name,
             "boundary": self.boundary.name,
             "method": self.method,
             "levels": [level.size for level in self.levels],
-            "chunks": self.chunks,
-            "shards": self.shards,
-            "compressor": self.compressor,
+            "chunks": self.storage.chunks,
+            "shards": self.storage.shards,
+            "compressor": self.storage.compressor,
             "bounds": self.bounds,
         }
 
@@ -250,16 +248,10 @@ def _plan(
     boundary: str | Boundary,
     method: str | None,
     levels: int | None,
-    chunks: int | Sequence[int],
-    shards: int | Sequence[int] | None,
-    compressor: str,
+    storage: _Storage,
     bounds: bool,
-    version: str,
     device: Device,
 ) -> _Plan:
-    for name, value, allowed in (("compressor", compressor, COMPRESSORS), ("version", version, VERSIONS)):
-        if value not in allowed:
-            raise one_of(name, value, allowed)
     if method is not None and method not in METHODS:
         raise one_of("method", method, METHODS)
     rule = as_boundary(boundary)
@@ -270,16 +262,66 @@ def _plan(
     if flag("bounds", bounds):
         require_bounded(row, rule)
     require_reducible(how, row, rule)
-    edges = _edges("chunks", chunks)
-    together = None if shards is None else _edges("shards", shards)
-    if together is not None and (version == "0.4" or any(s % c for s, c in zip(together, edges, strict=True))):
-        raise OptionError(
-            f"shards must be whole numbers of chunks along each axis, in version '0.5'; "
-            f"got {together} of {edges}, version {version!r}"
-        )
     count = None if levels is None else whole("levels", levels, 1)
-    sizes = levels_of(volume.size, volume.spacing, count, max(edges))
-    return _Plan(row, rule, how, sizes, edges, together, compressor, bool(bounds), version, device, labels)
+    sizes = levels_of(volume.size, volume.spacing, count, max(storage.chunks))
+    return _Plan(row, rule, how, sizes, storage, bool(bounds), device, labels)
+
+
+@dataclass(frozen=True)
+class _Storage:
+    """How arrays are stored."""
+
+    chunks: tuple[int, int, int]
+    shards: tuple[int, int, int] | None
+    compressor: str
+    version: str
+
+    @classmethod
+    def of(cls, chunks: int | Sequence[int], shards: int | Sequence[int] | None, compressor: str, version: str) -> _Storage:
+        for name, value, allowed in (("compressor", compressor, COMPRESSORS), ("version", version, VERSIONS)):
+            if value not in allowed:
+                raise one_of(name, value, allowed)
+        edges = _edges("chunks", chunks)
+        together = None if shards is None else _edges("shards", shards)
+        if together is not None and (version == "0.4" or any(s % c for s, c in zip(together, edges, strict=True))):
+            raise OptionError(
+                f"shards must be whole numbers of chunks along each axis, in version '0.5'; "
+                f"got {together} of {edges}, version {version!r}"
+            )
+        return cls(edges, together, compressor, version)
+
+    @property
+    def format(self) -> Literal[2, 3]:
+        """Of Zarr."""
+        return 3 if self.version == "0.5" else 2
+
+    def options(self, shape: Sequence[int], dtype: np.dtype[Any]) -> dict[str, Any]:
+        """Arguments of zarr's `create_array`, of an array [z, y, x, ...]."""
+        more = tuple(shape[3:])
+        chunks = (*(min(c, n) for c, n in zip(self.chunks[::-1], shape[:3], strict=True)), *more)
+        options: dict[str, Any] = {"shape": tuple(shape), "dtype": dtype, "chunks": chunks, "compressors": self._codec(dtype)}
+        if self.format == 2:
+            return options | {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
+        options["dimension_names"] = ["z", "y", "x", *("bound" for _ in more)]
+        if self.shards is not None:  # no larger than the whole chunks that hold the array
+            options["shards"] = tuple(
+                min(s, -(-n // c) * c) // c * c for s, c, n in zip(self.shards[::-1], chunks[:3], shape[:3], strict=True)
+            )
+        return options
+
+    def _codec(self, dtype: np.dtype[Any]) -> Any:
+        if self.compressor == "none":
+            return None
+        shuffle = "bitshuffle" if dtype.kind in "iu" and dtype.itemsize < 8 else "shuffle"
+        level = 1 if self.compressor == "zstd" else 5
+        if self.format == 3:
+            from zarr.codecs import BloscCodec
+
+            how: Any = {"cname": self.compressor, "shuffle": shuffle}
+            return BloscCodec(**how, clevel=level, typesize=dtype.itemsize)
+        from numcodecs import Blosc
+
+        return Blosc(cname=self.compressor, clevel=level, shuffle={"shuffle": 1, "bitshuffle": 2}[shuffle])
 
 
 def _edges(what: str, given: int | Sequence[int]) -> tuple[int, int, int]:
@@ -312,7 +354,6 @@ class _Writing:
         self._zarr = zarr
         self._volume, self._plan, self._journal, self._room, self._progress = volume, plan, journal, room, progress
         self._cache, self._read_out = cache, False
-        self._format: Literal[2, 3] = 3 if plan.version == "0.5" else 2
         self._spent = 0.0
         sizes = [math.prod(level.size) for level in plan.levels]
         self._all = _COST["reduce"] * sum(sizes[:-1] or sizes) + _COST["bounds"] * sum(sizes) * plan.bounds
@@ -320,11 +361,9 @@ class _Writing:
 
     def run(self) -> None:
         """Write all parts that are not done yet."""
-        root = self._zarr.open_group(self._journal.store, mode="a", zarr_format=self._format)
-        arrays = [
-            self._array(root, str(i), level.shape, self.dtype, self._plan.chunks, self._plan.shards)
-            for i, level in enumerate(self._plan.levels)
-        ]
+        storage = self._plan.storage
+        root = self._zarr.open_group(self._journal.store, mode="a", zarr_format=storage.format)
+        arrays = [self._array(root, str(i), level.shape, self.dtype, storage) for i, level in enumerate(self._plan.levels)]
         reads: list[Callable[[Any], NDArray[Any]]] = [self._of_source, *(array.__getitem__ for array in arrays[1:])]
         if len(arrays) == 1:
             self._copy(arrays[0])
@@ -342,45 +381,9 @@ class _Writing:
         part = self._volume.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
         return part.astype(self.dtype, copy=False)
 
-    def _array(
-        self,
-        group: Any,
-        name: str,
-        shape: Sequence[int],
-        dtype: np.dtype[Any],
-        chunks: Sequence[int],
-        shards: Sequence[int] | None = None,
-        fill: float = 0,
-    ) -> Any:
+    def _array(self, group: Any, name: str, shape: Sequence[int], dtype: np.dtype[Any], storage: _Storage, fill: float = 0) -> Any:
         """An array of the store, created if necessary; `fill` is the value of chunks that are not stored."""
-        if name in group:
-            return group[name]
-        more = tuple(shape[3:])
-        chunk = (*(min(c, n) for c, n in zip(chunks[::-1], shape[:3], strict=True)), *more)
-        options: dict[str, Any] = {"compressors": self._codec(dtype)}
-        if self._format == 3:
-            options["dimension_names"] = ["z", "y", "x", *("bound" for _ in more)]
-            if shards is not None:  # no larger than the whole chunks that hold the array
-                options["shards"] = tuple(
-                    min(s, -(-n // c) * c) // c * c for s, c, n in zip(shards[::-1], chunk[:3], shape[:3], strict=True)
-                )
-        else:
-            options["chunk_key_encoding"] = {"name": "v2", "separator": "/"}
-        return group.create_array(name, shape=tuple(shape), chunks=chunk, dtype=dtype, fill_value=fill, **options)
-
-    def _codec(self, dtype: np.dtype[Any]) -> Any:
-        if self._plan.compressor == "none":
-            return None
-        shuffle = "bitshuffle" if dtype.kind in "iu" and dtype.itemsize < 8 else "shuffle"
-        level = 1 if self._plan.compressor == "zstd" else 5
-        if self._format == 3:
-            from zarr.codecs import BloscCodec
-
-            how: Any = {"cname": self._plan.compressor, "shuffle": shuffle}
-            return BloscCodec(**how, clevel=level, typesize=dtype.itemsize)
-        from numcodecs import Blosc
-
-        return Blosc(cname=self._plan.compressor, clevel=level, shuffle={"shuffle": 1, "bitshuffle": 2}[shuffle])
+        return group[name] if name in group else group.create_array(name, fill_value=fill, **storage.options(shape, dtype))
 
     def _advance(self, cost: float) -> None:
         self._spent += cost
@@ -398,7 +401,7 @@ class _Writing:
             sums_for(plan.method, row.along(axis), plan.boundary, step, n, kind == np.float64)
             for axis, (step, n) in enumerate(zip(level.steps, finer.size, strict=True))
         )
-        stored = plan.shards or plan.chunks
+        stored = plan.storage.shards or plan.storage.chunks
         deep = min(stored[2], finer.size[2])
         chunks = self._volume.chunks if number == 1 else None
         if chunks is not None and chunks[2] > deep:  # unpack each chunk of the source once
@@ -479,7 +482,7 @@ class _Writing:
         group = root
         for name in (KEY, "bounds", str(number)):  # zarr would create them with the array; if killed in between, never
             group = group.require_group(name)
-        blocks = self._array(root, f"{KEY}/bounds/{number}/0", shape, dtype, (bricks.edge,) * 3, fill=np.nan)
+        blocks = self._array(root, f"{KEY}/bounds/{number}/0", shape, dtype, self._for_bounds(bricks.edge), fill=np.nan)
         places = list(bricks.places())
         for place in places:
             name = f"bounds/{number}/" + "/".join(f"{a}-{b}" for a, b in place)
@@ -490,13 +493,16 @@ class _Writing:
             self._advance(_COST["bounds"] * math.prod(level.size) / len(places))
         self._coarsen(root, number, blocks)
 
+    def _for_bounds(self, edge: int) -> _Storage:
+        return replace(self._plan.storage, chunks=(edge,) * 3, shards=None)
+
     def _coarsen(self, root: Any, number: int, blocks: Any) -> None:
         """Write bounds of coarser blocks, each of 2³ of those before; a few slices of blocks at a time."""
         step = 1
         while max(blocks.shape[:3]) > _FEW:
             shape = (*(-(-n // 2) for n in blocks.shape[:3]), 2)
             edge = blocks.chunks[0]
-            made = self._array(root, f"{KEY}/bounds/{number}/{step}", shape, blocks.dtype, (_BLOCKS,) * 3, fill=np.nan)
+            made = self._array(root, f"{KEY}/bounds/{number}/{step}", shape, blocks.dtype, self._for_bounds(_BLOCKS), fill=np.nan)
             name = f"bounds/{number}/coarser {step}"
             if name not in self._journal:
                 deep = max(edge, made.chunks[0])
@@ -535,12 +541,12 @@ class _Writing:
             "nearest": "every second sample",
         }
         multiscales: dict[str, Any] = {"name": grid.name, "axes": axes, "datasets": datasets, "type": how[plan.method]}
-        if plan.version == "0.4":
+        if plan.storage.version == "0.4":
             multiscales["version"] = "0.4"
-        ome: dict[str, Any] = {"multiscales": [multiscales]} | ({"version": "0.5"} if plan.version == "0.5" else {})
+        ome: dict[str, Any] = {"multiscales": [multiscales]} | ({"version": "0.5"} if plan.storage.version == "0.5" else {})
         ranges = [self._range_of(number) for number in range(len(plan.levels))]
         if plan.labels:
-            ome["image-label"] = _label(grid, plan.version)
+            ome["image-label"] = _label(grid, plan.storage.version)
         elif grid.name or grid.color or grid.window:
             ome["omero"] = _omero(grid, ranges[0], self.dtype)
         own: dict[str, Any] = {"version": VERSION, "method": plan.method}
@@ -549,7 +555,7 @@ class _Writing:
         if grid.space:
             own["space"] = grid.space
         own["levels"] = [self._level(root, number, found) for number, found in enumerate(ranges)]
-        root.attrs.update(({"ome": ome} if plan.version == "0.5" else ome) | {KEY: own})
+        root.attrs.update(({"ome": ome} if plan.storage.version == "0.5" else ome) | {KEY: own})
 
     def _range_of(self, number: int) -> tuple[float, float] | None:
         found = [facts for facts in self._journal.facts(f"bounds/{number}/") if facts]
