@@ -75,12 +75,12 @@ class Costs:
 
 @dataclass(frozen=True)
 class Task:
-    """The rays of an area through a box of bricks.
+    """The rays of an area through a box of bricks, or the merging of two boxes' rays.
 
     Attributes
     ----------
-    before : int or None
-        The task that it waits for.
+    before : tuple of int
+        The tasks that it waits for.
     worker : int
         Who has the bricks.
     bricks : tuple
@@ -89,7 +89,7 @@ class Task:
         Of its rays in the box; of their states.
     """
 
-    before: int | None
+    before: tuple[int, ...]
     worker: int
     bricks: tuple[Any, ...]
     samples: float
@@ -117,13 +117,14 @@ def simulated(
     factor = np.exp(rng.normal(0, spread, len(tasks))) if spread else np.ones(len(tasks))
     pace = np.where(np.arange(workers) < slow, 2.0, 1.0)
     after: dict[int, list[int]] = defaultdict(list)
+    waiting = [len(task.before) for task in tasks]
     for number, task in enumerate(tasks):
-        if task.before is not None:
-            after[task.before].append(number)
+        for other in task.before:
+            after[other].append(number)
     ready: list[list[int]] = [[] for _ in range(workers + 1)]
     scheduler = workers  # what is ready there is to be sent
     for number, task in enumerate(tasks):
-        if task.before is None:
+        if not task.before:
             heapq.heappush(ready[scheduler], number)
     held: set[Any] = set()
     known = set(range(workers)) if joined else set()
@@ -158,7 +159,9 @@ def simulated(
                 continue
             done += 1
             for other in after[number]:
-                heapq.heappush(ready[scheduler], other)
+                waiting[other] -= 1
+                if not waiting[other]:
+                    heapq.heappush(ready[scheduler], other)
     return costs.begin + now
 
 
@@ -177,7 +180,7 @@ def plan(
     depth = field.edge * 1.5 / step  # samples of a ray through a brick, about
     tasks: list[Task] = []
     for y, x in itertools.product(range(0, height, edge), range(0, width, edge)):
-        before = None
+        before: tuple[int, ...] = ()
         for group, (left, top, right, bottom) in zip(groups, spans, strict=True):
             w, h = min(right, x + edge, width) - max(left, x), min(bottom, y + edge, height) - max(top, y)
             if w < 0 or h < 0 or not bricks[group.number]:
@@ -186,8 +189,27 @@ def plan(
             own = [b for b in bricks[group.number] if _meets(field.brick(b), view, grid, size, (x, y, edge, edge))]
             share = len(own) / max(1, len(bricks[group.number]))
             tasks.append(Task(before, group.number % workers, tuple(own), w * h * depth * across * share, 20.0 * edge * edge))
-            before = len(tasks) - 1
+            before = (len(tasks) - 1,)
     return tasks
+
+
+def as_tree(tasks: Sequence[Task]) -> list[Task]:
+    """A plan of rays that go through boxes in order, for rays that go through all boxes at once (`merge="tree"`)."""
+    areas: dict[int, list[int]] = {}
+    first: dict[int, int] = {}
+    for number, task in enumerate(tasks):
+        first[number] = first[task.before[0]] if task.before else number
+        areas.setdefault(first[number], []).append(number)
+    made: list[Task] = []
+    for area in areas.values():
+        parts = [*range(len(made), len(made) + len(area))]
+        made += [replace(tasks[number], before=()) for number in area]
+        while len(parts) > 1:
+            pairs = [tuple(parts[i : i + 2]) for i in range(0, len(parts), 2)]
+            merged = range(len(made), len(made) + len(parts) // 2)
+            made += [Task(pair, made[pair[0]].worker, (), 0.0, made[pair[0]].nbytes) for pair in pairs if len(pair) > 1]
+            parts = [*merged, *(pair[0] for pair in pairs if len(pair) == 1)]
+    return made
 
 
 def _meets(brick: Any, view: Any, grid: Any, size: tuple[int, int], area: tuple[int, int, int, int]) -> bool:
@@ -365,6 +387,7 @@ def large(edge_of_volume: int, workers: int, pixels: int, share: float) -> dict[
         "boxes": groups,
         "seconds": even,
         "with stragglers": ragged,
+        "by a tree": simulated(as_tree(tasks), costs, workers),
         "planning": planned,
     }
 
@@ -395,7 +418,8 @@ def _by_boxes(field: Any, view: Any, pixels: int, workers: int, share: float) ->
             first, rest = math.floor(rest), rest + some  # whole bricks, none lost
             names = tuple((group.number, place, i) for i in range(math.floor(rest) - first))
             samples = edge * edge * across * 128 * 1.5 / 0.5 * share
-            tasks.append(Task(last.get(place), group.number % workers, names, samples, 20.0 * edge * edge))
+            before = (last[place],) if place in last else ()
+            tasks.append(Task(before, group.number % workers, names, samples, 20.0 * edge * edge))
             last[place] = len(tasks) - 1
     return tasks, sum(len(task.bricks) for task in tasks)
 

@@ -1,9 +1,9 @@
 """The noise of a volume, estimated from its own samples.
 
-Noise is looked for in the highest octave along every axis, where a scan has the least of its content: in the band HHH of an
-orthonormal wavelet (Donoho and Johnstone, 1994: the median of the absolute values over 0.6745). Only places that are quiet in the
-neighbouring bands are looked at. For white noise these bands are independent of HHH, so this choice does not bias the
-estimate; edges and texture are in all of them.
+Noise is measured in the highest octave along every axis, where a scan has the least signal: in the band HHH of an orthonormal
+wavelet (Donoho and Johnstone, 1994: the median of the absolute values over 0.6745), and only at places where the neighbouring
+bands are quiet. Edges and texture show in all bands; white noise in these bands is independent of that in HHH, so the choice of
+places does not bias the estimate.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from clvol.base.errors import DataError
 __all__ = ["MOST_LABELS", "Noise", "estimate"]
 
 MOST_LABELS = 256
-"""Values that are recognised as labels, at most."""
+"""Largest number of distinct values that are recognised as labels."""
 
 Array: TypeAlias = NDArray[np.float64]
 
-_LOOKED_AT = 1 << 20  # samples: a larger volume is looked at in blocks
+_SAMPLES = 1 << 20  # of a larger volume blocks are used
 _SHORT = 256  # samples of a cosine transform by its matrix
-_BLOCK = {2: 256, 3: 32}  # samples along each axis of such a block
+_BLOCK = {2: 256, 3: 32}  # samples along each axis of a block
 # Daubechies' extremal phase wavelet with four vanishing moments (Ten Lectures on Wavelets, table 6.1): the low-pass
 _LOW = np.array(
     [
@@ -44,30 +44,30 @@ _LOW = np.array(
 )
 _HIGH = _LOW[::-1] * (-1.0) ** np.arange(len(_LOW))
 _MEDIAN_SQUARE = 0.45493642311957283  # of a normal variable with variance 1
-_STILL = 1e-6  # of the range of values: bands that hold no more are of equal samples, but for rounding
-_NOTHING = 1e-10  # of the range, squared: a variance that is not looked at further
+_FLAT = 1e-6  # of the range of values: bands below it hold equal samples, but for rounding
+_NEGLIGIBLE = 1e-10  # variance over the squared range
 _LEVELS = 8  # classes of the local mean in which the variance is estimated
-_CONFIDENT = 4.0  # standard errors by which the variance must grow with the value
-_GROWS = 1.5  # and the factor by which it does, at least, between the extreme classes
-_COLOURED = 1.5  # ratio of the powers of two octaves from which noise is said to be correlated
-_SIGNAL = 8.0  # and from which that is the signal
-_MANY = 20_000  # places from which that can be told
-_FEWEST = 100  # places from which something is estimated
-_GROUND = 0.05  # share of samples from which the commonest value is taken for a background
+_CONFIDENT = 4.0  # standard errors by which the variance of signal-dependent noise grows, at least
+_GROWS = 1.5  # factor by which it grows between the extreme classes, at least
+_COLOURED = 1.5  # ratio of the powers of two octaves above which noise is correlated
+_SIGNAL = 8.0  # ratio above which the lower octave shows the signal
+_MANY = 20_000  # places from which correlation can be measured
+_FEWEST = 100  # places from which a variance can be estimated
+_BACKGROUND = 0.05  # share of samples from which the most common value may be a background
 _EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
-_ROUNDED = 4  # values that rounding leaves of smooth data, at least: of fewer it cannot be told from labels
-_EDGES_BEYOND = 0.02  # share of neighbours of different values that may be further than one value apart
-_ALONE = 0.1  # share, of the samples at edges between labels, that may be unlike their neighbours
-_CUTS = 2.0  # `Noise.jump` from which a background is said to cut through objects
-_WINDOW = 3  # power of the sine that is a block's window: the higher, the less leaks from low frequencies to high ones
-_AVERAGED = 2, 4  # samples along an axis, at most, of which means tell of low frequencies, and of lower ones
+_ROUNDED = 4  # values of rounded smooth data, at least: fewer cannot be told from labels
+_EDGES_BEYOND = 0.02  # share of neighbours of different values that may be more than one value apart
+_ALONE = 0.1  # share of the samples at edges between labels that may be unlike their neighbours
+_CUTS = 2.0  # `Noise.jump` from which a background cuts through objects
+_WINDOW = 3  # power of the sine that is a block's window: the higher, the less low frequencies leak to high ones
+_AVERAGED = 2, 4  # samples along an axis whose means show low frequencies, and lower ones
 _CELLS = 32  # of frequencies along an axis, about
 _OMEGA = np.linspace(0, np.pi, 65)
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Where in frequency the power of a volume's samples is, and how much of it is noise; the range of their values is 1 here.
+    """The power spectrum of a volume's samples, and the noise in it, in units of the range of their values.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Spectrum:
     frequencies : tuple of ndarray
         Mean frequency of the cells along each axis of `power`, in radians per sample.
     noise : tuple of ndarray
-        Their shares of the noise: its power in a cell is the product of the shares along the axes.
+        Shares of the noise by cells along each axis: its power in a cell is their product.
     """
 
     power: Array
@@ -86,37 +86,36 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Noise:
-    """What is known of the noise of a volume.
+    """The noise of a volume, and what its samples are like otherwise.
 
     Parameters
     ----------
     sigma : float
-        Standard deviation of additive noise, in units of the data: the root of the mean variance where it varies. Samples of a
-        `background` have no part in it. Noise that has nothing in the highest octave, such as that of a scan that was
-        magnified, is not found.
+        Standard deviation of additive noise, in units of the data: the root of the mean variance where it varies, without samples
+        of a `background`. Noise without power in the highest octave, such as that of a magnified scan, is not found.
     kind : str
-        "none"; "white"; "correlated", where neighbours along an axis share it (`colour`); "signal-dependent", where it grows with
-        the value (`gain`), as that of counts does; "binary", "labels" and "rounded", where few values fill regions without
-        any: neighbouring regions of rounded data are one step apart, labels are names.
+        "none"; "white"; "correlated" along an axis (`colour`); "signal-dependent", if it grows with the value (`gain`), as that of
+        counts does; "binary", "labels" and "rounded", if few values fill regions without noise: neighbouring regions of rounded
+        data are one step apart, labels are names.
     gain : float
-        How much the variance grows with the value (of photon counts: the data's unit a photon); 0 where that is not seen.
+        Slope of the variance over the value (for photon counts, the data's units a photon); 0 if none is found.
     colour : tuple of float
-        Power of the lower half of the band over that of the upper half along x, y[, z]; 1 for white noise.
+        Power in the lower half of the band over that in the upper half along x, y[, z]; 1 for white noise.
     step : float
-        The least difference between two values that occur, of integers or of what was rounded; 0 where values are continuous.
+        The least difference between two values of integers or rounded data; 0 for continuous values.
     distinct : int
-        Number of values among the samples looked at.
+        Number of distinct values among the samples used.
     background : float or None
-        The exact value of a surrounding that was masked out or cut off, if there is one.
+        The exact value of a background that was masked out or cut off, if there is one.
     background_share : float
         Share of the samples that have it.
     jump : float
-        How far objects' outer samples differ from the background, over how far these differ from the next ones inside: far above 1
-        at a mask that cuts through an object, 1 or less where objects fade into what was cut off.
+        The step from the background to objects' outer samples, over that to the next samples inside: far above 1 at a mask that
+        cuts through an object, 1 or less where objects fade out.
     clipped : (float, float)
         Shares of the samples at the smallest and at the largest value.
     spectrum : Spectrum
-        Of the samples that were looked at and, where there is noise, of means of their surroundings.
+        Of the samples used and, if there is noise, of means of their surroundings.
     """
 
     sigma: float
@@ -129,7 +128,7 @@ class Noise:
     background_share: float = 0.0
     jump: float = 0.0
     clipped: tuple[float, float] = (0.0, 0.0)
-    spectrum: Spectrum = field(default=None, compare=False, repr=False)  # type: ignore[assignment]  # `estimate` gives it
+    spectrum: Spectrum = field(default=None, compare=False, repr=False)  # type: ignore[assignment]  # `estimate` always gives it
 
     @property
     def masked(self) -> bool:
@@ -138,10 +137,10 @@ class Noise:
 
 
 def estimate(samples: NDArray[Any]) -> Noise:
-    """The noise of a volume or image, from about a million of its samples at most; `Volume.noise` remembers it.
+    """Estimate the noise of a volume or image from at most about a million of its samples; `Volume.noise` keeps the result.
 
-    Where there is noise, the low frequencies of its spectrum are told by means of two and of four samples along each axis, each
-    about a million at most.
+    If there is noise, the low frequencies of the spectrum come from means of two and of four samples along each axis, at most about
+    a million each.
 
     Parameters
     ----------
@@ -151,7 +150,7 @@ def estimate(samples: NDArray[Any]) -> Noise:
     Raises
     ------
     DataError
-        Samples that were looked at are NaN or infinite.
+        Samples that are used are NaN or infinite.
     """
     data = samples
     samples = np.stack([data[place] for place in _places(data.shape, (1,) * data.ndim)])
@@ -169,24 +168,24 @@ def estimate(samples: NDArray[Any]) -> Noise:
     if len(values) < blocks.size / 2:
         step = float(np.diff(values.astype(np.float64)).min() * unit)
         facts["step"] = step if samples.dtype.kind == "f" else float(round(step))
-    blocks -= values[most]  # a background is zero to the last bit, and so are bands of it
+    blocks -= values[most]  # so that a background and its bands are exactly 0
     same, alone = _surroundings(blocks)
     common = blocks == 0
-    ground = common & (common.mean() >= _GROUND) & ((same & common).sum() >= common.sum() / 2)
-    if ground.any():
-        facts["background"] = float(samples.flat[int(ground.argmax())])
-        facts["background_share"] = float(ground.mean())
-        facts["jump"] = _jump(blocks, ground)
-    even = float(same[~ground].mean())
+    background = common & (common.mean() >= _BACKGROUND) & ((same & common).sum() >= common.sum() / 2)
+    if background.any():
+        facts["background"] = float(samples.flat[int(background.argmax())])
+        facts["background_share"] = float(background.mean())
+        facts["jump"] = _jump(blocks, background)
+    even = float(same[~background].mean())
     kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
     if len(values) <= MOST_LABELS and alone < _ALONE and _fill_regions(values - values[most], counts, blocks, same):
         kind = "binary" if len(values) == 2 else "rounded" if _by_steps(values - values[most], blocks) else "labels"
     elif even < _EVEN:
-        variance, gain, colour = _variance(blocks, ground)
+        variance, gain, colour = _variance(blocks, background)
         if variance > 0:
             kind = "correlated" if max(colour) > 1 else "signal-dependent" if gain > 0 else "white"
     total = variance * math.prod(float(colour_power(ratio, _OMEGA).mean()) for ratio in colour)
-    cells, part = _cells(blocks), variance * (1 - float(ground.mean()))
+    cells, part = _cells(blocks), variance * (1 - float(background.mean()))
     for factor in _AVERAGED if part > 0 and len(blocks) > 1 else ():
         factors = [min(factor, max(n // _BLOCK[data.ndim], 1)) for n in data.shape]
         cells = _finer(cells, _averages(data, factors, low, high), factors, part, colour)
@@ -196,9 +195,9 @@ def estimate(samples: NDArray[Any]) -> Noise:
 
 
 def colour_power(ratio: float, omega: Array) -> Array:
-    """Power along an axis of noise that has `ratio` times as much in the lower half of its band as in the upper, where it is 1.
+    """The power along an axis of noise with `ratio` times as much in the lower half of its band as in the upper, where it is 1.
 
-    Its logarithm falls as cos ω does, which in the mean is 2 / π over the lower half and − 2 / π over the upper.
+    Its logarithm falls like cos ω, whose mean is 2 / π over the lower half and − 2 / π over the upper.
     """
     return np.asarray(ratio ** (np.pi / 4 * np.cos(omega) + 0.5))
 
@@ -207,25 +206,25 @@ def colour_power(ratio: float, omega: Array) -> Array:
 
 
 def _places(shape: tuple[int, ...], factors: Sequence[int]) -> list[tuple[slice, ...]]:
-    """Blocks, evenly spread, of which averages over `factors` samples are few enough; one of all samples if these are."""
-    most = _LOOKED_AT * math.prod(factors)
+    """Evenly spread blocks with at most `_SAMPLES` means of `factors` samples; one block of all samples if these are few enough."""
+    most = _SAMPLES * math.prod(factors)
     if math.prod(shape) <= most:
         return [tuple(slice(0, n) for n in shape)]
     edges = [min(n, _BLOCK[len(shape)] * factor) for n, factor in zip(shape, factors, strict=True)]
     counts = [1] * len(shape)
-    while True:  # more along the axes that have the widest gaps; equal axes alike
+    while True:  # more along the axes with the widest gaps, and equally along equal axes
         gaps = [n / (e * c) for n, e, c in zip(shape, edges, counts, strict=True)]
         more = [c + (gap == max(gaps)) for c, gap in zip(counts, gaps, strict=True)]
         if max(gaps) < 2 or math.prod(more) * math.prod(edges) > most:
             break
         counts = more
-    # each in the middle of an equal share of the axis
+    # each in the middle of its share of the axis
     starts = [[int(n * (i + 0.5) / c - e / 2) for i in range(c)] for n, e, c in zip(shape, edges, counts, strict=True)]
     return [tuple(slice(s, s + e) for s, e in zip(at, edges, strict=True)) for at in itertools.product(*starts)]
 
 
 def _normalised(samples: NDArray[Any], low: Any, high: Any) -> tuple[NDArray[np.float32], np.longdouble]:
-    """Samples from 0 at `low` to 1 at `high`, and what that range is, which may be more than float64 holds."""
+    """Samples scaled from 0 at `low` to 1 at `high`, and this range, which float64 may not hold."""
     if samples.dtype.kind in "iu" and samples.dtype.itemsize == 8:  # differences of large ones are exact modulo 2**64
         samples = samples.astype(np.uint64) - np.uint64(int(low) % 2**64)
         low, high = np.uint64(0), np.uint64(int(high) - int(low))
@@ -240,7 +239,7 @@ def _normalised(samples: NDArray[Any], low: Any, high: Any) -> tuple[NDArray[np.
 
 
 def _averages(data: NDArray[Any], factors: Sequence[int], low: Any, high: Any) -> NDArray[np.float32]:
-    """Blocks of the means of `factors` samples along each axis; what lies outside the range of those looked at is clipped."""
+    """Blocks of the means of `factors` samples along each axis, clipped to the range of the samples used."""
     result = []
     for place in _places(data.shape, factors):
         block = data[place]
@@ -248,7 +247,7 @@ def _averages(data: NDArray[Any], factors: Sequence[int], low: Any, high: Any) -
         inner = [length for pair in zip(counts[1:], factors[1:], strict=True) for length in pair]
         whole = [slice(c * f) for c, f in zip(counts[1:], factors[1:], strict=True)]
         means = np.empty(counts, np.float32)
-        for i in range(counts[0]):  # no copy of all samples
+        for i in range(counts[0]):  # layer by layer, without a copy of all samples
             layer = block[(slice(factors[0] * i, factors[0] * (i + 1)), *whole)]
             values = _normalised(np.clip(layer, low, high), low, high)[0]
             means[i] = values.mean(0).reshape(inner).mean(tuple(range(1, len(inner), 2)))
@@ -258,7 +257,7 @@ def _averages(data: NDArray[Any], factors: Sequence[int], low: Any, high: Any) -
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """The power of blocks by cells of frequencies: their edges along each axis, and the distance of two waves."""
+    """The power of blocks by cells of frequencies: the cells' edges along each axis, and the distance of two frequencies."""
 
     power: Array
     edges: tuple[Array, ...]
@@ -266,11 +265,11 @@ class _Cells:
 
 
 def _cells(blocks: NDArray[np.float32]) -> _Cells:
-    """Mean spectrum of the blocks without their means, by the cosine transform."""
+    """The mean spectrum of the blocks less their means, by the cosine transform."""
     axes = tuple(range(1, blocks.ndim))
     blocks = blocks - blocks.mean(axes, keepdims=True)
     weight = float(blocks[0].size)
-    if len(blocks) > 1:  # a window, since the volume goes on at the edges of blocks
+    if len(blocks) > 1:  # the volume continues beyond the edges of a block
         for axis in axes:
             n = blocks.shape[axis]
             window = (np.sin(np.pi * (np.arange(n) + 0.5) / n) ** _WINDOW).astype(np.float32)
@@ -282,7 +281,7 @@ def _cells(blocks: NDArray[np.float32]) -> _Cells:
     edges = []
     for axis, n in enumerate(power.shape):
         first = np.arange(n)
-        if n > _CELLS:  # single ones below, wider cells above
+        if n > _CELLS:  # single frequencies below, wider cells above
             first = np.unique(np.geomspace(_CELLS // 2, n, _CELLS // 2, endpoint=False).astype(int))
             first = np.concatenate([np.arange(_CELLS // 2), first])
         power = np.add.reduceat(power, first, axis)
@@ -291,7 +290,7 @@ def _cells(blocks: NDArray[np.float32]) -> _Cells:
 
 
 def _cosine_transform(array: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Orthonormal, of the second kind; SciPy's for long axes alone, for its import takes longer than all else here."""
+    """Orthonormal, of the second kind; by SciPy only along long axes: its import takes longer than the estimate."""
     n = array.shape[axis]
     if n > _SHORT:
         from scipy import fft
@@ -305,10 +304,10 @@ def _cosine_transform(array: NDArray[np.float32], axis: int) -> NDArray[np.float
 def _finer(
     cells: _Cells, averages: NDArray[np.float32], factors: Sequence[int], variance: float, colour: Sequence[float]
 ) -> _Cells:
-    """Cells whose low frequencies are told apart by averages of a wider surrounding: blocks spread them over several cells.
+    """Cells with finer low frequencies, from averages over a wider surrounding: blocks smear them over several cells.
 
-    Means of s samples pass ``sin(s ω / 2) / (s sin(ω / 2))``, also of the s - 1 frequencies ``ω + 2 π k / s``, in which the signal
-    has little and the noise, which is known, as much as elsewhere.
+    Means of s samples pass ``sin(s ω / 2) / (s sin(ω / 2))``, also of the s - 1 frequencies ``ω + 2 π k / s``. There the signal has
+    little power and the noise, which is known, as much as elsewhere.
     """
     wide = _cells(averages)
     low = wide.power
@@ -344,17 +343,17 @@ def _spectrum(cells: _Cells, variance: float, colour: Sequence[float]) -> Spectr
 
 
 def _pairs(array: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Neighbours along an axis."""
+    """The first and the second of all neighbours along an axis."""
     before, after = [slice(None)] * array.ndim, [slice(None)] * array.ndim
     before[axis], after[axis] = slice(None, -1), slice(1, None)
     return array[tuple(before)], array[tuple(after)]
 
 
-def _jump(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> float:
-    """See `Noise.jump`; the background is zero."""
+def _jump(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> float:
+    """`Noise.jump`, of blocks whose background is 0."""
     first, second = [], []
     for axis in range(1, blocks.ndim):
-        for values, outside in ((blocks, ground), (np.flip(blocks, axis), np.flip(ground, axis))):
+        for values, outside in ((blocks, background), (np.flip(blocks, axis), np.flip(background, axis))):
             inside = _pairs(~outside, axis)[1]
             enters = _pairs(_pairs(outside, axis)[0], axis)[0] & _pairs(inside, axis)[0] & _pairs(inside, axis)[1]
             near, far = _pairs(_pairs(values, axis)[1], axis)
@@ -363,12 +362,12 @@ def _jump(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> float:
     steps = np.concatenate(first)
     if not steps.size:
         return 0.0
-    least = np.median(np.abs(blocks[~ground])) / 10  # steps of rounding are none
+    least = np.median(np.abs(blocks[~background])) / 10  # steps of rounding do not count
     return float(np.median(steps) / max(np.median(np.concatenate(second)), least))
 
 
 def _surroundings(blocks: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float]:
-    """Which samples are equal to all of their neighbours; the share, of the others, that are equal to at most one."""
+    """Which samples equal all of their neighbours, and the share of the others that equal at most one."""
     equal = np.zeros(blocks.shape, np.int8)
     there = np.zeros(blocks.shape, np.int8)
     for axis in range(1, blocks.ndim):
@@ -382,13 +381,13 @@ def _surroundings(blocks: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float
 
 
 def _fill_regions(values: Array, counts: NDArray[np.int64], blocks: NDArray[np.float32], same: NDArray[np.bool_]) -> bool:
-    """Whether the values at edges are those of regions; the means of voxels that edges cut are not."""
+    """Whether the values at edges are those of regions, and not means of two of them (partial volume)."""
     between = counts[~np.isin(values, blocks[same])].sum()
     return bool(between < _ALONE * (same.size - same.sum()))
 
 
 def _by_steps(values: Array, blocks: NDArray[np.float32]) -> bool:
-    """Whether neighbours are of the same value or the next one, as in smooth data, rounded; labels need not be."""
+    """Whether neighbours have equal or adjacent values, as in rounded smooth data; labels need not."""
     if len(values) < _ROUNDED:
         return False
     differs = nexts = 0
@@ -399,10 +398,10 @@ def _by_steps(values: Array, blocks: NDArray[np.float32]) -> bool:
     return nexts >= (1 - _EDGES_BEYOND) * differs
 
 
-def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[float, float, tuple[float, ...]]:
-    """Mean variance of the noise in the highest octave, how it grows with the value, its colour along each axis of the array.
+def _variance(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> tuple[float, float, tuple[float, ...]]:
+    """The mean variance of the noise in the highest octave, its slope over the value, and its colour along each axis.
 
-    0 where no place shows it.
+    0 if too few places show it.
     """
     axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(_LOW)]
     white = (1.0,) * (blocks.ndim - 1)
@@ -412,15 +411,15 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     highest = (1,) * len(axes)
     lowest = (0,) * len(axes)
     del bands[lowest]
-    # the mean with which noise has a part in the highest band
+    # the mean, with the weights of the squared high-pass
     level = _bands(blocks, axes, (_HIGH**2,))[lowest]
-    used = np.logical_or.reduce([np.abs(band) > _STILL for band in bands.values()])
-    if ground.any():  # places that reach into a background have less noise than others
-        used &= _bands(ground.astype(np.float32), axes, (np.ones(len(_LOW)),))[lowest] < 0.5
+    used = np.logical_or.reduce([np.abs(band) > _FLAT for band in bands.values()])
+    if background.any():  # not at places that reach into a background, which has no noise
+        used &= _bands(background.astype(np.float32), axes, (np.ones(len(_LOW)),))[lowest] < 0.5
     if used.sum() < _FEWEST:
         return 0.0, 0.0, white
     squares = {key: band**2 for key, band in bands.items()}
-    around = np.sum(list(squares.values()), 0)  # power of all bands, and then round about
+    around = np.sum(list(squares.values()), 0)  # power of all bands, then summed over neighbours
     for axis in axes:
         n = around.shape[axis]
         before, after = (np.take(around, np.clip(np.arange(n) + i, 0, n - 1), axis) for i in (-1, 1))
@@ -429,22 +428,22 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     squares = {key: square[used] for key, square in squares.items()}
 
     def power(key: tuple[int, ...], places: NDArray[np.int64]) -> float:
-        """Of the noise in a band: half of the places, those that have the least power round about, and half of these ..."""
+        """The noise in a band: of half of the places, those with the least power around them, then of half of these, ..."""
         square = squares[key][places]
         others = around[places] - square
         order = np.argsort(others, kind="stable")
         count = max(len(order) // 2, min(len(order), _FEWEST))
         found = float(np.median(square[order[:count]]))
-        while count >= 2 * _FEWEST:  # as long as that makes a difference
+        while count >= 2 * _FEWEST:  # while that lowers the power by more than chance
             less = float(np.median(square[order[: count // 2]]))
             if less > found * (1 - 2 * _error(count // 2)):
                 break
             found, count = less, count // 2
         return found / _MEDIAN_SQUARE
 
-    # classes of equal width in value, in which the variance is nearly one
+    # classes of equal width in value, in each of which the variance is nearly constant
     least, most = np.quantile(level, (0.005, 0.995))
-    number = np.floor(_LEVELS * (level - least) / max(float(most - least), _STILL)).clip(0, _LEVELS - 1)
+    number = np.floor(_LEVELS * (level - least) / max(float(most - least), _FLAT)).clip(0, _LEVELS - 1)
     classes: list[NDArray[np.int64]] = []
     few = np.zeros(0, np.int64)
     for n in range(_LEVELS):
@@ -459,21 +458,21 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     at, slope = _line(levels, variances, counts)
     first, last = at + slope * levels[0], at + slope * levels[-1]
     if last > _GROWS * first and last - first > _CONFIDENT * mean * _error(len(level) // (2 * len(classes))):
-        mean, gain = max(0.0, at + slope * float(blocks[~ground].mean())), slope
+        mean, gain = max(0.0, at + slope * float(blocks[~background].mean())), slope
     colour = list(white)
     if len(axes) > 1 and len(level) >= _MANY:
         for i, axis in enumerate(axes):
             lower = np.array([power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes])
-            ratio = _middle(lower / np.maximum(variances, _STILL**2), counts)
+            ratio = _middle(lower / np.maximum(variances, _FLAT**2), counts)
             if _COLOURED < ratio < _SIGNAL:
                 colour[axis - 1] = ratio
-    return (mean, gain, tuple(colour)) if mean > _NOTHING else (0.0, 0.0, white)
+    return (mean, gain, tuple(colour)) if mean > _NEGLIGIBLE else (0.0, 0.0, white)
 
 
 def _line(levels: Array, variances: Array, counts: Array) -> tuple[float, float]:
-    """The variance at level 0, and how it grows with the level.
+    """The variance at level 0 and its slope over the level.
 
-    From the lower of the slopes between classes, not the middle ones as Theil and Sen: edges add to variances, and never take off.
+    By the lower slopes between classes, not the median one of Theil and Sen: edges only ever add to variances.
     """
     if len(levels) < 2:
         return float(variances[0]), 0.0
@@ -484,7 +483,7 @@ def _line(levels: Array, variances: Array, counts: Array) -> tuple[float, float]
 
 
 def _middle(values: Array, weights: Array, low: float = 0.25, high: float = 0.75) -> float:
-    """The weighted mean of what lies between two quantiles."""
+    """The weighted mean of the values between two quantiles."""
     order = np.argsort(values, kind="stable")
     shares = weights[order] / weights.sum()
     until = np.cumsum(shares)
@@ -493,16 +492,16 @@ def _middle(values: Array, weights: Array, low: float = 0.25, high: float = 0.75
 
 
 def _error(count: int) -> float:
-    """Relative standard error of a variance from the median of so many squares of a normal variable."""
+    """The relative standard error of a variance from the median of `count` squares of a normal variable."""
     return 2.33 / math.sqrt(count)
 
 
 def _bands(
     blocks: NDArray[np.float32], axes: list[int], filters: Sequence[Array] = (_LOW, _HIGH)
 ) -> dict[tuple[int, ...], NDArray[np.float32]]:
-    """Every second sample of blocks after each of some filters along each axis: 0 stands for the first filter, 1 for the second.
+    """Blocks filtered and decimated by 2 along each axis; a key has the number of the filter along each axis.
 
-    Blocks' edges are left out.
+    Samples at the edges of blocks are left out.
     """
     bands: dict[tuple[int, ...], NDArray[np.float32]] = {(): blocks}
     for axis in axes:

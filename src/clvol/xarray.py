@@ -5,8 +5,8 @@
 >>> da.clvol.interp(x=("station", xs), y=("station", ys))     # at points
 >>> da.clvol.regrid(spacing={"lat": 0.1, "lon": 0.1})         # onto another grid of the same domain
 
-Coordinates must be uniform, to within a thousandth of a step. Arrays of dask stay lazy: each block of the result takes the
-blocks that it needs, and as many samples around them as the spline's poles reach.
+Coordinates must be uniform to within a thousandth of a step. Arrays of dask stay lazy: each block of the result reads the blocks
+that it needs, with a margin as wide as the spline's poles require.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ Labelled = TypeVar("Labelled", xarray.DataArray, xarray.Dataset)
 
 _ORDERS = {"nearest": 0, "linear": 1, "bspline2": 2, "bspline3": 3, "bspline4": 4, "bspline5": 5}
 _MODES = {"mirror": "mirror", "reflect": "reflect", "wrap": "grid-wrap", "nearest": "nearest"}  # SciPy's names
-_UNIFORM = 1e-3  # of a step: float32 coordinates are off by less
-_AT_ONCE = 3  # axes that the kernels take
-_LEFT_OUT = {"single": 2e-7, "double": 2e-14}  # of what lies beyond the margin of a block; 12 and 24 samples for cubic splines
+_UNIFORM = 1e-3  # of a step, by which coordinates may be off: float32 ones are off by less
+_AT_ONCE = 3  # axes of a kernel
+_LEFT_OUT = {"single": 2e-7, "double": 2e-14}  # weight beyond a block's margin, which is 12 and 24 samples for cubic splines
 
 
 class _Accessor(Generic[Labelled]):
-    """What is the same for arrays and datasets."""
+    """The methods of arrays and of datasets."""
 
     def __init__(self, labelled: Labelled) -> None:
         self._labelled: Labelled = labelled
@@ -78,9 +78,9 @@ class _Accessor(Generic[Labelled]):
             New coordinates; datetimes where the old ones are. Along at most 3 dimensions at points, any number on grids.
         filter : {"bspline3", "nearest", "linear", "bspline2", "bspline4", "bspline5"}
         boundary : {"mirror", "reflect", "wrap", "nearest"}
-            What lies past the outer samples; it matters near them, and beyond them if `fill` is None.
+            The extension beyond the outer samples; it matters near them, and beyond them if `fill` is None.
         fill : float or None
-            The result where a coordinate is beyond the outer samples or is not a number; None: the boundary rule goes on.
+            The result where a coordinate is beyond the outer samples or NaN; None: the boundary rule applies.
         precision : {"single", "double"}, optional
             Default: double, but for samples of float32 and float16, whose results are float32.
         device : Device, str or int, optional
@@ -91,17 +91,16 @@ class _Accessor(Generic[Labelled]):
         Returns
         -------
         DataArray or Dataset
-            Lazy where the samples are arrays of dask, in blocks at most as long as theirs. It differs from the result of the same
-            array in memory by 10⁻¹² of the largest magnitude at most (10⁻⁶ in single precision), because blocks end the
-            recursions of the prefilter 24 samples beyond what they need (12 where single precision is asked for), more for
-            higher orders.
+            Lazy if the samples are arrays of dask, in blocks at most as long as theirs. It differs from the result of the same
+            array in memory by at most 10⁻¹² of the largest magnitude (10⁻⁶ in single precision), because blocks start the
+            prefilter's recursions in a margin of 24 samples (12 in single precision), more for higher orders.
 
         Raises
         ------
         OptionError
             An unknown dimension, filter or boundary, or indexers that need more than 3 dimensions at once.
         GeometryError
-            The coordinate of a dimension is not uniform, or is neither numbers nor datetimes.
+            The coordinate of a dimension is not uniform, or neither numbers nor datetimes.
         DataError
             A sample is NaN or infinite (when it is computed, for arrays of dask), or not a number.
 
@@ -126,17 +125,16 @@ class _Accessor(Generic[Labelled]):
         precision: Precision | None = None,
         device: Device | str | int | None = None,
     ) -> Labelled:
-        """The array on another uniform grid over the same domain, half a step past the outer samples, as `clvol.resample`.
+        """The array on another uniform grid over the same domain, half a step beyond the outer samples, as `clvol.resample`.
 
-        It is not called ``resample``, which in xarray groups a time axis. No low-pass is applied: smooth before making steps
-        larger.
+        It is not called ``resample``, which in xarray groups a time axis. No low-pass is applied: smooth before you enlarge steps.
 
         Parameters
         ----------
         shape : mapping of dimension to int, optional
             New numbers of samples.
         spacing : mapping of dimension to number or timedelta, optional
-            New steps, positive, timedeltas along time; the domain's centre stays, and its size to within half a step. Give `shape`
+            New positive steps, timedeltas along time; the domain keeps its centre, and its size to within half a step. Give `shape`
             or `spacing`.
         filter, boundary, precision, device
             As in `interp`.
@@ -169,7 +167,7 @@ class DatasetAccessor(_Accessor[xarray.Dataset]):
         lines = {dim: _Line.of(data, dim) for dim in coords}
         targets = {dim: line.positions(_indexer(dim, coords[dim])) for dim, line in lines.items()}
         own = [name for name, v in data.data_vars.items() if v.dtype.kind in "iufc" and not targets.keys().isdisjoint(v.dims)]
-        # xarray itself makes the coordinates, of a dataset without what is interpolated here
+        # xarray itself makes the coordinates, from a dataset without the variables that are interpolated here
         indices = {dim: np.arange(data.sizes[dim]) for dim in lines if dim not in data.coords}
         rest = data.drop_vars(own).assign_coords(indices).interp(coords)
         done = {name: spline(data[name].variable, targets) for name in own}
@@ -194,9 +192,9 @@ class ArrayAccessor(_Accessor[xarray.DataArray]):
 
 
 class _Line:
-    """The coordinate of a dimension, which is uniform: ``first + index * step``.
+    """The uniform coordinate of a dimension: ``first + index * step``.
 
-    Datetimes are counted in nanoseconds from the first, so that no digit is lost.
+    Datetimes are integer nanoseconds from the first, so that no digit is lost.
     """
 
     def __init__(self, dim: Hashable, values: Array) -> None:
@@ -217,7 +215,7 @@ class _Line:
 
     @classmethod
     def of(cls, data: xarray.DataArray | xarray.Dataset, dim: Hashable) -> _Line:
-        """That of a labelled array, or its indices where it has none."""
+        """The coordinate of a labelled array's dimension, or its indices if there is none."""
         if dim not in data.dims:
             raise one_of("a dimension to be interpolated", dim, map(str, data.dims))
         return cls(dim, np.asarray(data[dim].values) if dim in data.coords else np.arange(data.sizes[dim]))
@@ -236,14 +234,14 @@ class _Line:
         return values.astype(np.float64) - float(first)
 
     def positions(self, indexer: xarray.Variable) -> xarray.Variable:
-        """Where coordinates lie, in samples: at the very samples where they are equal to theirs."""
+        """Positions of coordinates, in samples: integers exactly where they equal those of the samples."""
         away = self._from_first(np.asarray(indexer.values)) * math.copysign(1, self.step)
         at = np.interp(away, self._places, np.arange(self.size, dtype=np.float64))
         beyond = ~((away >= 0) & (away <= self._places[-1]))  # NaN too
         return xarray.Variable(indexer.dims, np.where(beyond, away / abs(self.step), at))
 
     def regridded(self, value: Any, *, is_step: bool) -> Array:
-        """The coordinates of so many samples over the same domain, or of samples so far apart."""
+        """The coordinates of `value` samples over the same domain, or of samples at steps of `value`."""
         if is_step:
             if self.values.dtype.kind in "Mm":
                 if not isinstance(value, (np.timedelta64, timedelta)):  # pandas's is one of the latter
@@ -263,7 +261,7 @@ class _Line:
 
 
 def _indexer(dim: Hashable, given: Any) -> xarray.Variable:
-    """New coordinates and their dimensions; a sequence lies along the dimension itself."""
+    """New coordinates with their dimensions; a sequence has the dimension itself."""
     if isinstance(given, xarray.DataArray):
         return given.variable
     if isinstance(given, (tuple, xarray.Variable)):
@@ -280,7 +278,7 @@ def _indexer(dim: Hashable, given: Any) -> xarray.Variable:
 
 
 class _Spline:
-    """How arrays are interpolated."""
+    """An interpolation of arrays: filter, boundary rule, fill, precision and device."""
 
     def __init__(
         self, filter: str, boundary: str, fill: float | None, precision: Precision | None, device: Device | str | int | None
@@ -297,16 +295,16 @@ class _Spline:
         self._device = None if device is None else as_device(device)
 
     def __call__(self, data: xarray.Variable, targets: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
-        """A variable at positions in samples along some of its dimensions; it may lack some."""
+        """A variable at positions in samples along those of the dimensions that it has."""
         wanted = {dim: target for dim, target in targets.items() if dim in data.dims}
-        # the order of dimensions is xarray's: each gives way to those of its indexer
+        # in xarray's order: the dimensions of an indexer replace its own
         dims = dict.fromkeys(d for dim in data.dims for d in (wanted[dim].dims if dim in wanted else (dim,)))
         return self._interpolated(data, wanted).transpose(*dims)
 
     def _interpolated(self, data: xarray.Variable, wanted: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
         for dim in data.dims:
             if dim not in wanted and any(dim in target.dims for target in wanted.values()):
-                # positions depend on another dimension of the samples: one after the other
+                # positions depend on another dimension of the samples: interpolate one of its indices after the other
                 parts = [
                     self._interpolated(data[{dim: i}], {d: t[{dim: i}] if dim in t.dims else t for d, t in wanted.items()})
                     for i in range(data.sizes[dim])
@@ -315,7 +313,7 @@ class _Spline:
                 return joined
         alone = [group for group in _groups(wanted) if len(group) == 1]
         lines = {dim: wanted[dim] for group in alone for dim in group}
-        # what becomes small comes first
+        # dimensions that shrink come first
         order = sorted(lines, key=lambda dim: lines[dim].size / data.sizes[dim])
         for first in range(0, len(order), _AT_ONCE):
             data = self._along_lines(data, {dim: lines[dim] for dim in order[first : first + _AT_ONCE]})
@@ -446,7 +444,7 @@ class _Spline:
         return np.dtype(np.float64 if double else np.float32)
 
     def _missing(self, positions: Positions, n: int) -> NDArray[np.bool_]:
-        """Where the result is `fill`."""
+        """Which results are `fill`."""
         if self.fill is None:
             if not np.isfinite(positions).all():
                 raise OptionError("new coordinates must be finite where fill is None; got NaN or infinite ones")
@@ -454,7 +452,7 @@ class _Spline:
         return ~((positions >= 0) & (positions <= n - 1))
 
     def _window(self, positions: Positions, n: int) -> tuple[int, int]:
-        """From which to before which sample of an axis positions depend on them, all others adding less than rounding."""
+        """The samples of an axis, from first to before stop, on which values at positions depend by more than rounding."""
         inside = positions[(positions >= 0) & (positions <= n - 1)]
         if self.fill is None and inside.size < positions.size:
             return 0, n
@@ -465,12 +463,12 @@ class _Spline:
         margin = self._filter.support // 2 + 1 + (math.ceil(math.log(finest) / math.log(pole)) if pole else 0)
         low, high = math.floor(inside.min()) - margin, math.ceil(inside.max()) + margin + 1
         if self._boundary.fold is None and (low < 0 or high > n):
-            return 0, n  # beyond an end lies the other one
+            return 0, n  # the axis is periodic
         return max(low, 0), min(high, n)
 
 
 def _groups(targets: Mapping[Hashable, xarray.Variable]) -> list[list[Hashable]]:
-    """Dimensions whose targets share some, directly or by way of others."""
+    """Groups of dimensions whose targets share dimensions, directly or through others."""
     groups: list[tuple[list[Hashable], set[Hashable]]] = []
     for dim, target in targets.items():
         members, dims = [dim], set(target.dims)
@@ -482,7 +480,7 @@ def _groups(targets: Mapping[Hashable, xarray.Variable]) -> list[list[Hashable]]
 
 
 def _runs(positions: Positions, longest: int) -> list[slice]:
-    """Successive positions in parts, each of at most so many that lie at most so far apart."""
+    """Runs of successive positions, each of at most `longest` positions and samples."""
     runs, first = [], 0
     low = high = positions[0] if positions.size else 0.0
     for i, x in enumerate(positions.tolist()):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, InitVar, dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -41,6 +41,7 @@ class LeftOutRow:
     z: float | None = column("along z", ".3g")
 
 
+@dataclass(eq=False, repr=False)
 class LeftOutTable(Table[LeftOutRow]):
     """A row for each filter, in the requested order.
 
@@ -52,10 +53,10 @@ class LeftOutTable(Table[LeftOutRow]):
         Of all samples along x, y[, z]; of the kept ones it was twice as much along one axis.
     """
 
-    def __init__(self, rows: Iterable[LeftOutRow], *, sigma: float, spacing: tuple[float, ...]) -> None:
-        super().__init__(rows)
-        self.sigma = sigma
-        self.spacing = spacing
+    rows: InitVar[Iterable[LeftOutRow]]
+    _: KW_ONLY
+    sigma: float
+    spacing: tuple[float, ...]
 
 
 @enough_memory("what is left out")

@@ -1,20 +1,20 @@
-"""The error to expect of a filter, from the spectrum of the samples and their noise: nothing is blurred or left out.
+"""The expected error of a filter, from the spectrum of the samples and their noise; no sample is blurred or left out.
 
-A separable filter with frequency response H that reconstructs f from samples with white noise errs, averaged over all positions
-and all places of the grid, by ::
+A separable filter with frequency response H reconstructs f from samples with white noise. Averaged over all positions and all
+shifts of the grid, its error is ::
 
     mean squared error = bias² + variance
     bias²    = mean over w of S(w) E(w),   E(w) = 1 - 2 H(w) + A(w),   A(w) = sum over k of |H(w + 2 pi k)|²
     variance = sigma² times the mean over w of A(w), which is the mean over positions of the sum of the squared weights
 
 where S is the spectrum of f, and H and A of a volume are products over its axes (Blu and Unser, *Quantitative Fourier analysis of
-approximation techniques*, 1999, in several dimensions and with noise). The spectrum of the samples is S plus sigma², so the error
-is linear in it, and blocks of the volume give it one by one: how it differs among them tells how sure an order of filters is. (With
-the noise taken off in this way it is Mallows' C_p, Stein's unbiased estimate of risk, at all positions instead of the samples.)
+approximation techniques*, 1999, in several dimensions and with noise). The spectrum of the samples is S plus sigma², and the error
+is linear in it, so each block of the volume gives an estimate, and their spread tells how certain an order of filters is. (This is
+Mallows' C_p, Stein's unbiased estimate of risk, at all positions instead of the samples.)
 
-The samples say what lies below the Nyquist frequency. Beyond it there is nothing to be seen, so f is taken to be band-limited,
-except at jumps: steps from one sample to the next between samples that are level, which no band-limited function makes. The
-spectrum of a jump is ``height² / w²`` at all frequencies, and the filter's response beyond Nyquist counts for it.
+The samples show S below the Nyquist frequency. Beyond it f is assumed to be band-limited, except at jumps: steps from one sample to
+the next between level samples, which no band-limited function has. The spectrum of a jump is ``height² / w²`` at all frequencies,
+so the filter's response beyond Nyquist counts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, InitVar, dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -42,37 +42,37 @@ from clvol.volume.volume import Volume, as_volume
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
 
 Array: TypeAlias = NDArray[np.float64]
-_BLOCK = 16, 32  # samples along each axis: half of it, but no less and no more
-_TAPERED = 8  # samples: a shorter axis is taken as it is
-_LEVEL = 0.05  # of a jump, and
-_QUIET = 3.0  # standard deviations of the noise: what its neighbours may differ by
+_BLOCK = 16, 32  # fewest and most samples along each axis of a block, which is else half as long as the axis
+_TAPERED = 8  # samples of the shortest axis that is tapered
+_LEVEL = 0.05  # of a jump: what its neighbours may differ by,
+_QUIET = 3.0  # and as many standard deviations of the noise
 _STANDS_OUT = 30.0  # standard deviations: the least height of a jump
-_NODES = 256  # frequencies in (0, pi), of quantities that are periodic and smooth
-_SLOW = 1e-3  # a frequency at which a wave is a plane
+_NODES = 256  # frequencies in (0, pi), for quantities that are periodic and smooth
+_SLOW = 1e-3  # frequency at which a wave is a plane
 _ALIASES = 4  # on either side: those of a jump fall at least with the cube of the frequency
-_UNSURE = 0.1  # of the noise's variance: how far its estimate may be wrong
+_UNSURE = 0.1  # relative error of the estimated variance of the noise
 _ROUNDING = 1e-12  # of the squared half of the range: differences of float32 from a plane are as large
-_FEWEST = 6  # blocks: if fewer agree, that may be chance more often than once in forty
+_FEWEST = 6  # blocks: fewer agree by chance more often than once in forty
 _RESAMPLES = 2000
-_SURE = 0.975  # of the resampled volumes
+_SURE = 0.975  # share of the resampled volumes
 
 
 @dataclass(frozen=True)
 class PredictedRow:
-    """The error to expect of one filter: root mean squares in the data's units.
+    """The expected error of one filter: root mean squares in the data's units.
 
     Attributes
     ----------
     filter : str
         Name of the filter.
     bias : float
-        What it does to the function: blur and aliases.
+        Blur and aliases.
     noise : float
-        What it leaves of the samples' noise.
+        What is left of the samples' noise.
     rms : float
         Both together, the root of the sum of their squares.
     gradient_rms : float or None
-        The same of the gradient, per world unit; None if the filter has none.
+        That of the gradient, per world unit; None if the filter has none.
     """
 
     filter: str = column("filter")
@@ -82,52 +82,44 @@ class PredictedRow:
     gradient_rms: float | None = column("of the gradient", ".3g")
 
 
+@dataclass(eq=False, repr=False)
 class PredictedTable(Table[PredictedRow]):
-    """A row for each filter, in the requested order, and how far the blocks of the volume bear it out.
+    """A row for each filter, in the requested order, and the errors by block that support it.
 
     Attributes
     ----------
     sigma : float
         Standard deviation of the noise, in the data's units.
     blocks : ndarray of float64, shape (filters, blocks)
-        Expected squared errors by block, in squared units of the data; their mean is that of the row.
+        Expected squared errors by block, in squared units of the data; the row has their mean.
     slopes : ndarray of float64, shape (filters, blocks)
         Those of gradients; NaN for filters that have none.
     variance : float
-        Mean square, without the noise, of what is to be reconstructed: the samples less a plane fitted to each block.
+        Mean square, without the noise, of the samples less a plane fitted to each block.
     steepness : float
-        Mean square of its gradient, the planes' too, per squared world unit.
+        Mean square of the gradient, the planes' included, per squared world unit.
     detail : float or None
-        Share above half of Nyquist of the mean squared difference between neighbours, without the noise; None if there is
-        no difference that noise does not explain, or there are not `enough` blocks. It does not depend on the volume's length.
+        Share above half of Nyquist of the mean squared difference between neighbours, without the noise; None if noise explains
+        all differences, or there are not `enough` blocks. It does not depend on the volume's size.
     jumps : float
-        Share of the mean squared difference between neighbours that lies in jumps.
+        Share of jumps in the mean squared difference between neighbours.
+    apart : int
+        Number of blocks that the volume holds without overlap.
+    seed : int
+        Of the resampling.
     """
 
-    def __init__(
-        self,
-        rows: Iterable[PredictedRow],
-        *,
-        sigma: float,
-        blocks: Array,
-        slopes: Array,
-        variance: float,
-        steepness: float,
-        detail: float | None,
-        jumps: float,
-        apart: int,
-        seed: int,
-    ) -> None:
-        super().__init__(rows)
-        self.sigma = sigma
-        self.blocks = blocks
-        self.slopes = slopes
-        self.variance = variance
-        self.steepness = steepness
-        self.detail = detail
-        self.jumps = jumps
-        self._apart = apart
-        self._seed = seed
+    rows: InitVar[Iterable[PredictedRow]]
+    _: KW_ONLY
+    sigma: float
+    blocks: Array
+    slopes: Array
+    variance: float
+    steepness: float
+    detail: float | None
+    jumps: float
+    apart: int
+    seed: int
 
     def row(self, filter: str) -> PredictedRow:
         """The row of a filter; `OptionError` if it has none."""
@@ -135,14 +127,14 @@ class PredictedTable(Table[PredictedRow]):
 
     @property
     def enough(self) -> bool:
-        """Whether there are so many blocks that they can tell an order from chance: six."""
+        """Whether there are enough blocks to tell an order from chance: six."""
         return int(self.blocks.shape[1]) >= _FEWEST
 
     def surely_less(self, filter: str, than: str, times: float = 1.0, key: str = "rms") -> bool:
         """Whether the error of `filter` is less than `times` that of `than` in 97.5 % of resampled volumes.
 
-        A resampled volume has as many blocks as fit beside each other, drawn with replacement, the same for both filters (Efron's
-        bootstrap; those that overlap are not independent). Where there are not `enough` blocks nothing is sure.
+        A resampled volume has as many blocks as the volume holds without overlap (overlapping ones are not independent), drawn with
+        replacement, the same for both filters: Efron's bootstrap. Without `enough` blocks the answer is False.
 
         Parameters
         ----------
@@ -163,7 +155,7 @@ class PredictedTable(Table[PredictedRow]):
         gap = number("times", times, above=0) ** 2 * squares[self._place(than)] - squares[self._place(filter)]
         if not self.enough or not np.isfinite(gap).all() or not gap.any():
             return False
-        return float((_draws(gap.size, self._apart, self._seed) @ gap > 0).mean()) >= _SURE
+        return float((_draws(gap.size, self.apart, self.seed) @ gap > 0).mean()) >= _SURE
 
     def _place(self, filter: str) -> int:
         names = [row.filter for row in self]
@@ -174,7 +166,7 @@ class PredictedTable(Table[PredictedRow]):
 
 @lru_cache(maxsize=4)
 def _draws(count: int, apart: int, seed: int) -> Array:
-    """How often each of `count` blocks is among the `apart` that are drawn, for each resampled volume; (volumes, blocks)."""
+    """How often each of `count` blocks is among the `apart` drawn ones, for each resampled volume; (volumes, blocks)."""
     return np.random.default_rng(seed).multinomial(apart, np.full(count, 1 / count), _RESAMPLES).astype(np.float64)
 
 
@@ -187,7 +179,7 @@ def predict(
     blocks: int = 128,
     seed: int = 0,
 ) -> PredictedTable:
-    """The error to expect of each filter on the samples as they are.
+    """Predict the error of each filter on a volume's samples.
 
     Parameters
     ----------
@@ -196,12 +188,12 @@ def predict(
     filters : sequence of str or Filter
         One row each; "exact-sinc" is the ideal filter.
     noise : Noise or float, optional
-        That of the samples, or the standard deviation of white noise; default: `Volume.noise`. Samples of a background that was
+        The samples' noise, or the standard deviation of white noise; default: `Volume.noise`. Samples of a background that was
         masked out or cut off have none.
     blocks : int
-        How many blocks of 16 to 32 samples along each axis, which overlap by half, are looked at; of more, so many by chance.
+        Number of blocks of 16 to 32 samples along each axis, which overlap by half; of more, a random choice.
     seed : int
-        Of that choice and of the resampling.
+        Of this choice and of the resampling.
 
     Returns
     -------
@@ -223,7 +215,7 @@ def predict(
     given = volume.noise if noise is None else noise
     known = given if isinstance(given, Noise) else Noise(number("noise", given, minimum=0), "white", colour=(1.0,) * volume.ndim)
     low, high = volume.value_range
-    unit = high / 2 - low / 2 or 1.0  # so that no square over- or underflows
+    unit = high / 2 - low / 2 or 1.0  # scaled so that no square over- or underflows
     samples = _blocks(volume, count, seed)
     parts = (samples - (low / 2 + high / 2)) / unit
     shape = parts.shape[1:]
@@ -238,7 +230,7 @@ def predict(
         variance *= _refined(power, np.multiply.outer(variance, white), omega)
     power -= np.multiply.outer(variance, white)
     steps = _steps(parts, np.sqrt(variance))
-    # what changes from block to block, or is a plane in each
+    # the variance between blocks, and that of the planes in them
     seen = float(power.mean(0).sum()) + float(variance.mean() * white.sum())
     slower = max(0.0, float(parts.var()) - seen)
     sloping = tilts @ np.array([1 / s**2 for s in volume.spacing[::-1]])
@@ -285,10 +277,10 @@ def predict(
 
 
 def variance_gain(filter: str | Filter) -> float:
-    """What part of the variance of white noise a filter keeps along one axis, the mean over all positions; 1 for "exact-sinc".
+    """The share of the variance of white noise that a filter keeps along one axis, averaged over all positions; 1 for "exact-sinc".
 
-    The mean over positions of the sum of the squared weights that samples have there, the prefilter included; of a volume it is
-    the product over its axes. It is 2/3 for linear interpolation, 0.479 for the cubic approximation.
+    It is the mean over positions of the sum of the squared weights of samples, the prefilter included: 2/3 for linear
+    interpolation, 0.479 for the cubic approximation. For a volume it is the product over its axes.
 
     Raises
     ------
@@ -301,8 +293,8 @@ def variance_gain(filter: str | Filter) -> float:
 def jump_error(filter: str | Filter) -> float:
     """The squared error beside a jump of height 1, integrated along one axis and averaged over where it lies between samples.
 
-    ``1/(2 pi) integral of E(w) / w²``, per sample: 1/4 for nearest, 1/6 for linear interpolation, which is the least that is
-    possible with two samples, and 2/pi² for the sinc.
+    ``1/(2 pi) integral of E(w) / w²``, per sample: 1/4 for nearest, 1/6 for linear interpolation, the least possible with two
+    samples, and 2/pi² for the sinc.
 
     Raises
     ------
@@ -315,7 +307,7 @@ def jump_error(filter: str | Filter) -> float:
 
 
 def _one(filter: str | Filter) -> str | Filter:
-    """The filter, or "exact-sinc"; one whose smoothing differs from axis to axis is refused by `Filter.undone`."""
+    """The filter, or "exact-sinc". `Filter.undone` refuses a smoothing that differs from axis to axis."""
     return as_compared([filter])[0]
 
 
@@ -341,10 +333,10 @@ def _taper(shape: Sequence[int]) -> Array:
 
 
 def _unsmeared(kernel: Array, shape: Sequence[int]) -> Array:
-    """What to weigh tapered blocks' power with, to get what `kernel` makes of their spectrum.
+    """Weights of tapered blocks' power that give the sum of `kernel` times their spectrum.
 
-    Hann's window smears each frequency over the next on either side, 1/6, 2/3, 1/6, which is detail to a spline that smooths
-    much: the inverse, along each axis a division by ``2/3 + 1/3 cos(2 pi lag / n)``, is applied to the kernel.
+    Hann's window smears each frequency over its neighbours, 1/6, 2/3, 1/6, which matters to a spline that smooths much. The kernel
+    is multiplied by the inverse: along each axis a division by ``2/3 + 1/3 cos(2 pi lag / n)``.
     """
     smear = _product([2 / 3 + np.cos(2 * np.pi * np.arange(n) / n) / 3 if n >= _TAPERED else np.ones(n) for n in shape]).reshape(
         shape
@@ -353,10 +345,10 @@ def _unsmeared(kernel: Array, shape: Sequence[int]) -> Array:
 
 
 def _spectra(parts: Array) -> tuple[Array, Array, Array]:
-    """Power of each block less a plane fitted to it, what noise of variance 1 adds to it, and the squared slopes of the plane.
+    """The power of each block less a fitted plane, the power of noise of variance 1, and the squared slopes of the plane.
 
-    Shapes (blocks, frequencies), (frequencies,) and (blocks, axes). Powers are shares of the mean square: their sum is that of
-    the tapered block. The plane would leak to all frequencies.
+    Shapes (blocks, frequencies), (frequencies,) and (blocks, axes). The powers of a block add up to the mean square of the tapered
+    block. The plane would leak to all frequencies.
     """
     shape = parts.shape[1:]
     window = _taper(shape)
@@ -369,8 +361,8 @@ def _spectra(parts: Array) -> tuple[Array, Array, Array]:
     flat -= fitted @ tapered
     axes, size = tuple(range(1, parts.ndim)), flat.shape[1]
     power = np.abs(np.fft.fftn(flat.reshape(parts.shape), axes=axes)) ** 2 / size**2
-    # noise is white, so its samples are independent: those of the tapered noise have the variances window², and the fit
-    # takes from them what projects on the tapered bases
+    # samples of white noise are independent, and have the variances window² when tapered; the fit removes their projection on
+    # the tapered bases
     variances = window.ravel() ** 2
     of_bases = np.fft.fftn(tapered.reshape(-1, *shape), axes=axes).reshape(len(bases), -1)
     crossed = np.fft.fftn((tapered * variances).reshape(-1, *shape), axes=axes).reshape(len(bases), -1)
@@ -381,7 +373,7 @@ def _spectra(parts: Array) -> tuple[Array, Array, Array]:
 
 
 def _noisy(samples: Array, noise: Noise) -> Array:
-    """What share of each block is no background, which has no noise."""
+    """The share of each block that has noise: all but the background."""
     if noise.background is None:
         return np.ones(len(samples))
     weights = _taper(samples.shape[1:]) ** 2
@@ -389,7 +381,7 @@ def _noisy(samples: Array, noise: Noise) -> Array:
 
 
 def _steps(parts: Array, sigma: Array) -> Array:
-    """Mean square along each axis of the differences that are jumps, with the noise of each block; (blocks, axes)."""
+    """The mean square along each axis of the differences that are jumps, given each block's noise; (blocks, axes)."""
     weights = _taper(parts.shape[1:]) ** 2
     noise = sigma.reshape(-1, *[1] * (parts.ndim - 1))
     result = np.zeros((len(parts), parts.ndim - 1))
@@ -406,10 +398,10 @@ def _steps(parts: Array, sigma: Array) -> Array:
 
 
 def _refined(power: Array, noise: Array, omega: Sequence[Array]) -> float:
-    """By what the variance of the noise is to be multiplied.
+    """The correction, a factor, of the variance of the noise.
 
-    Where all frequencies are high it is seen best. If it explains the power there but for a tenth, it is all of that power: a mean
-    over as many is more exact than what the noise was estimated by.
+    Noise shows best where all frequencies are high. If it explains the power there to within a tenth, it is taken as all of that
+    power: this mean is more exact than the estimate.
     """
     corner = _product([np.where((np.abs(w) > np.pi / 2) | (w.size < _TAPERED), 1.0, 0.0) for w in omega]) > 0
     expected = float(noise[:, corner].sum())
@@ -418,7 +410,7 @@ def _refined(power: Array, noise: Array, omega: Sequence[Array]) -> float:
 
 
 def _detail(power: Array, noise: Array, omega: Sequence[Array]) -> tuple[float | None, float]:
-    """Share of the mean squared difference that lies above half of Nyquist, and that mean square."""
+    """The share above half of Nyquist of the mean squared difference between neighbours, and this mean square."""
     ones = [np.ones_like(w) for w in omega]
 
     def squares(least: float) -> tuple[Array, float]:
@@ -437,7 +429,7 @@ def _detail(power: Array, noise: Array, omega: Sequence[Array]) -> tuple[float |
 
 
 def _tables(row: str | Filter, omega: Array) -> tuple[Array, Array, Array]:
-    """H(w), A(w), and the same sum with (w + 2 pi k)², the power of the derivative."""
+    """H(w), A(w), and A(w) of the derivative, the sum of |(w + 2 pi k) H(w + 2 pi k)|²."""
     if not isinstance(row, Filter):
         return np.ones_like(omega), np.ones_like(omega), omega**2
     keeps = frequency_response(row, omega)
@@ -455,7 +447,7 @@ def _product(lines: Sequence[Array]) -> Array:
 
 
 def _kernel(tables: Sequence[tuple[Array, Array, Array]]) -> Array:
-    """E(w) of a volume, at all combinations of frequencies."""
+    """E(w) of a volume at all combinations of frequencies."""
     return np.asarray(1 - 2 * _product([t[0] for t in tables]) + _product([t[1] for t in tables]))
 
 
@@ -466,7 +458,7 @@ def _slope_kernel(
     spacing: Sequence[float],
     colours: Sequence[float],
 ) -> tuple[Array, float]:
-    """That of the gradient per world unit, and what it makes of noise of variance 1."""
+    """E(w) of the gradient per world unit, and the gradient's variance from noise of variance 1."""
     keeps = _product([t[0] for t in tables])
     total, gain = np.zeros(keeps.size), 0.0
     for axis, step in enumerate(spacing):
@@ -479,9 +471,9 @@ def _slope_kernel(
 
 
 def _flattened(along: Sequence[str | Filter], shape: Sequence[int]) -> float:
-    """The squared error of the slowest wave that so many samples hold, half a period; 0 without smoothing.
+    """The squared error of the slowest wave in a volume, half a period; 0 without smoothing.
 
-    Blocks do not see that a spline with a large λ flattens what is slower than they are long.
+    A spline with a large λ flattens waves that are longer than a block, which blocks do not show.
     """
     if not any(isinstance(row, Filter) and row.smoothing for row in along):
         return 0.0
@@ -490,40 +482,39 @@ def _flattened(along: Sequence[str | Filter], shape: Sequence[int]) -> float:
 
 
 def _squares(omega: Sequence[Array], spacing: Sequence[float]) -> Array:
-    """What the gradient, per world unit, makes of power."""
+    """The squared response of the gradient, per world unit."""
     ones = [np.ones_like(w) for w in omega]
     lines = [[*ones[:a], (w / step) ** 2, *ones[a + 1 :]] for a, (w, step) in enumerate(zip(omega, spacing, strict=True))]
     return np.asarray(sum(_product(line) for line in lines))
 
 
 def _coloured(ratio: float, omega: Array) -> Array:
-    """The power of noise of variance 1 along an axis, see `clvol.noise.colour_power`."""
+    """The power of noise of variance 1 along an axis; see `clvol.noise.colour_power`."""
     return np.asarray(colour_power(ratio, omega) / float(colour_power(ratio, _middles()).mean()))
 
 
 def _middles() -> Array:
-    """Frequencies within (0, pi) whose mean stands for the integral."""
+    """Midpoints of equal intervals of (0, pi)."""
     return np.asarray((np.arange(_NODES) + 0.5) * np.pi / _NODES)
 
 
 @lru_cache(maxsize=256)
 def _gain(row: str | Filter, ratio: float, derivative: int = 0) -> float:
-    """What part of the variance of noise a filter keeps along an axis, or its derivative makes of it."""
+    """The variance of a filter's values along an axis, or of their derivative, from noise of variance 1."""
     return float((_tables(row, _middles())[1 + derivative] * _coloured(ratio, _middles())).mean())
 
 
 @lru_cache(maxsize=256)
 def _on_slopes(row: str | Filter) -> float:
-    """The squared error on a plane of slope 1 a sample: 1/12 for nearest, 0 for filters that reproduce planes."""
+    """The squared error on a plane with slope 1 per sample: 1/12 for nearest, 0 for filters that reproduce planes."""
     return 0.0 if not isinstance(row, Filter) or row.order >= 2 else float(error_kernel(row, _SLOW)) / _SLOW**2
 
 
 @lru_cache(maxsize=256)
 def _beyond(row: str | Filter) -> float:
-    """How much more a filter errs at a jump of height 1 than at a band-limited function with the same samples.
+    """The additional squared error at a jump of height 1, beyond that of a band-limited function with the same samples.
 
-    The two differ by the ``-2 H`` of E alone: A repeats, and the aliases of ``1 / w²`` sum to the ``1 / (4 sin²(w / 2))`` that
-    the samples show.
+    Only the ``-2 H`` of E differs: A is periodic, and the aliases of ``1 / w²`` add up to the samples' ``1 / (4 sin²(w / 2))``.
     """
     w = _middles()
     if not isinstance(row, Filter):

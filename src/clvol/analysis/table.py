@@ -7,6 +7,7 @@ import io
 import json
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import Field, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -36,8 +37,13 @@ def column(heading: str, form: str = "") -> Any:
 class Table(list[Row]):
     """Rows of one dataclass each; a value that does not exist is None, never NaN.
 
+    A subclass that knows more than its rows is a dataclass too, whose first field is ``rows: InitVar[Iterable[Row]]``.
+
     >>> Table([metrics(name) for name in ("linear", "mitchell")]).to_markdown()
     """
+
+    def __post_init__(self, rows: Iterable[Row]) -> None:
+        self.extend(rows)
 
     def records(self) -> list[dict[str, Any]]:
         """Each row by field name."""

@@ -6,7 +6,7 @@ P. Thévenaz, T. Blu and M. Unser, *Interpolation revisited*, IEEE Trans. Medica
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, InitVar, dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -48,6 +48,7 @@ class RotationRow:
     ssim: float | None = column("SSIM", ".4f")
 
 
+@dataclass(eq=False, repr=False)
 class RotationTable(Table[RotationRow]):
     """A row for each filter, in the requested order.
 
@@ -63,12 +64,12 @@ class RotationTable(Table[RotationRow]):
         The boundary rule.
     """
 
-    def __init__(self, rows: Iterable[RotationRow], *, image: Volume, turns: int, pixels: int, boundary: str) -> None:
-        super().__init__(rows)
-        self.image = image
-        self.turns = turns
-        self.pixels = pixels
-        self.boundary = boundary
+    rows: InitVar[Iterable[RotationRow]]
+    _: KW_ONLY
+    image: Volume
+    turns: int
+    pixels: int
+    boundary: str
 
 
 @enough_memory("what is turned")

@@ -137,7 +137,7 @@ class Cluster:
 
     # -- state of the cluster ----------------------------------------------------------------------------------------------
 
-    def _census(self, timeout: float = 0.0) -> list[str]:
+    def _census(self, timeout: float | None = None) -> list[str]:
         """The addresses of all workers, as the scheduler itself has them: the client's own list is refreshed by a timer."""
         scheduler: Any = self.client.scheduler
         try:
@@ -145,12 +145,12 @@ class Cluster:
         except TimeoutError:
             raise self._gone() from None
 
-    def _require_running(self) -> None:
+    def _require_running(self, timeout: float) -> None:
         """`ClusterError` if the scheduler is gone, or has had no workers for `DESERTED` seconds."""
         if self.client.status != "running":
             raise self._gone()
         try:
-            if self._census(2 * WAIT):  # a large graph may keep the scheduler busy
+            if self._census(timeout):
                 self._populated = time.monotonic()
         except ClusterError:
             raise
@@ -206,7 +206,10 @@ class Cluster:
         return self.client.submit(_retried, function, *args, pure=False, **where, **options)
 
     def scatter(self, value: Any, nbytes: int) -> Any:
-        """A future of an argument of many tasks. A large one is copied to all workers, so that none is lost with one of them."""
+        """A future of an argument of many tasks.
+
+        A large one is copied to all workers, so that it outlives any of them; the scheduler keeps others and can send them again.
+        """
         if nbytes > _LARGE:
             return self.client.scatter(value, broadcast=True, hash=False)
         return self.client.submit(_identity, value, pure=False)
@@ -242,7 +245,7 @@ class Cluster:
         index = {future.key: i for i, future in enumerate(futures)}
         finished = distributed.as_completed(futures, loop=self.client.loop)
         checked = self._populated = time.monotonic()
-        while not finished.is_empty():
+        while True:
             for future in finished.next_batch(block=False):
                 try:
                     result = self._result(future)
@@ -252,10 +255,14 @@ class Cluster:
                     result = error
                 future.release()
                 yield index[future.key], result
+            if finished.is_empty():
+                return
             if time.monotonic() - checked > _CENSUS:
-                self._require_running()
+                self._require_running(2 * WAIT)  # a large graph may keep the scheduler busy
                 checked = time.monotonic()
-            time.sleep(0 if finished.has_ready() else _POLL)
+            with finished.thread_condition:
+                if not finished.has_ready():
+                    finished.thread_condition.wait(_POLL)
 
     def _result(self, future: Any) -> Any:
         """The result of a finished future."""
@@ -274,7 +281,7 @@ class Cluster:
                     raise self._gone() from error
                 raise LostError(f"the workers that had what this takes are gone from {self.address}") from error
             except TimeoutError:
-                self._require_running()
+                self._require_running(WAIT)
                 if future.done():  # else its worker died, and another one computes it again
                     timeout *= 2  # each attempt starts the transfer anew
             except Exception as error:

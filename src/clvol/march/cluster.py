@@ -277,8 +277,12 @@ class ClusterDrawing(BrickedDrawing):
     ) -> None:
         bare = tuple((_bare(frame), places) for frame, places in frames)
         job = _Job(_bare(self.frame), bare, self._samples, self._filter, self._view, self._skipping)
-        groups = [g for g in visible(self._shared.tree, self._field, self._view) if self._any_may_matter(g)]
-        work = _Work(self._shared, self._shared.cluster.submit(_identity, job), groups)
+        groups = [
+            group
+            for group in visible(self._shared.tree, self._field, self._view)
+            if any(self._may_matter(brick) for brick in group.bricks(self._field, self._view))
+        ]
+        work = _Work(self._shared, self._shared.cluster.submit(_same_job, job), groups)
         put = work.in_order if self._merge == "order" else work.by_tree
         try:
             for number, (frame, places) in enumerate(frames):
@@ -293,9 +297,6 @@ class ClusterDrawing(BrickedDrawing):
         except BaseException:
             work.cancel()
             raise
-
-    def _any_may_matter(self, group: Group) -> bool:
-        return any(self._may_matter(brick) for brick in group.bricks(self._field, self._view))
 
     def _cut(self, frame: Frame, places: NDArray[np.float32] | None, groups: Sequence[Group]) -> Iterator[tuple[Area, list[Group]]]:
         """The areas of a frame, each with the groups that its rays may meet, front to back."""
@@ -436,7 +437,7 @@ def _bare(frame: Frame) -> Frame:
     return replace(frame, coefficients=None, minmax=None, sides=None)  # type: ignore[arg-type]  # workers put in their own
 
 
-def _identity(job: _Job) -> _Job:
+def _same_job(job: _Job) -> _Job:
     """A task that gives its argument, which the scheduler keeps and can send again."""
     return job
 
