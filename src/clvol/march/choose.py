@@ -15,6 +15,7 @@ from clvol.filter.table import PICTURE_FILTER
 from clvol.march.options import MERGES, Merge
 from clvol.scene.scene import Medium, Scene, as_scene
 from clvol.spline.field import Field, as_field
+from clvol.spline.function import ContinuousFunction
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import as_volume
 
@@ -45,7 +46,7 @@ def source_of(
         raise one_of("merge", merge, MERGES)
     if merge != "order" and cluster is None:
         raise OptionError(f"merge says how a cluster puts rays together; got {merge!r} and no cluster")
-    if isinstance(given, (Field, BrickedField)):
+    if isinstance(given, ContinuousFunction):
         if cluster is not None:
             raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
         return _of_field(given, filter, boundary, device, budget)
