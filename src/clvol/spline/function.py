@@ -147,7 +147,7 @@ class ContinuousFunction(Leased, ABC):
             Called with the fraction done, from time to time and after the last point with 1.
         out : array, optional
             Where results are put, instead of into a new array: a writable one of float32 or float64 and of their shape, with any
-            strides, of NumPy or of another library (see `clvol.interop.as_output`). Kernels of a Field write directly into
+            strides, of NumPy or of another library (see `clvol.base.arrays.as_output`). Kernels of a Field write directly into
             contiguous ones of the type of the results. It is what is returned.
 
         Returns
