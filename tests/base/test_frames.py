@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from clvol.base.axes import AXES, meaning
+from clvol.base.errors import GeometryError, OptionError
 from clvol.base.frames import affine_parts, flipped, from_ras, in_frame, ras_affine
 from clvol.base.units import METRES, axes_unit, millimetres, unit_name
-
-from clvol.base.errors import GeometryError, OptionError
 
 POINTS = np.random.default_rng(0).normal(size=(7, 3))
 
