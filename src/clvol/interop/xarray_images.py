@@ -50,8 +50,8 @@ def to_xarray(data: NDArray[Any], grid: Grid, leading: Several | None = None) ->
         "world_units": grid.units,
         "space": grid.space,
     }
-    if grid.window is not None:
-        attrs["window"] = list(grid.window)
+    if grid.clim is not None:
+        attrs["clim"] = list(grid.clim)
     return xarray.DataArray(data, coords, dims, name=(grid.name or None) if leading is None else None, attrs=attrs)
 
 
@@ -96,8 +96,8 @@ def _describe_own(array: Any) -> dict[str, Any]:
         "units": attrs.get("world_units", ""),
         "space": attrs.get("space", ""),
     }
-    if "window" in attrs:
-        about["window"] = tuple(attrs["window"])
+    if "clim" in attrs:
+        about["clim"] = tuple(attrs["clim"])
     if array.name:
         about["name"] = str(array.name)
     if axes := array.dims[: array.ndim - d]:

@@ -141,8 +141,8 @@ def _content(path: Path, file: Any, number: int, level: int, choose: Choice, loa
         "space": "image",
         "name": name,
     }
-    if "channel" not in layout.axes and len(about.windows) == 1:
-        geometry["window"] = about.windows[0]
+    if "channel" not in layout.axes and len(about.clims) == 1:
+        geometry["clim"] = about.clims[0]
     if level:  # the first sample of a level lies at the centre of those it replaces
         geometry["origin"] = layout.of({axis: (shrunk[axis] - 1) / 2 * spacing[axis] for axis in "xyz"})
     if isinstance(data, Window) and (about.slope, about.offset) != (1, 0):
@@ -200,8 +200,8 @@ def _laid_out(name: str, image: Any, about: About, choose: Choice) -> tuple[Layo
         return layout, layout.in_colour
     names = about.names if len(about.names) == count else ()
     colors = about.colors if len(about.colors) == count else ()
-    windows = about.windows if len(about.windows) == count else ()
-    return layout, Leading(layout.leading, layout.counts, {"channel": names} if names else {}, colors, windows)
+    clims = about.clims if len(about.clims) == count else ()
+    return layout, Leading(layout.leading, layout.counts, {"channel": names} if names else {}, colors, clims)
 
 
 def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> NDArray[Any]:
