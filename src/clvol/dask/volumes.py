@@ -254,7 +254,7 @@ def _on_grid(
         past = beyond(np.diag(steps[::-1]), first, source.shape[leading:], shape[leading:], work.boundary)
     about = [*work.identity, positions, low_pass]
     if not reductions:
-        return blockwise(name, source, sizes, work.dtype, plan, _Grid(work, steps, low_pass == "gaussian", past), about)
+        return blockwise(name, source, sizes, work.dtype, plan, _Sampled(work, steps, low_pass == "gaussian", past), about)
     # as in one piece: the axis that shrinks most goes first, x before y and z
     order = sorted(range(work.count - 1, -1, -1), key=lambda k: reductions[k].m / reductions[k].n)
     axes, kind, ends = [(leading + k, reductions[k]) for k in order], precision_kind(work.precision), _LeastSquares(work, past)
@@ -270,7 +270,7 @@ def _reduction(row: Filter, along: Floats, step: float, n: int, work: _Work) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
+class _Sampled:
     work: _Work
     steps: Floats
     smooth: bool

@@ -188,7 +188,7 @@ class AsGraph(Substrate):
             return tuple(place if one is None else one.span for one, place in zip(row, where, strict=True)), own
 
         about = [*spline.identity, list(positions), plan.sigma, plan.copied]
-        compute = _Grid(replace(plan, positions=()), dtype)
+        compute = _OnGrid(replace(plan, positions=()), dtype)
         return blockwise(plan.function, source, chunks, dtype, reads, compute, about)
 
 
@@ -318,7 +318,7 @@ class _Evaluated:
         raise NotImplementedError
 
 
-class _Grid(_Evaluated):
+class _OnGrid(_Evaluated):
     def into(self, made: Array, window: Array, block: Block) -> Array:
         replace(self.plan, positions=block.extra, shape=block.shape, output=made).on(InMemory(window))
         return made
