@@ -26,10 +26,10 @@ __all__ = [
     "AnyDevice",
     "Array",
     "Asked",
-    "Block",
     "Chunks",
     "Floats",
     "Gathering",
+    "OutputBlock",
     "Reads",
     "Span",
     "Window",
@@ -232,7 +232,7 @@ def around(shape: Sequence[int], margins: Sequence[int], boundary: Boundary) -> 
     return plan
 
 
-def own_part(block: Block) -> tuple[slice, ...]:
+def own_part(block: OutputBlock) -> tuple[slice, ...]:
     """Where a block lies in its window."""
     assert block.spans is not None
     own = []
@@ -245,7 +245,7 @@ def own_part(block: Block) -> tuple[slice, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class OutputBlock:
     """One block of a result.
 
     Attributes
@@ -277,7 +277,7 @@ class Block:
         return f"in block {self.index} of {self.name}, which is [{ranges}] of the result"
 
 
-Compute: TypeAlias = Callable[[Any, Block], Array]
+Compute: TypeAlias = Callable[[Any, OutputBlock], Array]
 Reads: TypeAlias = Callable[[tuple[int, ...], tuple[Span, ...]], tuple[tuple[Span, ...] | None, Any]]
 
 
@@ -298,18 +298,18 @@ def blockwise(
     plan : callable
         From the index of a block and its place in the result to the window that it reads (None: nothing) and its `extra`.
     compute : callable
-        From the window (None where nothing is read) and the `Block` to its samples.
+        From the window (None where nothing is read) and the `OutputBlock` to its samples.
     identity : sequence
         All else that determines the result: equal calls have equal keys.
     """
     places = [spans(sizes) for sizes in chunks]
     gathering = Gathering(source, f"{name}-read-")
-    tasks: list[tuple[Block, Asked | None]] = []
+    tasks: list[tuple[OutputBlock, Asked | None]] = []
     for index in np.ndindex(*(len(sizes) for sizes in chunks)):
         where = tuple(axis[i] for axis, i in zip(places, index, strict=True))
         shape = tuple(stop - start for start, stop in where)
         wanted, extra = plan(index, where) if all(shape) else (None, None)
-        block = Block(f"clvol.dask.{name}", index, tuple(start for start, _ in where), shape, wanted, source.shape, extra)
+        block = OutputBlock(f"clvol.dask.{name}", index, tuple(start for start, _ in where), shape, wanted, source.shape, extra)
         tasks.append((block, None if wanted is None else gathering.ask(wanted)))
     own = f"{name}-{tokenize(name, source.name, chunks, str(dtype), *identity)}"
     layer = gathering.settled()
@@ -480,7 +480,7 @@ def one_at_a_time() -> Iterator[None]:
         yield
 
 
-def _computed(compute: Compute, block: Block, dtype: np.dtype[Any], layout: Layout | None, parts: Sequence[Array]) -> Array:
+def _computed(compute: Compute, block: OutputBlock, dtype: np.dtype[Any], layout: Layout | None, parts: Sequence[Array]) -> Array:
     """The task of a block."""
     if not all(block.shape):
         return np.empty(block.shape, dtype)
@@ -491,7 +491,7 @@ def _computed(compute: Compute, block: Block, dtype: np.dtype[Any], layout: Layo
 
 
 @contextmanager
-def named(block: Block) -> Iterator[None]:
+def named(block: OutputBlock) -> Iterator[None]:
     """Add the block to the message of an error."""
     try:
         yield
@@ -503,7 +503,7 @@ def named(block: Block) -> Iterator[None]:
 
 
 @contextmanager
-def located(window: Array, block: Block, rule: str) -> Iterator[None]:
+def located(window: Array, block: OutputBlock, rule: str) -> Iterator[None]:
     """Add to an error about samples that are not finite where in the array the first of them is."""
     try:
         yield

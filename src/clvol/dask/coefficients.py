@@ -10,7 +10,7 @@ import numpy as np
 
 from clvol.base.checks import whole
 from clvol.base.errors import DataError
-from clvol.dask.blocks import AnyDevice, Array, Block, around, as_lazy, blockwise, checked_device, located, own_part
+from clvol.dask.blocks import AnyDevice, Array, OutputBlock, around, as_lazy, blockwise, checked_device, located, own_part
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.margin import reach, require_settled
@@ -104,7 +104,7 @@ class _Prefilter:
     count: int
     dtype: np.dtype[Any]
 
-    def __call__(self, window: Array, block: Block) -> Array:
+    def __call__(self, window: Array, block: OutputBlock) -> Array:
         made = np.empty(block.shape, self.dtype)
         own = own_part(block)[-self.count :]
         with located(window, block, "samples must be finite"):

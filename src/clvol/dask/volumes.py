@@ -15,9 +15,9 @@ from clvol.base.rounding import as_kind, in_kind, wide
 from clvol.dask.blocks import (
     AnyDevice,
     Array,
-    Block,
     Chunks,
     Floats,
+    OutputBlock,
     Span,
     as_chunks,
     blockwise,
@@ -276,7 +276,7 @@ class _Sampled:
     smooth: bool
     past: list[NDArray[np.bool_]] | None
 
-    def __call__(self, window: Array, block: Block) -> Array:
+    def __call__(self, window: Array, block: OutputBlock) -> Array:
         made = np.empty(block.shape, self.work.dtype)
         with located(window, block, "samples must be finite"):
             for index in np.ndindex(window.shape[: -self.work.count]):
@@ -309,7 +309,7 @@ class _LeastSquares:
     work: _Work
     past: list[NDArray[np.bool_]] | None
 
-    def begin(self, window: Array, block: Block) -> type[np.generic]:
+    def begin(self, window: Array, block: OutputBlock) -> type[np.generic]:
         """The type of sums: float64 where float32 would lose digits of the samples."""
         _, kind = self.work.here()
         with located(window, block, "samples must be finite"):
@@ -319,14 +319,14 @@ class _LeastSquares:
                 kind = wide_enough(kind, volume, self.work.filter, self.work.boundary)
         return kind
 
-    def end(self, values: Array, block: Block) -> Array:
+    def end(self, values: Array, block: OutputBlock) -> Array:
         """A block of the result."""
         for index in np.ndindex(values.shape[: -self.work.count]):
             _fill(values[index], self.past, block, self.work)
         return in_kind(values, self.work.dtype)
 
 
-def _fill(values: Array, past: list[NDArray[np.bool_]] | None, block: Block, work: _Work) -> None:
+def _fill(values: Array, past: list[NDArray[np.bool_]] | None, block: OutputBlock, work: _Work) -> None:
     """Write `fill` outside the domain, which windows do not know where the rule repeats the samples."""
     for k, along in enumerate(past or []):
         first = block.start[len(block.start) - work.count + k]

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from clvol.base.errors import DataError, UnsupportedError
 from clvol.dask.blocks import (
     Array,
-    Block,
     Chunks,
     Floats,
+    OutputBlock,
     Reads,
     Span,
     around,
@@ -286,13 +286,13 @@ class _Ends:
     spline: Spline
     dtype: np.dtype[Any]
 
-    def begin(self, window: Array, block: Block) -> type[np.generic]:
+    def begin(self, window: Array, block: OutputBlock) -> type[np.generic]:
         """The type of sums: double precision where single would lose digits of the samples."""
         with located(window, block, FINITE):
             require_finite(window, self.spline.nan)
         return engine.kind_for(self.spline.precision, window, np.empty(0, self.dtype), as_device(self.spline.device))
 
-    def end(self, values: Array, _: Block) -> Array:
+    def end(self, values: Array, _: OutputBlock) -> Array:
         """In the type of the result."""
         return engine.converted(values, self.dtype)
 
@@ -304,7 +304,7 @@ class _Evaluated:
     plan: Any
     dtype: np.dtype[Any]
 
-    def __call__(self, window: Array | None, block: Block) -> Array:
+    def __call__(self, window: Array | None, block: OutputBlock) -> Array:
         made = np.empty(block.shape, self.dtype)
         if window is None:
             made[...] = passes.stored(self.plan.spline.cval, self.dtype)
@@ -313,19 +313,19 @@ class _Evaluated:
             require_finite(window, self.plan.spline.nan)
         return self.into(made, window, block)
 
-    def into(self, made: Array, window: Array, block: Block) -> Array:
+    def into(self, made: Array, window: Array, block: OutputBlock) -> Array:
         """The block's samples, in `made` or another array."""
         raise NotImplementedError
 
 
 class _OnGrid(_Evaluated):
-    def into(self, made: Array, window: Array, block: Block) -> Array:
+    def into(self, made: Array, window: Array, block: OutputBlock) -> Array:
         replace(self.plan, positions=block.extra, shape=block.shape, output=made).on(InMemory(window))
         return made
 
 
 class _Filtered(_Evaluated):
-    def into(self, _: Array, window: Array, block: Block) -> Array:
+    def into(self, _: Array, window: Array, block: OutputBlock) -> Array:
         found = replace(self.plan, shape=window.shape, output=self.dtype).on(InMemory(window))
         return np.ascontiguousarray(found[own_part(block)])
 
@@ -337,7 +337,7 @@ class _Called:
     plan: Mapped
     ndim: int
 
-    def __call__(self, _: Array | None, block: Block) -> Array:
+    def __call__(self, _: Array | None, block: OutputBlock) -> Array:
         ranges = [range(start, start + n) for start, n in zip(block.start[1:], block.shape[1:], strict=True)]
         return passes.as_rows([self.plan(index) for index in product(*ranges)], self.ndim).T.reshape(block.shape)
 
@@ -348,7 +348,7 @@ class _Affine(_Evaluated):
     offset: Floats
     left: list[int]
 
-    def into(self, made: Array, window: Array, block: Block) -> Array:
+    def into(self, made: Array, window: Array, block: OutputBlock) -> Array:
         assert block.spans is not None
         first = np.array([start for start, _ in block.spans], np.float64)
         axes, matrix = list(self.plan.axes), self.matrix
@@ -360,7 +360,7 @@ class _Affine(_Evaluated):
             self._mend(made, window, block, first)
         return made
 
-    def _mend(self, made: Array, window: Array, block: Block, first: Floats) -> None:
+    def _mend(self, made: Array, window: Array, block: OutputBlock, first: Floats) -> None:
         """Compute anew where the last bit of a position decides, with positions as the whole array has them."""
         spline = self.plan.spline
         columns = [k for k in range(made.ndim) if k not in self.left] if self.left else list(range(made.ndim))

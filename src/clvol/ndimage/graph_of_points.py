@@ -21,10 +21,10 @@ from clvol.base.errors import OptionError
 from clvol.dask.blocks import (
     Array,
     Asked,
-    Block,
     Chunks,
     Floats,
     Gathering,
+    OutputBlock,
     Span,
     blockwise,
     gathered,
@@ -112,7 +112,7 @@ class _Work:
         graph = HighLevelGraph.from_collections(name, layer, dependencies=[held, at])
         return da.Array(graph, name, chunks, dtype=self.dtype)
 
-    def coefficients(self, window: Array, _: Block) -> Array:
+    def coefficients(self, window: Array, _: OutputBlock) -> Array:
         """Coefficients of an array, in the type that they are computed in."""
         spline, part = self.spline, window.real if window.dtype.kind == "c" else window
         kind = np.dtype(engine.kind_for(spline.precision, part, np.empty(0), as_device(spline.device)))
@@ -152,17 +152,17 @@ class _Work:
         return da.Array(graph, name, result, dtype=self.dtype)
 
 
-def _blocks(chunks: Sequence[Sequence[int]], limits: tuple[int, ...]) -> list[tuple[tuple[int, ...], Block]]:
+def _blocks(chunks: Sequence[Sequence[int]], limits: tuple[int, ...]) -> list[tuple[tuple[int, ...], OutputBlock]]:
     """The blocks of a result, by index."""
     places, made = [spans(sizes) for sizes in chunks], []
     for index in np.ndindex(*map(len, places)):
         where = [axis[i] for axis, i in zip(places, index, strict=True)]
         start, shape = tuple(a for a, _ in where), tuple(b - a for a, b in where)
-        made.append((index, Block("clvol.dask.map_coordinates", index, start, shape, None, limits)))
+        made.append((index, OutputBlock("clvol.dask.map_coordinates", index, start, shape, None, limits)))
     return made
 
 
-def _places(block: Block, kept: int) -> list[tuple[int, int]]:
+def _places(block: OutputBlock, kept: int) -> list[tuple[int, int]]:
     """First index and length of a block along the axes of the points."""
     return list(zip(block.start[kept:], block.shape[kept:], strict=True))
 
@@ -256,7 +256,7 @@ class _Chunks:
 # -- in a worker -----------------------------------------------------------------------------------------------------
 
 
-def _at_array(work: _Work, block: Block, held: Array, at: Array, filtered: bool) -> Array:
+def _at_array(work: _Work, block: OutputBlock, held: Array, at: Array, filtered: bool) -> Array:
     """Points of one block at an array, or at its coefficients, whose type says what is computed in."""
     made = np.empty(block.shape, work.dtype)
     if made.size:
@@ -275,7 +275,7 @@ class _Part:
     Attributes
     ----------
     work : _Work
-    block : Block
+    block : OutputBlock
         Its spans are those of the chunk with its margin.
     chunk : tuple of int
         Which chunk it is.
@@ -284,7 +284,7 @@ class _Part:
     """
 
     work: _Work
-    block: Block
+    block: OutputBlock
     chunk: tuple[int, ...]
     known: _Some | None
 
@@ -304,7 +304,7 @@ class _Part:
         return which, values
 
 
-def _joined(work: _Work, block: Block, kept: int, parts: Sequence[_Some | None]) -> Array:
+def _joined(work: _Work, block: OutputBlock, kept: int, parts: Sequence[_Some | None]) -> Array:
     """A block of the result: the values of its points, and the constant where they lie in no chunk."""
     made = np.empty((*block.shape[:kept], math.prod(block.shape[kept:])), work.dtype)
     made[...] = passes.stored(work.spline.cval, work.dtype)
