@@ -104,10 +104,12 @@ class _Prefilter:
     count: int
     dtype: np.dtype[Any]
 
-    def __call__(self, window: Array, block: OutputBlock) -> Array:
+    def __call__(self, samples: Array, block: OutputBlock) -> Array:
         made = np.empty(block.shape, self.dtype)
         own = own_part(block)[-self.count :]
-        with located(window, block, "samples must be finite"):
-            for index in np.ndindex(window.shape[: -self.count]):
-                made[index] = field.prefilter(window[index], self.filter, self.boundary, self.device, precision=self.precision)[own]
+        with located(samples, block, "samples must be finite"):
+            for index in np.ndindex(samples.shape[: -self.count]):
+                made[index] = field.prefilter(samples[index], self.filter, self.boundary, self.device, precision=self.precision)[
+                    own
+                ]
         return made

@@ -162,11 +162,11 @@ class _Ends:
     device: Any
     dtype: np.dtype[Any]
 
-    def begin(self, window: Array, block: OutputBlock) -> type[np.generic]:
+    def begin(self, samples: Array, block: OutputBlock) -> type[np.generic]:
         """The type of sums."""
-        with located(window, block, "samples must be finite"):
-            for index in np.ndindex(window.shape[: -self.count]):
-                Volume(window[index]).require_finite()
+        with located(samples, block, "samples must be finite"):
+            for index in np.ndindex(samples.shape[: -self.count]):
+                Volume(samples[index]).require_finite()
         return precision_kind("single" if self.wide and not as_device(self.device).has_double else self.precision)
 
     def end(self, values: Array, _: OutputBlock) -> Array:
