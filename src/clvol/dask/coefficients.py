@@ -109,7 +109,6 @@ class _Prefilter:
         own = own_part(block)[-self.count :]
         with located(samples, block, "samples must be finite"):
             for index in np.ndindex(samples.shape[: -self.count]):
-                made[index] = field.prefilter(samples[index], self.filter, self.boundary, self.device, precision=self.precision)[
-                    own
-                ]
+                one = field.prefilter(samples[index], self.filter, self.boundary, self.device, precision=self.precision)
+                made[index] = one[own]
         return made
