@@ -15,7 +15,7 @@ from clvol.base.units import unit_name
 from clvol.bricks.sliced import Index, Window
 from clvol.formats._choice import Choice, chosen_level
 from clvol.formats._layout import Layout
-from clvol.formats.hdf5 import loaded, member, opened, window
+from clvol.formats.hdf5 import loaded, member, opened, part_of
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
@@ -37,7 +37,7 @@ def lazily(path: Path, choose: Choice, level: int = 0) -> list[Content]:
         if not (isinstance(at_time, int) and isinstance(at_channel, int)):
             raise FormatError(f"{path.name} is read part by part one volume at a time")
         stored = member(_numbered(times[at_time], "Channel")[at_channel], "Data")
-        return window(path, path.name, stored, tuple(slice(0, n) for n in size))
+        return part_of(path, path.name, stored, tuple(slice(0, n) for n in size))
 
     first = _content(path, file, choose, level, load)
     count = len(_numbered(member(file, "DataSet"), "ResolutionLevel"))

@@ -61,7 +61,7 @@ def lazily(path: Path, choose: Choice, series: int | str | None = None, level: i
         number = chosen_series(path.name, _images(path.name, file), series)
         sizes = [one.shape for one in file.series[number].levels]
         first = chosen_level(path.name, sizes, level)
-        return [_content(path, file, number, k, choose, _window) for k in range(first, len(sizes))]
+        return [_content(path, file, number, k, choose, _part_of) for k in range(first, len(sizes))]
 
 
 def series(path: Path) -> tuple[Series, ...]:
@@ -232,8 +232,8 @@ def _mapped(file: Any, image: Any, shape: tuple[int, ...]) -> NDArray[Any] | Non
     return found
 
 
-def _window(name: str, file: Any, image: Any, index: Index) -> Window:
-    """A window of an image at an index of its axes, after its pages are checked."""
+def _part_of(name: str, file: Any, image: Any, index: Index) -> Window:
+    """A part of an image at an index of its axes, after its pages are checked."""
     path = Path(file.filehandle.path)
     check_order(name, image)
     shape = tuple(n for _, n in _axes(image))
