@@ -41,7 +41,7 @@ def test_samples_stay_read_only(again: Callable[[Any], Any]) -> None:
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 5
     np.testing.assert_array_equal(other.data, volume.data)
-    for name in ("spacing", "origin", "units", "space", "name", "color", "window", "header"):
+    for name in ("spacing", "origin", "units", "space", "name", "color", "clim", "header"):
         assert getattr(other, name) == getattr(volume, name)
 
 

@@ -59,7 +59,7 @@ _ROUNDED = 4  # values of rounded smooth data, at least: fewer cannot be told fr
 _EDGES_BEYOND = 0.02  # share of neighbours of different values that may be more than one value apart
 _ALONE = 0.1  # share of the samples at edges between labels that may be unlike their neighbours
 _CUTS = 2.0  # `Noise.jump` from which a background cuts through objects
-_WINDOW = 3  # power of the sine that is a block's window: the higher, the less low frequencies leak to high ones
+_TAPER = 3  # power of the sine that is a block's taper: the higher, the less low frequencies leak to high ones
 _AVERAGED = 2, 4  # samples along an axis whose means show low frequencies, and lower ones
 _CELLS = 32  # of frequencies along an axis, about
 _OMEGA = np.linspace(0, np.pi, 65)
@@ -272,9 +272,9 @@ def _cells(blocks: NDArray[np.float32]) -> _Cells:
     if len(blocks) > 1:  # the volume continues beyond the edges of a block
         for axis in axes:
             n = blocks.shape[axis]
-            window = (np.sin(np.pi * (np.arange(n) + 0.5) / n) ** _WINDOW).astype(np.float32)
-            blocks *= window.reshape([-1 if i == axis else 1 for i in range(blocks.ndim)])
-            weight *= float((window**2).mean())
+            taper = (np.sin(np.pi * (np.arange(n) + 0.5) / n) ** _TAPER).astype(np.float32)
+            blocks *= taper.reshape([-1 if i == axis else 1 for i in range(blocks.ndim)])
+            weight *= float((taper**2).mean())
     for axis in axes:
         blocks = _cosine_transform(blocks, axis)
     power = (blocks**2).mean(0, dtype=np.float64) / weight

@@ -96,7 +96,7 @@ def sample(
     if values.ndim < d:
         raise OptionError(f"values must have at least the {d} axes that points have coordinates; got shape {tuple(values.shape)}")
     precision: Precision = "double" if values.dtype == torch.float64 else "single"
-    grid = _Grid(*linear(filter, boundary), as_device(device), _along(spacing, d), _along(origin, d), precision)
+    grid = _Sampling(*linear(filter, boundary), as_device(device), _along(spacing, d), _along(origin, d), precision)
     at, outside = points, fill_value(fill)
     if outside is not None:
         index = (points.detach().double() - torch.tensor(grid.origin)) / torch.tensor(grid.spacing)
@@ -112,7 +112,7 @@ def sample(
 
 
 @dataclass(frozen=True)
-class _Grid:
+class _Sampling:
     """What is sampled, but for the samples."""
 
     filter: Filter
@@ -134,7 +134,7 @@ class _Kept:
 
     field: Field | None = None
 
-    def of(self, grid: _Grid, values: Tensor) -> Field:
+    def of(self, grid: _Sampling, values: Tensor) -> Field:
         if self.field is None:
             self.field = grid.field(values)
         return self.field
@@ -165,7 +165,7 @@ def _functions() -> SimpleNamespace:
         """Samples, points → values."""
 
         @staticmethod
-        def forward(ctx: Any, values: Tensor, points: Tensor, grid: _Grid, kept: _Kept) -> Any:
+        def forward(ctx: Any, values: Tensor, points: Tensor, grid: _Sampling, kept: _Kept) -> Any:
             ctx.save_for_backward(values, points)
             ctx.grid, ctx.kept = grid, kept
             return tensor(kept.of(grid, values)(points), values)
@@ -183,7 +183,7 @@ def _functions() -> SimpleNamespace:
         """Values, points → samples: the adjoint of `Value`, linear in the values."""
 
         @staticmethod
-        def forward(ctx: Any, given: Tensor, points: Tensor, grid: _Grid, shape: tuple[int, ...]) -> Any:
+        def forward(ctx: Any, given: Tensor, points: Tensor, grid: _Sampling, shape: tuple[int, ...]) -> Any:
             ctx.save_for_backward(given, points)
             ctx.grid = grid
             return _spread(grid, given, points, shape, 0)
@@ -202,7 +202,7 @@ def _functions() -> SimpleNamespace:
         """Samples, points → gradients of the function; what is differentiated again ends here."""
 
         @staticmethod
-        def forward(ctx: Any, values: Tensor, points: Tensor, grid: _Grid, kept: _Kept) -> Any:
+        def forward(ctx: Any, values: Tensor, points: Tensor, grid: _Sampling, kept: _Kept) -> Any:
             ctx.save_for_backward(values, points)
             ctx.grid, ctx.kept = grid, kept
             return tensor(kept.of(grid, values).gradient(points), values)
@@ -219,7 +219,7 @@ def _functions() -> SimpleNamespace:
 
         backward = staticmethod(torch.autograd.function.once_differentiable(_backward))
 
-    def _spread(grid: _Grid, given: Tensor, points: Tensor, shape: tuple[int, ...], derivative: int) -> Any:
+    def _spread(grid: _Sampling, given: Tensor, points: Tensor, shape: tuple[int, ...], derivative: int) -> Any:
         like = grid.volume(np.broadcast_to(np.float32(0), shape))
         spread = adjoint(given, points, like, grid.filter, grid.boundary, derivative, device=grid.device, precision=grid.precision)
         return tensor(spread, given)

@@ -350,19 +350,19 @@ class _Spline:
     def _grid(self, data: Any, axes: Sequence[int], positions: Sequence[Positions]) -> Any:
         """An array at positions along some of its axes."""
         if not _is_lazy(data):
-            windows = [self._window(p, data.shape[axis]) for axis, p in zip(axes, positions, strict=True)]
-            return self._grid_here(data[_slices(data.ndim, axes, windows)], axes, positions, windows, data.shape)
+            spans = [self._span(p, data.shape[axis]) for axis, p in zip(axes, positions, strict=True)]
+            return self._grid_here(data[_slices(data.ndim, axes, spans)], axes, positions, spans, data.shape)
         kind = self._kind(data.dtype)
         runs = [_runs(np.clip(p, 0, data.shape[axis] - 1), max(data.chunks[axis])) for axis, p in zip(axes, positions, strict=True)]
 
         def block(index: tuple[int, ...]) -> Any:
             some = [p[run[i]] for p, run, i in zip(positions, runs, index, strict=True)]
-            windows = [self._window(p, data.shape[axis]) for axis, p in zip(axes, some, strict=True)]
-            slab = data[_slices(data.ndim, axes, windows)].rechunk(dict.fromkeys(axes, -1))
+            spans = [self._span(p, data.shape[axis]) for axis, p in zip(axes, some, strict=True)]
+            slab = data[_slices(data.ndim, axes, spans)].rechunk(dict.fromkeys(axes, -1))
             chunks = list(slab.chunks)
             for axis, p in zip(axes, some, strict=True):
                 chunks[axis] = (p.size,)
-            call = partial(self._grid_here, axes=axes, positions=some, windows=windows, shape=data.shape)
+            call = partial(self._grid_here, axes=axes, positions=some, spans=spans, shape=data.shape)
             return slab.map_blocks(call, chunks=chunks, dtype=kind, meta=_nothing(data.ndim, kind))
 
         return _joined(block, axes, [len(run) for run in runs])
@@ -372,7 +372,7 @@ class _Spline:
         data: Array,
         axes: Sequence[int],
         positions: Sequence[Positions],
-        windows: Sequence[tuple[int, int]],
+        spans: Sequence[tuple[int, int]],
         shape: tuple[int, ...],
     ) -> Array:
         made = list(data.shape)
@@ -382,7 +382,7 @@ class _Spline:
         ranges = [shape[axis] for axis in axes]
         missing = [self._missing(p, n) for p, n in zip(positions, ranges, strict=True)]
         order = np.argsort(axes)
-        at = [np.where(m, w[0], p) - w[0] for p, m, w in zip(positions, missing, windows, strict=True)]
+        at = [np.where(m, s[0], p) - s[0] for p, m, s in zip(positions, missing, spans, strict=True)]
         self._evaluate(data, [axes[i] for i in order], Axes(tuple(at[i] for i in order)), output)
         for axis, m in zip(axes, missing, strict=True):
             if m.any():
@@ -394,9 +394,9 @@ class _Spline:
         k = len(points)
         axes = range(data.ndim - k, data.ndim)
         shape = data.shape[-k:]
-        windows = [self._window(p, n) for p, n in zip(points, shape, strict=True)]
-        near = data[_slices(data.ndim, axes, windows)]
-        call = partial(self._points_here, points=points, windows=windows, shape=shape)
+        spans = [self._span(p, n) for p, n in zip(points, shape, strict=True)]
+        near = data[_slices(data.ndim, axes, spans)]
+        call = partial(self._points_here, points=points, spans=spans, shape=shape)
         if not _is_lazy(data):
             return call(near)
         kind, kept = self._kind(data.dtype), data.ndim - k
@@ -410,11 +410,11 @@ class _Spline:
             meta=_nothing(kept + 1, kind),
         )
 
-    def _points_here(self, data: Array, points: Positions, windows: Sequence[tuple[int, int]], shape: tuple[int, ...]) -> Array:
+    def _points_here(self, data: Array, points: Positions, spans: Sequence[tuple[int, int]], shape: tuple[int, ...]) -> Array:
         k = len(points)
         output = np.empty((*data.shape[:-k], points.shape[1]), self._kind(data.dtype))
         missing = np.any([self._missing(p, n) for p, n in zip(points, shape, strict=True)], axis=0)
-        first = np.array([w[0] for w in windows])[:, None]
+        first = np.array([s[0] for s in spans])[:, None]
         self._evaluate(data, range(data.ndim - k, data.ndim), Points(np.where(missing, first, points) - first), output)
         if missing.any():
             output[..., missing] = self.fill
@@ -451,7 +451,7 @@ class _Spline:
             return np.zeros(positions.shape, np.bool_)
         return ~((positions >= 0) & (positions <= n - 1))
 
-    def _window(self, positions: Positions, n: int) -> tuple[int, int]:
+    def _span(self, positions: Positions, n: int) -> tuple[int, int]:
         """The samples of an axis, from first to before stop, on which values at positions depend by more than rounding."""
         inside = positions[(positions >= 0) & (positions <= n - 1)]
         if self.fill is None and inside.size < positions.size:
@@ -491,9 +491,9 @@ def _runs(positions: Positions, longest: int) -> list[slice]:
     return [*runs, slice(first, positions.size)]
 
 
-def _slices(ndim: int, axes: Sequence[int], windows: Sequence[tuple[int, int]]) -> tuple[slice, ...]:
+def _slices(ndim: int, axes: Sequence[int], spans: Sequence[tuple[int, int]]) -> tuple[slice, ...]:
     every = [slice(None)] * ndim
-    for axis, (low, high) in zip(axes, windows, strict=True):
+    for axis, (low, high) in zip(axes, spans, strict=True):
         every[axis] = slice(low, high)
     return tuple(every)
 

@@ -352,7 +352,7 @@ def test_info_tells_of_every_kind_of_file(clvol_command: Command, name: str) -> 
         "units": volume.units,
         "space": clvol.read(name).space,
         "value_range": [0, 23],
-        "window": None,
+        "clim": None,
         "labels": False,
         "finite": True,
         "bytes": 48,
@@ -689,7 +689,7 @@ def test_info_says_what_the_file_wants_shown(clvol_command: Command) -> None:
     image.header["cal_min"], image.header["cal_max"] = 10, 50
     nibabel.save(image, "a.nii")
     out = clvol_command("info", "a.nii").out
-    assert "\nwindow: 10 to 50 (--window 30 40)\n" in out
+    assert "\nclim: 10 to 50 (--window 30 40)\n" in out
     assert "\nspace: LPS: a patient: x runs to the left, y to the back, z to the head (nibabel's RAS flips x and y)\n" in out
     assert "sform_code" in out
     value, why = clvol.volume.histogram.isovalue_of(clvol.read("a.nii"))

@@ -174,7 +174,7 @@ def test_images_of_imaris(tmp_path: Path) -> None:
     volume = clvol.read(tmp_path / "v.ims", time=1, channel="GFP")
     np.testing.assert_array_equal(volume.data, DATA[1, 1])
     assert (volume.spacing, volume.origin, volume.units) == ((0.5, 1.0, 2.0), (-1.25, 0.5, 11.0), "um")
-    assert (volume.name, volume.color, volume.window) == ("GFP", (0, 1, 0), (1, 100.5))
+    assert (volume.name, volume.color, volume.clim) == ("GFP", (0, 1, 0), (1, 100.5))
     np.testing.assert_array_equal(np.asarray(clvol.read_all(tmp_path / "v.ims")), DATA)
     small = clvol.read(tmp_path / "v.ims", time=0, channel=2, level=1)
     np.testing.assert_array_equal(small.data, DATA[0, 2, :, ::2, ::2])

@@ -48,7 +48,7 @@ def save(path: Path, data: np.ndarray, kind: Any = None, **fields: Any) -> Path:
 
 def same_grid(one: Volume, other: Volume, rtol: float = 1e-6) -> None:
     np.testing.assert_allclose(one.corners, other.corners, rtol=rtol)
-    assert (one.units, one.space, one.window, one.shape) == (other.units, other.space, other.window, other.shape)
+    assert (one.units, one.space, one.clim, one.shape) == (other.units, other.space, other.clim, other.shape)
 
 
 # -- NIfTI -----------------------------------------------------------------------------------
@@ -204,9 +204,9 @@ def test_nifti_keeps_what_its_header_says(tmp_path: Path) -> None:
         image.header[name] = value
     nibabel.save(image, tmp_path / "v.nii")
     volume = read(tmp_path / "v.nii")
-    assert (volume.window, volume.labels, volume.space) == ((-2, 7.5), None, "LPS")
+    assert (volume.clim, volume.labels, volume.space) == ((-2, 7.5), None, "LPS")
     direct = Volume(image)
-    assert (direct.window, direct.header) == (volume.window, volume.header)
+    assert (direct.clim, direct.header) == (volume.clim, volume.header)
     grid = Volume(np.zeros((2, 2, 2)), (3, 3, 3), (1, 2, 3))
     for changed in (volume, volume.crop((1, 0, 0), (4, 3, 2)), volume.placed(np.ones((2, 2, 2)), grid)):  # as resample does it
         write(changed, tmp_path / "again.nii")
@@ -215,7 +215,7 @@ def test_nifti_keeps_what_its_header_says(tmp_path: Path) -> None:
         assert (again.header["qform_code"], again.header["sform_code"]) == (3, 4)
         for placed in (again.header.get_qform(), again.header.get_sform()):
             np.testing.assert_allclose((placed @ [1, 1, 1, 1])[:3], changed.index_to_world([1, 1, 1]) * [-1, -1, 1], rtol=1e-5)
-    write(replace(volume, window=None), tmp_path / "again.nii")
+    write(replace(volume, clim=None), tmp_path / "again.nii")
     assert nibabel.load(tmp_path / "again.nii").header["cal_max"] == 0
 
 
@@ -426,7 +426,7 @@ def test_dicom_of_many_frames(tmp_path: Path, name: str) -> None:
     for path in (tmp_path / name, tmp_path):
         volume = read(path)
         np.testing.assert_array_equal(volume.data, 2.0 * data[np.argsort(order)] - 1000)
-        assert (volume.name, volume.window, volume.header) == ("Head thin", (-160, 240), {"modality": "CT"})
+        assert (volume.name, volume.clim, volume.header) == ("Head thin", (-160, 240), {"modality": "CT"})
         assert (volume.units, volume.space) == ("mm", "LPS")
         # rows run along y of the patient, 0.5 apart, and columns along x, 0.75 apart
         np.testing.assert_allclose(volume.index_to_world([1, 1, 1]), [1 + 0.75, 2 + 0.5, 10 - 2.5])
@@ -492,9 +492,9 @@ def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
     for file in (path, tmp_path / "IM1", path.parent):
         slice_ = read(file)  # no warning: no other lies beside it
         assert (slice_.name, slice_.header["modality"]) == ("My Special Series For Testing", "MR")
-        assert slice_.window is not None
+        assert slice_.clim is not None
         np.testing.assert_array_equal(slice_.data, sitk.GetArrayFromImage(sitk.ReadImage(str(path))))
-        same_grid(replace(slice_, window=None), Volume(sitk.ReadImage(str(path))))
+        same_grid(replace(slice_, clim=None), Volume(sitk.ReadImage(str(path))))
     (path.parent / ("._" + path.name)).write_bytes(bytes.fromhex("00051607") + bytes(200))  # as Macs leave beside files
     (path.parent / "notes.txt").write_text("not a slice")
     np.testing.assert_array_equal(read(path.parent).data, slice_.data)
@@ -505,14 +505,14 @@ def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
         read(path)
     image = sitk.ReadImage(str(path))
     center, width = (float(image.GetMetaData(tag)) for tag in ("0028|1050", "0028|1051"))
-    assert slice_.window == (center - width / 2, center + width / 2)
+    assert slice_.clim == (center - width / 2, center + width / 2)
 
 
 # -- NumPy --------------------------------------------------------------------------------------
 
 
 def test_npz_keeps_all_that_a_volume_says(tmp_path: Path) -> None:
-    said: dict[str, Any] = {"space": "LPS", "name": "µ", "color": (1.0, 0.5, 0.0), "window": (-1.0, 2.5), "labels": {3: "liver"}}
+    said: dict[str, Any] = {"space": "LPS", "name": "µ", "color": (1.0, 0.5, 0.0), "clim": (-1.0, 2.5), "labels": {3: "liver"}}
     header = {"sform_code": 4, "intent_p": (1.0, 2.0), "step": np.float32(0.5)}
     volume = Volume(series().T, (1, 2, 3), (4, 5, 6), OBLIQUE, "um", **said, header=header)
     write(volume, tmp_path / "v.npz")
@@ -533,7 +533,7 @@ def test_npz_keeps_several(tmp_path: Path) -> None:
     assert again.leading == every.leading
     np.testing.assert_array_equal(again, every)
     one = read(tmp_path / "v.npz", time=1, channel="a")
-    assert (one.name, one.color, one.window, one.space, one.spacing) == ("a", (1, 0, 0), (0, 1), "image", (1, 2, 3))
+    assert (one.name, one.color, one.clim, one.space, one.spacing) == ("a", (1, 0, 0), (0, 1), "image", (1, 2, 3))
 
 
 def test_axes_of_arrays_are_guessed(tmp_path: Path) -> None:
@@ -566,7 +566,7 @@ def test_the_grid_of_a_series() -> None:
     same_grid(found, replace(grid, data=found.data))
     several = Volumes(nibabel.Nifti1Image(series(5), AFFINE))
     for like in (several, several.to_sitk(), several.to_nibabel(), several.to_xarray(), several[3]):
-        same_grid(as_grid(like), replace(several[0], data=as_grid(like).data, window=None))
+        same_grid(as_grid(like), replace(several[0], data=as_grid(like).data, clim=None))
         assert clvol.resample(several[1], like=like, dtype="same").data.tolist() == several[1].data.tolist()
     assert Volumes([several[1].to_nibabel(), several[3].to_sitk()])[1].data.tolist() == several[3].data.tolist()
     with pytest.raises(DataError, match=r"got Volumes of 5 \w+s: take one, as volumes\[0\]"):

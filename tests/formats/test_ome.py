@@ -53,7 +53,7 @@ def test_axes_channels_and_geometry(key: str) -> None:
     assert layout.axes == ("channel", "z", "y", "x")
     assert leading.names == {"channel": ("DAPI", "GFP", "")}
     assert leading.colors == ((0, 0, 1), (0, 1, 0), None)
-    assert leading.windows == ((0, 100), None, None)
+    assert leading.clims == ((0, 100), None, None)
     assert (list(known["spacing"]), list(known["origin"]), known["units"]) == ([0.25, 0.5, 2], [4, 5, 6], "um")
     assert known["space"] == "image"
 

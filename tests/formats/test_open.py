@@ -35,10 +35,10 @@ def same(path: Path | str, parts: bool = True, **choice: Any) -> clvol.LazyVolum
     with warnings.catch_warnings(action="ignore"):
         lazy, whole = clvol.open(path, trusted=True, **choice), clvol.read(path, trusted=True, **choice)
     assert (lazy.shape, lazy.spacing, lazy.units, lazy.name) == (whole.shape, whole.spacing, whole.units, whole.name)
-    assert (lazy.grid.origin, lazy.grid.space, lazy.grid.window, lazy.grid.color) == (
+    assert (lazy.grid.origin, lazy.grid.space, lazy.grid.clim, lazy.grid.color) == (
         whole.origin,
         whole.space,
-        whole.window,
+        whole.clim,
         whole.color,
     )
     np.testing.assert_array_equal(lazy.grid.direction, whole.direction)

@@ -76,7 +76,7 @@ def same_stores(a: Path, b: Path) -> None:
 def test_others_read_it(tmp_path: Path, version: Any) -> None:
     """The models of OME-Zarr, ome-zarr's reader and plain zarr, which do not know of bounds."""
     models = pytest.importorskip("ome_zarr_models")
-    volume = scan(name="nuclei", window=(10, 5000), color=(0, 1, 0), origin=(1, 2, 3))
+    volume = scan(name="nuclei", clim=(10, 5000), color=(0, 1, 0), origin=(1, 2, 3))
     clvol.pyramid(volume, tmp_path / "v.zarr", levels=3, version=version)
     with warnings.catch_warnings(action="ignore"):
         group = zarr.open_group(tmp_path / "v.zarr", mode="r")
@@ -89,7 +89,7 @@ def test_others_read_it(tmp_path: Path, version: Any) -> None:
     assert [tuple(level.shape) for level in node.data] == [(50, 90, 70), (25, 45, 35), (13, 23, 18)]
     np.testing.assert_array_equal(np.asarray(node.data[0]), volume.data)
     whole = clvol.read(tmp_path / "v.zarr")
-    assert (whole.spacing, whole.origin, whole.units, whole.name, whole.window, whole.color) == (
+    assert (whole.spacing, whole.origin, whole.units, whole.name, whole.clim, whole.color) == (
         volume.spacing,
         volume.origin,
         "um",

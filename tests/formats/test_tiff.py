@@ -95,7 +95,7 @@ def test_channels_of_imagej(tmp_path: Path) -> None:
     assert volumes.grid.spacing == (0.25, 0.5, 3.0)
     assert volumes.names == ("a", "b", "c")
     assert [v.color for v in volumes] == [(1, 0, 1), (0, 1, 0), None]  # the third is no ramp from black
-    assert [v.window for v in volumes] == [(0, 10), (5, 20), (7, 7.5)]
+    assert [v.clim for v in volumes] == [(0, 10), (5, 20), (7, 7.5)]
 
 
 def test_signed_samples_of_imagej(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_signed_samples_of_imagej(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "v.tif", stored, description=text, metadata=None, photometric="minisblack")
     volume = clvol.read(tmp_path / "v.tif")
     np.testing.assert_array_equal(volume.data, data)
-    assert volume.window == (-1000, 3000)
+    assert volume.clim == (-1000, 3000)
 
 
 def test_a_virtual_stack_of_imagej(tmp_path: Path) -> None:

@@ -51,13 +51,13 @@ def test_channels_and_times_of_ome(cells: Path) -> None:
     volume = clvol.read(cells, time=1, channel="GFP")
     np.testing.assert_array_equal(volume.data, DATA[1, 1])
     assert (volume.spacing, volume.units, volume.space) == ((0.25, 0.5, 2.0), "um", "image")
-    assert (volume.name, volume.color, volume.window) == ("GFP", (0, 1, 0), (0, 200))
+    assert (volume.name, volume.color, volume.clim) == ("GFP", (0, 1, 0), (0, 200))
     np.testing.assert_array_equal(np.asarray(clvol.read_all(cells)), DATA)
     with pytest.warns(ClvolWarning, match=r"cells\.zarr holds 2 times × 3 channels \(DAPI, GFP, Cy5\)"):
         clvol.read(cells)
 
 
-def test_windows_without_an_end_are_left_out(tmp_path: Path) -> None:
+def test_channels_without_an_end_have_no_clim(tmp_path: Path) -> None:
     """They had been taken, and every use of the volumes refused."""
     group = zarr.create_group(tmp_path / "v.zarr")
     group.create_array("0", data=DATA[0, :2])
@@ -70,7 +70,7 @@ def test_windows_without_an_end_are_left_out(tmp_path: Path) -> None:
         "multiscales": scales,
         "omero": {"channels": [{"label": str(i), "window": window} for i, window in enumerate(windows)]},
     }
-    assert [volume.window for volume in clvol.read_all(tmp_path / "v.zarr")] == [None, (0, 9)]
+    assert [volume.clim for volume in clvol.read_all(tmp_path / "v.zarr")] == [None, (0, 9)]
 
 
 def test_far_more_chunks_than_are_stored_are_refused(tmp_path: Path) -> None:

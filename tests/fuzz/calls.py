@@ -177,7 +177,7 @@ def _bases(folder: Path) -> Mapping[str, tuple[Callable[..., Any], dict[str, Any
                 "space": "LPS",
                 "name": "v",
                 "color": "red",
-                "window": (0, 1),
+                "clim": (0, 1),
                 "labels": None,
                 "header": {},
             },

@@ -82,7 +82,7 @@ def _npz() -> Iterator[Sample]:
         stream = io.BytesIO()
         save(stream, data=data("int16"), spacing=SPACING, origin=ORIGIN, direction=np.eye(3), units="mm")
         yield one("v.npz", stream.getvalue())
-    full = clvol.Volume(data("uint8"), SPACING, units="um", name="cells", window=(1, 5), labels={7: "seven"}, header={"a": [1]})
+    full = clvol.Volume(data("uint8"), SPACING, units="um", name="cells", clim=(1, 5), labels={7: "seven"}, header={"a": [1]})
     yield Sample(_written(lambda path: clvol.write(full, path), "v.npz"), "v.npz")
 
 

@@ -333,8 +333,8 @@ t, v, l = clvol.Volume(turned), clvol.Volume(plain), clvol.Volume(Labels(data.as
 told = {
     "off": [at(turned, t), at(plain, v), at(levels, clvol.Volume(levels)), at(series, clvol.Volumes(series)[1])],
     "same": bool((t.data == data).all() and (clvol.Volume(levels).data == data).all()),
-    "turned": [t.units, t.space, t.name, t.color, t.window], "plain": [v.spacing, v.origin, v.color, v.units],
-    "labels": [l.labels, l.window], "axes": clvol.Volumes(series).axes,
+    "turned": [t.units, t.space, t.name, t.color, t.clim], "plain": [v.spacing, v.origin, v.color, v.units],
+    "labels": [l.labels, l.clim], "axes": clvol.Volumes(series).axes,
     "rgb": refused(rgb), "rgb volumes": clvol.Volumes(rgb).leading.rgb, "points": refused(Points(np.zeros((1, 3)))),
     "units": refused(Image(data, units=("mm", "um", "um"))),
 }

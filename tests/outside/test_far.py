@@ -11,7 +11,7 @@ import clvol
 from clvol import Camera, Volume
 from clvol.base.errors import GeometryError
 from clvol.device import Device
-from clvol.scene.camera import View
+from clvol.scene.camera import Viewpoint
 
 SIDE, RADIUS = 40, 12.0
 
@@ -22,7 +22,7 @@ def ball(origin: tuple[float, float, float], spacing: float = 1.0) -> Volume:
     return Volume(x * x + y * y + z * z, (spacing,) * 3, origin)
 
 
-def rays(view: View, size: tuple[int, int]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def rays(view: Viewpoint, size: tuple[int, int]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """Origins and unit directions of the rays through the middles of the pixels."""
     width, height = size
     a = 2 * (np.arange(width) + 0.5) / width - 1
@@ -34,7 +34,7 @@ def rays(view: View, size: tuple[int, int]) -> tuple[np.ndarray[Any, Any], np.nd
     return np.broadcast_to(view.eye, plane.shape), along / np.linalg.norm(along, axis=-1, keepdims=True)
 
 
-def sphere_points(volume: Volume, view: View, size: tuple[int, int], radius: float) -> np.ndarray[Any, Any]:
+def sphere_points(volume: Volume, view: Viewpoint, size: tuple[int, int], radius: float) -> np.ndarray[Any, Any]:
     """Where each ray first meets the sphere, counted from its centre; NaN where it does not."""
     origin, direction = rays(view, size)
     center = np.asarray(volume.origin) + np.asarray(volume.spacing) * (SIDE - 1) / 2

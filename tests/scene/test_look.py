@@ -53,16 +53,16 @@ def test_a_window_is_a_center_and_a_width(mode: str) -> None:
     assert look(SCAN, mode, window=(80, 100)).value_range == (30, 130)
 
 
-def test_the_sources_window_is_heeded() -> None:
-    wanted = replace(SCAN, window=(-50.0, 120.0))
+def test_the_sources_clim_is_heeded() -> None:
+    wanted = replace(SCAN, clim=(-50.0, 120.0))
     assert look(wanted, "mip").value_range == (-50, 120)
     assert look(wanted, "mip", window=(80, 100)).value_range == (30, 130)
     own, windowed = look(SCAN, "composite"), look(wanted, "composite")
     assert windowed.value_range == (own.value_range[0], 120)  # background is not seen
-    assert look(replace(SCAN, window=(200.0, 300.0)), "composite") == own  # nothing lies there
+    assert look(replace(SCAN, clim=(200.0, 300.0)), "composite") == own  # nothing lies there
     signed = np.where(np.abs(NOISE) > 1, 3 * NOISE, 0)
-    assert look(Volume(signed, window=(4.0, 6.0)), "composite")([-6, -3.5, 0, 3.5, 6])[:, 3] == pytest.approx(
-        [0.9, *look(Volume(signed, window=(4.0, 6.0)), "composite")([-3.5, 0])[:, 3], 0.09, 0.9], abs=0.05
+    assert look(Volume(signed, clim=(4.0, 6.0)), "composite")([-6, -3.5, 0, 3.5, 6])[:, 3] == pytest.approx(
+        [0.9, *look(Volume(signed, clim=(4.0, 6.0)), "composite")([-3.5, 0])[:, 3], 0.09, 0.9], abs=0.05
     )
 
 

@@ -60,7 +60,7 @@ def marked(space: str = "", **about: Any) -> clvol.Volume:
     """Dark but for the middle of its sides at low z (50), low y (100) and low x (200)."""
     data = np.zeros((3, 3, 3), np.uint8)
     data[0, 1, 1], data[1, 0, 1], data[1, 1, 0] = 50, 100, 200  # low z, low y, low x
-    return clvol.Volume(data, space=space, window=(0, 255), **about)
+    return clvol.Volume(data, space=space, clim=(0, 255), **about)
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_slices_are_turned_as_the_world_is_seen(
     if turned:  # the same world, its samples stored in another order: x as the slowest axis, y and z reversed
         data = np.ascontiguousarray(volume.data.transpose(2, 1, 0)[:, ::-1, ::-1])
         direction = np.array([[0, 0, 1.0], [0, -1, 0], [-1, 0, 0]])
-        volume = clvol.Volume(data, origin=(0, 2, 2), direction=direction, space=space, window=(0, 255))
-    about = {"space": space, "window": (0, 255), "blended": False}
+        volume = clvol.Volume(data, origin=(0, 2, 2), direction=direction, space=space, clim=(0, 255))
+    about = {"space": space, "clim": (0, 255), "blended": False}
     found = dict(thumbnail.slices(volume.data, volume.spacing, volume.direction, **about))  # type: ignore[arg-type]  # by name
     assert tuple(found) == names
     first, last = 10, 150  # rows and columns in the first and the last third of 160

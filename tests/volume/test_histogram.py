@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clvol.scene.palette import automatic
 from clvol.scene.transfer import TransferFunction
 from clvol.volume import histogram
-from clvol.volume.histogram import isovalue_of, label_numbers, matter_of, window_of
+from clvol.volume.histogram import clims_of, isovalue_of, label_numbers, matter_of
 from clvol.volume.volume import Volume
 
 RNG = np.random.default_rng(1)
@@ -38,8 +38,8 @@ def test_the_exact_background_is_never_seen(case: str) -> None:
     data, background = OUTSIDE[case]
     volume = Volume(data)
     assert matter_of(volume).ground == background
-    for window in (None, tuple(np.quantile(data, (0.0, 0.9)) - (10, 0))):
-        assert TransferFunction(*automatic(volume, window))(background)[3] == 0, window
+    for clim in (None, tuple(np.quantile(data, (0.0, 0.9)) - (10, 0))):
+        assert TransferFunction(*automatic(volume, clim))(background)[3] == 0, clim
     assert TransferFunction.automatic(volume)(data[BALL])[..., 3].max() > 0.3
     assert isovalue_of(volume)[0] != background
 
@@ -131,17 +131,17 @@ def test_labels_are_parted_from_their_background(dtype: Any) -> None:
     assert isovalue_of(Volume(data + dtype(5), labels=True))[0] == 5.5  # without 0 the commonest is the background
 
 
-def test_windows_are_those_of_what_rays_meet() -> None:
+def test_clims_are_those_of_what_rays_meet() -> None:
     """The maxima of noise about an object are black, and one bright voxel is not all that is white."""
     data = np.where(BALL, 100, 20) + 20 * CORE + RNG.normal(0, 3, SHAPE)
     data[12, 12, 12] = 1e5
-    windows = window_of(Volume(data))
-    assert 20 < windows["max"][0] < 40
-    assert 100 < windows["max"][1] < 150
-    assert windows["mean"][1] < windows["max"][1]
+    clims = clims_of(Volume(data))
+    assert 20 < clims["max"][0] < 40
+    assert 100 < clims["max"][1] < 150
+    assert clims["mean"][1] < clims["max"][1]
     for one in (Volume(np.where(CORE, 1, 0)), Volume(np.where(Z + Y + X == 0, 0, 1)), Volume(np.where(Z + Y + X == 0, 1, 0))):
-        assert all(0 <= black < white <= 1 for black, white in window_of(one).values())
-    assert window_of(Volume(np.ones((3, 3, 3)))) == dict.fromkeys(("max", "min", "mean"), (1.0, 1.0))
+        assert all(0 <= black < white <= 1 for black, white in clims_of(one).values())
+    assert clims_of(Volume(np.ones((3, 3, 3)))) == dict.fromkeys(("max", "min", "mean"), (1.0, 1.0))
 
 
 @pytest.mark.parametrize(("dtype", "first"), [("int8", -128), ("int64", 2**60 + 129), ("uint64", 2**63 + 3)])

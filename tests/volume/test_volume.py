@@ -152,7 +152,7 @@ def test_as_volume() -> None:
     assert as_volume([[1, 2]]).shape == (1, 2)
     again = Volume(VOLUME)  # type: ignore[arg-type]
     assert (again.spacing, again.origin, again.units) == (VOLUME.spacing, VOLUME.origin, "mm")
-    said = {"space": "LPS", "name": "a", "color": (1, 0, 0), "window": (0, 1), "labels": {1: "b"}, "header": {"c": 2}}
+    said = {"space": "LPS", "name": "a", "color": (1, 0, 0), "clim": (0, 1), "labels": {1: "b"}, "header": {"c": 2}}
     told = Volume(Volume(DATA, **said))  # type: ignore[arg-type]
     assert {name: getattr(told, name) for name in said} == said
     assert "spacing=(0.5, 1.5, 2.0)" in repr(VOLUME)
@@ -282,20 +282,20 @@ def test_images_of_other_libraries_come_back() -> None:
 
 def test_xarray_has_coordinates_where_the_axes_run_along_the_worlds() -> None:
     pytest.importorskip("xarray")
-    straight = Volume(DATA, (1, 2, 3), (4, 5, 6), np.diag([1, -1, 1]), "um", name="cells", window=(0, 9), space="image")
+    straight = Volume(DATA, (1, 2, 3), (4, 5, 6), np.diag([1, -1, 1]), "um", name="cells", clim=(0, 9), space="image")
     array = straight.to_xarray()
     assert (array.dims, array.name, array.attrs["world_units"], array.x.attrs["units"]) == (("z", "y", "x"), "cells", "um", "um")
-    assert (array.attrs["window"], array.attrs["space"]) == ([0, 9], "image")
+    assert (array.attrs["clim"], array.attrs["space"]) == ([0, 9], "image")
     for index in ((0, 0, 0), (5, 1, 3)):
         x, y, z = straight.index_to_world(index)
         assert array.sel(x=x, y=y, z=z) == DATA[index[::-1]]
     assert "x" not in VOLUME.to_xarray().coords
     assert Volume(DATA[0]).to_xarray().dims == ("y", "x")
-    for volume in (straight, VOLUME, Volume(DATA[0], (2, 3), window=(0, 1))):
+    for volume in (straight, VOLUME, Volume(DATA[0], (2, 3), clim=(0, 1))):
         again = Volume(volume.to_xarray())
         np.testing.assert_array_equal(again.data, volume.data)
         np.testing.assert_allclose(again.corners, volume.corners)
-        for name in ("units", "space", "name", "window"):
+        for name in ("units", "space", "name", "clim"):
             assert getattr(again, name) == getattr(volume, name)
 
 

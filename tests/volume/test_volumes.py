@@ -26,8 +26,8 @@ def test_a_sequence_of_volumes() -> None:
     assert (len(volumes), volumes.shape, volumes.axes) == (6, DATA.shape, ("time", "channel"))
     np.testing.assert_array_equal([volume.data for volume in volumes], DATA.reshape(6, 4, 5, 6))
     one = volumes.pick(time=2, channel="GFP")
-    assert (one.name, one.color, one.window, one.spacing) == ("GFP", (0, 1, 0), None, (1, 2, 3))
-    assert volumes[4].window == (0, 9)
+    assert (one.name, one.color, one.clim, one.spacing) == ("GFP", (0, 1, 0), None, (1, 2, 3))
+    assert volumes[4].clim == (0, 9)
     np.testing.assert_array_equal(one.data, DATA[2, 1])
     np.testing.assert_array_equal(volumes[-1].data, DATA[2, 1])
     assert np.shares_memory(one.data, DATA)
@@ -46,16 +46,16 @@ def test_a_sequence_of_volumes() -> None:
 
 
 def test_volumes_of_one_grid_are_joined() -> None:
-    first = Volume(DATA[0, 0], window=(0, 9), labels={1: "a"}, header={"a": 1}, name="one", **GRID)
+    first = Volume(DATA[0, 0], clim=(0, 9), labels={1: "a"}, header={"a": 1}, name="one", **GRID)
     both = Volumes([first, replace(first, data=DATA[0, 1], name="two")])
-    assert (both.axes, both.names, both["two"].window, both[1].labels, both[1].header) == (
+    assert (both.axes, both.names, both["two"].clim, both[1].labels, both[1].header) == (
         ("volume",),
         ("one", "two"),
         (0, 9),
         {1: "a"},
         {"a": 1},
     )
-    assert Volumes([first, replace(first, window=(0, 5))])[0].window is None  # one for both would be wrong
+    assert Volumes([first, replace(first, clim=(0, 5))])[0].clim is None  # one for both would be wrong
     with pytest.raises(GeometryError, match="one grid"):
         Volumes([first, replace(first, spacing=(1, 1, 1))])
     with pytest.raises(DataError, match="one shape"):
@@ -79,9 +79,9 @@ def test_grids_are_compared_in_voxels_and_units() -> None:
 
 
 def test_a_color_that_all_volumes_have_is_kept() -> None:
-    red = Volume(np.zeros((2, 2, 2)), color=np.array([1.0, 0, 0]), window=np.array([0.0, 1]))  # type: ignore[arg-type]
+    red = Volume(np.zeros((2, 2, 2)), color=np.array([1.0, 0, 0]), clim=np.array([0.0, 1]))  # type: ignore[arg-type]
     assert Volumes([red])[0].color == (1.0, 0.0, 0.0)
-    assert Volumes([red, red])[1].window == (0.0, 1.0)
+    assert Volumes([red, red])[1].clim == (0.0, 1.0)
     assert Volumes([red, replace(red, color=(0.0, 0.0, 1.0))])[0].color is None
 
 

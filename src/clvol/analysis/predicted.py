@@ -321,15 +321,15 @@ def _blocks(volume: Volume, count: int, seed: int) -> Array:
     places = list(itertools.product(*starts))
     if len(places) > count:
         places = [places[i] for i in np.sort(np.random.default_rng(seed).choice(len(places), count, replace=False))]
-    windows = [tuple(slice(a, a + m) for a, m in zip(place, sizes, strict=True)) for place in places]
-    return np.stack([volume.data[window].astype(np.float64) for window in windows])
+    parts = [tuple(slice(a, a + m) for a, m in zip(place, sizes, strict=True)) for place in places]
+    return np.stack([volume.data[part].astype(np.float64) for part in parts])
 
 
 def _taper(shape: Sequence[int]) -> Array:
     """Hann's window, with a mean square of 1."""
     lines = [np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 if n >= _TAPERED else np.ones(n) for n in shape]
-    window = _product(lines).reshape(shape)
-    return np.asarray(window / math.sqrt(float((window**2).mean())))
+    taper = _product(lines).reshape(shape)
+    return np.asarray(taper / math.sqrt(float((taper**2).mean())))
 
 
 def _unsmeared(kernel: Array, shape: Sequence[int]) -> Array:
@@ -351,19 +351,19 @@ def _spectra(parts: Array) -> tuple[Array, Array, Array]:
     block. The plane would leak to all frequencies.
     """
     shape = parts.shape[1:]
-    window = _taper(shape)
+    taper = _taper(shape)
     ones = np.ones(shape)
     bases = [ones, *(g - (n - 1) / 2 for g, n in zip(np.indices(shape, np.float64), shape, strict=True))]
-    lengths = np.array([math.sqrt(float(((window * b) ** 2).sum())) or 1.0 for b in bases])
-    tapered = np.array([window * b / length for b, length in zip(bases, lengths, strict=True)]).reshape(len(bases), -1)
-    flat = (parts * window).reshape(len(parts), -1)
+    lengths = np.array([math.sqrt(float(((taper * b) ** 2).sum())) or 1.0 for b in bases])
+    tapered = np.array([taper * b / length for b, length in zip(bases, lengths, strict=True)]).reshape(len(bases), -1)
+    flat = (parts * taper).reshape(len(parts), -1)
     fitted = flat @ tapered.T
     flat -= fitted @ tapered
     axes, size = tuple(range(1, parts.ndim)), flat.shape[1]
     power = np.abs(np.fft.fftn(flat.reshape(parts.shape), axes=axes)) ** 2 / size**2
-    # samples of white noise are independent, and have the variances window² when tapered; the fit removes their projection on
+    # samples of white noise are independent, and have the variances taper² when tapered; the fit removes their projection on
     # the tapered bases
-    variances = window.ravel() ** 2
+    variances = taper.ravel() ** 2
     of_bases = np.fft.fftn(tapered.reshape(-1, *shape), axes=axes).reshape(len(bases), -1)
     crossed = np.fft.fftn((tapered * variances).reshape(-1, *shape), axes=axes).reshape(len(bases), -1)
     shared = (tapered * variances) @ tapered.T

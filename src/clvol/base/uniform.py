@@ -16,7 +16,7 @@ __all__ = ["FLOAT", "INT", "REACH", "Block", "Values"]
 
 FLOAT, INT = np.float32, np.int32
 REACH = 1 << 18
-"""Voxels that positions along rays may count: up to here float32 holds them within 1/16 of a voxel, see `View.reach`."""
+"""Voxels that positions along rays may count: up to here float32 holds them within 1/16 of a voxel, see `Viewpoint.reach`."""
 Values: TypeAlias = NDArray[np.void]
 """The values of a block: one element of its dtype."""
 

@@ -84,7 +84,7 @@ class LazyVolume:
     data : array-like, shape (nz, ny, nx)
         Anything with a shape, a dtype and slices: an array of Zarr, HDF5 (h5py), dask, or a memory map of NumPy. It is not copied.
         A pickle has the name of a mapped file, which whoever loads it reads.
-    spacing, origin, direction, units, space, name, color, window, labels : optional
+    spacing, origin, direction, units, space, name, color, clim, labels : optional
         As of `Volume`.
     levels : sequence of LazyVolume, optional
         The same at lower resolutions, finer ones first: a pyramid without its base.
@@ -126,7 +126,7 @@ class LazyVolume:
         name: str = "",
         *,
         color: tuple[float, float, float] | None = None,
-        window: tuple[float, float] | None = None,
+        clim: tuple[float, float] | None = None,
         labels: bool | Mapping[int, str] | None = None,
         levels: Sequence[LazyVolume] = (),
         limits: tuple[float, float] | None = None,
@@ -165,7 +165,7 @@ class LazyVolume:
             space,
             name,
             color=color,
-            window=window,
+            clim=clim,
             labels=labels,
         )
         self._require_smaller()

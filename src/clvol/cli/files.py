@@ -93,7 +93,7 @@ def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: 
         "units": grid.units,
         "space": grid.space if as_json else _space_text(grid.space),
         **_range(volume, as_json),
-        "window": grid.window if as_json else _window_text(grid),
+        "clim": grid.clim if as_json else _clim_text(grid),
         "labels": _labels(middle) if as_json else _labels_text(middle),
         "finite": finite if known else None if as_json else "",
         "bytes": grid.data.nbytes,
@@ -135,7 +135,7 @@ def _places(leading: Leading) -> dict[str, Any]:
         known: dict[str, Any] = {"name": leading.names[axis]} if axis in leading.names else {}
         if axis == "channel":
             known |= {"color": leading.colors} if leading.colors else {}
-            known |= {"window": leading.windows} if leading.windows else {}
+            known |= {"clim": leading.clims} if leading.clims else {}
         if known:
             found[axis] = [{key: values[n] for key, values in known.items()} for n in range(count)]
     return found
@@ -159,10 +159,10 @@ def _space_text(space: str) -> str:
     return f"{space}: {SPACES[space]}" + (" (nibabel's RAS flips x and y)" if space == "LPS" else "")
 
 
-def _window_text(volume: clvol.Volume) -> str:
-    if volume.window is None:
+def _clim_text(volume: clvol.Volume) -> str:
+    if volume.clim is None:
         return ""
-    low, high = volume.window
+    low, high = volume.clim
     return f"{low:.6g} to {high:.6g} (--window {low / 2 + high / 2:.6g} {high - low:.6g})"
 
 

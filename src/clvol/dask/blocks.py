@@ -26,13 +26,12 @@ __all__ = [
     "AnyDevice",
     "Array",
     "Asked",
-    "Block",
     "Chunks",
     "Floats",
     "Gathering",
+    "OutputBlock",
     "Reads",
     "Span",
-    "Window",
     "around",
     "as_chunks",
     "as_lazy",
@@ -46,9 +45,9 @@ __all__ = [
     "own_part",
     "refused",
     "spans",
+    "support_along",
+    "supports_along",
     "touches",
-    "window_along",
-    "windows_along",
 ]
 
 AnyDevice: TypeAlias = Device | str | int | None
@@ -141,7 +140,7 @@ def spans(sizes: Sequence[int]) -> list[Span]:
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class Support:
     """The samples that positions along an axis need.
 
     Attributes
@@ -155,15 +154,15 @@ class Window:
     positions: Floats
 
 
-def window_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[int, int], more: int = 0) -> Window:
-    """The window that positions along an axis of `n` samples need, such that the boundary rule means the same in it as in the axis.
+def support_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[int, int], more: int = 0) -> Support:
+    """The samples that positions along an axis of `n` samples need, so that the boundary rule means the same in them.
 
-    It extends by `margin` and `more` samples before and after the outermost positions, and ends at an edge of the array where these
+    They extend by `margin` and `more` samples before and after the outermost positions, and end at an edge of the array where these
     come near it or lie outside. Positions that are reflected at an edge are within. Positions are shifted by integers, so their
     fractions do not change.
     """
     if not positions.size or not n:
-        return Window((0, 0), positions)
+        return Support((0, 0), positions)
     before, after = margin[0] + more, margin[1] + more
     if boundary.fold is None and boundary.period is not None:
         return _around_the_seam(positions, n, boundary, before, after)
@@ -174,28 +173,28 @@ def window_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[in
     start, stop = min(max(low, 0.0), n - 1), max(min(high, n - 1), 0.0)
     if boundary.outside == "rule" and boundary.fold is not None:
         if low < 1 - n or high > 2 * (n - 1):  # reflected at both ends
-            return Window((0, n), positions)
+            return Support((0, n), positions)
         if low < 0:
             start, stop = 0, max(stop, -low)
         if high > n - 1:
             start, stop = min(start, 2 * (n - 1) - high), n - 1
     span = max(math.floor(start) - before, 0), min(math.floor(stop) + after + 1, n)
-    return Window(span, positions - span[0])
+    return Support(span, positions - span[0])
 
 
-def windows_along(
+def supports_along(
     positions: Floats | None, sizes: Sequence[int], n: int, boundary: Boundary, margin: tuple[int, int], more: int = 0
-) -> list[Window | None]:
-    """The windows of each chunk of positions, with `more` samples for a low-pass; None: the chunks of the samples."""
+) -> list[Support | None]:
+    """The samples that each chunk of positions needs, with `more` samples for a low-pass; None: the chunks of the samples."""
     if positions is None:
         return [None] * len(sizes)
-    windows: list[Window | None] = []
+    supports: list[Support | None] = []
     for low, high in spans(sizes):
-        one = window_along(positions[low:high], n, boundary, margin, more)
+        one = support_along(positions[low:high], n, boundary, margin, more)
         if more and boundary.outside == "overlap" and touches(one.span, n):
-            one = window_along(positions[low:high], n, boundary, (n, n))  # samples past an edge are those at the other one
-        windows.append(one)
-    return windows
+            one = support_along(positions[low:high], n, boundary, (n, n))  # samples past an edge are those at the other one
+        supports.append(one)
+    return supports
 
 
 def touches(span: Span, n: int) -> bool:
@@ -203,8 +202,8 @@ def touches(span: Span, n: int) -> bool:
     return span[0] <= 0 or span[1] >= n
 
 
-def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int, after: int) -> Window:
-    """The window under a rule that repeats the samples; its span is one of the repeated axis."""
+def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int, after: int) -> Support:
+    """The support under a rule that repeats the samples; its span is one of the repeated axis."""
     inside = (positions >= 0) & (positions < n)
     if not inside.all():
         turns = np.where(inside, 0, np.floor(positions / n))
@@ -212,8 +211,8 @@ def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int,
         positions = np.where(inside, positions, boundary.position(positions, n)[0]) + n * turns
     low, high = math.floor(positions.min()) - before, math.floor(positions.max()) + after + 1
     if high - low >= n:
-        return Window((0, n), positions)
-    return Window((low, high), positions - low)
+        return Support((0, n), positions)
+    return Support((low, high), positions - low)
 
 
 def around(shape: Sequence[int], margins: Sequence[int], boundary: Boundary) -> Reads:
@@ -232,8 +231,8 @@ def around(shape: Sequence[int], margins: Sequence[int], boundary: Boundary) -> 
     return plan
 
 
-def own_part(block: Block) -> tuple[slice, ...]:
-    """Where a block lies in its window."""
+def own_part(block: OutputBlock) -> tuple[slice, ...]:
+    """Where a block lies in the part that it reads."""
     assert block.spans is not None
     own = []
     for start, length, (low, _) in zip(block.start, block.shape, block.spans, strict=True):
@@ -245,7 +244,7 @@ def own_part(block: Block) -> tuple[slice, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class OutputBlock:
     """One block of a result.
 
     Attributes
@@ -257,7 +256,7 @@ class Block:
     start, shape : tuple of int
         Where it lies in the result.
     spans : tuple of (int, int), optional
-        The window that it reads; None: nothing.
+        The part that it reads; None: nothing.
     limits : tuple of int
         The lengths of the axes that it reads from.
     extra : object
@@ -277,14 +276,14 @@ class Block:
         return f"in block {self.index} of {self.name}, which is [{ranges}] of the result"
 
 
-Compute: TypeAlias = Callable[[Any, Block], Array]
+Compute: TypeAlias = Callable[[Any, OutputBlock], Array]
 Reads: TypeAlias = Callable[[tuple[int, ...], tuple[Span, ...]], tuple[tuple[Span, ...] | None, Any]]
 
 
 def blockwise(
     name: str, source: Any, chunks: tuple[Any, ...], dtype: Any, plan: Reads, compute: Compute, identity: Sequence[object]
 ) -> Any:
-    """An array of dask whose blocks are computed from windows of another.
+    """An array of dask whose blocks are computed from parts of another.
 
     Parameters
     ----------
@@ -296,20 +295,20 @@ def blockwise(
     dtype : dtype
         Of the result.
     plan : callable
-        From the index of a block and its place in the result to the window that it reads (None: nothing) and its `extra`.
+        From the index of a block and its place in the result to the part that it reads (None: nothing) and its `extra`.
     compute : callable
-        From the window (None where nothing is read) and the `Block` to its samples.
+        From the part (None where nothing is read) and the `OutputBlock` to its samples.
     identity : sequence
         All else that determines the result: equal calls have equal keys.
     """
     places = [spans(sizes) for sizes in chunks]
     gathering = Gathering(source, f"{name}-read-")
-    tasks: list[tuple[Block, Asked | None]] = []
+    tasks: list[tuple[OutputBlock, Asked | None]] = []
     for index in np.ndindex(*(len(sizes) for sizes in chunks)):
         where = tuple(axis[i] for axis, i in zip(places, index, strict=True))
         shape = tuple(stop - start for start, stop in where)
         wanted, extra = plan(index, where) if all(shape) else (None, None)
-        block = Block(f"clvol.dask.{name}", index, tuple(start for start, _ in where), shape, wanted, source.shape, extra)
+        block = OutputBlock(f"clvol.dask.{name}", index, tuple(start for start, _ in where), shape, wanted, source.shape, extra)
         tasks.append((block, None if wanted is None else gathering.ask(wanted)))
     own = f"{name}-{tokenize(name, source.name, chunks, str(dtype), *identity)}"
     layer = gathering.settled()
@@ -328,7 +327,7 @@ Piece: TypeAlias = tuple[tuple[int, ...], Cuts]
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A window, its pieces of chunks, and where each of them goes."""
+    """A part, its pieces of chunks, and where each of them goes."""
 
     shape: tuple[int, ...]
     pieces: list[Piece]
@@ -337,7 +336,7 @@ class Asked:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """How a window is assembled: for each part the number of its array, how it is cut out, and where it goes.
+    """How a part is assembled: for each piece the number of its array, how it is cut out, and where it goes.
 
     An array is a chunk, of which a part is cut out, or several pieces of one, of which a part has a number.
     """
@@ -349,7 +348,7 @@ class Layout:
 
 
 class Gathering:
-    """The pieces of chunks that windows read.
+    """The pieces of chunks that parts read.
 
     A task a piece would be one for each of a chunk's 26 neighbours, and a scheduler takes as long for each as for reading a
     chunk. So those pieces that go to the same side, along the first axis that they go along, are cut out by one task: six a chunk.
@@ -362,10 +361,10 @@ class Gathering:
         self._wanted: dict[tuple[Any, ...], dict[Cuts, None]] = {}
         self._found: dict[Piece, tuple[Any, Cuts | int]] = {}
 
-    def ask(self, window: Sequence[Span]) -> Asked:
-        """The pieces of a window."""
-        along = [self._segments(places, n, span) for places, n, span in zip(self._places, self._source.shape, window, strict=True)]
-        asked = Asked(tuple(stop - start for start, stop in window), [], [])
+    def ask(self, part: Sequence[Span]) -> Asked:
+        """The pieces of a part."""
+        along = [self._segments(places, n, span) for places, n, span in zip(self._places, self._source.shape, part, strict=True)]
+        asked = Asked(tuple(stop - start for start, stop in part), [], [])
         for parts in product(*along):
             index, cuts = tuple(i for i, _, _ in parts), tuple(cut for _, cut, _ in parts)
             asked.targets.append(tuple(target for _, _, target in parts))
@@ -378,7 +377,7 @@ class Gathering:
         return asked
 
     def settled(self) -> dict[Any, Any]:
-        """The tasks that cut out the pieces of all windows; call it after the last `ask`."""
+        """The tasks that cut out the pieces of all parts; call it after the last `ask`."""
         tasks: dict[Any, Any] = {}
         for (index, *_), wanted in self._wanted.items():
             key, sizes = (self._source.name, *index), self._sizes(index)
@@ -392,7 +391,7 @@ class Gathering:
         return tasks
 
     def layout(self, asked: Asked) -> tuple[Layout, list[Any]]:
-        """How a window is assembled, and the keys of its arrays."""
+        """How a part is assembled, and the keys of its arrays."""
         numbers: dict[Any, int] = {}
         parts: list[tuple[int, Cuts | int, tuple[slice, ...]]] = []
         sizes: list[tuple[int, ...] | None] = []
@@ -441,7 +440,7 @@ def _require_shape(chunk: Any, shape: tuple[int, ...]) -> None:
 
 
 def gathered(layout: Layout, arrays: Sequence[Any]) -> Array:
-    """Assemble a window."""
+    """Assemble a part."""
     for array, sizes in zip(arrays, layout.sizes, strict=True):
         if sizes is not None:
             _require_shape(array, sizes)
@@ -452,10 +451,10 @@ def gathered(layout: Layout, arrays: Sequence[Any]) -> Array:
     if len(parts) == 1:
         return np.asarray(parts[0][0])
     # intermediate results may be float64 in some blocks
-    window = np.empty(layout.shape, np.result_type(layout.dtype, *{part.dtype for part, _ in parts}))
+    whole = np.empty(layout.shape, np.result_type(layout.dtype, *{part.dtype for part, _ in parts}))
     for part, target in parts:
-        window[target] = part
-    return window
+        whole[target] = part
+    return whole
 
 
 # -- in a worker -----------------------------------------------------------------------------------------------------
@@ -480,18 +479,18 @@ def one_at_a_time() -> Iterator[None]:
         yield
 
 
-def _computed(compute: Compute, block: Block, dtype: np.dtype[Any], layout: Layout | None, parts: Sequence[Array]) -> Array:
+def _computed(compute: Compute, block: OutputBlock, dtype: np.dtype[Any], layout: Layout | None, parts: Sequence[Array]) -> Array:
     """The task of a block."""
     if not all(block.shape):
         return np.empty(block.shape, dtype)
     with named(block):
-        window = None if layout is None else gathered(layout, parts)
+        samples = None if layout is None else gathered(layout, parts)
         with one_at_a_time():
-            return compute(window, block)
+            return compute(samples, block)
 
 
 @contextmanager
-def named(block: Block) -> Iterator[None]:
+def named(block: OutputBlock) -> Iterator[None]:
     """Add the block to the message of an error."""
     try:
         yield
@@ -503,13 +502,13 @@ def named(block: Block) -> Iterator[None]:
 
 
 @contextmanager
-def located(window: Array, block: Block, rule: str) -> Iterator[None]:
+def located(samples: Array, block: OutputBlock, rule: str) -> Iterator[None]:
     """Add to an error about samples that are not finite where in the array the first of them is."""
     try:
         yield
     except DataError:
-        if window.dtype.kind not in "fc" or (known := np.isfinite(window)).all() or block.spans is None:
+        if samples.dtype.kind not in "fc" or (known := np.isfinite(samples)).all() or block.spans is None:
             raise
-        here = np.unravel_index(int(np.argmin(known)), window.shape)
+        here = np.unravel_index(int(np.argmin(known)), samples.shape)
         at = tuple((int(i) + start) % n for i, (start, _), n in zip(here, block.spans, block.limits, strict=True))
-        raise DataError(f"{rule}; got {window[here]} at {at}") from None
+        raise DataError(f"{rule}; got {samples[here]} at {at}") from None

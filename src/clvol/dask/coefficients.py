@@ -10,7 +10,7 @@ import numpy as np
 
 from clvol.base.checks import whole
 from clvol.base.errors import DataError
-from clvol.dask.blocks import AnyDevice, Array, Block, around, as_lazy, blockwise, checked_device, located, own_part
+from clvol.dask.blocks import AnyDevice, Array, OutputBlock, around, as_lazy, blockwise, checked_device, located, own_part
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.margin import reach, require_settled
@@ -104,10 +104,11 @@ class _Prefilter:
     count: int
     dtype: np.dtype[Any]
 
-    def __call__(self, window: Array, block: Block) -> Array:
+    def __call__(self, samples: Array, block: OutputBlock) -> Array:
         made = np.empty(block.shape, self.dtype)
         own = own_part(block)[-self.count :]
-        with located(window, block, "samples must be finite"):
-            for index in np.ndindex(window.shape[: -self.count]):
-                made[index] = field.prefilter(window[index], self.filter, self.boundary, self.device, precision=self.precision)[own]
+        with located(samples, block, "samples must be finite"):
+            for index in np.ndindex(samples.shape[: -self.count]):
+                one = field.prefilter(samples[index], self.filter, self.boundary, self.device, precision=self.precision)
+                made[index] = one[own]
         return made

@@ -11,7 +11,7 @@ import numpy as np
 from clvol.base.arrays import reals
 from clvol.base.checks import one_of, whole
 from clvol.base.rounding import in_kind, wide
-from clvol.dask.blocks import AnyDevice, Array, Block, Chunks, as_chunks, checked_device, located
+from clvol.dask.blocks import AnyDevice, Array, Chunks, OutputBlock, as_chunks, checked_device, located
 from clvol.dask.coefficients import as_volumes, settled_row
 from clvol.dask.reduced import axis_by_axis
 from clvol.device import as_device
@@ -162,13 +162,13 @@ class _Ends:
     device: Any
     dtype: np.dtype[Any]
 
-    def begin(self, window: Array, block: Block) -> type[np.generic]:
+    def begin(self, samples: Array, block: OutputBlock) -> type[np.generic]:
         """The type of sums."""
-        with located(window, block, "samples must be finite"):
-            for index in np.ndindex(window.shape[: -self.count]):
-                Volume(window[index]).require_finite()
+        with located(samples, block, "samples must be finite"):
+            for index in np.ndindex(samples.shape[: -self.count]):
+                Volume(samples[index]).require_finite()
         return precision_kind("single" if self.wide and not as_device(self.device).has_double else self.precision)
 
-    def end(self, values: Array, _: Block) -> Array:
+    def end(self, values: Array, _: OutputBlock) -> Array:
         """Rounded to the volume's type."""
         return in_kind(values, self.dtype)

@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from clvol.dask.blocks import Array, Block, Floats, Span, blockwise
+from clvol.dask.blocks import Array, Floats, OutputBlock, Span, blockwise
 from clvol.device import as_device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
@@ -59,9 +59,9 @@ class Summed(Protocol):
         """Of all of the axis."""
 
 
-Begin: TypeAlias = Callable[[Array, Block], type[np.generic]]
+Begin: TypeAlias = Callable[[Array, OutputBlock], type[np.generic]]
 """From the samples that a block reads to the type that sums are made in; refuses samples that are not finite."""
-End: TypeAlias = Callable[[Array, Block], Array]
+End: TypeAlias = Callable[[Array, OutputBlock], Array]
 """From sums along all axes to a block of the result."""
 
 
@@ -124,12 +124,12 @@ class _Stage:
         """What a block reads."""
         return (*where[: self.axis], _span_of(self.own.sums, where[self.axis]), *where[self.axis + 1 :]), None
 
-    def __call__(self, window: Array, block: Block) -> Array:
+    def __call__(self, samples: Array, block: OutputBlock) -> Array:
         assert block.spans is not None
-        kind = window.dtype.type if self.begin is None else self.begin(window, block)
+        kind = samples.dtype.type if self.begin is None else self.begin(samples, block)
         place = block.start[self.axis], block.start[self.axis] + block.shape[self.axis]
         sums = {self.axis: _sums_within(self.own.sums, place, block.spans[self.axis])}
-        values = sum_along(window, sums, kind, as_device(self.device), self.outside)
+        values = sum_along(samples, sums, kind, as_device(self.device), self.outside)
         return values if self.end is None else self.end(values, block)
 
 
@@ -140,8 +140,8 @@ class _Unsummed:
     begin: Begin
     end: End
 
-    def __call__(self, window: Array, block: Block) -> Array:
-        return self.end(np.asarray(window, self.begin(window, block)), block)
+    def __call__(self, samples: Array, block: OutputBlock) -> Array:
+        return self.end(np.asarray(samples, self.begin(samples, block)), block)
 
 
 def _span_of(sums: Sums, place: Span) -> Span:

@@ -15,16 +15,16 @@ from clvol.base.rounding import as_kind, in_kind, wide
 from clvol.dask.blocks import (
     AnyDevice,
     Array,
-    Block,
     Chunks,
     Floats,
+    OutputBlock,
     Span,
     as_chunks,
     blockwise,
     checked_device,
     located,
     refused,
-    windows_along,
+    supports_along,
 )
 from clvol.dask.coefficients import as_volumes, settled_row
 from clvol.dask.margins import margin
@@ -234,7 +234,7 @@ def _on_grid(
     shape = (*source.shape[:leading], *(len(p) for p in positions))
     sizes = as_chunks(chunks, source, shape, range(source.ndim), work.dtype)
     reductions: list[Reduction] = []
-    windows: list[list[Any]] = []
+    supports: list[list[Any]] = []
     sigma = np.maximum(0, (steps - 1) / 2) if low_pass == "gaussian" else np.zeros(work.count)
     for k, (along, n) in enumerate(zip(positions, source.shape[leading:], strict=True)):
         row = work.filter if work.filter.magnified_by else work.filter.along(work.count - 1 - k)
@@ -242,10 +242,10 @@ def _on_grid(
             reductions.append(_reduction(row, along, float(steps[k]), n, work))
             continue
         reach, more = margin(row, work.precision), gaussian_radius(float(sigma[k]))
-        windows.append(windows_along(along, sizes[leading + k], n, work.boundary, reach, more))
+        supports.append(supports_along(along, sizes[leading + k], n, work.boundary, reach, more))
 
     def plan(index: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...], Any]:
-        row = [along[i] for along, i in zip(windows, index[leading:], strict=True)]
+        row = [along[i] for along, i in zip(supports, index[leading:], strict=True)]
         return (*where[:leading], *(one.span for one in row)), [one.positions for one in row]
 
     past = None
@@ -254,7 +254,7 @@ def _on_grid(
         past = beyond(np.diag(steps[::-1]), first, source.shape[leading:], shape[leading:], work.boundary)
     about = [*work.identity, positions, low_pass]
     if not reductions:
-        return blockwise(name, source, sizes, work.dtype, plan, _Grid(work, steps, low_pass == "gaussian", past), about)
+        return blockwise(name, source, sizes, work.dtype, plan, _Sampled(work, steps, low_pass == "gaussian", past), about)
     # as in one piece: the axis that shrinks most goes first, x before y and z
     order = sorted(range(work.count - 1, -1, -1), key=lambda k: reductions[k].m / reductions[k].n)
     axes, kind, ends = [(leading + k, reductions[k]) for k in order], precision_kind(work.precision), _LeastSquares(work, past)
@@ -270,17 +270,17 @@ def _reduction(row: Filter, along: Floats, step: float, n: int, work: _Work) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
+class _Sampled:
     work: _Work
     steps: Floats
     smooth: bool
     past: list[NDArray[np.bool_]] | None
 
-    def __call__(self, window: Array, block: Block) -> Array:
+    def __call__(self, samples: Array, block: OutputBlock) -> Array:
         made = np.empty(block.shape, self.work.dtype)
-        with located(window, block, "samples must be finite"):
-            for index in np.ndindex(window.shape[: -self.work.count]):
-                values = self._one(window[index], block.extra)
+        with located(samples, block, "samples must be finite"):
+            for index in np.ndindex(samples.shape[: -self.work.count]):
+                values = self._one(samples[index], block.extra)
                 _fill(values, self.past, block, self.work)
                 made[index] = in_kind(values, self.work.dtype)
         return made
@@ -309,25 +309,25 @@ class _LeastSquares:
     work: _Work
     past: list[NDArray[np.bool_]] | None
 
-    def begin(self, window: Array, block: Block) -> type[np.generic]:
+    def begin(self, samples: Array, block: OutputBlock) -> type[np.generic]:
         """The type of sums: float64 where float32 would lose digits of the samples."""
         _, kind = self.work.here()
-        with located(window, block, "samples must be finite"):
-            for index in np.ndindex(window.shape[: -self.work.count]):
-                volume = Volume(window[index])
+        with located(samples, block, "samples must be finite"):
+            for index in np.ndindex(samples.shape[: -self.work.count]):
+                volume = Volume(samples[index])
                 volume.require_finite()
                 kind = wide_enough(kind, volume, self.work.filter, self.work.boundary)
         return kind
 
-    def end(self, values: Array, block: Block) -> Array:
+    def end(self, values: Array, block: OutputBlock) -> Array:
         """A block of the result."""
         for index in np.ndindex(values.shape[: -self.work.count]):
             _fill(values[index], self.past, block, self.work)
         return in_kind(values, self.work.dtype)
 
 
-def _fill(values: Array, past: list[NDArray[np.bool_]] | None, block: Block, work: _Work) -> None:
-    """Write `fill` outside the domain, which windows do not know where the rule repeats the samples."""
+def _fill(values: Array, past: list[NDArray[np.bool_]] | None, block: OutputBlock, work: _Work) -> None:
+    """Write `fill` outside the domain, which parts do not know where the rule repeats the samples."""
     for k, along in enumerate(past or []):
         first = block.start[len(block.start) - work.count + k]
         np.moveaxis(values, k, 0)[along[first : first + values.shape[k]]] = work.fill

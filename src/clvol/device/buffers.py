@@ -24,8 +24,8 @@ _HUGE_PAGE = 1 << 21  # bytes
 _MEMORY_SHARE = 0.9  # of the device's memory: PoCL allocates lazily, and the process aborts when there is none left
 
 
-class _Block:
-    """Lives as long as the block that borrows memory, however it ends."""
+class _Loan:
+    """Lives as long as the `with` block that borrows memory, however that ends."""
 
     __slots__ = ("__weakref__",)
 
@@ -128,7 +128,7 @@ class Buffers:
                 buffer = cl.Buffer(driver.context, flags, array.nbytes)
             else:
                 buffer = cl.Buffer(driver.context, flags | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
-            held = self._launches.hold(block := _Block(), (buffer, array))  # after an error kernels may still be writing to it
+            held = self._launches.hold(loan := _Loan(), (buffer, array))  # after an error kernels may still be writing to it
             yield buffer
             self._launches.settle()
             queue = driver.queue
@@ -139,7 +139,7 @@ class Buffers:
                 cl.enqueue_copy(queue, array, buffer)
             queue.finish()
             self._launches.let_go(held)
-            del block
+            del loan
             buffer.release()
 
     @contextlib.contextmanager

@@ -19,7 +19,7 @@ from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice
 from clvol.formats._errors import foreign_errors
 from clvol.formats._files import require_default, scaled
-from clvol.formats._layout import Layout, scaled_window
+from clvol.formats._layout import Layout, scaled_part
 from clvol.formats.guarded.limits import announce
 from clvol.formats.guarded.messages import copied
 from clvol.interop.itk import describe_simpleitk, from_simpleitk, simpleitk
@@ -155,10 +155,10 @@ def open_image(path: Path, image_io: str, header: Header, choose: Choice) -> lis
         names[flat.channels] = "channel" if "channel" in leading.axes else leading.axes[-1]
     samples = FlatFile(flat.path, flat.shape, flat.dtype, flat.start)
 
-    def window(index: Index) -> Window:
-        return scaled_window(Window(samples, flat.shape, flat.dtype, None, index), header.slope, header.offset)
+    def part(index: Index) -> Window:
+        return scaled_part(Window(samples, flat.shape, flat.dtype, None, index), header.slope, header.offset)
 
-    data, known = Layout(tuple(names), flat.shape, guessed).chosen(path.name, choose, window, leading)
+    data, known = Layout(tuple(names), flat.shape, guessed).chosen(path.name, choose, part, leading)
     return [(data, geometry | known)]
 
 

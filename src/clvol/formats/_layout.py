@@ -19,7 +19,7 @@ from clvol.formats._files import scaled
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
-__all__ = ["Layout", "decoded", "lay_out", "place", "scaled_window", "shrunk", "uniform", "unnamed"]
+__all__ = ["Layout", "decoded", "lay_out", "place", "scaled_part", "shrunk", "uniform", "unnamed"]
 
 _UNNAMED = {1: ("volume",), 2: ("time", "channel"), 3: ("time", "position", "channel")}
 _OFF = 1e-3  # deviation of evenly spaced coordinates, in steps; float32 has that on long axes
@@ -196,9 +196,9 @@ def shrunk(base: Content, content: Content) -> Content:
     return data, about | {"spacing": spacing, "origin": origin.tolist()}
 
 
-def scaled_window(window: Window, slope: float, offset: float) -> Window:
+def scaled_part(part: Window, slope: float, offset: float) -> Window:
     """As `scaled`, of samples that are read on demand."""
-    return window if slope == 1 and offset == 0 else window.mapped(lambda part: scaled(part, slope, offset))
+    return part if slope == 1 and offset == 0 else part.mapped(lambda samples: scaled(samples, slope, offset))
 
 
 def decoded(data: Any, attributes: Mapping[str, Any]) -> Any:

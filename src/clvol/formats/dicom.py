@@ -267,7 +267,7 @@ def _header(file: str) -> _Slice:
 
 
 def _about(head: _Slice, content: bytes = b"") -> dict[str, Any]:
-    """Arguments of `Volume`: the name, and the window that the source shows it in."""
+    """Arguments of `Volume`: the name, and the values that the source shows as black and as white."""
     center, width = head.number(_CENTER), head.number(_WIDTH)
     if content and math.isnan(center * width):  # of the frames of an enhanced object
         center, width = (float(_texts(content, tag, "nan")[0].split("\\")[0]) for tag in (_CENTER, _WIDTH))
@@ -275,7 +275,7 @@ def _about(head: _Slice, content: bytes = b"") -> dict[str, Any]:
     if description := head.texts.get(_DESCRIPTION):
         about["name"] = description.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     if width > 0 and math.isfinite(center) and math.isfinite(width):
-        about["window"] = (center - width / 2, center + width / 2)
+        about["clim"] = (center - width / 2, center + width / 2)
     return about
 
 

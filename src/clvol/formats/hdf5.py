@@ -20,7 +20,7 @@ from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
-__all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]
+__all__ = ["lazily", "loaded", "member", "opened", "part_of", "read", "series"]
 
 _CACHED = 1 << 20  # bytes of HDF5's chunk cache, by default 1 MiB, from 2.0 on 8. Larger chunks are not read as a whole
 _NETCDF_3 = b"CDF"
@@ -41,7 +41,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
 
 def lazily(path: Path, choose: Choice, series: int | str | None = None) -> list[Content]:
     """As `read`, but samples are read on demand."""
-    return [_content(path, opened(path), choose, series, lambda source, array, index: window(path, source, array, index))]
+    return [_content(path, opened(path), choose, series, lambda source, array, index: part_of(path, source, array, index))]
 
 
 def _content(path: Path, file: Any, choose: Choice, series: int | str | None, load: Callable[..., Any]) -> Content:
@@ -105,7 +105,7 @@ def loaded(source: str, array: Any, index: Index = ()) -> NDArray[Any]:
     return np.asarray(array[index])
 
 
-def window(path: Path, source: str, array: Any, index: Index = ()) -> Window:
+def part_of(path: Path, source: str, array: Any, index: Index = ()) -> Window:
     """As `loaded`, but samples are read on demand; errors name the chunk."""
     _require_own(source, array)
     announce(source, sample_count(array.chunks or ()) * array.dtype.itemsize)

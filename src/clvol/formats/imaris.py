@@ -15,7 +15,7 @@ from clvol.base.units import unit_name
 from clvol.bricks.sliced import Index, Window
 from clvol.formats._choice import Choice, chosen_level
 from clvol.formats._layout import Layout
-from clvol.formats.hdf5 import loaded, member, opened, window
+from clvol.formats.hdf5 import loaded, member, opened, part_of
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
@@ -37,7 +37,7 @@ def lazily(path: Path, choose: Choice, level: int = 0) -> list[Content]:
         if not (isinstance(at_time, int) and isinstance(at_channel, int)):
             raise FormatError(f"{path.name} is read part by part one volume at a time")
         stored = member(_numbered(times[at_time], "Channel")[at_channel], "Data")
-        return window(path, path.name, stored, tuple(slice(0, n) for n in size))
+        return part_of(path, path.name, stored, tuple(slice(0, n) for n in size))
 
     first = _content(path, file, choose, level, load)
     count = len(_numbered(member(file, "DataSet"), "ResolutionLevel"))
@@ -95,17 +95,17 @@ def _load(times: list[Any], size: tuple[int, ...], index: tuple[int | slice, ...
 
 
 def _leading(file: Any, layout: Layout) -> Leading:
-    """The leading axes, with names, colours and windows of channels."""
+    """The leading axes, with names, colours and `clim` of channels."""
     infos = [file.get(f"DataSetInfo/Channel {i}") for i in range(layout.shape[1])]
     texts = [{key: "" if one is None else _text(one, key, "") for key in ("Name", "Color", "ColorRange")} for one in infos]
     names = tuple(text["Name"] for text in texts)
-    colors, windows = [], []
+    colors, clims = [], []
     for text in texts:
         color = [float(part) for part in text["Color"].split()]
-        window = [float(part) for part in text["ColorRange"].split()]
+        clim = [float(part) for part in text["ColorRange"].split()]
         colors.append((color[0], color[1], color[2]) if len(color) == 3 and all(0 <= c <= 1 for c in color) else None)
-        windows.append((window[0], window[1]) if len(window) == 2 and -math.inf < window[0] < window[1] < math.inf else None)
-    return Leading(layout.leading, layout.counts, {"channel": names} if any(names) else {}, tuple(colors), tuple(windows))
+        clims.append((clim[0], clim[1]) if len(clim) == 2 and -math.inf < clim[0] < clim[1] < math.inf else None)
+    return Leading(layout.leading, layout.counts, {"channel": names} if any(names) else {}, tuple(colors), tuple(clims))
 
 
 def _text(node: Any, key: str, default: str | None = None) -> str:

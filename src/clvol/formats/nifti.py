@@ -22,7 +22,7 @@ from clvol.base.frames import Placement, affine_parts, from_ras
 from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
-from clvol.formats._layout import Layout, scaled_window
+from clvol.formats._layout import Layout, scaled_part
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.interop.nibabel import NIFTI_MILLIMETRES, describe_nifti, same_place
@@ -187,11 +187,11 @@ def _lazily(path: Path, header: _Header, choose: Choice) -> Content:
     flat = FlatFile(path, shape, header.dtype, header.start)
     names = (*header.leading.axes[: len(before)], *"zyx"[-len(header.size) :], *("channel",) * colours)
 
-    def window(index: Index) -> Window:
+    def part(index: Index) -> Window:
         stored = Window(flat, shape, header.dtype, None, index)
-        return scaled_window(stored, header.slope, header.offset)
+        return scaled_part(stored, header.slope, header.offset)
 
-    data, about = Layout(names, shape, header.guessed).chosen(path.name, choose, window, header.leading)
+    data, about = Layout(names, shape, header.guessed).chosen(path.name, choose, part, header.leading)
     return data, header.about | about
 
 

@@ -27,7 +27,7 @@ from clvol.volume.volumes import Leading, Volumes
 __all__ = ["lazily", "read", "read_archive", "write", "write_archive"]
 
 _GEOMETRY = ("spacing", "origin", "direction", "units")
-_ABOUT = ("space", "name", "color", "window", "labels", "header")  # other attributes, as JSON
+_ABOUT = ("space", "name", "color", "clim", "labels", "header")  # other attributes, as JSON
 _OWN = (*_GEOMETRY, "about", "leading")
 
 

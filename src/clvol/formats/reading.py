@@ -87,7 +87,7 @@ def read(
     Volume
         Medical formats: in ITK's LPS frame, in mm (NRRD and MetaImage: in the unit of the header, if it has one). Samples that the
         header scales are float64. NIfTI is read as nibabel reads it: placed by the sform, else the qform, else the spacing
-        about the centre. Microscope files: in the unit of the file, first sample at 0, with names, colours and windows of
+        about the centre. Microscope files: in the unit of the file, first sample at 0, with names, colours and `clim` of
         channels. Spacing is 1 if the file gives none.
 
     Warns

@@ -20,7 +20,7 @@ from clvol.interop.xarray_images import LABELLED, OWN
 __all__ = ["is_image", "read_array", "read_grid", "read_several"]
 
 _KINDS = (SIMPLEITK, NIBABEL, OWN, VTK, ITK, NAPARI, LABELLED)
-_VOLUME = ("spacing", "origin", "direction", "units", "space", "name", "color", "window", "labels", "header")
+_VOLUME = ("spacing", "origin", "direction", "units", "space", "name", "color", "clim", "labels", "header")
 
 
 @runtime_checkable

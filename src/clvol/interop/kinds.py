@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from clvol.base.axes import AXES, meaning
 from clvol.base.errors import DataError
 
-__all__ = ["Content", "Grid", "Kind", "Several", "channels_and_frames", "held_as", "interleaved", "leading_axes", "leading_counts"]
+__all__ = [
+    "Content",
+    "Kind",
+    "Metadata",
+    "Several",
+    "channels_and_frames",
+    "held_as",
+    "interleaved",
+    "leading_axes",
+    "leading_counts",
+]
 
 Content: TypeAlias = tuple[NDArray[Any], dict[str, Any]]
 """Samples [z, y, x], and those keyword arguments of `Volume` that their source knows: spacing, origin, direction, units, ...
@@ -39,7 +49,7 @@ class Kind(NamedTuple):
     samples: Callable[[Any], NDArray[Any]]
 
 
-class Grid(Protocol):
+class Metadata(Protocol):
     """What a `clvol.Volume` says of its samples; the class itself imports this package."""
 
     @property
@@ -55,7 +65,7 @@ class Grid(Protocol):
     @property
     def name(self) -> str: ...
     @property
-    def window(self) -> tuple[float, float] | None: ...
+    def clim(self) -> tuple[float, float] | None: ...
     @property
     def labels(self) -> bool | Mapping[int, str] | None: ...
     @property

@@ -58,7 +58,7 @@ def _describe(layer: Any) -> dict[str, Any]:
     if hasattr(layer, "brush_size"):  # layers of labels only
         about["labels"] = True
     elif limits is not None and limits[0] < limits[1] and not rgb:
-        about["window"] = (float(limits[0]), float(limits[1]))
+        about["clim"] = (float(limits[0]), float(limits[1]))
         if (color := _color(layer)) is not None:
             about["color"] = color
     labels = [str(name) for name in getattr(layer, "axis_labels", ("",) * rank)][:lead]

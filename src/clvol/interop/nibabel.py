@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import DataError, GeometryError, MissingDependencyError
 from clvol.base.frames import Placement, affine_parts, from_ras, ras_affine
 from clvol.base.units import millimetres
-from clvol.interop.kinds import Content, Grid, Kind, Several, channels_and_frames, held_as, leading_counts
+from clvol.interop.kinds import Content, Kind, Metadata, Several, channels_and_frames, held_as, leading_counts
 
 __all__ = ["NIBABEL", "NIFTI_MILLIMETRES", "describe_nibabel", "describe_nifti", "nibabel", "same_place", "to_nibabel"]
 
@@ -145,7 +145,7 @@ def describe_nifti(header: Any, shape: Sequence[int], channels: int = 0) -> dict
         kept["intent_p"] = tuple(float(header[f"intent_p{n}"]) for n in (1, 2, 3))
     about: dict[str, Any] = {"space": "LPS", "header": kept}
     if low < high and math.isfinite(low) and math.isfinite(high):
-        about["window"] = (low, high)
+        about["clim"] = (low, high)
     if intent == _LABELS:
         about["labels"] = True
     if (frames := math.prod(shape[3:4])) > 1 and math.isfinite(step := float(header["pixdim"][4])):
@@ -170,11 +170,11 @@ def describe_nifti(header: Any, shape: Sequence[int], channels: int = 0) -> dict
     return about
 
 
-def to_nibabel(data: NDArray[Any], grid: Grid, leading: Several | None = None) -> Any:
+def to_nibabel(data: NDArray[Any], grid: Metadata, leading: Several | None = None) -> Any:
     """A nibabel image of NIfTI of samples [..., z, y, x], in RAS and mm: times are its fourth axis and channels the fifth.
 
     Three or four channels of bytes that are colours become RGB(A). What `grid` keeps of a NIfTI header is written: the codes of
-    sform and qform, the intent with its parameters, texts and the time step. The window becomes cal_min and cal_max.
+    sform and qform, the intent with its parameters, texts and the time step. `clim` becomes cal_min and cal_max.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def to_nibabel(data: NDArray[Any], grid: Grid, leading: Several | None = None) -
     return image
 
 
-def _write_header(image: Any, affine: NDArray[np.float64], grid: Grid, frames: int | None, leading: Several | None) -> None:
+def _write_header(image: Any, affine: NDArray[np.float64], grid: Metadata, frames: int | None, leading: Several | None) -> None:
     """Write what `describe_nifti` reads into the header of a nibabel image."""
     header, kept = image.header, grid.header
     codes = [kept.get(name, 1) for name in ("sform_code", "qform_code")]
@@ -240,4 +240,4 @@ def _write_header(image: Any, affine: NDArray[np.float64], grid: Grid, frames: i
     header["intent_code"] = intent
     for n, value in enumerate(kept.get("intent_p", (0, 0, 0)) if intent else (0, 0, 0), 1):
         header[f"intent_p{n}"] = value
-    header["cal_min"], header["cal_max"] = grid.window or (0, 0)
+    header["cal_min"], header["cal_max"] = grid.clim or (0, 0)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clvol.base.arrays import as_array
 from clvol.base.errors import GeometryError, MissingDependencyError
 from clvol.base.units import axes_unit
-from clvol.interop.kinds import Grid, Kind, Several, leading_axes
+from clvol.interop.kinds import Kind, Metadata, Several, leading_axes
 
 __all__ = ["LABELLED", "OWN", "to_xarray"]
 
@@ -20,7 +20,7 @@ _PLACE = {"size", "spacing", "origin", "direction"}  # attributes of a DataArray
 _UNIFORM = 1e-3  # of a step, by which coordinates may be off: float32 ones are off by less
 
 
-def to_xarray(data: NDArray[Any], grid: Grid, leading: Several | None = None) -> Any:
+def to_xarray(data: NDArray[Any], grid: Metadata, leading: Several | None = None) -> Any:
     """A DataArray of samples [..., z, y, x], with coordinates in world units where the axes run along the world's.
 
     The attributes hold the geometry in any case, x first, and what else the volume says of itself.
@@ -50,8 +50,8 @@ def to_xarray(data: NDArray[Any], grid: Grid, leading: Several | None = None) ->
         "world_units": grid.units,
         "space": grid.space,
     }
-    if grid.window is not None:
-        attrs["window"] = list(grid.window)
+    if grid.clim is not None:
+        attrs["clim"] = list(grid.clim)
     return xarray.DataArray(data, coords, dims, name=(grid.name or None) if leading is None else None, attrs=attrs)
 
 
@@ -96,8 +96,8 @@ def _describe_own(array: Any) -> dict[str, Any]:
         "units": attrs.get("world_units", ""),
         "space": attrs.get("space", ""),
     }
-    if "window" in attrs:
-        about["window"] = tuple(attrs["window"])
+    if "clim" in attrs:
+        about["clim"] = tuple(attrs["clim"])
     if array.name:
         about["name"] = str(array.name)
     if axes := array.dims[: array.ndim - d]:

@@ -27,7 +27,7 @@ from clvol.device.program import Program
 from clvol.filter.filter import Filter
 from clvol.march.frame import WINDOW, Frame
 from clvol.march.launch import Drawing, Picture, launched_over, lent_pictures, pictures_of
-from clvol.scene.camera import View
+from clvol.scene.camera import Viewpoint
 from clvol.spline.lease import release
 from clvol.spline.minmax import MinMax, minmax_block
 from clvol.volume.volume import Volume
@@ -66,14 +66,21 @@ class BrickedDrawing(Drawing):
         As of `Drawing`; the frame is of the whole volume (`BrickedField.coefficients`), without a pyramid.
     field : BrickedField
         Where bricks come from.
-    view : View
+    view : Viewpoint
         Of the picture.
     skipping : bool
         Whether bricks are left out in which nothing can be seen.
     """
 
     def __init__(
-        self, frame: Frame, samples: int | Literal["auto"], filter: str | Filter, field: BrickedField, view: View, *, skipping: bool
+        self,
+        frame: Frame,
+        samples: int | Literal["auto"],
+        filter: str | Filter,
+        field: BrickedField,
+        view: Viewpoint,
+        *,
+        skipping: bool,
     ) -> None:
         super().__init__(frame, samples, filter)
         self._field, self._view, self._skipping = field, view, skipping
@@ -264,7 +271,7 @@ class Pass:
         self._over("begin_states", self.area, device.buffers.upload(frame.values[None]), self._places, self._memory, self._flags)
         device.buffers.download(self._flags, self._going)
 
-    def wanted(self, brick: Brick, view: View, grid: Volume) -> Area | None:
+    def wanted(self, brick: Brick, view: Viewpoint, grid: Volume) -> Area | None:
         """The pixels whose rays may have samples in a brick, whole tiles; None if no ray of theirs wants any."""
         tile, (x, y, width, height) = self.frame.tile, self.area
         if self._boxes is None:
@@ -394,7 +401,7 @@ class Pass:
         release(self.frame.device, self._memory, self._shown)
 
 
-def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | None = None) -> list[Brick]:
+def front_to_back(field: BrickedField, view: Viewpoint, box: tuple[Index, Index] | None = None) -> list[Brick]:
     """The bricks of a field, or of a box of them, in an order in which none is behind one that comes later.
 
     Along each axis they follow outwards from where the eye is, or towards where the view goes: boxes between planes that are
@@ -419,13 +426,13 @@ def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | No
     return [field.bricks[at[0], at[1], at[2]] for at in places]
 
 
-def level_of(volume: LazyVolume, view: View, size: tuple[int, int], pixels: float) -> int:
+def level_of(volume: LazyVolume, view: Viewpoint, size: tuple[int, int], pixels: float) -> int:
     """The coarsest level whose voxels span at most `pixels` where the volume is nearest to the viewer; 0 is the finest."""
     nearest = 1.0 if view.orthographic else nearest_to(volume, view)
     return level_within(volume, pixels * 2 * view.half_height * nearest / size[1])
 
 
-def nearest_to(volume: LazyVolume, view: View) -> float:
+def nearest_to(volume: LazyVolume, view: Viewpoint) -> float:
     """How far ahead of the eye the volume's nearest corner is, along the view; little where that is behind it."""
     return max(float(((volume.grid.corners - view.eye) @ view.forward).min()), 1e-6 * volume.grid.radius)
 
@@ -470,7 +477,7 @@ def boxes_of(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.
     return boxes
 
 
-def pixels_of(brick: Brick, view: View, grid: Volume, width: int, height: int, beside: int) -> Area:
+def pixels_of(brick: Brick, view: Viewpoint, grid: Volume, width: int, height: int, beside: int) -> Area:
     """The pixels (left, top, right, bottom) between which rays lie that meet a brick; all of them if it reaches behind the eye."""
     low = np.maximum(np.asarray(brick.low), -0.5) - 1
     high = np.minimum(np.asarray(brick.high), np.asarray(grid.size) - 0.5) + 1

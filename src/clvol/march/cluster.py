@@ -47,7 +47,7 @@ from clvol.march.bricks import Area, BrickedDrawing, Carried, Pass, boxes_of, fr
 from clvol.march.frame import Frame, tile_of
 from clvol.march.options import MERGES, Fineness, Merge, ResolvedLook
 from clvol.march.source import ByBricks
-from clvol.scene.camera import View
+from clvol.scene.camera import Viewpoint
 from clvol.scene.scene import Scene
 from clvol.volume.volume import Volume
 
@@ -84,7 +84,7 @@ class Group:
         one, other = field.bricks[self.first], field.bricks[x, y, z]
         return Brick(self.first, one.low, other.high, one.first, other.last)
 
-    def bricks(self, field: BrickedField, view: View) -> list[Brick]:
+    def bricks(self, field: BrickedField, view: Viewpoint) -> list[Brick]:
         """The group's bricks, front to back."""
         return front_to_back(field, view, (self.first, self.stop))
 
@@ -124,7 +124,7 @@ def groups_of(counts: Index, most: int) -> _Tree:
     return cut((0, 0, 0), counts, most)
 
 
-def visible(tree: _Tree, field: BrickedField, view: View) -> Iterator[Group]:
+def visible(tree: _Tree, field: BrickedField, view: Viewpoint) -> Iterator[Group]:
     """The groups in order of visibility: none hides an earlier one."""
     if isinstance(tree, Group):
         yield tree
@@ -173,7 +173,7 @@ class _Job:
     frames: tuple[tuple[Frame, NDArray[np.float32] | None], ...]
     samples: int | Literal["auto"]
     filter: Filter
-    view: View
+    view: Viewpoint
     skipping: bool
 
 
@@ -255,7 +255,7 @@ class ClusterDrawing(BrickedDrawing):
         samples: int | Literal["auto"],
         filter: str | Filter,
         shared: Shared,
-        view: View,
+        view: Viewpoint,
         *,
         skipping: bool,
         merge: Merge,

@@ -16,7 +16,7 @@ from clvol.device import Device, Tile
 from clvol.device.program import Program
 from clvol.march.options import ResolvedLook
 from clvol.march.planes import SEGMENT, SLAB, Planes
-from clvol.scene.camera import Camera, View
+from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.fit import fitted
 from clvol.scene.light import LIGHTS, Material, lights_block
 from clvol.scene.mode import Mode
@@ -66,7 +66,7 @@ def frame_block(mode: Block) -> tuple[Block, str]:
     """The parameter block of a picture, the blocks of all that it is made from, and its declaration for the kernels."""
     block = Block(
         "frame_t",
-        camera=View.BLOCK,
+        camera=Viewpoint.BLOCK,
         geometry=Medium.BLOCK,
         clip=CLIP,
         planes=Planes.BLOCK,

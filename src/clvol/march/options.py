@@ -16,7 +16,7 @@ from clvol.device import Device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
-from clvol.scene.camera import Camera, View
+from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.fit import fitted
 from clvol.scene.light import Light, Material
 from clvol.scene.look import look
@@ -324,7 +324,7 @@ class ResolvedLook:
         camera = fitted(self.camera, self.preview, self.mode, self.transfer, self.scene.clip, aspect)
         return self if camera is self.camera else replace(self, camera=camera)
 
-    def view(self, size: tuple[int, int]) -> View:
+    def view(self, size: tuple[int, int]) -> Viewpoint:
         """From where a picture of this size is seen."""
         aspect = size[0] / size[1]
         return self.placed(aspect).camera.view(self.scene.media[0].volume, aspect)

@@ -18,7 +18,7 @@ import numpy as np
 
 from clvol.base.errors import OptionError
 from clvol.base.uniform import FLOAT, INT, Block, Values
-from clvol.scene.camera import View
+from clvol.scene.camera import Viewpoint
 from clvol.spline.minmax import BLOCK
 from clvol.volume.volume import Volume
 
@@ -37,7 +37,7 @@ class Planes:
     Parameters
     ----------
     volume : Volume
-    view : View
+    view : Viewpoint
     aspect : float
         Width of the picture by its height.
     step : float
@@ -63,7 +63,7 @@ class Planes:
     OptionError
         There would be more than 2²⁰ planes, or samples on a ray.
     GeometryError
-        The picture spans so many voxels that float32 does not carry them: `View.reach`.
+        The picture spans so many voxels that float32 does not carry them: `Viewpoint.reach`.
     """
 
     BLOCK: ClassVar[Block] = Block(
@@ -79,7 +79,7 @@ class Planes:
         axis=INT,
     )
 
-    def __init__(self, volume: Volume, view: View, aspect: float, step: float, segment: float = SEGMENT) -> None:
+    def __init__(self, volume: Volume, view: Viewpoint, aspect: float, step: float, segment: float = SEGMENT) -> None:
         self.step = step = min(step, _MAX_STEP)
         self._segment = segment
         inverse = volume.world_to_index_matrix

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from clvol.base.errors import DataError, UnsupportedError
 from clvol.dask.blocks import (
     Array,
-    Block,
     Chunks,
     Floats,
+    OutputBlock,
     Reads,
     Span,
     around,
@@ -28,9 +28,9 @@ from clvol.dask.blocks import (
     no_memory,
     own_part,
     refused,
+    support_along,
+    supports_along,
     touches,
-    window_along,
-    windows_along,
 )
 from clvol.dask.margins import Margin
 from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
@@ -174,21 +174,21 @@ class AsGraph(Substrate):
         if not source.size and any(p is not None for p in positions):
             _require_samples(spline, n, plan.shape)
         boundary, depth = spline.boundary, margin_of(spline, dtype)
-        windows = [
-            windows_along(along, sizes, n[axis], boundary, depth, gaussian_radius(plan.sigma.get(axis, 0.0)))
+        supports = [
+            supports_along(along, sizes, n[axis], boundary, depth, gaussian_radius(plan.sigma.get(axis, 0.0)))
             for axis, (along, sizes) in enumerate(zip(positions, chunks, strict=True))
         ]
         outside = spline.mode == "constant" and not plan.copied
 
         def reads(index: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...] | None, Any]:
-            row = [along[i] for along, i in zip(windows, index, strict=True)]
+            row = [along[i] for along, i in zip(supports, index, strict=True)]
             own = [None if one is None else one.positions for one in row]
             if outside and any(_all_outside(p, place, m) for p, place, m in zip(positions, where, n, strict=True)):
                 return None, own
             return tuple(place if one is None else one.span for one, place in zip(row, where, strict=True)), own
 
         about = [*spline.identity, list(positions), plan.sigma, plan.copied]
-        compute = _Grid(replace(plan, positions=()), dtype)
+        compute = _OnGrid(replace(plan, positions=()), dtype)
         return blockwise(plan.function, source, chunks, dtype, reads, compute, about)
 
 
@@ -237,8 +237,8 @@ def _boxes(spline: Spline, shape: tuple[int, ...], matrix: Floats, offset: Float
                 continue
             span = (0, n)
             if not repeats or within[k]:
-                span = window_along(np.array([low[k] - slack[k], high[k] + slack[k]]), n, boundary, depth).span
-            if repeats and touches(span, n):  # kernels would fold positions by the length of the window
+                span = support_along(np.array([low[k] - slack[k], high[k] + slack[k]]), n, boundary, depth).span
+            if repeats and touches(span, n):  # kernels would fold positions by the length of the part
                 span = (0, n)
             found.append(span)
         mended = len(moved) <= passes.NATIVE and (spline.order == 0 or (spline.mode in _JUMPS and not inside))
@@ -286,47 +286,47 @@ class _Ends:
     spline: Spline
     dtype: np.dtype[Any]
 
-    def begin(self, window: Array, block: Block) -> type[np.generic]:
+    def begin(self, samples: Array, block: OutputBlock) -> type[np.generic]:
         """The type of sums: double precision where single would lose digits of the samples."""
-        with located(window, block, FINITE):
-            require_finite(window, self.spline.nan)
-        return engine.kind_for(self.spline.precision, window, np.empty(0, self.dtype), as_device(self.spline.device))
+        with located(samples, block, FINITE):
+            require_finite(samples, self.spline.nan)
+        return engine.kind_for(self.spline.precision, samples, np.empty(0, self.dtype), as_device(self.spline.device))
 
-    def end(self, values: Array, _: Block) -> Array:
+    def end(self, values: Array, _: OutputBlock) -> Array:
         """In the type of the result."""
         return engine.converted(values, self.dtype)
 
 
 @dataclass(frozen=True, eq=False)
 class _Evaluated:
-    """A block of the result: a plan for its window, evaluated in memory."""
+    """A block of the result: a plan for the samples that it reads, evaluated in memory."""
 
     plan: Any
     dtype: np.dtype[Any]
 
-    def __call__(self, window: Array | None, block: Block) -> Array:
+    def __call__(self, samples: Array | None, block: OutputBlock) -> Array:
         made = np.empty(block.shape, self.dtype)
-        if window is None:
+        if samples is None:
             made[...] = passes.stored(self.plan.spline.cval, self.dtype)
             return made
-        with located(window, block, FINITE):
-            require_finite(window, self.plan.spline.nan)
-        return self.into(made, window, block)
+        with located(samples, block, FINITE):
+            require_finite(samples, self.plan.spline.nan)
+        return self.into(made, samples, block)
 
-    def into(self, made: Array, window: Array, block: Block) -> Array:
+    def into(self, made: Array, samples: Array, block: OutputBlock) -> Array:
         """The block's samples, in `made` or another array."""
         raise NotImplementedError
 
 
-class _Grid(_Evaluated):
-    def into(self, made: Array, window: Array, block: Block) -> Array:
-        replace(self.plan, positions=block.extra, shape=block.shape, output=made).on(InMemory(window))
+class _OnGrid(_Evaluated):
+    def into(self, made: Array, samples: Array, block: OutputBlock) -> Array:
+        replace(self.plan, positions=block.extra, shape=block.shape, output=made).on(InMemory(samples))
         return made
 
 
 class _Filtered(_Evaluated):
-    def into(self, _: Array, window: Array, block: Block) -> Array:
-        found = replace(self.plan, shape=window.shape, output=self.dtype).on(InMemory(window))
+    def into(self, _: Array, samples: Array, block: OutputBlock) -> Array:
+        found = replace(self.plan, shape=samples.shape, output=self.dtype).on(InMemory(samples))
         return np.ascontiguousarray(found[own_part(block)])
 
 
@@ -337,7 +337,7 @@ class _Called:
     plan: Mapped
     ndim: int
 
-    def __call__(self, _: Array | None, block: Block) -> Array:
+    def __call__(self, _: Array | None, block: OutputBlock) -> Array:
         ranges = [range(start, start + n) for start, n in zip(block.start[1:], block.shape[1:], strict=True)]
         return passes.as_rows([self.plan(index) for index in product(*ranges)], self.ndim).T.reshape(block.shape)
 
@@ -348,23 +348,23 @@ class _Affine(_Evaluated):
     offset: Floats
     left: list[int]
 
-    def into(self, made: Array, window: Array, block: Block) -> Array:
+    def into(self, made: Array, samples: Array, block: OutputBlock) -> Array:
         assert block.spans is not None
         first = np.array([start for start, _ in block.spans], np.float64)
         axes, matrix = list(self.plan.axes), self.matrix
         offset = self.offset + self.matrix @ np.asarray(block.start, np.float64) - first
-        if len(axes) < window.ndim:
+        if len(axes) < samples.ndim:
             matrix, offset = matrix[np.ix_(axes, axes)], offset[axes]
-        replace(self.plan, matrix=matrix, offset=offset, shape=block.shape, output=made).on(InMemory(window))
+        replace(self.plan, matrix=matrix, offset=offset, shape=block.shape, output=made).on(InMemory(samples))
         if block.extra:
-            self._mend(made, window, block, first)
+            self._mend(made, samples, block, first)
         return made
 
-    def _mend(self, made: Array, window: Array, block: Block, first: Floats) -> None:
+    def _mend(self, made: Array, samples: Array, block: OutputBlock, first: Floats) -> None:
         """Compute anew where the last bit of a position decides, with positions as the whole array has them."""
         spline = self.plan.spline
         columns = [k for k in range(made.ndim) if k not in self.left] if self.left else list(range(made.ndim))
-        rows = [k for k in range(window.ndim) if k not in self.left]
+        rows = [k for k in range(samples.ndim) if k not in self.left]
         index = np.ix_(*(np.arange(block.start[k], block.start[k] + block.shape[k]) for k in columns))
         at = np.empty((len(rows), *(block.shape[k] for k in columns)))
         near = np.zeros(at.shape[1:], np.bool_)
@@ -376,7 +376,7 @@ class _Affine(_Evaluated):
             along -= first[k]
         if near.any():
             values = np.empty((*(made.shape[k] for k in self.left), np.count_nonzero(near)), made.dtype)
-            passes.at_points(window, rows, np.ascontiguousarray(at[:, near]), values, spline)
+            passes.at_points(samples, rows, np.ascontiguousarray(at[:, near]), values, spline)
             made.transpose([*self.left, *columns])[..., near] = values
 
 

@@ -21,10 +21,10 @@ from clvol.base.errors import OptionError
 from clvol.dask.blocks import (
     Array,
     Asked,
-    Block,
     Chunks,
     Floats,
     Gathering,
+    OutputBlock,
     Span,
     blockwise,
     gathered,
@@ -32,7 +32,7 @@ from clvol.dask.blocks import (
     named,
     one_at_a_time,
     spans,
-    window_along,
+    support_along,
 )
 from clvol.dask.margins import Margin, margin
 from clvol.device import as_device
@@ -112,12 +112,12 @@ class _Work:
         graph = HighLevelGraph.from_collections(name, layer, dependencies=[held, at])
         return da.Array(graph, name, chunks, dtype=self.dtype)
 
-    def coefficients(self, window: Array, _: Block) -> Array:
+    def coefficients(self, samples: Array, _: OutputBlock) -> Array:
         """Coefficients of an array, in the type that they are computed in."""
-        spline, part = self.spline, window.real if window.dtype.kind == "c" else window
+        spline, part = self.spline, samples.real if samples.dtype.kind == "c" else samples
         kind = np.dtype(engine.kind_for(spline.precision, part, np.empty(0), as_device(spline.device)))
-        made = np.empty(window.shape, np.result_type(kind, np.complex64) if window.dtype.kind == "c" else kind)
-        passes.filtered(window, self.along, made, spline)
+        made = np.empty(samples.shape, np.result_type(kind, np.complex64) if samples.dtype.kind == "c" else kind)
+        passes.filtered(samples, self.along, made, spline)
         return made
 
     def of_chunks(self, source: Any, at: Any, pieces: tuple[Any, ...]) -> Any:
@@ -142,7 +142,7 @@ class _Work:
             parted, parts = partitions[piece], []
             if all(block.shape):
                 for chunk in sorted(parted) if known else everywhere:
-                    key, own_spans = reads.window(dict(zip([*kept, *self.along], batch + chunk, strict=True)))
+                    key, own_spans = reads.part(dict(zip([*kept, *self.along], batch + chunk, strict=True)))
                     task = _Part(self, replace(block, spans=own_spans), chunk, parted[chunk] if known else None)
                     parts.append((f"{name}-part", *index, *chunk))
                     layer[parts[-1]] = (task, key, None if known else parted)
@@ -152,17 +152,17 @@ class _Work:
         return da.Array(graph, name, result, dtype=self.dtype)
 
 
-def _blocks(chunks: Sequence[Sequence[int]], limits: tuple[int, ...]) -> list[tuple[tuple[int, ...], Block]]:
+def _blocks(chunks: Sequence[Sequence[int]], limits: tuple[int, ...]) -> list[tuple[tuple[int, ...], OutputBlock]]:
     """The blocks of a result, by index."""
     places, made = [spans(sizes) for sizes in chunks], []
     for index in np.ndindex(*map(len, places)):
         where = [axis[i] for axis, i in zip(places, index, strict=True)]
         start, shape = tuple(a for a, _ in where), tuple(b - a for a, b in where)
-        made.append((index, Block("clvol.dask.map_coordinates", index, start, shape, None, limits)))
+        made.append((index, OutputBlock("clvol.dask.map_coordinates", index, start, shape, None, limits)))
     return made
 
 
-def _places(block: Block, kept: int) -> list[tuple[int, int]]:
+def _places(block: OutputBlock, kept: int) -> list[tuple[int, int]]:
     """First index and length of a block along the axes of the points."""
     return list(zip(block.start[kept:], block.shape[kept:], strict=True))
 
@@ -177,10 +177,10 @@ class _Reads:
         self._asked: dict[Any, Asked] = {}
         self._spans: dict[tuple[int, ...], tuple[Span, ...]] = {}
 
-    def window(self, chunk: dict[int, int]) -> tuple[Any, tuple[Span, ...]]:
+    def part(self, chunk: dict[int, int]) -> tuple[Any, tuple[Span, ...]]:
         """The key and the spans of a chunk, whose number is given for each axis."""
         numbers = tuple(chunk[axis] for axis in range(self._source.ndim))
-        key = (f"{self._name}-window", *numbers)
+        key = (f"{self._name}-samples", *numbers)
         if key not in self._asked:
             self._spans[numbers] = tuple(self._span(axis, i) for axis, i in enumerate(numbers))
             self._asked[key] = self._gathering.ask(self._spans[numbers])
@@ -193,10 +193,10 @@ class _Reads:
         boundary, n = self._work.spline.boundary, self._source.shape[axis]
         # a point that belongs to the last sample of a chunk lies before the first one of the next
         last = high - 0.5 if boundary.name == "wrap" else min(high - 0.5, n - 1)
-        return window_along(np.array([low, last], np.float64), n, boundary, self._margin).span
+        return support_along(np.array([low, last], np.float64), n, boundary, self._margin).span
 
     def tasks(self) -> dict[Any, Any]:
-        """The tasks that gather the windows."""
+        """The tasks that gather the parts."""
         layer = self._gathering.settled()
         return layer | {key: (gathered, *self._gathering.layout(asked)) for key, asked in self._asked.items()}
 
@@ -248,7 +248,7 @@ class _Chunks:
         if rule.outside == "overlap" or (rule.outside == "rule" and rule.period is not None):
             beyond = ~inside if rule.fold is None or rule.outside == "overlap" else ~((x >= -0.5) & (x <= n - 0.5))
             x = np.where(beyond & known, rule.position(np.where(known, x, 0.0), n)[0], x)
-            if rule.fold is None and rule.outside == "rule":  # before the first sample is behind the last, where windows reach
+            if rule.fold is None and rule.outside == "rule":  # before the first sample is behind the last, where parts reach
                 x = np.where(x < 0, np.minimum(x + n, np.nextafter(n, 0)), x)
         return x, known
 
@@ -256,7 +256,7 @@ class _Chunks:
 # -- in a worker -----------------------------------------------------------------------------------------------------
 
 
-def _at_array(work: _Work, block: Block, held: Array, at: Array, filtered: bool) -> Array:
+def _at_array(work: _Work, block: OutputBlock, held: Array, at: Array, filtered: bool) -> Array:
     """Points of one block at an array, or at its coefficients, whose type says what is computed in."""
     made = np.empty(block.shape, work.dtype)
     if made.size:
@@ -275,7 +275,7 @@ class _Part:
     Attributes
     ----------
     work : _Work
-    block : Block
+    block : OutputBlock
         Its spans are those of the chunk with its margin.
     chunk : tuple of int
         Which chunk it is.
@@ -284,27 +284,27 @@ class _Part:
     """
 
     work: _Work
-    block: Block
+    block: OutputBlock
     chunk: tuple[int, ...]
     known: _Some | None
 
-    def __call__(self, window: Array, parted: Any) -> _Some | None:
+    def __call__(self, samples: Array, parted: Any) -> _Some | None:
         points = parted.get(self.chunk) if self.known is None else self.known
         if points is None:
             return None
         (which, at), work, block = points, self.work, self.block
         assert block.spans is not None
-        kept = [n for axis, n in enumerate(window.shape) if axis not in work.along]
+        kept = [n for axis, n in enumerate(samples.shape) if axis not in work.along]
         values = np.empty((*kept, which.size), work.dtype)
         first = np.array([[block.spans[axis][0]] for axis in work.along], np.float64)
         with named(block), one_at_a_time():
-            with located(window, block, FINITE):
-                require_finite(window, work.spline.nan)
-            passes.at_points(window, work.along, at - first, values, work.spline)
+            with located(samples, block, FINITE):
+                require_finite(samples, work.spline.nan)
+            passes.at_points(samples, work.along, at - first, values, work.spline)
         return which, values
 
 
-def _joined(work: _Work, block: Block, kept: int, parts: Sequence[_Some | None]) -> Array:
+def _joined(work: _Work, block: OutputBlock, kept: int, parts: Sequence[_Some | None]) -> Array:
     """A block of the result: the values of its points, and the constant where they lie in no chunk."""
     made = np.empty((*block.shape[:kept], math.prod(block.shape[kept:])), work.dtype)
     made[...] = passes.stored(work.spline.cval, work.dtype)

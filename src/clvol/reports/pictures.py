@@ -112,9 +112,9 @@ def _closer(camera: Camera, volume: Volume, a: Any, b: Any) -> Camera:
     if not seen.any():
         return camera.zoomed(_CLOSER)
     facing = seen & (_slope(position, camera, volume) < _STEEP)
-    window = max(1, round(seen.shape[1] / _CLOSER))
+    side = max(1, round(seen.shape[1] / _CLOSER))
     apart = np.where(facing if facing.any() else seen, _difference(_rgb(a), _rgb(b)), 0)
-    within = ndimage.uniform_filter(apart, window, mode="constant")
+    within = ndimage.uniform_filter(apart, side, mode="constant")
     place = np.unravel_index(int(np.where(facing if facing.any() else seen, within, -1).argmax()), seen.shape)
     x, y, z = (float(v) for v in position[place])
     return replace(camera, target=(x, y, z)).zoomed(_CLOSER)

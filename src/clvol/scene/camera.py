@@ -16,7 +16,7 @@ from clvol.base.errors import GeometryError
 from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume.volume import Volume
 
-__all__ = ["Camera", "View"]
+__all__ = ["Camera", "Viewpoint"]
 
 _PROJECTIONS = ("perspective", "orthographic")
 _FITS = ("matter", "volume")
@@ -28,7 +28,7 @@ Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class View:
+class Viewpoint:
     """A camera fitted to one volume: the rays are computed from it.
 
     Attributes
@@ -292,7 +292,7 @@ class Camera:
         """The same camera, magnified by a further factor."""
         return replace(self, zoom=self.zoom * number("factor", factor, above=0))
 
-    def view(self, volume: Volume, aspect: float = 1.0) -> View:
+    def view(self, volume: Volume, aspect: float = 1.0) -> Viewpoint:
         """The camera fitted to a volume and a picture of ``width / height = aspect``.
 
         A camera that is to be fitted sees the volume's bounding sphere: only a picture knows what can be seen (`clvol.scene.fit`).
@@ -328,7 +328,7 @@ class Camera:
         eye = target - distance * forward if self.position is None else np.asarray(self.position)
         orthographic = self.projection == "orthographic"
         half_height = radius / narrow if orthographic else math.tan(half_angle)
-        return View(eye, right, np.cross(right, forward), forward, half_height / self.zoom, orthographic)
+        return Viewpoint(eye, right, np.cross(right, forward), forward, half_height / self.zoom, orthographic)
 
 
 def _vector(what: str, value: object) -> tuple[float, float, float]:

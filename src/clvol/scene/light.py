@@ -14,7 +14,7 @@ from clvol.base.checks import number, one_of
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, Block, Values
-from clvol.scene.camera import View
+from clvol.scene.camera import Viewpoint
 
 __all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_lights", "lights_block"]
 
@@ -54,7 +54,7 @@ class Light:
         if not isinstance(self.frame, str) or self.frame not in _FRAMES:
             raise one_of("a light's frame", self.frame, _FRAMES)
 
-    def placed(self, view: View) -> Light:
+    def placed(self, view: Viewpoint) -> Light:
         """The same light in a picture's world."""
         if self.direction is None or self.frame == "world":
             return self
@@ -107,7 +107,7 @@ def as_lights(choice: Light | Sequence[Light]) -> tuple[Light, ...]:
     return tuple(lights)
 
 
-def lights_block(lights: Sequence[Light], view: View) -> Values:
+def lights_block(lights: Sequence[Light], view: Viewpoint) -> Values:
     """What kernels read of the lights, up to `MAX_LIGHTS`, in a view."""
     each = np.zeros((MAX_LIGHTS, 8))
     for row, light in zip(each, lights, strict=False):

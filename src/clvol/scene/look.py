@@ -37,10 +37,10 @@ def look(
     mode : str, Mode or class of Mode
     preset : str, optional
         The name of a row of `clvol.presets`: colours and opacities for one kind of data. Projections show its
-        window; means only that of one in Hounsfield units, and else their own.
+        range; means only that of one in Hounsfield units, and else their own.
     window : (center, width), optional
         The value in the middle of what is told apart, and how wide that is, in units of the data, as radiologists say it: from
-        transparent to the brightest, from black to white. (`Volume.window`, instead of which it is taken, is the two ends.)
+        transparent to the brightest, from black to white. It replaces `Volume.clim`, the two ends.
     cmap : str, optional
         Colours by the name of a map of the `cmap` package, instead of the others; opacities stay.
     opacity : float, or sequence of (value, opacity), optional
@@ -59,15 +59,15 @@ def look(
     volume = as_volume(volume)
     chosen, ends = as_mode(mode), None if window is None else _ends(window)
     if preset is None:
-        transfer = chosen.transfer(volume) if ends is None else chosen.windowed(volume, ends)
+        transfer = chosen.transfer(volume) if ends is None else chosen.transfer_within(volume, ends)
     else:
         row = as_preset(preset)
         if chosen.shows == "matter" or row.unit == "labels":
             transfer = TransferFunction(*row.points(volume, ends), unit_of(volume))
         elif chosen.shows == "mean" and row.unit == "matter":  # means reach no such values
-            transfer = chosen.windowed(volume, ends)
+            transfer = chosen.transfer_within(volume, ends)
         else:
-            transfer = chosen.windowed(volume, ends or row.span(volume))
+            transfer = chosen.transfer_within(volume, ends or row.span(volume))
     if cmap is not None:
         values = [value for value, _ in transfer.colors]
         colored = TransferFunction.from_cmap(cmap, (values[0], values[-1]))

@@ -25,7 +25,7 @@ from clvol.base.uniform import FLOAT, Block, Values
 from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, as_filter
 from clvol.scene.palette import diverging
 from clvol.scene.transfer import TransferFunction
-from clvol.volume.histogram import Projection, isovalue_of, matter_of, window_of
+from clvol.volume.histogram import Projection, clims_of, isovalue_of, matter_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume
 
@@ -82,7 +82,7 @@ class Mode:
     seeks : {"largest", "smallest", "any"}
         Which values decide its pixels. Bricks that may hold them are visited first; "any": bricks are visited front to back.
     ramp : float
-        The share of that window over which it does.
+        The share of that range over which it does.
     """
 
     name: ClassVar[str]
@@ -142,24 +142,24 @@ class Mode:
     def transfer(self, volume: Volume) -> TransferFunction:
         """The transfer function for this volume where none is given.
 
-        Labels have a colour each, but where values are blended or fade along the ray. A projection's window is the volume's own
-        (`Volume.window`), or else from the projections of its samples along the axes; means are not what that window is for.
+        Labels have a colour each, but where values are blended or fade along the ray. A projection's range is the volume's own
+        (`Volume.clim`), or else from the projections of its samples along the axes; a volume's `clim` is not for means.
         """
         if volume.is_labels and self.shows != "mean" and self.ramp == 1:
             return TransferFunction.preset("labels", volume)
-        return self.windowed(volume, None)
+        return self.transfer_within(volume, None)
 
-    def windowed(self, volume: Volume, window: tuple[float, float] | None) -> TransferFunction:
-        """The same for values, with another window, (low, high), from black to white."""
+    def transfer_within(self, volume: Volume, clim: tuple[float, float] | None) -> TransferFunction:
+        """The same for values, from black to white between `clim`, (low, high), if it is given."""
         if self.shows == "matter":
-            return TransferFunction.automatic(volume, window)
+            return TransferFunction.automatic(volume, clim)
         projection = "max" if self.shows == "surface" else self.shows
-        low, high = window or (volume.window if self.shows != "mean" else None) or window_of(volume)[projection]
+        low, high = clim or (volume.clim if self.shows != "mean" else None) or clims_of(volume)[projection]
         matter = matter_of(volume)
-        if matter.signed and window is None and self.shows == "mean":
+        if matter.signed and clim is None and self.shows == "mean":
             return TransferFunction(diverging((low, high), matter.value(0)), ((low, 1.0),))
         color = volume.color or (1.0, 1.0, 1.0)
-        if matter.signed and window is None and self.shows == "min":  # the farther below the background, the brighter
+        if matter.signed and clim is None and self.shows == "min":  # the farther below the background, the brighter
             return TransferFunction(((low, color), (high, (0.0, 0.0, 0.0))), ((low, 1.0),))
         return TransferFunction.ramp((low, share_of(low, high, self.ramp)), color)
 

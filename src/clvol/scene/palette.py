@@ -36,18 +36,18 @@ _GOLDEN = 0.6180339887498949  # of the circle of hues: neighbouring numbers lie 
 _TONES = ((0.62, 0.98), (0.85, 0.85), (0.42, 0.92))  # saturation and value, in turn
 
 
-def automatic(volume: Volume, window: tuple[float, float] | None = None) -> tuple[Colors, Opacities]:
+def automatic(volume: Volume, clim: tuple[float, float] | None = None) -> tuple[Colors, Opacities]:
     """What shows the matter of most volumes: see `TransferFunction.automatic`."""
     matter = matter_of(volume)
     least, most = volume.value_range
-    if not least < most and window is None:  # constant data: show it as fog
+    if not least < most and clim is None:  # constant data: show it as fog
         return ((least, FOG if volume.color is None else volume.color),), ((least, 0.02),)
     sides = [(1, _FLESH if volume.color is None else shades(volume.color))]
     if matter.signed:
         sides = [(1, _WARM), (-1, _COLD)]
     foot, start, middle, top = matter.foot, matter.start, matter.middle, matter.top
-    if window is not None:
-        ends = sorted(matter.distance(value) for value in window)
+    if clim is not None:
+        ends = sorted(matter.distance(value) for value in clim)
         if matter.signed and ends[0] < 0 < ends[1]:
             top = max(-ends[0], ends[1])
             foot, start, middle = (share * top for share in _spread(matter))
@@ -60,8 +60,8 @@ def automatic(volume: Volume, window: tuple[float, float] | None = None) -> tupl
             if matter.ground is not None:  # which stays unseen
                 foot, top = (max(foot, 0.0), top) if top > 0 else (matter.foot, matter.start)
             start, middle = foot + 0.1 * (top - foot), foot + 0.5 * (top - foot)
-    elif volume.window is not None:
-        foot, start, middle, top = _within(volume.window, matter)
+    elif volume.clim is not None:
+        foot, start, middle, top = _within(volume.clim, matter)
     colors: list[tuple[float, Color]] = []
     opacities: list[tuple[float, float]] = []
     rise = _OF_SIGNED if matter.signed else _rise(start, middle, top)
@@ -78,9 +78,9 @@ def unit_of(volume: Volume) -> float | None:
     return unit if unit < volume.mean_spacing else None
 
 
-def diverging(window: tuple[float, float], middle: float) -> Colors:
-    """Black in the middle, ever brighter above and below, in two colours; as far to either side as the window on its wider one."""
-    matter = max(window[1] - middle, middle - window[0])
+def diverging(clim: tuple[float, float], middle: float) -> Colors:
+    """Black in the middle, ever brighter above and below, in two colours; as far to either side as `clim` on its wider one."""
+    matter = max(clim[1] - middle, middle - clim[0])
     warm = [(middle + share * matter, color) for share, color in zip((0.25, 0.5, 0.75, 1.0), _WARM, strict=True)]
     cold = [(middle - share * matter, color) for share, color in zip((0.25, 0.5, 0.75, 1.0), _COLD, strict=True)]
     return (*reversed(cold), (middle, BLACK), *warm)
@@ -127,9 +127,9 @@ def _spread(matter: Matter) -> tuple[float, float, float]:
     return matter.foot / matter.top, matter.start / matter.top, matter.middle / matter.top
 
 
-def _within(window: tuple[float, float], matter: Matter) -> tuple[float, float, float, float]:
-    """Foot, start, middle and top for the window that the source wants: background stays unseen."""
-    low, high = sorted(matter.distance(value) for value in window)
+def _within(clim: tuple[float, float], matter: Matter) -> tuple[float, float, float, float]:
+    """Foot, start, middle and top for the `clim` of the source: background stays unseen."""
+    low, high = sorted(matter.distance(value) for value in clim)
     if matter.signed:
         if low < 0:
             low, high = 0.0, max(-low, high)

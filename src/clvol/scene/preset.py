@@ -32,7 +32,7 @@ class Preset:
         Of the values below: Hounsfield units, shares of the volume's matter, or each of its labels, of which nothing is below.
     colors, opacities : tuple of (value, color), tuple of (value, opacity)
         Without colours they are shades of the volume's own `color`, or of green.
-    window : (float, float)
+    clim : (float, float)
         What projections show from black to white.
     """
 
@@ -41,15 +41,15 @@ class Preset:
     unit: Literal["HU", "matter", "labels"]
     colors: Colors = ()
     opacities: Opacities = ()
-    window: tuple[float, float] = (0.0, 1.0)
+    clim: tuple[float, float] = (0.0, 1.0)
 
-    def points(self, volume: Volume, window: tuple[float, float] | None = None) -> tuple[Colors, Opacities]:
-        """The colours and opacities for a volume, in units of its data; its own window moved to another one, if that is given.
+    def points(self, volume: Volume, clim: tuple[float, float] | None = None) -> tuple[Colors, Opacities]:
+        """The colours and opacities for a volume, in units of its data; moved from its own `clim` to the one given, if any.
 
         Raises
         ------
         OptionError
-            A window is given for labels.
+            `clim` is given for labels.
 
         Warns
         -----
@@ -57,17 +57,16 @@ class Preset:
             It is in Hounsfield units, and the data cannot be: then its points are spread over the volume's matter.
         """
         if self.unit == "labels":
-            if window is not None:
-                raise OptionError(
-                    f"window must not be given for the preset 'labels', whose colours are one for each; got {window!r}"
-                )
+            if clim is not None:
+                given = (clim[0] + clim[1]) / 2, clim[1] - clim[0]
+                raise OptionError(f"window must not be given for the preset 'labels', whose colours are one for each; got {given}")
             return of_labels(volume)
         colors = self.colors
         if not colors:
             own = shades(_GREEN if volume.color is None else volume.color)
             colors = tuple((i / (len(own) - 1), color) for i, color in enumerate(own))
-        first, last = self._placed(volume, window)
-        low, high = self.window
+        first, last = self._placed(volume, clim)
+        low, high = self.clim
 
         def value(point: float) -> float:
             return first + (last - first) * (point - low) / (high - low)
@@ -76,18 +75,18 @@ class Preset:
         return tuple((value(p), c) for p, c in colors)[ends], tuple((value(p), a) for p, a in self.opacities)[ends]
 
     def span(self, volume: Volume) -> tuple[float, float]:
-        """Its window for a volume, in units of the data and in ascending order; warns as `points` does."""
+        """Its `clim` for a volume, in units of the data and in ascending order; warns as `points` does."""
         first, last = sorted(self._placed(volume, None))
         return first, last
 
-    def _placed(self, volume: Volume, window: tuple[float, float] | None) -> tuple[float, float]:
-        """Where the ends of its window lie."""
-        if window is not None:
-            return window
+    def _placed(self, volume: Volume, clim: tuple[float, float] | None) -> tuple[float, float]:
+        """Where the ends of its `clim` lie."""
+        if clim is not None:
+            return clim
         if self.unit == "HU" and may_be_hounsfield(volume):
-            return self.window
+            return self.clim
         matter = matter_of(volume)
-        low, high = self.window
+        low, high = self.clim
         if self.unit == "HU":
             least, most = volume.value_range
             warn(

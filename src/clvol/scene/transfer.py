@@ -120,18 +120,18 @@ class TransferFunction:
         return cls(ends if low < high else ends[1:], ((low, 1.0),))
 
     @classmethod
-    def automatic(cls, volume: Volume | ArrayLike, window: tuple[float, float] | None = None) -> TransferFunction:
+    def automatic(cls, volume: Volume | ArrayLike, clim: tuple[float, float] | None = None) -> TransferFunction:
         """One that shows the matter of most volumes, from the histogram.
 
         Background is not seen: neither an exact value that many samples have, such as that of what was masked out, nor what lies
         below Otsu's threshold between background and matter, or below the step at a mask's edge. Opacity rises from there to the
         brightest values. Colours run from dark red over bone to white; they are shades of the volume's own `color`, if it has
         one. Where values lie to both sides of the background, as in statistical maps, it rises to both, in red and yellow above
-        and blue below. A `window` of the volume's is where opacity and colours reach their ends, as far as that shows no
-        background; `window`, (low, high), instead of it is where they begin and end.
+        and blue below. The volume's `clim` is where opacity and colours reach their ends, as far as that shows no
+        background; `clim`, (low, high), instead of it is where they begin and end.
         """
         volume = as_volume(volume)
-        return cls(*automatic(volume, window), unit_of(volume))
+        return cls(*automatic(volume, clim), unit_of(volume))
 
     @classmethod
     def preset(cls, name: str, volume: Volume | ArrayLike) -> TransferFunction:

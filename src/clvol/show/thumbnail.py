@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.show.picture import to_png
 
-__all__ = ["image", "in_window", "slices"]
+__all__ = ["image", "normalized", "slices"]
 
 _SIDE = 160  # Pixels of a thumbnail's longer side.
-_TAILS = (0.5, 99.5)  # Percentiles that become black and white where no window is known.
+_TAILS = (0.5, 99.5)  # Percentiles that become black and white where no `clim` is known.
 _PLANES = {"LPS": ("axial", "coronal", "sagittal"), "": ("xy", "xz", "yz")}
 _DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # Whether rows of a picture run along y, and along z, or against it.
 
@@ -37,7 +37,7 @@ def slices(
     direction: NDArray[np.float64],
     *,
     space: str = "",
-    window: tuple[float, float] | None = None,
+    clim: tuple[float, float] | None = None,
     color: tuple[float, float, float] | None = None,
     blended: bool = True,
     all_planes: bool = True,
@@ -55,7 +55,7 @@ def slices(
         As of `Volume`.
     space : str
         As of `Volume`.
-    window : (float, float), optional
+    clim : (float, float), optional
         What is black and what is white; by default what all but a hundredth of the slices' samples lie between.
     color : (float, float, float), optional
         In place of white.
@@ -65,7 +65,7 @@ def slices(
         False: only the first, across z.
     """
     if data.ndim == 2:
-        return [("", _sized(_shades([data], window, color)[0], spacing, blended))]
+        return [("", _sized(_shades([data], clim, color)[0], spacing, blended))]
     axes, signs = _towards_world(direction)
     turned = data.transpose([2 - axes[2], 2 - axes[1], 2 - axes[0]])  # arrays are indexed [z, y, x]
     turned = turned[tuple(slice(None, None, signs[k]) for k in (2, 1, 0))]
@@ -78,11 +78,11 @@ def slices(
         (turned[:, :, middle[2]][along_z], (y, z)),
     ]
     names = _PLANES.get(space, _PLANES[""])
-    shades = _shades([part for part, _ in (cut if all_planes else cut[:1])], window, color)
+    shades = _shades([part for part, _ in (cut if all_planes else cut[:1])], clim, color)
     return [(name, _sized(shade, sides, blended)) for name, shade, (_, sides) in zip(names, shades, cut, strict=False)]
 
 
-def in_window(values: ArrayLike, low: float, high: float) -> NDArray[np.float64]:
+def normalized(values: ArrayLike, low: float, high: float) -> NDArray[np.float64]:
     """Values from 0 where they are `low` to 1 where they are `high`; NaN is 0."""
     array = np.nan_to_num(np.asarray(values, np.float64), nan=low, posinf=high, neginf=low)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -96,17 +96,17 @@ def _towards_world(direction: NDArray[np.float64]) -> tuple[tuple[int, ...], tup
 
 
 def _shades(
-    parts: Sequence[NDArray[Any]], window: tuple[float, float] | None, color: tuple[float, float, float] | None
+    parts: Sequence[NDArray[Any]], clim: tuple[float, float] | None, color: tuple[float, float, float] | None
 ) -> list[NDArray[np.uint8]]:
     """Slices in eight bits, grey or in a colour."""
-    if window is None:
+    if clim is None:
         values = np.concatenate([part.ravel() for part in parts]).astype(np.float64)
         values = values[np.isfinite(values)]
         low, high = (float(v) for v in np.percentile(values, _TAILS)) if values.size else (0.0, 1.0)
         if not low < high and values.size:  # few samples are not background
             low, high = float(values.min()), float(values.max())
-        window = (low, high) if low < high else (low - 1, low)
-    grey = [in_window(part, *window) for part in parts]
+        clim = (low, high) if low < high else (low - 1, low)
+    grey = [normalized(part, *clim) for part in parts]
     shades = grey if color is None else [part[..., None] * np.asarray(color) for part in grey]
     return [np.asarray(np.rint(shade * 255), np.uint8) for shade in shades]
 

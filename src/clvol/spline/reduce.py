@@ -447,11 +447,11 @@ def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: type[np.generic],
         return result
     some = max(1, _SLAB * data.shape[across] // max(1, data.size))
     for start in range(0, data.shape[across], some):
-        window = (slice(None),) * across + (slice(start, start + some),)
-        part = np.ascontiguousarray(data[window], kind)
+        slab = (slice(None),) * across + (slice(start, start + some),)
+        part = np.ascontiguousarray(data[slab], kind)
         made = np.empty((*part.shape[:axis], m, *part.shape[axis + 1 :]), kind)
         _launch(part, axis, made, sums, kind, outside, device)
-        result[window] = made
+        result[slab] = made
     return result
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.scene.camera import Camera, View
+from clvol.scene.camera import Camera, Viewpoint
 from clvol.view.state import State
 from clvol.volume.volume import Volume
 
@@ -74,14 +74,14 @@ class Pane3D:
     Parameters
     ----------
     size : PaneSize
-    view : View
+    view : Viewpoint
         Of the camera.
     target : ndarray, shape (3,)
         The point it looks at.
     """
 
     size: PaneSize
-    view: View
+    view: Viewpoint
     target: Vector
 
     @classmethod

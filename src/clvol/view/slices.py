@@ -63,7 +63,7 @@ def section(
     filter, boundary, device
         As for `clvol.render`.
     window : (center, width), optional
-        Values from black to white; by default the volume's window, or nearly all of its values.
+        Values from black to white; by default those of `Volume.clim`, or nearly all of its values.
     cmap : str, optional
         The name of a colour map.
     background : three numbers or None
@@ -138,8 +138,8 @@ def window_of_slices(volume: Volume) -> tuple[float, float]:
     """The default window of slices: (center, width)."""
     if volume in _WINDOWS:
         return _WINDOWS[volume]
-    if volume.window is not None:
-        low, high = volume.window
+    if volume.clim is not None:
+        low, high = volume.clim
     else:
         step = max(1, -(-volume.data.size // _SAMPLED))
         each = max(1, round(step ** (1 / 3)))

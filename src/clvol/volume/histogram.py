@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base.scaling import exponent_of, scaled, unscaled
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["Matter", "Projection", "isovalue_of", "label_numbers", "matter_of", "may_be_hounsfield", "window_of"]
+__all__ = ["Matter", "Projection", "clims_of", "isovalue_of", "label_numbers", "matter_of", "may_be_hounsfield"]
 
 Array = NDArray[np.float64]
 Made = TypeVar("Made")
@@ -51,7 +51,7 @@ _LIT = 0.02  # of the way from black to the brightest, but for a thousandth and 
 _FEW = 8
 _GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
 _DIMMEST = 0.05  # ... while black is no more than this quantile of them ...
-_HALF = 0.5  # ... and takes no more than so much of the window
+_HALF = 0.5  # ... and takes no more than so much of the range
 _COUNTED = 1 << 24  # labels that are counted one by one: sorting all samples takes far longer
 _COLUMNS_OF = 1 << 22  # voxels that projections are made of
 
@@ -182,7 +182,7 @@ def label_numbers(volume: Volume) -> tuple[float, Array]:
 
 
 @_remembered
-def window_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
+def clims_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
     """Black and white of each projection: of the dimmest of the columns of samples along the axes, and nearly of the brightest.
 
     Where minima hardly differ, as of an object in the air, they are told apart as samples are.
@@ -191,12 +191,12 @@ def window_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
     exponent = exponent_of(low, high)
     bottom = float(scaled(low, exponent))
     samples = np.nan_to_num(scaled(_thinned(volume, _COLUMNS_OF), exponent), nan=bottom, posinf=bottom, neginf=bottom)
-    usual = _window(np.sort(samples, axis=None))
+    usual = _clim(np.sort(samples, axis=None))
     found: dict[Projection, tuple[float, float]] = {}
     ways: dict[Projection, Callable[..., Array]] = {"max": np.max, "min": np.min, "mean": np.mean}
     for name, way in ways.items():
         columns = np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])
-        ends = _window(np.sort(columns), high=name == "max")
+        ends = _clim(np.sort(columns), high=name == "max")
         if ends[1] - ends[0] <= _STEP * (usual[1] - usual[0]):
             ends = usual
         if not ends[0] < ends[1]:  # nearly all is one value
@@ -348,7 +348,7 @@ def _otsu(distances: Array) -> tuple[float, float]:
     return low + (high - low) * float(edges[1:][best].mean()), float(between.max()) / total
 
 
-def _window(values: Array, *, high: bool = False) -> tuple[float, float]:
+def _clim(values: Array, *, high: bool = False) -> tuple[float, float]:
     """Black and white for sorted values; for those of which most are high, as maxima are, black may be raised."""
     black = _quantile(values, _DIM)
     brightest = float(values[max(min(round(0.999 * values.size), values.size - 1 - _FEW), values.size // 2)])

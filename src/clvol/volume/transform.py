@@ -107,7 +107,7 @@ class AffineTransform:
         return AffineTransform.unchecked(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
 
 
-class _Grid:
+class _GridTransform:
     """What is added to a point: a spline with coefficients on a grid in the world, within a part of it, and nothing outside.
 
     Parameters
@@ -152,7 +152,7 @@ class _Grid:
         raise NotImplementedError
 
 
-class DisplacementField(_Grid):
+class DisplacementField(_GridTransform):
     """Displacements on a grid: ``y = x + u(x)``, as ITK's DisplacementFieldTransform.
 
     A point is displaced if it lies in the domain of the field, up to half a voxel past its outer samples, and stays where it is
@@ -204,7 +204,7 @@ class DisplacementField(_Grid):
         return np.full(self.ndim, -0.5), np.asarray(self.grid.size) - 0.5
 
 
-class BSplineTransform(_Grid):
+class BSplineTransform(_GridTransform):
     """A free-form deformation, ``y = x + u(x)`` with a B-spline ``u`` given by its coefficients, as ITK's BSplineTransform.
 
     Rueckert et al., IEEE Trans. Med. Imaging 18(8), 1999. A point is displaced where all coefficients that it depends on are in

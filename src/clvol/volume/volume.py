@@ -24,7 +24,7 @@ from clvol.interop.xarray_images import to_xarray
 from clvol.noise import MOST_LABELS, Noise, estimate
 from clvol.volume.missing import Missing, filled_smoothly
 
-__all__ = ["SPACES", "Volume", "array_of", "as_volume", "window_of"]
+__all__ = ["SPACES", "Volume", "array_of", "as_volume", "clim_of"]
 
 SPACES = {
     "LPS": "a patient: x runs to the left, y to the back, z to the head",
@@ -54,7 +54,7 @@ class Volume:
         viewed, not copied, so the caller's array must not change afterwards: earlier results would
         no longer match it. `Volume.data` is read-only. A masked array may have no masked element.
         SimpleITK and nibabel images give their spacing, origin and direction too, in ITK's LPS frame and
-        in mm, and what else a NIfTI header says: see `window`, `labels` and `header`. So do images of ITK, image data of VTK and
+        in mm, and what else a NIfTI header says: see `clim`, `labels` and `header`. So do images of ITK, image data of VTK and
         PyVista (the active scalars; those of cells lie in their middles), and Image and Labels layers of napari, with their
         units, contrast limits and colour; of several sizes the first. Arrays of xarray give what their coordinates say, which
         must be evenly spaced. Arrays of Zarr and dask are read whole, if there is memory for them, and say nothing of geometry:
@@ -75,8 +75,8 @@ class Volume:
         Of the samples, such as that of a channel.
     color : color, optional
         In which the source shows it, as microscopes give one to each channel.
-    window : (float, float), optional
-        The values that the source wants shown from black to white (NIfTI's cal_min and cal_max, DICOM's window).
+    clim : (float, float), optional
+        The values that the source shows as black and as white (NIfTI's cal_min and cal_max, DICOM's window).
     labels : bool or mapping of int to str, optional
         Whether samples are names of regions, between which there is nothing, or what the names stand for. None: it is recognised
         (`is_labels`).
@@ -90,7 +90,7 @@ class Volume:
     GeometryError
         Spacing not finite and positive, origin not finite, direction singular.
     OptionError
-        `space` is none of these, `color` is no colour, `window` no pair of finite numbers in ascending order, `labels` no
+        `space` is none of these, `color` is no colour, `clim` no pair of finite numbers in ascending order, `labels` no
         mapping from whole numbers to names, `header` no mapping.
 
     Notes
@@ -109,7 +109,7 @@ class Volume:
     space: str = ""
     name: str = ""
     color: tuple[float, float, float] | None = None
-    window: tuple[float, float] | None = None
+    clim: tuple[float, float] | None = None
     labels: bool | Mapping[int, str] | None = None
     header: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
@@ -138,7 +138,7 @@ class Volume:
         object.__setattr__(self, "spacing", _vector("spacing", spacing, d))
         object.__setattr__(self, "origin", _vector("origin", origin, d))
         object.__setattr__(self, "direction", _direction(direction, d))
-        for name in ("units", "space", "name", "color", "window", "labels", "header"):
+        for name in ("units", "space", "name", "color", "clim", "labels", "header"):
             value = getattr(self, name)
             if (value is None or isinstance(value, (str, Mapping))) and not value and name in geometry:
                 object.__setattr__(self, name, geometry[name])
@@ -149,8 +149,8 @@ class Volume:
             raise one_of("space", self.space, map(repr, SPACES))
         if self.color is not None:
             object.__setattr__(self, "color", color_of("color", self.color))
-        if self.window is not None:
-            object.__setattr__(self, "window", window_of("window", self.window))
+        if self.clim is not None:
+            object.__setattr__(self, "clim", clim_of("clim", self.clim))
         if self.labels is not None:
             object.__setattr__(self, "labels", _labels(self.labels))
         if not isinstance(self.header, Mapping):
@@ -185,11 +185,11 @@ class Volume:
             "origin": f"{html.numbers(self.origin, ', ')}" if any(self.origin) else "",
             "space": f"{self.space}: {SPACES[self.space]}" if self.space else "",
             "values": self._range_in_words(),
-            "window": html.numbers(self.window, " to ") if self.window else "",
+            "clim": html.numbers(self.clim, " to ") if self.clim else "",
         }
         blended = self.labels in (None, False)
         middle = thumbnail.slices(
-            self.data, self.spacing, self.direction, space=self.space, window=self.window, color=self.color, blended=blended
+            self.data, self.spacing, self.direction, space=self.space, clim=self.clim, color=self.color, blended=blended
         )
         pictures = (thumbnail.image(picture, plane) for plane, picture in middle)
         try:
@@ -261,7 +261,7 @@ class Volume:
         return to_simpleitk(self.data, self)
 
     def to_nibabel(self) -> Any:
-        """A nibabel image (NIfTI) in RAS and mm, with what `header` keeps of a NIfTI file, and `window` as cal_min and cal_max.
+        """A nibabel image (NIfTI) in RAS and mm, with what `header` keeps of a NIfTI file, and `clim` as cal_min and cal_max.
 
         Its samples are [x, y, z] and a view of those of the volume (``pip install clvol[medical]``).
 
@@ -279,7 +279,7 @@ class Volume:
     def to_xarray(self) -> Any:
         """A DataArray with dimensions z, y, x; it has coordinates in world units where the axes run along the world's.
 
-        Its attributes are "size", "spacing", "origin" and "direction", (x, y, z), "world_units", "space", and "window" if there
+        Its attributes are "size", "spacing", "origin" and "direction", (x, y, z), "world_units", "space", and "clim" if there
         is one. ``Volume(array)`` comes back, also of a part with coordinates (``pip install clvol[xarray]``).
 
         Raises
@@ -483,7 +483,7 @@ class Volume:
         inside = np.empty(self.shape, np.float32)
         for part, target in zip(_parts(self.data), _parts(inside), strict=True):
             target[...] = np.isin(part, labels)
-        return self._with(inside, labels=None, window=None)
+        return self._with(inside, labels=None, clim=None)
 
     def crop(self, low: Sequence[int], high: Sequence[int]) -> Volume:
         """The samples with index ``low <= index < high``, (x, y, z), at their place in the world."""
@@ -491,8 +491,8 @@ class Volume:
         for a, b, n in zip(lo, hi, self.size, strict=True):
             if not 0 <= a < b <= n:
                 raise OptionError(f"crop needs 0 <= low < high <= {self.size} along x, y(, z); got {lo} to {hi}")
-        window = tuple(slice(a, b) for a, b in zip(lo[::-1], hi[::-1], strict=True))
-        return self._with(self.data[window], origin=tuple(self.index_to_world(lo)))
+        part = tuple(slice(a, b) for a, b in zip(lo[::-1], hi[::-1], strict=True))
+        return self._with(self.data[part], origin=tuple(self.index_to_world(lo)))
 
     def gaussian(self, sigma: float | Sequence[float]) -> Volume:
         """Low-pass by a Gaussian of standard deviation `sigma` in world units (section 3 of the paper).
@@ -605,7 +605,7 @@ def _many_labels(data: NDArray[Any]) -> bool:
     return bool(differ.mean() < 1 - _SAME and (not steps.size or np.median(steps) > 1))
 
 
-def window_of(name: str, value: Any) -> tuple[float, float]:
+def clim_of(name: str, value: Any) -> tuple[float, float]:
     """Two values between which a volume is shown, as floats; `OptionError` where they are none."""
     rule = "two finite numbers, the value shown black below the value shown white"
     ends = reals(name, value, rule)

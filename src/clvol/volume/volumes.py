@@ -20,7 +20,7 @@ from clvol.interop.images import is_image, read_grid, read_several
 from clvol.interop.itk import to_simpleitk
 from clvol.interop.nibabel import to_nibabel
 from clvol.interop.xarray_images import to_xarray
-from clvol.volume.volume import SPACES, Volume, array_of, as_volume, window_of
+from clvol.volume.volume import SPACES, Volume, array_of, as_volume, clim_of
 
 __all__ = ["COMPUTED", "Leading", "Volumes", "as_grid"]
 
@@ -31,7 +31,7 @@ _DIGITS = 18  # of a number in words, at most
 _SHOWN = 4  # volumes of which notebooks show a slice
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _COLORS = (("red", (1.0, 0.0, 0.0)), ("green", (0.0, 1.0, 0.0)), ("blue", (0.0, 0.0, 1.0)), ("alpha", None))
-_ABOUT = ("spacing", "origin", "direction", "units", "space", "color", "window", "labels", "header")
+_ABOUT = ("spacing", "origin", "direction", "units", "space", "color", "clim", "labels", "header")
 _OFF = 1e-3  # of a sample's spacing, by which volumes of one grid may lie apart
 
 
@@ -49,7 +49,7 @@ class Leading:
         For some of the axes, a name for each place along it, such as those of channels.
     colors : tuple of colours or None
         Of the channels; empty: none has one.
-    windows : tuple of pairs or None
+    clims : tuple of pairs or None
         Of the channels, likewise.
     vector : bool
         Whether the channels are the components of one vector: then "magnitude" is one of them, and they are named x, y and z.
@@ -61,7 +61,7 @@ class Leading:
     counts: tuple[int, ...] = ()
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     colors: tuple[tuple[float, float, float] | None, ...] = ()
-    windows: tuple[tuple[float, float] | None, ...] = ()
+    clims: tuple[tuple[float, float] | None, ...] = ()
     vector: bool = False
     rgb: bool = False
 
@@ -77,13 +77,13 @@ class Leading:
             if axis not in self.axes or len(names) != self.counts[self.axes.index(axis)]:
                 raise OptionError(f"names must be one for each place along one of {self.axes}; got {axis}: {names}")
         channels = self.counts[self.axes.index("channel")] if "channel" in self.axes else 0
-        for what in ("colors", "windows"):
+        for what in ("colors", "clims"):
             given = getattr(self, what)
             if given and len(given) != channels:
                 raise OptionError(f"{what} must be one for each of {channels} channels; got {len(given)}")
         object.__setattr__(self, "colors", tuple(None if c is None else color_of("a channel's color", c) for c in self.colors))
-        windows = tuple(None if w is None else window_of("a channel's window", w) for w in self.windows)
-        object.__setattr__(self, "windows", windows)
+        clims = tuple(None if c is None else clim_of("a channel's clim", c) for c in self.clims)
+        object.__setattr__(self, "clims", clims)
         object.__setattr__(self, "counts", tuple(whole("each count", n, 1) for n in self.counts))
 
     @classmethod
@@ -138,7 +138,7 @@ class Leading:
             known["name"] = ", ".join(part for part in parts if part)
         if "channel" in self.axes:
             channel = place[self.axes.index("channel")]
-            for key, values in (("color", self.colors), ("window", self.windows)):
+            for key, values in (("color", self.colors), ("clim", self.clims)):
                 if values and values[channel] is not None:
                     known[key] = values[channel]
         return known
@@ -152,7 +152,7 @@ class Leading:
             tuple(self.counts[i] for i in kept),
             {axis: names for axis, names in self.names.items() if axis not in dropped},
             () if gone else self.colors,
-            () if gone else self.windows,
+            () if gone else self.clims,
             self.vector and not gone,
             self.rgb and not gone,
         )
@@ -204,7 +204,7 @@ class Volumes(Sequence[Volume]):
         Samples with one or more leading axes, viewed, not copied; or a list of volumes of one grid and dtype, or of images that
         hold such. Images of SimpleITK and nibabel give their geometry and what their axes count: a fourth axis is time or
         volumes, values of a voxel are channels.
-    spacing, origin, direction, units, space, window, labels, header : optional
+    spacing, origin, direction, units, space, clim, labels, header : optional
         As of `Volume`.
     leading : Leading, optional
         What the leading axes count; by default there is one, "volume".
@@ -232,7 +232,7 @@ class Volumes(Sequence[Volume]):
             memory.require(sum(volume.data.nbytes for volume in volumes), f"{len(volumes)} volumes in one array")
             array = np.stack([volume.data for volume in volumes])
             about = {name: getattr(first, name) for name in _ABOUT}
-            for name in ("color", "window"):
+            for name in ("color", "clim"):
                 if len({getattr(volume, name) for volume in volumes}) > 1:
                     del about[name]  # one for all would be wrong
             if leading is None:
@@ -401,7 +401,7 @@ class Volumes(Sequence[Volume]):
                 volume.spacing,
                 volume.direction,
                 space=volume.space,
-                window=volume.window,
+                clim=volume.clim,
                 color=volume.color,
                 blended=volume.labels in (None, False),
                 all_planes=False,

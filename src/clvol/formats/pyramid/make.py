@@ -173,7 +173,7 @@ def _lazy(source: Any) -> LazyVolume:
     volume = as_volume(source)
     if volume.ndim != 3:
         raise DataError(f"a pyramid is made of a volume with 3 axes; got shape {volume.shape}")
-    known = ("spacing", "origin", "direction", "units", "space", "name", "color", "window", "labels")
+    known = ("spacing", "origin", "direction", "units", "space", "name", "color", "clim", "labels")
     return LazyVolume(volume.data, **{name: getattr(volume, name) for name in known})
 
 
@@ -547,7 +547,7 @@ class _Writing:
         ranges = [self._range_of(number) for number in range(len(plan.levels))]
         if plan.labels:
             ome["image-label"] = _label(grid, plan.storage.version)
-        elif grid.name or grid.color or grid.window:
+        elif grid.name or grid.color or grid.clim:
             ome["omero"] = _omero(grid, ranges[0], self.dtype)
         own: dict[str, Any] = {"version": VERSION, "method": plan.method}
         if not straight:
@@ -586,7 +586,7 @@ def _omero(grid: Volume, value_range: tuple[float, float] | None, dtype: np.dtyp
     """OME-Zarr's metadata of the only channel."""
     kind = np.iinfo(dtype) if dtype.kind in "iu" else None
     low, high = value_range or ((float(kind.min), float(kind.max)) if kind else (0.0, 1.0))
-    start, end = grid.window or (low, high)
+    start, end = grid.clim or (low, high)
     color = "".join(f"{round(255 * part):02X}" for part in grid.color or (1.0, 1.0, 1.0))
     window = {"min": min(low, start), "max": max(high, end), "start": start, "end": end}
     return {"channels": [{"label": grid.name, "color": color, "window": window, "active": True}]}

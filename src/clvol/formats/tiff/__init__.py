@@ -61,7 +61,7 @@ def lazily(path: Path, choose: Choice, series: int | str | None = None, level: i
         number = chosen_series(path.name, _images(path.name, file), series)
         sizes = [one.shape for one in file.series[number].levels]
         first = chosen_level(path.name, sizes, level)
-        return [_content(path, file, number, k, choose, _window) for k in range(first, len(sizes))]
+        return [_content(path, file, number, k, choose, _part_of) for k in range(first, len(sizes))]
 
 
 def series(path: Path) -> tuple[Series, ...]:
@@ -141,8 +141,8 @@ def _content(path: Path, file: Any, number: int, level: int, choose: Choice, loa
         "space": "image",
         "name": name,
     }
-    if "channel" not in layout.axes and len(about.windows) == 1:
-        geometry["window"] = about.windows[0]
+    if "channel" not in layout.axes and len(about.clims) == 1:
+        geometry["clim"] = about.clims[0]
     if level:  # the first sample of a level lies at the centre of those it replaces
         geometry["origin"] = layout.of({axis: (shrunk[axis] - 1) / 2 * spacing[axis] for axis in "xyz"})
     if isinstance(data, Window) and (about.slope, about.offset) != (1, 0):
@@ -200,8 +200,8 @@ def _laid_out(name: str, image: Any, about: About, choose: Choice) -> tuple[Layo
         return layout, layout.in_colour
     names = about.names if len(about.names) == count else ()
     colors = about.colors if len(about.colors) == count else ()
-    windows = about.windows if len(about.windows) == count else ()
-    return layout, Leading(layout.leading, layout.counts, {"channel": names} if names else {}, colors, windows)
+    clims = about.clims if len(about.clims) == count else ()
+    return layout, Leading(layout.leading, layout.counts, {"channel": names} if names else {}, colors, clims)
 
 
 def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> NDArray[Any]:
@@ -232,8 +232,8 @@ def _mapped(file: Any, image: Any, shape: tuple[int, ...]) -> NDArray[Any] | Non
     return found
 
 
-def _window(name: str, file: Any, image: Any, index: Index) -> Window:
-    """A window of an image at an index of its axes, after its pages are checked."""
+def _part_of(name: str, file: Any, image: Any, index: Index) -> Window:
+    """A part of an image at an index of its axes, after its pages are checked."""
     path = Path(file.filehandle.path)
     check_order(name, image)
     shape = tuple(n for _, n in _axes(image))

@@ -36,7 +36,7 @@ class About:
     deep: bool = False  # one slice has a thickness
     names: tuple[str, ...] = ()
     colors: Colors = ()
-    windows: tuple[tuple[float, float], ...] = ()
+    clims: tuple[tuple[float, float], ...] = ()
     slope: float = 1.0
     offset: float = 0.0
 
@@ -86,14 +86,14 @@ def imagej(file: Any) -> About:
     if metadata.get("cf") == 0:  # linear calibration; signed samples are stored with c0 = -32768
         slope, offset = float(metadata.get("c1", 1)), float(metadata.get("c0", 0))
     ranges = [float(v) for v in metadata.get("Ranges", (metadata.get("min", 0), metadata.get("max", 0)))]
-    windows = tuple((slope * a + offset, slope * b + offset) for a, b in zip(ranges[::2], ranges[1::2], strict=False))
+    clims = tuple((slope * a + offset, slope * b + offset) for a, b in zip(ranges[::2], ranges[1::2], strict=False))
     colors = tuple(_top_of(table) for table in metadata.get("LUTs", ()))
     return About(
         spacing,
         unit_name(str(metadata.get("unit", ""))),
         names=_names(metadata.get("Labels", ()), channels),
         colors=_telling(colors),
-        windows=windows if all(-math.inf < a < b < math.inf for a, b in windows) else (),
+        clims=clims if all(-math.inf < a < b < math.inf for a, b in clims) else (),
         slope=slope,
         offset=offset,
     )

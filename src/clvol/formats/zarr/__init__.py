@@ -16,7 +16,7 @@ from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._layout import decoded, lay_out, place, shrunk, uniform, unnamed
 from clvol.formats.zarr import ome
 from clvol.formats.zarr.addresses import shown
-from clvol.formats.zarr.array import loaded, require_chunks, window
+from clvol.formats.zarr.array import loaded, part_of, require_chunks
 from clvol.formats.zarr.files import is_one
 from clvol.interop.kinds import Content
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["is_one", "lazily", "read", "series"]
 
 Load: TypeAlias = Callable[..., Any]
-"""From a name, an array and an index to its samples there, or a window of them."""
+"""From a name, an array and an index to its samples there, or a part of them."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def lazily(
     contents, sizes = [], image.sizes
     for number in range(chosen_level(store.name, sizes, level), len(sizes)):
         require_chunks(store.name, image.level(number))
-        contents.append(_content(store.name, image, number, choose, window))
+        contents.append(_content(store.name, image, number, choose, part_of))
     if image.multiscales and not any(one.get("coordinateTransformations") for one in image.multiscales["datasets"]):
         contents = [shrunk(contents[0], content) for content in contents]  # before 0.4 shapes alone told how sizes are placed
     return contents
@@ -176,7 +176,7 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Lo
         known["labels"] = ome.labels_of(attributes) or True
     if attributes.get(KEY) and layout.axes == ("z", "y", "x") and load is not loaded:
         about, path = attributes[KEY], image.multiscales["datasets"][level]["path"]
-        known["bounds"] = bounds_of(image.node, about, path, array.shape[::-1], lambda one: window(source, one))
+        known["bounds"] = bounds_of(image.node, about, path, array.shape[::-1], lambda one: part_of(source, one))
     data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
     return data, known | chosen
 

@@ -1,4 +1,4 @@
-"""Arrays of a checked store: read whole, or part by part as windows that name the chunk they cannot read."""
+"""Arrays of a checked store: read whole, or part by part as `Window`s that name the chunk they cannot read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from clvol.formats.zarr.files import has_chunks
 if TYPE_CHECKING:
     from clvol.formats.zarr._store import CheckedStore
 
-__all__ = ["loaded", "require_chunks", "window"]
+__all__ = ["loaded", "part_of", "require_chunks"]
 
 _SECONDS = 10.0  # after which a remote store's metadata are compared again
 _LARGE = 1 << 24  # bytes of a chunk that is read by parts, if it is not compressed
@@ -39,8 +39,8 @@ def loaded(source: str, array: Any, index: Index = ()) -> NDArray[Any]:
     return np.asarray(array[index])
 
 
-def window(source: str, array: Any, index: Index = ()) -> Window:
-    """A window of an array in a watched store."""
+def part_of(source: str, array: Any, index: Index = ()) -> Window:
+    """A part of an array in a watched store."""
     files = array.store_path.store.files
     chunk = sample_count(array.chunks) * array.dtype.itemsize
     if chunk > _LARGE and files is not None and files.root.is_dir() and (dtype := _uncompressed(array)) is not None:

@@ -33,7 +33,7 @@ def described(
     shape: Sequence[int],
     keep: Collection[str] = (),
 ) -> tuple[Layout, Leading, dict[str, Any]]:
-    """Axes of the array of one size; names, colours and windows of its channels; and arguments of `Volume`.
+    """Axes of the array of one size; names, colours and `clim` of its channels; and arguments of `Volume`.
 
     `attributes` are the group's, `multiscales` is one entry of those. Axes to `keep` stay even if they have one sample. Metadata
     that contradict themselves or the array's `shape` are a `FormatError`.
@@ -97,22 +97,22 @@ def _of_pyramid(given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str,
 
 
 def _leading(layout: Layout, channels: Sequence[Mapping[str, Any]]) -> Leading:
-    """The leading axes, with names, colours and windows of channels as `omero` has them."""
+    """The leading axes, with names, colours and `clim` of channels as `omero` has them."""
     if "channel" not in layout.axes or len(channels) != layout.shape[layout.axes.index("channel")]:
         return Leading(layout.leading, layout.counts)
     names = tuple(str(channel.get("label") or "") for channel in channels)
     colors = tuple(_color(channel.get("color")) for channel in channels)
-    windows = tuple(_window(channel.get("window") or {}) for channel in channels)
+    clims = tuple(_clim(channel.get("window") or {}) for channel in channels)
     return Leading(
         layout.leading,
         layout.counts,
         {"channel": names} if any(names) else {},
         colors if any(color not in (None, (1.0, 1.0, 1.0)) for color in colors) else (),
-        windows if any(windows) else (),
+        clims if any(clims) else (),
     )
 
 
-def _window(window: Mapping[str, Any]) -> tuple[float, float] | None:
+def _clim(window: Mapping[str, Any]) -> tuple[float, float] | None:
     low, high = window.get("start"), window.get("end")
     return (float(low), float(high)) if low is not None and high is not None and -math.inf < low < high < math.inf else None
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clvol.filter.filter import Filter
 from clvol.reference.march.march import camera_rays, pixel_rays, shade
-from clvol.scene.camera import View
+from clvol.scene.camera import Viewpoint
 from clvol.scene.light import Light, Material
 from clvol.volume.volume import Volume
 
@@ -25,7 +25,7 @@ def draw_function(
     function: Function,
     gradient: Function,
     volume: Volume,
-    view: View,
+    view: Viewpoint,
     size: tuple[int, int],
     *,
     isovalue: float,

@@ -25,7 +25,7 @@ from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.rays import Rays, camera_rays
 from clvol.reference.march.roots import first_crossings
 from clvol.reference.spline.points import sample
-from clvol.scene.camera import Camera, View
+from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.fit import fitted
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode, mode_options
@@ -43,7 +43,7 @@ _ROUNDING = 2.0**-19  # share of the value a voxel: less is no gradient, since k
 _BISECTIONS = 38  # to 1e-12 of a step; to the last bit, rounding would choose the side of a jump again
 
 
-def planes_across(volume: Volume, view: View, aspect: float, step: float) -> tuple[int, int]:
+def planes_across(volume: Volume, view: Viewpoint, aspect: float, step: float) -> tuple[int, int]:
     """The axis most parallel to the view, in index space, and K, how many planes across it are sampled.
 
     A ray at an angle α to the axis advances ``n / (K cos α)`` voxels from plane to plane. The picture's
@@ -179,7 +179,7 @@ class _Scene:
     transfer: TransferFunction
     unit_distance: float
     volume: Volume
-    view: View
+    view: Viewpoint
 
 
 def render(

@@ -10,7 +10,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.scene.camera import View
+from clvol.scene.camera import Viewpoint
 from clvol.volume.volume import Volume
 
 __all__ = ["Rays", "camera_rays"]
@@ -47,7 +47,7 @@ class Rays:
 
 def camera_rays(
     volume: Volume,
-    view: View,
+    view: Viewpoint,
     size: tuple[int, int],
     offset: Sequence[float] = (0.5, 0.5),
     clip: tuple[Sequence[float], Sequence[float]] | None = None,

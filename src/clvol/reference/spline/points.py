@@ -156,7 +156,7 @@ def _blend(stored: Array, first: NDArray[np.int64], at: Array, filter: Filter, d
     """
     d = stored.ndim
     reach = math.ceil(filter.support / 2)
-    window = np.arange(1 - reach, reach + 1)  # all within reach of a position above 0 and below 1, or at 0
+    offsets = np.arange(1 - reach, reach + 1)  # all within reach of a position above 0 and below 1, or at 0
     axes = "zyx"[-d:]
     orders = {
         0: [(0,) * d],
@@ -164,13 +164,13 @@ def _blend(stored: Array, first: NDArray[np.int64], at: Array, filter: Filter, d
         2: [tuple(int(i == a) + int(i == b) for i in range(d)) for a in reversed(range(d)) for b in reversed(range(d))],
     }[derivative]
     result = np.empty((at.shape[0], len(orders)))
-    step = max(1, _CHUNK // window.size**d)
+    step = max(1, _CHUNK // offsets.size**d)
     for begin in range(0, at.shape[0], step):
         part = at[begin : begin + step]
-        index = np.floor(part).astype(np.int64)[:, :, None] + window  # (N, d, window)
+        index = np.floor(part).astype(np.int64)[:, :, None] + offsets  # (N, d, offsets)
         weights = [kernel(filter, part[:, :, None] - index, m) for m in range(derivative + 1)]
         place = np.clip(index - first[:, None], 0, np.array(stored.shape)[:, None] - 1)  # clipped ones have weight 0
-        grids = [place[:, a].reshape(-1, *(window.size if i == a else 1 for i in range(d))) for a in range(d)]
+        grids = [place[:, a].reshape(-1, *(offsets.size if i == a else 1 for i in range(d))) for a in range(d)]
         block = stored[tuple(grids)]
         for column, order in enumerate(orders):
             terms = block

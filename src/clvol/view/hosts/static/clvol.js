@@ -650,7 +650,7 @@ class TransferEditor {
         "aria-current": i === this.selected,
       });
     });
-    const ends = this.windowEnds();
+    const ends = this.clim();
     this.handles.forEach((handle, i) => {
       const share = [0, 1, 0.5][i];
       attributes(handle, { x: this.x(ends[0] + (ends[1] - ends[0]) * share) - (i < 2 ? 5 : 9), "aria-valuenow": ends[i] ?? (ends[0] + ends[1]) / 2 });
@@ -831,7 +831,7 @@ class TransferEditor {
     return handles;
   }
 
-  windowEnds() {
+  clim() {
     const window = this.viewer.state?.transfer ? null : this.viewer.state?.window;
     if (window) return [window[0] - window[1] / 2, window[0] + window[1] / 2];
     return [this.points[0]?.[0] ?? this.range[0], this.points.at(-1)?.[0] ?? this.range[1]];
@@ -841,7 +841,7 @@ class TransferEditor {
     if (event.button !== 0 || !this.points.length) return;
     this.held = true;
     event.target.focus({ preventScroll: true });
-    const [first, ends, points] = [this.at(event).value, this.windowEnds(), this.points];
+    const [first, ends, points] = [this.at(event).value, this.clim(), this.points];
     const moved = oncePerFrame((value) => this.moveWindow(ends, points, which, value - first, true));
     drag(event, event.target, (other) => moved(this.at(other).value), () => {
       moved.flush();
@@ -856,7 +856,7 @@ class TransferEditor {
     event.preventDefault();
     event.stopPropagation();
     const by = (way * (event.shiftKey ? 5 : 1) * (this.range[1] - this.range[0])) / 200;
-    this.moveWindow(this.windowEnds(), this.points, which, by, false);
+    this.moveWindow(this.clim(), this.points, which, by, false);
   }
 
   /** Moves one end, or both. Edited points move with it; those of a preset are moved by the session. */
