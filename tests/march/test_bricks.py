@@ -175,7 +175,7 @@ def test_rays_that_come_again_find_bricks_that_are_kept() -> None:
         expected = renderer.render(along, "mean", (16, 16), samples=1)
         assert measured.reads.bricks == 8
         budget = int(measured.nbytes * 4.9 / 8)
-    with BrickedField(lazy, "linear", edge=32, budget=budget) as field, Renderer(field) as renderer:
+    with BrickedField(lazy, "linear", edge=32, memory=budget) as field, Renderer(field) as renderer:
         np.testing.assert_array_equal(renderer.render(along, "mean", (16, 16), samples=1), expected)
         assert field.reads.bricks == 8
         for again in (1, 2):
@@ -315,7 +315,7 @@ def test_the_levels_of_a_renderer_share_a_budget() -> None:
     data = waves(48, 48, 48)
     levels = [clvol.LazyVolume(data[::n, ::n, ::n], (n, n, n), limits=(0, 1)) for n in (2, 3)]
     lazy = clvol.LazyVolume(data, levels=levels, limits=(0, 1), labels=False)
-    with BrickedField(lazy, "linear", edge=16, budget=700_000) as field, Renderer(field) as renderer:
+    with BrickedField(lazy, "linear", edge=16, memory=700_000) as field, Renderer(field) as renderer:
         for _ in renderer.refine(CAMERAS["aslant"], "mip", (40, 40), lod=0):
             assert field.nbytes + sum(level.nbytes for level in renderer.levels) <= 700_000
 
@@ -336,7 +336,7 @@ def test_levels_that_several_threads_draw_share_a_budget() -> None:
                 most[0] = max(most[0], field.nbytes + sum(level.nbytes for level in renderer.levels))
 
     levels = [clvol.LazyVolume(Watched(data[::n, ::n, ::n]), (n, n, n), limits=(0, 1), labels=False) for n in (1, 2)]
-    with BrickedField(levels[0].with_levels(levels[1:]), "linear", edge=16, budget=budget) as field, Renderer(field) as renderer:
+    with BrickedField(levels[0].with_levels(levels[1:]), "linear", edge=16, memory=budget) as field, Renderer(field) as renderer:
 
         def draw(lod: float) -> list[Any]:
             return [renderer.render(mode="mean", size=(32, 32), lod=lod, samples=1) for _ in range(3)]
@@ -356,7 +356,7 @@ def test_one_field_is_closed_while_another_beside_it_draws() -> None:
     """They count each other's bricks."""
     data = np.random.default_rng(0).random((40, 40, 40)).astype(np.float32)
     points = np.random.default_rng(1).uniform(0, 39, (200, 3))
-    with BrickedField(data, "linear", edge=12, budget=400_000) as one, ThreadPoolExecutor(1) as pool:
+    with BrickedField(data, "linear", edge=12, memory=400_000) as one, ThreadPoolExecutor(1) as pool:
         truth = one(points)
 
         def slowly(own: Any) -> int:  # the other field is closed meanwhile
@@ -377,15 +377,15 @@ def test_one_field_is_closed_while_another_beside_it_draws() -> None:
 
 
 def test_fields_beside_another_have_no_budget_of_their_own(volume: clvol.Volume) -> None:
-    with BrickedField(volume, "linear", edge=16, budget=1 << 20) as one:
+    with BrickedField(volume, "linear", edge=16, memory=1 << 20) as one:
         with BrickedField(volume, "nearest", edge=16, beside=one) as other:
-            assert other.budget == one.budget
+            assert other.memory == one.memory
             other([[9.0, 9.0, 9.0]])
             one([[9.0, 9.0, 9.0]])
             assert other.nbytes + one.nbytes <= 1 << 20
         assert other.nbytes == 0
-        with pytest.raises(OptionError, match="budget must be left to the field beside which this one is; got 3 with it"):
-            BrickedField(volume, budget=3, beside=one)
+        with pytest.raises(OptionError, match="memory must be left to the field beside which this one is; got 3 with it"):
+            BrickedField(volume, memory=3, beside=one)
 
 
 @pytest.mark.parametrize("mode", ["composite", "mip"])
@@ -447,7 +447,7 @@ def test_pickled_renderers_read_again() -> None:
 def test_the_picture_does_not_depend_on_the_budget(volume: clvol.Volume) -> None:
     pictures = []
     for budget in (1 << 20, 1 << 30):
-        with BrickedField(volume, "linear", edge=16, budget=budget) as field, Renderer(field) as renderer:
+        with BrickedField(volume, "linear", edge=16, memory=budget) as field, Renderer(field) as renderer:
             pictures.append(renderer.render(CAMERAS["aslant"], "composite", (64, 64), transfer=BUMPY, samples=4))
             assert field.nbytes <= budget
     np.testing.assert_array_equal(*pictures)

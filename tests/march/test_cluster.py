@@ -207,7 +207,7 @@ def test_a_pickled_renderer_finds_its_cluster(cluster: Cluster, volume: clvol.La
                 np.testing.assert_array_equal(again.render(CAMERAS["aslant"], "mip", (48, 48)), picture)
         assert cluster.client.status == "running"  # the copy has left, and ended nobody else's
     again, _ = Renderer(volume, "linear", cluster=cluster).__reduce__()
-    assert again.keywords == {"budget": None, "cluster": cluster.address, "merge": "order"}
+    assert again.keywords == {"memory": None, "cluster": cluster.address, "merge": "order"}
 
 
 def test_a_pickle_of_own_processes_says_how_many(monkeypatch: pytest.MonkeyPatch, cluster: Cluster) -> None:

@@ -79,7 +79,7 @@ def source(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:
 
 def of(source: Any) -> dict[str, Any]:
     """What bricks give of an array."""
-    with BrickedField(source, edge=16, budget=8 << 20) as field, clvol.Renderer(field) as renderer:
+    with BrickedField(source, edge=16, memory=8 << 20) as field, clvol.Renderer(field) as renderer:
         pictures = {mode: renderer.render(mode=mode, **LOOK) for mode in ("isosurface", "composite")}
         return {"points": field(AT), "grid": field.resample(GRID).data, **pictures}
 

@@ -24,7 +24,7 @@ from clvol.bricks.sliced import mapped
 from clvol.noise import Noise
 from clvol.volume.volume import Volume
 
-__all__ = ["BUDGET", "Bounds", "LazyVolume", "Sliced", "budget_for", "by_bricks", "needed_by", "too_large"]
+__all__ = ["BUDGET", "Bounds", "LazyVolume", "Sliced", "by_bricks", "memory_for", "needed_by", "too_large"]
 
 Index: TypeAlias = tuple[int, int, int]
 """Along x, y and z."""
@@ -544,7 +544,7 @@ def _ends(limits: Any) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
-def budget_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
+def memory_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
     """Bytes that work on a volume may take: as given, else 2 GiB, or half of the memory that is available if that is less.
 
     Where a chunk takes much of these to be unpacked they are more by that, up to all that is available. `sharing` is how many
@@ -563,10 +563,10 @@ def budget_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
         if 2 * least > budget:
             budget = max(budget, min(budget + least, room))
     else:
-        budget = whole("budget", given, 1)
+        budget = whole("memory", given, 1)
     if least > max(budget, _PIECE):  # less does not count beside a brick
         raise OptionError(
-            f"budget must be at least {least} bytes, which a chunk of {volume.name or 'the volume'} takes that is unpacked as a "
+            f"memory must be at least {least} bytes, which a chunk of {volume.name or 'the volume'} takes that is unpacked as a "
             f"whole, to {one} bytes; got {budget}: clvol.pyramid, given that much once, makes a store of small chunks"
         )
     return budget
@@ -582,9 +582,9 @@ def too_large(volume: LazyVolume, room: float | None = None) -> bool:
     return needed_by(volume) > (memory.available() / 2 if room is None else room)
 
 
-def by_bricks(volume: LazyVolume, *, several: bool = True, budget: int | None = None) -> bool:
+def by_bricks(volume: LazyVolume, *, several: bool = True, most: int | None = None) -> bool:
     """Whether pictures of what is stored are made by bricks, and not read as one: it has several sizes, or is too large.
 
-    `several` says whether sizes count, none having been chosen; `budget` is what bricks may take.
+    `several` says whether sizes count, none having been chosen; `most` is what bricks may take, in bytes.
     """
-    return (several and bool(volume.levels)) or too_large(volume) or (budget is not None and too_large(volume, budget))
+    return (several and bool(volume.levels)) or too_large(volume) or (most is not None and too_large(volume, most))

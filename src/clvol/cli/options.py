@@ -62,7 +62,7 @@ def bytes_of(text: str) -> int:
     """A number of bytes as people write it: 800M, 4G, 1.5GiB."""
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
     if found is None:
-        raise OptionError(f"budget must be a number of bytes, such as 800M or 4G; got {text!r}")
+        raise OptionError(f"memory must be a number of bytes, such as 800M or 4G; got {text!r}")
     return int(float(found[1]) * 1024 ** " KMGT".index(found[2].upper() or " "))
 
 

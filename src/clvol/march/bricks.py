@@ -92,7 +92,7 @@ class BrickedDrawing(Drawing):
         frame, (width, height) = self.frame, self.frame.size
         last = min(self.rays, self.cast_rays + rays)
         each = 4 * width * height * fields_of(frame)
-        together = max(1, self._field.budget // _SHARE // each)
+        together = max(1, self._field.memory // _SHARE // each)
         while self.cast_rays < last:
             first, past = self.cast_rays, min(last, self.cast_rays + together)
             memory.require((past - first) * each, f"the states of {(past - first) * width * height} rays")

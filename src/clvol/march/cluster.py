@@ -26,7 +26,7 @@ from clvol.base.errors import ClusterError, DeviceError, OptionError, OutOfMemor
 from clvol.base.progress import Progress
 from clvol.bricks.field import BrickedField
 from clvol.bricks.grid import Brick
-from clvol.bricks.source import Index, LazyVolume, budget_for
+from clvol.bricks.source import Index, LazyVolume, memory_for
 from clvol.dask.cluster import (
     Cluster,
     ClusterLike,
@@ -145,7 +145,7 @@ def shared_out(field: BrickedField, workers: int) -> BrickedField:
         edge //= 2
     if edge == field.edge:
         return field
-    return BrickedField(field.volume, field.filter, field.boundary, field.device, budget=field.budget, edge=edge)
+    return BrickedField(field.volume, field.filter, field.boundary, field.device, memory=field.memory, edge=edge)
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class _Recipe:
     filter: Filter
     boundary: Boundary
     device: str | int | None
-    budget: int | None
+    memory: int | None
     edge: int
     ranks: dict[str, int]
     version: str = field(default_factory=version)
@@ -196,13 +196,13 @@ class Shared:
         This process reads none of its bricks.
     device : str, int or None
         Of the workers: see `as_device`. None: workers of a host that has several GPUs take turns at them.
-    budget : int or None
+    memory : int or None
         Bytes for the bricks of each worker. None: the workers of a host share what one process would have.
     """
 
-    def __init__(self, cluster: Cluster, field: BrickedField, device: str | int | None, budget: int | None) -> None:
+    def __init__(self, cluster: Cluster, field: BrickedField, device: str | int | None, memory: int | None) -> None:
         self.cluster, self.field = cluster, field
-        self._device, self._budget = device, budget
+        self._device, self._memory = device, memory
         self.token = uuid.uuid4().hex
         self.share()
 
@@ -217,7 +217,7 @@ class Shared:
             field.filter,
             field.boundary,
             self._device,
-            self._budget,
+            self._memory,
             field.edge,
             self.cluster.local_ranks(),
         )
@@ -460,8 +460,8 @@ def _field_of(recipe: _Recipe) -> BrickedField:
         except DeviceError as error:
             raise ClusterError(f"workers must have an OpenCL device; {worker_address()} has none: {error}") from error
         volume = recipe.volume.as_known(recipe.limits, recipe.labels)
-        budget = recipe.budget or budget_for(volume, None, local_size(recipe.ranks))
-        _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, budget=budget, edge=recipe.edge)
+        memory = recipe.memory or memory_for(volume, None, local_size(recipe.ranks))
+        _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, memory=memory, edge=recipe.edge)
     field = _fields[recipe.token]
     _fields.move_to_end(recipe.token)
     for other in _fields.values():
@@ -552,7 +552,7 @@ class OnCluster(ByBricks):
         As of `ByBricks`; this process reads no bricks of the field.
     cluster : distributed.Client, str or int
     merge : {"order", "tree"}
-    device, budget
+    device, memory
         Of each worker, as they were given.
     """
 
@@ -565,11 +565,11 @@ class OnCluster(ByBricks):
         cluster: ClusterLike,
         merge: Merge,
         device: Device | str | int | None,
-        budget: int | None,
+        memory: int | None,
     ) -> None:
         super().__init__(scene, field, preview, arguments)
         self._merge: Merge = merge
-        self._device, self._budget = device, budget
+        self._device, self._memory = device, memory
         self._processes = cluster if isinstance(cluster, int) else None
         self._shared: dict[int, Shared] = {}
         self._cluster = as_cluster(cluster)
@@ -580,7 +580,7 @@ class OnCluster(ByBricks):
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
         cluster = self._processes or self._cluster.address
         arguments = *self.arguments, self._device  # as it was given: each worker finds its own
-        return arguments, {"budget": self._budget, "cluster": cluster, "merge": self._merge}
+        return arguments, {"memory": self._memory, "cluster": cluster, "merge": self._merge}
 
     def _shared_out(self, field: BrickedField) -> BrickedField:
         return shared_out(field, len(self._cluster.workers))
@@ -595,7 +595,7 @@ class OnCluster(ByBricks):
             found = self._shared.get(id(field))
             if found is None:
                 device = self._device.name if isinstance(self._device, Device) else self._device
-                found = self._shared[id(field)] = Shared(self._cluster, field, device, self._budget)
+                found = self._shared[id(field)] = Shared(self._cluster, field, device, self._memory)
             elif found.workers != self._cluster.workers:
                 found.share()
             return found

@@ -157,7 +157,7 @@ class FieldOptions(TypedDict, total=False):
     filter: str | Filter | None
     boundary: str | Boundary | None
     device: Device | str | int | None
-    budget: int | None
+    memory: int | None
 
 
 class RendererOptions(FieldOptions, total=False):

@@ -14,7 +14,7 @@ from clvol.base.checks import one_of, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.base.progress import Progress
 from clvol.bricks.field import BrickedField
-from clvol.bricks.source import LazyVolume, budget_for
+from clvol.bricks.source import LazyVolume, memory_for
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
@@ -190,7 +190,7 @@ class ByBricks(Source):
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
         arguments, _ = super().recipe()
-        return arguments, {"budget": self.field.budget} if self._owned else {}
+        return arguments, {"memory": self.field.memory} if self._owned else {}
 
     def function(self, mode: Mode, level: int = 0) -> BrickedField:
         level = whole("level", level, 0, len(self.field.volume.levels))
@@ -275,7 +275,7 @@ def source_of(
     boundary: str | Boundary | None = None,
     device: Device | str | int | None = None,
     *,
-    budget: int | None = None,
+    memory: int | None = None,
     cluster: ClusterLike | None = None,
     merge: Merge = "order",
     usual: str | None = None,
@@ -288,11 +288,11 @@ def source_of(
     if isinstance(given, (Field, BrickedField)):
         if cluster is not None:
             raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
-        return _of_field(given, filter, boundary, device, budget)
+        return _of_field(given, filter, boundary, device, memory)
     if isinstance(given, LazyVolume):
-        budget_for(given, budget)  # before anything is read
+        memory_for(given, memory)  # before anything is read
         row = filter if usual is None else row_for(given, filter, usual)
-        field = BrickedField(given, _usual(given) if row is None else row, boundary, device, budget=budget, at_once=cluster is None)
+        field = BrickedField(given, _usual(given) if row is None else row, boundary, device, memory=memory, at_once=cluster is None)
         medium = Medium(field.coefficients.volume, filter=None if row is None else field.filter, boundary=field.boundary)
         scene, preview = as_scene(medium), given.preview()
         arguments: tuple[Any, ...] = given, medium.filter, medium.boundary
@@ -307,12 +307,12 @@ def source_of(
                 return InMemory(scene, made, preview, arguments)
             except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
                 pass
-        field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget, at_once=cluster is None)
+        field = BrickedField(medium.volume, row, medium.boundary, device, memory=memory, at_once=cluster is None)
     if cluster is None:
         return ByBricks(scene, field, preview, arguments)
     from clvol.march.cluster import OnCluster
 
-    return OnCluster(scene, field, preview, arguments, cluster, merge, device, budget)
+    return OnCluster(scene, field, preview, arguments, cluster, merge, device, memory)
 
 
 def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | None, usual: str | None) -> Scene:
@@ -333,7 +333,7 @@ def _of_field(
     filter: str | Filter | None,
     boundary: str | Boundary | None,
     device: Device | str | int | None,
-    budget: int | None,
+    memory: int | None,
 ) -> Source:
     """The source of a field, which stays open when the renderer is closed."""
     medium = Medium(field.coefficients.volume, filter=field.filter, boundary=field.boundary)
@@ -349,8 +349,8 @@ def _of_field(
         if field.precision != "single":
             raise OptionError(f"rendering takes a field of single precision; got one of {field.precision} precision")
         return InMemory(as_scene(medium), field, medium.volume, (field,))
-    if filter is not None or boundary is not None or device is not None or budget is not None:
-        raise OptionError("filter, boundary, device and budget must be left to the field; got them beside it")
+    if filter is not None or boundary is not None or device is not None or memory is not None:
+        raise OptionError("filter, boundary, device and memory must be left to the field; got them beside it")
     if field.closed:
         raise OptionError(_FIELD_CLOSED)
     return ByBricks(as_scene(medium), field, field.volume.preview(), (field,))

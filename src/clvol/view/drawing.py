@@ -289,7 +289,7 @@ def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generat
             yield Shot(to_bytes(renderer.render(size=order.size, progress=asking(order.stop), **given)), True, given["step"])
         return
     camera, mode, step = (given.pop(name) for name in ("camera", "mode", "step"))
-    for picture in renderer.refine(camera, mode, order.size, step, budget=order.budget, cancelled=order.stop, **given):
+    for picture in renderer.refine(camera, mode, order.size, step, seconds=order.budget, cancelled=order.stop, **given):
         yield Shot(to_bytes(picture), picture.final and not order.coarse, picture.step)
         if order.coarse:
             return
