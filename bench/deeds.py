@@ -232,7 +232,7 @@ def _camera(random: Random) -> clvol.Camera:
 _FRAME: dict[str, Sequence[Any]] = {
     "step": (1.0, 0.3),
     "gradient": ("central",),
-    "samples": (1, 3),
+    "rays": (1, 3),
     "pixel_filter": ("linear", "mitchell"),
     "skipping": (False,),
     "evaluator": ("taps", "paired"),

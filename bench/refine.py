@@ -41,7 +41,7 @@ def looks() -> dict[str, Look]:
         "surface": {"mode": "isosurface", "isovalue": scene.BONE},
         "mip": {"mode": "mip", "transfer": ramp},
         "translucent, gradient='central'": {**translucent, "gradient": "central"},
-        "translucent, samples=16": {**translucent, "samples": 16},
+        "translucent, rays=16": {**translucent, "rays": 16},
         "translucent, step=0.1": {**translucent, "step": 0.1},
     }
 

@@ -149,11 +149,11 @@ def test_long_chunks_are_unpacked_once_a_picture(chunks: tuple[int, ...], view: 
         across = 2 if chunks[0] == 1 else 1
         assert len(list(itertools.groupby(brick.at[across] for brick in order))) == field.bricks.counts[across]
         source.unpacked = 0
-        picture = renderer.render(camera, "mean", (32, 32), samples=1)
+        picture = renderer.render(camera, "mean", (32, 32), rays=1)
         assert field.reads.bricks > 80  # of 108; the others lie beside the picture
         assert source.unpacked == source.stored
         assert field.nbytes <= budget
-        np.testing.assert_array_equal(picture, truth.render(camera, "mean", (32, 32), samples=1))
+        np.testing.assert_array_equal(picture, truth.render(camera, "mean", (32, 32), rays=1))
 
 
 def test_bricks_are_such_that_long_chunks_are_kept() -> None:

@@ -114,7 +114,7 @@ def test_render_writes_what_render_gives(clvol_command: Command) -> None:
 
 def test_render_passes_every_option_on(clvol_command: Command) -> None:
     options = (
-        "--mode isosurface --boundary wrap --step 0.3 --samples 2 --isovalue -0.25 --color red --background #102030 "
+        "--mode isosurface --boundary wrap --step 0.3 --rays 2 --isovalue -0.25 --color red --background #102030 "
         "--gradient central --azimuth -40 --elevation 10 --zoom 1.5 --projection orthographic --evaluator taps "
         "--fetch buffer --filter mitchell"
     )
@@ -129,7 +129,7 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
         boundary="wrap",
         size=(16, 12),
         step=0.3,
-        samples=2,
+        rays=2,
         isovalue=-0.25,
         color="red",
         background="#102030",
@@ -228,7 +228,7 @@ def test_render_writes_by_suffix(clvol_command: Command, suffix: str) -> None:
         ((SPHERE, "--device", "bogus"), ("device must be one of", "'bogus'")),
         ((SPHERE, "--step", "0"), ("step must be a finite number, greater than 0", "0.0")),
         ((SPHERE, "--step", "nan"), ("step must be a finite number",)),
-        ((SPHERE, "--samples", "0"), ("samples",)),
+        ((SPHERE, "--rays", "0"), ("rays",)),
         ((SPHERE, "--size", "0", "4"), ("width must be a whole number", "got 0")),
         ((SPHERE, "--zoom", "-1"), ("zoom must be a finite number",)),
         ((SPHERE, "--isovalue", "inf", "--mode", "isosurface"), ("isovalue must be a finite number",)),
@@ -1291,7 +1291,7 @@ def told(self, *args, progress, **options):
     return render(self, *args, progress=lambda done: print("tile", flush=True), **options)
 Renderer.render = told
 from clvol.cli import main
-main(["render", "phantom:sphere:64", "-o", "a.png", "--size", "4000", "4000", "--samples", "4096", "--filter", "bspline5"])
+main(["render", "phantom:sphere:64", "-o", "a.png", "--size", "4000", "4000", "--rays", "4096", "--filter", "bspline5"])
 """
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8")
     try:

@@ -71,15 +71,15 @@ def checked(pictures: Iterator[Refined], want: Picture) -> list[Refined]:
 
 
 @pytest.mark.one_in(2)
-@pytest.mark.parametrize("samples", [1, "auto", 4])
+@pytest.mark.parametrize("rays", [1, "auto", 4])
 @pytest.mark.parametrize("mode", modes())
-def test_the_last_is_the_picture_to_the_last_bit(renderer: Renderer, mode: str, samples: Any) -> None:
-    want = renderer.render(CAMERA, mode, SIZE, samples=samples)
-    soon = checked(renderer.refine(CAMERA, mode, SIZE, samples=samples, seconds=TINY), want)
+def test_the_last_is_the_picture_to_the_last_bit(renderer: Renderer, mode: str, rays: Any) -> None:
+    want = renderer.render(CAMERA, mode, SIZE, rays=rays)
+    soon = checked(renderer.refine(CAMERA, mode, SIZE, rays=rays, seconds=TINY), want)
     assert len(soon) >= 2
     assert soon[0][..., 0].size <= 1100
     assert soon[-1].step == 0.5
-    assert len(checked(renderer.refine(CAMERA, mode, SIZE, samples=samples, seconds=HUGE), want)) == 1
+    assert len(checked(renderer.refine(CAMERA, mode, SIZE, rays=rays, seconds=HUGE), want)) == 1
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 500), (500, 3), (17, 1), (40, 41)], ids=str)
@@ -101,7 +101,7 @@ def test_all_that_render_takes(renderer: Renderer) -> None:
         "background": "white",
         "clip": ((-0.5, -1, -1), (1, 1, 0.6)),
         "gradient": "central",
-        "samples": 3,
+        "rays": 3,
         "pixel_filter": "mitchell",
         "skipping": False,
         "shading": False,
@@ -117,8 +117,8 @@ def test_other_tiles_and_devices_that_do_not_share_memory(renderer: Renderer, ti
         if not shares:
             monkeypatch.setattr(Device, "shares_memory", property(lambda _: False))
         with renderer.device.limited(tile=TILES[tile], launch_seconds=1e-9):
-            for samples in ("auto", 5):
-                look: dict[str, Any] = {"mode": "isosurface", "size": SIZE, "samples": samples}
+            for rays in ("auto", 5):
+                look: dict[str, Any] = {"mode": "isosurface", "size": SIZE, "rays": rays}
                 checked(renderer.refine(CAMERA, seconds=TINY, **look), renderer.render(CAMERA, **look))
 
 
@@ -154,18 +154,18 @@ def test_a_picture_that_comes_too_late_is_drawn_on_later(renderer: Renderer, mon
 
 
 def test_a_drawing_goes_on_where_it_stopped(renderer: Renderer) -> None:
-    for samples in (1, 4):
-        seen = captured(renderer, samples)
+    for rays in (1, 4):
+        seen = captured(renderer, rays)
         (frame,) = {id(drawing.frame): drawing.frame for drawing in seen}.values()
         with renderer.device.limited(launch_seconds=1e-9):
-            whole, drawing, stops = draw(frame, samples)["rgba"], Drawing(frame, samples), 0
-            while not drawing.cast(samples, until=0.0):
+            whole, drawing, stops = draw(frame, rays)["rgba"], Drawing(frame, rays), 0
+            while not drawing.cast(rays, until=0.0):
                 stops += 1
         assert stops > 10
         np.testing.assert_array_equal(drawing.arrays["rgba"], whole)
 
 
-def captured(renderer: Renderer, samples: int) -> list[Drawing]:
+def captured(renderer: Renderer, rays: int) -> list[Drawing]:
     """The drawing of a whole picture."""
     made: list[Drawing] = []
 
@@ -177,7 +177,7 @@ def captured(renderer: Renderer, samples: int) -> list[Drawing]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(refine, "Drawing", Kept)
-        list(renderer.refine(CAMERA, size=SIZE, samples=samples, seconds=HUGE))
+        list(renderer.refine(CAMERA, size=SIZE, rays=rays, seconds=HUGE))
     return made
 
 
@@ -187,7 +187,7 @@ def test_some_rays_of_a_pixel_make_a_picture(device: Device, background: str | N
     fog = Volume(np.ones((6, 6, 6), np.float32))
     camera = Camera.orbit(0, 0, projection="orthographic", zoom=4)
     transfer = TransferFunction(((0, (1, 0.6, 0)), (2, (1, 0.6, 0))), ((0, 0.1), (2, 0.1)))
-    look: dict[str, Any] = {"size": (20, 20), "samples": 9, "transfer": transfer, "shading": False, "background": background}
+    look: dict[str, Any] = {"size": (20, 20), "rays": 9, "transfer": transfer, "shading": False, "background": background}
     with Renderer(fog, device=device) as renderer:
         made = list(renderer.refine(camera, seconds=TINY, **look))
         assert len(made) > 3
@@ -234,7 +234,7 @@ def test_what_was_measured_is_remembered(device: Device, monkeypatch: pytest.Mon
 
     def drawn(camera: Camera, **look: Any) -> int:
         sizes.clear()
-        list(renderer.refine(camera, size=(64, 64), samples=1, seconds=HUGE, **look))
+        list(renderer.refine(camera, size=(64, 64), rays=1, seconds=HUGE, **look))
         return len(sizes)
 
     with Renderer(marschner_lobb(12), device=device) as renderer:
@@ -270,7 +270,7 @@ def test_rates() -> None:
 
 
 @pytest.mark.parametrize(
-    "look", [{"mode": "composite"}, {"mode": "isosurface"}, {"mode": "mip", "samples": 3}], ids=lambda look: look["mode"]
+    "look", [{"mode": "composite"}, {"mode": "isosurface"}, {"mode": "mip", "rays": 3}], ids=lambda look: look["mode"]
 )
 def test_cancelled_at_each_question(renderer: Renderer, look: dict[str, Any]) -> None:
     want = renderer.render(CAMERA, size=SIZE, **look)
@@ -334,13 +334,13 @@ def test_edges_are_told_of(renderer: Renderer) -> None:
 # -- whatever happens on the way --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("samples", [1, "auto", 4])
+@pytest.mark.parametrize("rays", [1, "auto", 4])
 @pytest.mark.parametrize("budget", [TINY, HUGE])
-def test_progress_is_that_of_the_last_picture(renderer: Renderer, samples: Any, budget: float) -> None:
+def test_progress_is_that_of_the_last_picture(renderer: Renderer, rays: Any, budget: float) -> None:
     told: list[float] = []
-    want = renderer.render(CAMERA, "isosurface", SIZE, samples=samples)
+    want = renderer.render(CAMERA, "isosurface", SIZE, rays=rays)
     with renderer.device.limited(launch_seconds=1e-9):
-        checked(renderer.refine(CAMERA, "isosurface", SIZE, samples=samples, seconds=budget, progress=told.append), want)
+        checked(renderer.refine(CAMERA, "isosurface", SIZE, rays=rays, seconds=budget, progress=told.append), want)
     assert len(told) > 10
     assert told == sorted(told)
     assert 0 < told[0] < 0.5
@@ -429,7 +429,7 @@ def test_a_field_that_was_given_and_closed(device: Device) -> None:
 
 
 def test_several_threads_refine_with_one_renderer(renderer: Renderer) -> None:
-    looks = [("composite", {}), ("isosurface", {"isovalue": 0.4}), ("isosurface", {"isovalue": 0.6}), ("mip", {"samples": 2})]
+    looks = [("composite", {}), ("isosurface", {"isovalue": 0.4}), ("isosurface", {"isovalue": 0.6}), ("mip", {"rays": 2})]
     want = [renderer.render(CAMERA, mode, SIZE, **options) for mode, options in looks]
     failed: list[BaseException] = []
 
@@ -486,7 +486,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "mode": ({"mode": "compost"}, "composite"),
     "size": ({"size": (0, 4)}, "width must be"),
     "step": ({"step": 0}, "step must be"),
-    "samples": ({"samples": 0}, "samples must be"),
+    "rays": ({"rays": 0}, "rays must be"),
     "gradient": ({"gradient": "exact"}, "gradient must be"),
     "camera": ({"camera": 4}, "camera must be"),
     "both": ({"transfer": TransferFunction.ramp((0, 1)), "cmap": "gray"}, "transfer must be left out"),

@@ -109,7 +109,7 @@ INSTEAD: dict[str, Any] = {
     "rotate": lambda data: ndimage.rotate(data, 33, (0, 2), False, order=1, mode="grid-wrap"),
     "resample": lambda data: clvol.resample(data, (30, 30, 30)).data,
     "sample": lambda data: clvol.sample(data, LARGE_AT[::-1].T),
-    "a picture": lambda data: clvol.render(data, mode="mip", filter="linear", size=(24, 24), samples=1),
+    "a picture": lambda data: clvol.render(data, mode="mip", filter="linear", size=(24, 24), rays=1),
 }
 
 

@@ -18,7 +18,7 @@ DATA = (2000 + 900 * np.sin(x / 4) * np.cos(y / 5) * np.sin(z / 6)).astype(np.ui
 CHUNKS = (16, 44, 20)
 AT = np.random.default_rng(1).uniform(2, 35, (300, 3))
 GRID = (20, 20, 20)
-LOOK: dict[str, Any] = {"camera": clvol.Camera.orbit(30, 20), "size": (20, 20), "samples": 1}
+LOOK: dict[str, Any] = {"camera": clvol.Camera.orbit(30, 20), "size": (20, 20), "rays": 1}
 
 
 class Plain:

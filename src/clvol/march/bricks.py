@@ -62,7 +62,7 @@ class BrickedDrawing(Drawing):
 
     Parameters
     ----------
-    frame, samples, filter
+    frame, rays, filter
         As of `Drawing`; the frame is of the whole volume (`BrickedField.coefficients`), without a pyramid.
     field : BrickedField
         Where bricks come from.
@@ -73,9 +73,9 @@ class BrickedDrawing(Drawing):
     """
 
     def __init__(
-        self, frame: Frame, samples: int | Literal["auto"], filter: str | Filter, field: BrickedField, view: View, *, skipping: bool
+        self, frame: Frame, rays: int | Literal["auto"], filter: str | Filter, field: BrickedField, view: View, *, skipping: bool
     ) -> None:
-        super().__init__(frame, samples, filter)
+        super().__init__(frame, rays, filter)
         self._field, self._view, self._skipping = field, view, skipping
 
     @property

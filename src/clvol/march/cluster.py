@@ -171,7 +171,7 @@ class _Job:
 
     whole: Frame
     frames: tuple[tuple[Frame, NDArray[np.float32] | None], ...]
-    samples: int | Literal["auto"]
+    rays: int | Literal["auto"]
     filter: Filter
     view: View
     skipping: bool
@@ -242,7 +242,7 @@ class ClusterDrawing(BrickedDrawing):
 
     Parameters
     ----------
-    frame, samples, filter, view, skipping
+    frame, rays, filter, view, skipping
         As of `BrickedDrawing`.
     shared : Shared
     merge : {"order", "tree"}
@@ -252,7 +252,7 @@ class ClusterDrawing(BrickedDrawing):
     def __init__(
         self,
         frame: Frame,
-        samples: int | Literal["auto"],
+        rays: int | Literal["auto"],
         filter: str | Filter,
         shared: Shared,
         view: View,
@@ -260,8 +260,8 @@ class ClusterDrawing(BrickedDrawing):
         skipping: bool,
         merge: Merge,
     ) -> None:
-        super().__init__(frame, samples, filter, shared.field, view, skipping=skipping)
-        self._samples, self._shared, self._merge = samples, shared, require_merge(merge, frame)
+        super().__init__(frame, rays, filter, shared.field, view, skipping=skipping)
+        self._asked, self._shared, self._merge = rays, shared, require_merge(merge, frame)
 
     def _go_through(
         self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], progress: Progress | None
@@ -276,7 +276,7 @@ class ClusterDrawing(BrickedDrawing):
         self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], progress: Progress | None
     ) -> None:
         bare = tuple((_bare(frame), places) for frame, places in frames)
-        job = _Job(_bare(self.frame), bare, self._samples, self._filter, self._view, self._skipping)
+        job = _Job(_bare(self.frame), bare, self._asked, self._filter, self._view, self._skipping)
         groups = [
             group
             for group in visible(self._shared.tree, self._field, self._view)
@@ -493,7 +493,7 @@ def _begun(field: BrickedField, job: _Job, number: int, area: Area) -> tuple[Bri
     tile = tile_of(field.device, job.whole.evaluator)
     whole = replace(job.whole, coefficients=field.coefficients, tile=tile)
     frame, places = job.frames[number]
-    drawing = BrickedDrawing(whole, job.samples, job.filter, field, job.view, skipping=job.skipping)
+    drawing = BrickedDrawing(whole, job.rays, job.filter, field, job.view, skipping=job.skipping)
     return drawing, drawing.begun(replace(frame, coefficients=field.coefficients, tile=tile), places, area)
 
 
@@ -587,7 +587,7 @@ class OnCluster(ByBricks):
 
     def drawing(self, frame: Frame, look: ResolvedLook, fine: Fineness, field: BrickedField) -> BrickedDrawing:
         view = look.view(fine.size)
-        return ClusterDrawing(frame, fine.samples, fine.filter, self._share(field), view, skipping=look.skipping, merge=self._merge)
+        return ClusterDrawing(frame, fine.rays, fine.filter, self._share(field), view, skipping=look.skipping, merge=self._merge)
 
     def _share(self, field: BrickedField) -> Shared:
         """Which worker has which bricks of a field; they are shared out anew when the workers are others."""

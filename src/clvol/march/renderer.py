@@ -209,7 +209,7 @@ class Renderer:
             Called with the fraction done.
         **options
             Those of `clvol.march.options.PictureOptions`, which describes them (`transfer`, `preset`, `window`, `cmap`, `opacity`,
-            `material`, `lights`, `background`, `clip`, `gradient`, `samples`, `pixel_filter`, `skipping`, `lod`, `sigma`), and
+            `material`, `lights`, `background`, `clip`, `gradient`, `rays`, `pixel_filter`, `skipping`, `lod`, `sigma`), and
             those of the mode, such as ``isovalue`` of "isosurface": see its class.
 
         Returns
@@ -223,7 +223,7 @@ class Renderer:
         ------
         OptionError
             An option that the mode does not have, or a value that is not allowed: `size` beyond 1 to 32768 pixels, a `step` that
-            is not positive or gives more than 2²⁰ samples a ray, `samples` beyond 1 to 4096, more than 4 lights, an unknown name;
+            is not positive or gives more than 2²⁰ samples a ray, `rays` beyond 1 to 4096, more than 4 lights, an unknown name;
             or the renderer is closed.
         GeometryError
             The camera stands on its target or further away than 10²⁰ mean spacings, `clip` is no box, or a picture spans more than
@@ -250,7 +250,7 @@ class Renderer:
             wanted = as_outputs(outputs)
             noise = noise_of(self.volume, options.get("sigma")) if "uncertainty" in wanted else None
             fine = Fineness.of(chosen, size, step, options)
-            require_room(fine.size, wanted, edges=fine.samples == "auto")
+            require_room(fine.size, wanted, edges=fine.rays == "auto")
             uncertainty = self._source.uncertainty(chosen) if noise else None
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
             pictures = self._source.draw(look, fine, wanted != ("rgba",), progress)
@@ -332,7 +332,7 @@ class Renderer:
         self.device.require_usable()
         with self._source.in_use():
             fine = Fineness.of(chosen, size, step, options)
-            require_room(fine.size, ("rgba",), edges=fine.samples == "auto")
+            require_room(fine.size, ("rgba",), edges=fine.rays == "auto")
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
             return self._source.refine(look, fine, Asked(seconds, cancelled, progress, began))
 

@@ -300,7 +300,7 @@ def share_visited(resident: Resident, state: State, shape: tuple[float, float]) 
     edge = _TOUR / max(shape)
     size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))
     with resident.renderers.renderer(state.filter, state.boundary, resident.catalog.which(state)) as renderer:
-        given = resident.arguments(state) | {"samples": 1}
+        given = resident.arguments(state) | {"rays": 1}
         return _mean(np.asarray(renderer.render(size=size, outputs="visited", **given)))
 
 
