@@ -56,7 +56,6 @@ NOT_DONE = {
     "Warped": "what `warp` gives",
     "batch": "`Renderer`, once for each file",
     "show": "opens a viewer",
-    "turned": "`Camera.orbit`, several times",
 }
 """Public names that no deed uses, and why."""
 
