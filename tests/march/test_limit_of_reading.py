@@ -63,7 +63,7 @@ def looked(n):
 def packed(path, budget):
     volume = clvol.open(path, trusted=True)
     with clvol.BrickedField(volume, "linear", memory=budget, edge=64) as field, clvol.Renderer(field) as renderer:
-        renderer.render(mode="mip", size=(24, 24), samples=1, step=4.0)
+        renderer.render(mode="mip", size=(24, 24), rays=1, step=4.0)
 
 
 what, arguments = sys.argv[1], json.loads(sys.argv[2])
