@@ -637,3 +637,19 @@ def test_labels_that_float32_cannot_tell_apart_are_refused(device: Device) -> No
     data[1:3] = 2**24 + 1
     with pytest.raises(DataError, match=r"2\*\*24.*renumber"):
         render(Volume(data, labels=True), device=device)
+
+
+def test_a_volume_renders_and_plots_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    data, camera = np.random.default_rng(3).random((9, 10, 11)).astype(np.float32), clvol.Camera.orbit(40, 10)
+    shown: list[Any] = []
+    monkeypatch.setattr("clvol.show.picture.show", shown.append)
+    for volume in (clvol.Volume(data), clvol.LazyVolume(data, labels=False)):
+        want = clvol.render(volume, camera, "mip", (20, 15), filter="linear")
+        np.testing.assert_array_equal(volume.render(camera, "mip", (20, 15), filter="linear"), want)
+        volume.plot(camera, "mip", (20, 15), filter="linear")
+        np.testing.assert_array_equal(shown.pop(), want)
+        with pytest.raises(OptionError, match="colour is no option of mip"):
+            volume.render(mode="mip", colour="red")
+        with pytest.raises(OptionError, match="colour is no option of mip"):
+            volume.plot(mode="mip", colour="red")
+    assert not shown

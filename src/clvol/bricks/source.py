@@ -22,6 +22,7 @@ from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
 from clvol.noise import Noise
+from clvol.volume.pictured import Pictured
 from clvol.volume.volume import Volume
 
 __all__ = ["BUDGET", "Bounds", "LazyVolume", "Sliced", "by_bricks", "memory_for", "needed_by", "too_large"]
@@ -73,7 +74,7 @@ class Bounds(Protocol):
         """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these."""
 
 
-class LazyVolume:
+class LazyVolume(Pictured):
     """A volume whose samples are read part by part, when they are needed.
 
     It takes the place of a `Volume` for `clvol.render`, `Renderer` and `BrickedField`, which read it by bricks,
