@@ -80,7 +80,7 @@ def test_limits_are_those_given_or_found() -> None:
     data = noise(20, 20, 20)
     assert LazyVolume(data).limits == (data.min(), data.max())
     assert LazyVolume(data, limits=(-1, 2)).limits == (-1.0, 2.0)
-    assert LazyVolume(data, limits=(-1, 2)).known().value_range == (-1.0, 2.0)
+    assert LazyVolume(data, limits=(-1, 2))._known().value_range == (-1.0, 2.0)
     for wrong in ((1, 0), (0, np.nan), 3, "ab", (1, 2, 3)):
         with pytest.raises(OptionError, match="limits must be the smallest and the largest sample"):
             LazyVolume(data, limits=wrong)  # type: ignore[arg-type]

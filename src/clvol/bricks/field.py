@@ -138,7 +138,7 @@ class BrickedField(ContinuousFunction):
         self._asked = row = filter_for(volume.part(), None, DEFAULT_FILTER) if chosen is None else as_filter(chosen)
         known = row.settled and (row.magnified_by is None or row.magnified_by.settled)
         self.filter = row = settled(row, volume.grid if known else volume.part())
-        require_names(row, volume, volume.known)
+        require_names(row, volume, volume._known)
         self.boundary = rule = as_boundary(boundary)
         self.device, self.missing = as_device(device), as_missing("error")
         account: Account = Account(own) if beside is None else beside.store.account
@@ -189,7 +189,7 @@ class BrickedField(ContinuousFunction):
     @cached_property
     def coefficients(self) -> Whole:
         """Metadata of the whole volume's coefficients, for pictures."""
-        return Whole(self.volume.known(), self.filter, self._extent, self.device, self.stored)
+        return Whole(self.volume._known(), self.filter, self._extent, self.device, self.stored)
 
     def drop(self) -> None:
         """Evict all bricks that nobody uses; they are read again when they are needed."""
@@ -254,7 +254,7 @@ def _needs(volume: LazyVolume, row: Filter, rule: Boundary) -> Needs:
     """What bricks of a volume need of memory."""
     support = -(-(row.support + 1) // 2 // row.scale)  # half of the taps lie to either side
     coarse = row.magnified_by.support if row.magnified_by else 0
-    lines = volume.lines
+    lines = volume._lines
     return Needs(
         volume.size,
         volume.dtype.itemsize,

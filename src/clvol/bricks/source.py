@@ -229,7 +229,7 @@ class LazyVolume(Pictured):
         return made
 
     @property
-    def ahead(self) -> bool:
+    def _ahead(self) -> bool:
         """Whether threads may read it ahead: in a cluster only what is known not to ask that, which must be done by the task."""
         known = self._again is not None or isinstance(self.data, np.ndarray) or _is_of_dask(self.data)
         return known or not self._for_tasks or type(self.data).__module__.partition(".")[0] in _ALONE
@@ -311,13 +311,13 @@ class LazyVolume(Pictured):
         return x, y, z
 
     @property
-    def stored_in_one(self) -> int:
+    def _stored_in_one(self) -> int:
         """Bytes of the largest chunk of all sizes, which is unpacked as a whole; 0 where any part is read by itself."""
         with _reading(f"the chunks of {self._title}"):
             return max(stored_in_one(one.data) for one in (self, *self.levels))
 
     @property
-    def lines(self) -> tuple[NDArray[np.int64], ...] | None:
+    def _lines(self) -> tuple[NDArray[np.int64], ...] | None:
         """Where chunks begin along z, y and x, and where the last one ends; None if there are none, or all is in memory."""
         with _reading(f"the chunks of {self._title}"):
             return None if isinstance(self.data, np.ndarray) else lines_of(self.data)
@@ -458,7 +458,7 @@ class LazyVolume(Pictured):
                 self._part = self._piecewise(low, high)
             return self._part
 
-    def known(self) -> Volume:
+    def _known(self) -> Volume:
         """The grid, with what is known of the samples, which are none: their limits, whether they are labels."""
         low, high = self.limits
         volume = replace(self.grid, labels=self.is_labels if self.grid.labels is None else self.grid.labels)
@@ -556,7 +556,7 @@ def memory_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
     OptionError
         Chunks cannot be unpacked in so many; nothing has been read.
     """
-    one = volume.stored_in_one
+    one = volume._stored_in_one
     least = (UNPACKING + 1) * one  # what looks at it takes it as a whole
     if given is None:
         room = memory.available() // sharing
