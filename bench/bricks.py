@@ -1,6 +1,6 @@
 """Pictures of a volume in a store, by bricks under a budget of memory, beside reading all of it; and bricks beside one piece.
 
-    python -m bench.bricks [--size 1024] [--budget 2048] [--piece 512] [--folder DIR] [--json FILE]
+    python -m bench.bricks [--size 1024] [--memory 2048] [--piece 512] [--folder DIR] [--json FILE]
 
 The volume is uint16 made by a formula: a few shells with bumps on noise of the background, written by `clvol.pyramid`. Every
 row is timed in this run, after kernels are built: the first picture (the coarsest level), that of the level which suits the
@@ -65,7 +65,7 @@ def out_of_core(store: Path, budget: int) -> list[dict[str, Any]]:
     for mode, options in (("isosurface", {"isovalue": _ISOVALUE}), ("composite", _VEILED)):
         for lod in (None, 1.0, 0.0):
             seconds, opened = timed(clvol.open, store, trusted=True)
-            with BrickedField(opened, budget=budget) as field, clvol.Renderer(field) as renderer:
+            with BrickedField(opened, memory=budget) as field, clvol.Renderer(field) as renderer:
                 if lod is None:  # the first that refine gives
                     some, picture = timed(next, renderer.refine(_CAMERA, mode, _SIZE, **options))
                 else:
@@ -109,8 +109,8 @@ def in_pieces(size: int) -> list[dict[str, Any]]:
     lazy = clvol.LazyVolume(volume.data, limits=volume.value_range, labels=False)
     kinds: dict[str, Callable[[], Any]] = {
         "one piece": lambda: clvol.Field(volume, "bspline3"),
-        "one brick": lambda: BrickedField(lazy, "bspline3", budget=4 << 30),  # which it is by default, if it fits
-        "bricks": lambda: BrickedField(lazy, "bspline3", budget=4 << 30, edge=max(8, size // 2)),
+        "one brick": lambda: BrickedField(lazy, "bspline3", memory=4 << 30),  # which it is by default, if it fits
+        "bricks": lambda: BrickedField(lazy, "bspline3", memory=4 << 30, edge=max(8, size // 2)),
     }
     rows = []
     for mode, options in (("isosurface", {"isovalue": _ISOVALUE}), ("composite", _VEILED), ("mip", _VEILED)):
@@ -141,7 +141,7 @@ def tell(row: dict[str, Any]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=1024)
-    parser.add_argument("--budget", type=int, default=2048, help="MiB for the bricks")
+    parser.add_argument("--memory", type=int, default=2048, help="MiB for the bricks")
     parser.add_argument("--piece", type=int, default=512, help="samples along an edge of the volume that is drawn whole too")
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--json", type=Path)
@@ -160,8 +160,8 @@ def main() -> None:
         small = folder / "warm.zarr"
         if not small.exists():
             clvol.pyramid(clvol.LazyVolume(Shells(96)), small, filter="bspline3")
-        out_of_core(small, arguments.budget << 20)  # kernels are built
-        found["pictures"] = [*out_of_core(store, arguments.budget << 20), reading(store)]
+        out_of_core(small, arguments.memory << 20)  # kernels are built
+        found["pictures"] = [*out_of_core(store, arguments.memory << 20), reading(store)]
         for row in found["pictures"]:
             tell(row)
         found["peak MB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3

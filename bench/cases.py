@@ -236,7 +236,7 @@ class Bench:
 
         def ours() -> Array:
             frames = [
-                renderer.render(camera, mode, size, 0.5, transfer=fog, lights=clvol.Light(), samples=1, skipping=False)
+                renderer.render(camera, mode, size, 0.5, transfer=fog, lights=clvol.Light(), rays=1, skipping=False)
                 for camera in cameras
             ]
             return np.stack(frames)
@@ -364,7 +364,7 @@ def draw(renderer: clvol.Renderer, shot: Shot, **options: Any) -> Array:
     """Our side of a `Shot`; `options` are the mode's."""
     if shot.mode == "isosurface":
         options |= {"isovalue": shot.isovalue, "color": shot.color}
-    options |= {"lights": clvol.Light(), "samples": 1}  # as others draw
+    options |= {"lights": clvol.Light(), "rays": 1}  # as others draw
     return np.asarray(renderer.render(shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, **options))
 
 

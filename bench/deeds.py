@@ -56,7 +56,6 @@ NOT_DONE = {
     "Warped": "what `warp` gives",
     "batch": "`Renderer`, once for each file",
     "show": "opens a viewer",
-    "turned": "`Camera.orbit`, several times",
 }
 """Public names that no deed uses, and why."""
 
@@ -232,7 +231,7 @@ def _camera(random: Random) -> clvol.Camera:
 _FRAME: dict[str, Sequence[Any]] = {
     "step": (1.0, 0.3),
     "gradient": ("central",),
-    "samples": (1, 3),
+    "rays": (1, 3),
     "pixel_filter": ("linear", "mitchell"),
     "skipping": (False,),
     "evaluator": ("taps", "paired"),

@@ -107,7 +107,7 @@ def _measure(file: str) -> dict[str, Any]:
     before = _peak()
     data = np.load(file)
     started = time.perf_counter()
-    clvol.Renderer(data).render(mode="isosurface", size=(512, 512), step=1.0, samples=1)
+    clvol.Renderer(data).render(mode="isosurface", size=(512, 512), step=1.0, rays=1)
     seconds = time.perf_counter() - started
     return {"seconds": seconds, "bytes": _peak() - before, "volume": data.nbytes}
 

@@ -1,6 +1,6 @@
 """How fast `clvol.pyramid` makes a store, beside the disk, ome-zarr's and dask's downscaling, and what memory it takes.
 
-    python -m bench.pyramid [--size 1024] [--budget 2G] [--folder DIR] [--output FILE]
+    python -m bench.pyramid [--size 1024] [--memory 2G] [--folder DIR] [--output FILE]
 
 A volume of uint16 made by a formula, with a little noise, is written plane by plane as a Zarr store, packed as ours are. Then each
 makes a smaller copy of half the samples along each axis from that store, in a process of its own: megabytes are those of the
@@ -62,20 +62,20 @@ def make(path: Path, size: int) -> None:
 def clvol_all(source: Path, target: Path, budget: int) -> None:
     import clvol
 
-    clvol.pyramid(clvol.open(source, trusted=True), target, levels=2, budget=budget, filter="bspline3")
+    clvol.pyramid(clvol.open(source, trusted=True), target, levels=2, memory=budget, filter="bspline3")
 
 
 def clvol_reduced(source: Path, target: Path, budget: int) -> None:
     import clvol
 
-    clvol.pyramid(clvol.open(source, trusted=True), target, levels=2, budget=budget, filter="bspline3", bounds=False)
+    clvol.pyramid(clvol.open(source, trusted=True), target, levels=2, memory=budget, filter="bspline3", bounds=False)
 
 
 def clvol_average(source: Path, target: Path, budget: int) -> None:
     import clvol
 
     clvol.pyramid(
-        clvol.open(source, trusted=True), target, levels=2, budget=budget, bounds=False, method="average", filter="linear"
+        clvol.open(source, trusted=True), target, levels=2, memory=budget, bounds=False, method="average", filter="linear"
     )
 
 
@@ -161,7 +161,7 @@ def disk(folder: Path, nbytes: int) -> dict[str, float]:
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--size", type=int, default=1024)
-    arguments.add_argument("--budget", type=int, default=2048, help="MiB")
+    arguments.add_argument("--memory", type=int, default=2048, help="MiB")
     arguments.add_argument("--folder", type=Path)
     arguments.add_argument("--only", default="", help="part of the names of cases")
     arguments.add_argument("--output", type=Path)
@@ -188,7 +188,7 @@ def main() -> None:
                 name,
                 folder / "source.zarr",
                 target,
-                str(given.budget * _MIB),
+                str(given.memory * _MIB),
             ]
             done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
             shutil.rmtree(target, ignore_errors=True)
@@ -205,7 +205,7 @@ def main() -> None:
             )
     if given.output:
         given.output.write_text(
-            json.dumps({"size": given.size, "budget": given.budget, "disk": rates, "cases": rows}, indent=2), encoding="utf-8"
+            json.dumps({"size": given.size, "budget": given.memory, "disk": rates, "cases": rows}, indent=2), encoding="utf-8"
         )
 
 

@@ -41,7 +41,7 @@ def looks() -> dict[str, Look]:
         "surface": {"mode": "isosurface", "isovalue": scene.BONE},
         "mip": {"mode": "mip", "transfer": ramp},
         "translucent, gradient='central'": {**translucent, "gradient": "central"},
-        "translucent, samples=16": {**translucent, "samples": 16},
+        "translucent, rays=16": {**translucent, "rays": 16},
         "translucent, step=0.1": {**translucent, "step": 0.1},
     }
 
@@ -64,11 +64,11 @@ def kept(
     renderer: clvol.Renderer, cameras: Iterable[clvol.Camera], size: tuple[int, int], budget: float, look: Look
 ) -> dict[str, Any]:
     """When first pictures were there, as shares of the budget, and how large they are. The very first one does not count."""
-    next(renderer.refine(size=size, budget=budget, **look))  # builds kernels, and knows a rate
+    next(renderer.refine(size=size, seconds=budget, **look))  # builds kernels, and knows a rate
     shares, pixels, long = [], [], 0
     for camera in cameras:
         started = time.perf_counter()
-        first = next(renderer.refine(camera, size=size, budget=budget, **look))
+        first = next(renderer.refine(camera, size=size, seconds=budget, **look))
         shares.append((time.perf_counter() - started) / budget)
         pixels.append(first[..., 0].size)
         long += first.step > 0.5
@@ -97,7 +97,7 @@ def questions(renderer: clvol.Renderer, size: tuple[int, int], budget: float, lo
 
     started, count, last = time.perf_counter(), 0, want
     asked.append(started)
-    for count, last in enumerate(renderer.refine(camera, size=size, budget=budget, cancelled=note, **look), 1):  # noqa: B007
+    for count, last in enumerate(renderer.refine(camera, size=size, seconds=budget, cancelled=note, **look), 1):  # noqa: B007
         pass
     whole = time.perf_counter() - started
     asked.append(started + whole)
@@ -113,7 +113,7 @@ def questions(renderer: clvol.Renderer, size: tuple[int, int], budget: float, lo
 
         timer = threading.Timer(random.uniform(0, min(whole, _PATIENCE)), stop)
         timer.start()
-        finals = [picture.final for picture in renderer.refine(camera, size=size, budget=budget, cancelled=flag.is_set, **look)]
+        finals = [picture.final for picture in renderer.refine(camera, size=size, seconds=budget, cancelled=flag.is_set, **look)]
         ended = time.perf_counter()
         timer.cancel()
         timer.join()

@@ -74,7 +74,7 @@ def make() -> Arrays:
             "camera": clvol.Camera.orbit(33, 21, fit="volume"),
             "step": STEP,
             "lights": clvol.Light(),
-            "samples": 1,
+            "rays": 1,
             **OPTIONS[mode],
             **options,
         }
@@ -105,7 +105,7 @@ def make() -> Arrays:
             draw(f"composite, {row}, {evaluator} from {fetch}", row, "composite")
     for mode, tile in itertools.product(modes, TILES):
         for k, (azimuth, elevation) in enumerate(((100, 10), (20, -75), (200, 5), (-50, 40))):
-            more = ({}, {"samples": 3}, {"clip": ((7.0, -2.0, 4.0), (14.0, 6.0, 15.0))}, {"step": 1.7})[k]
+            more = ({}, {"rays": 3}, {"clip": ((7.0, -2.0, 4.0), (14.0, 6.0, 15.0))}, {"step": 1.7})[k]
             camera = clvol.Camera.orbit(
                 azimuth, elevation, projection=("perspective", "orthographic")[k % 2], fov=(30, 30, 110, 30)[k], fit="volume"
             )
@@ -138,7 +138,7 @@ def make() -> Arrays:
     for shape in ((1, 1, 1), (1, 9, 9), (2, 1, 40), (40, 3, 2)):
         small = np.random.default_rng(5).random(shape).astype(np.float32)
         for mode in modes:
-            options: dict[str, Any] = {"camera": clvol.Camera.orbit(fit="volume"), "lights": clvol.Light(), "samples": 1}
+            options: dict[str, Any] = {"camera": clvol.Camera.orbit(fit="volume"), "lights": clvol.Light(), "rays": 1}
             options |= {"isovalue": 0.5} if mode == "isosurface" else {}
             made = clvol.render(small, mode=mode, size=SIZE, outputs=OUTPUTS, **options)
             arrays.update({f"{mode}, shape {shape}, {output}": made[output] for output in OUTPUTS})

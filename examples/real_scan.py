@@ -28,7 +28,7 @@ def main() -> None:
     try:
         volume = clvol.read(options.scan)
         camera = clvol.Camera.orbit(options.azimuth, options.elevation, zoom=options.zoom)
-        _, sheet = compare(volume, SIX, options.pixels, camera=camera, isovalue=options.isovalue, samples=2)
+        _, sheet = compare(volume, SIX, options.pixels, camera=camera, isovalue=options.isovalue, rays=2)
         output = clvol.save(sheet, options.output)
         picture = clvol.render(volume, camera)
         default = clvol.save(picture, Path(output).with_stem(f"{output.stem}-default"))

@@ -28,7 +28,7 @@ def main() -> None:
 
     try:
         camera = clvol.Camera.orbit(options.azimuth, options.elevation, zoom=options.zoom)
-        look = {"camera": camera, "mode": "isosurface", "isovalue": options.isovalue, "samples": 4}
+        look = {"camera": camera, "mode": "isosurface", "isovalue": options.isovalue, "rays": 4}
         panels, sheet = compare(clvol.read(options.input), FILTERS, options.pixels, **look)
         output = clvol.save(sheet, options.output)
     except clvol.ClvolError as error:

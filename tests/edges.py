@@ -123,7 +123,7 @@ def bricks(names: Iterable[str], size: tuple[int, int] = (17, 15), seen: Iterabl
                 assert np.isfinite(made["rgba"]).all()
                 with renderer.device.limited(tile=renderer.device.limits.tile if few else BY_RAYS):
                     field.drop()
-                    assert np.isfinite(renderer.render(LOOKS[0], mode, size, 0.8, samples="auto")).all()
+                    assert np.isfinite(renderer.render(LOOKS[0], mode, size, 0.8, rays="auto")).all()
             at = far_points(shape, 33)
             finite(field(at), at)
 

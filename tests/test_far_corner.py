@@ -50,7 +50,7 @@ def test_a_large_volume_is_sampled_resampled_and_drawn_as_its_corner_alone(devic
     points = low + np.random.default_rng(1).random((500, 3)) * (high - low)
     grid = clvol.Volume(np.broadcast_to(np.float32(0), (30, 30, 30)), (0.37,) * 3, tuple(low))
     camera = clvol.Camera(position=tuple(high + 40), target=tuple((low + high) / 2), up=(0, 0, 1))
-    seen = {"mode": "isosurface", "isovalue": 128, "size": (48, 48), "samples": 1, "clip": (tuple(low), tuple(high))}
+    seen = {"mode": "isosurface", "isovalue": 128, "size": (48, 48), "rays": 1, "clip": (tuple(low), tuple(high))}
     answers = []
     for volume in (clvol.Volume(data), small):
         with clvol.Renderer(volume, "bspline3", device=device) as renderer:

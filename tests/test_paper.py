@@ -290,7 +290,7 @@ def test_the_page_tells_what_the_six_were_measured_to_do(
     assert "errs seven to nine times as much as the interpolating B-spline" in " ".join(page.split())
     assert [round(t) for t in sorted(times)] == [7, 9]
     names = (analysis.EXACT_SINC, "bspline3", "bspline5", "sinc", "sinc4n", "lanczosn(4)")
-    panels, _ = figure6(40, 8, names, samples=1, device=device)
+    panels, _ = figure6(40, 8, names, rays=1, device=device)
     rms = [p.rms or 0 for p in panels[:6]]
     pattern = rf"RMS {NUMBER} against {NUMBER}\), .* leaves both behind \({NUMBER}\)\. .* the worst of all \({NUMBER}\)"
     states(page, rf"{pattern}, .*`sinc4n`, {NUMBER}, .*`lanczosn\(4\)`, {NUMBER}\)", *rms)

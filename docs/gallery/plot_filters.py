@@ -13,7 +13,7 @@ import clvol
 volume = clvol.phantoms.marschner_lobb(41)
 camera = clvol.Camera.orbit(20, 60)
 pictures = [
-    clvol.render(volume, camera, "isosurface", filter=name, isovalue=0.5, size=(320, 320), samples=4)
+    clvol.render(volume, camera, "isosurface", filter=name, isovalue=0.5, size=(320, 320), rays=4)
     for name in ("linear", "mitchell", "catmull-rom", "bspline3")
 ]
 picture = np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])

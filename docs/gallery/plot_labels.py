@@ -15,5 +15,5 @@ z, y, x = np.indices(box.shape) > 24
 labels = box.placed(np.where(box.data > 0.5, 1 + x + 2 * z, 0).astype(np.uint8), box)  # four regions
 print("labels:", labels.is_labels)
 camera = clvol.Camera.orbit(30, 20, fit="volume", zoom=1.8)
-one = clvol.render(labels.indicator(2), camera, "isosurface", isovalue=0.5, samples=4)
-picture = np.hstack([clvol.render(labels, camera, samples=4), one])
+one = clvol.render(labels.indicator(2), camera, "isosurface", isovalue=0.5, rays=4)
+picture = np.hstack([clvol.render(labels, camera, rays=4), one])

@@ -22,5 +22,5 @@ picture = clvol.render(
     lights=lights,
     material=clvol.Material(ambient=0.1, diffuse=0.9, specular=0.5, shininess=60),
     background="#20242c",
-    samples=4,
+    rays=4,
 )

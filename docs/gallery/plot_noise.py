@@ -15,6 +15,6 @@ print("noise:", round(noisy.noise.sigma, 3), "of which was added: 0.05")
 pictures = []
 for name in ("bspline3", "bspline3(auto)"):
     with clvol.Renderer(noisy, name) as renderer:
-        pictures.append(renderer.render(mode="isosurface", isovalue=0.5, size=(360, 360), samples=4))
+        pictures.append(renderer.render(mode="isosurface", isovalue=0.5, size=(360, 360), rays=4))
         print(renderer.filter.name)
 picture = np.hstack(pictures)

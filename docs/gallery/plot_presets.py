@@ -19,5 +19,5 @@ for center_x, center_y, radius, value in tissues:
 limb = clvol.Volume(hu, (80 / 63, 80 / 63, 80 / 47), (-40, -40, -40), units="mm", space="LPS").gaussian(1.8)
 
 names = "ct-skin", "ct-soft-tissue", "ct-bone", "ct-angiography"
-pictures = [clvol.render(limb, preset=name, size=(320, 320), samples=4) for name in names]
+pictures = [clvol.render(limb, preset=name, size=(320, 320), rays=4) for name in names]
 picture = np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])

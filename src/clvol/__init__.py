@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from clvol.formats.opening import open  # noqa: A004  # as files are opened: clvol.open
     from clvol.formats.pyramid import pyramid
     from clvol.formats.transforms import read_transform
-    from clvol.interfaces.batches import batch, turned
+    from clvol.interfaces.batches import batch
     from clvol.interfaces.interpolator import Interpolator
     from clvol.interfaces.resize import resize
     from clvol.march.refine import Refined
@@ -143,7 +143,6 @@ __all__ = [
     "save",
     "show",
     "sinc",
-    "turned",
     "warp",
     "write",
 ]
@@ -163,7 +162,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "formats.opening": "open",
     "formats.pyramid": "pyramid",
     "formats.transforms": "read_transform",
-    "interfaces.batches": "batch turned",
+    "interfaces.batches": "batch",
     "interfaces.interpolator": "Interpolator",
     "interfaces.resize": "resize",
     "march.refine": "Refined",

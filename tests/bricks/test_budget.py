@@ -83,9 +83,9 @@ def test_chunks_that_are_longer_than_bricks() -> None:
 def test_the_error_says_the_least() -> None:
     own = needs(chunks=200)
     assert str(too_small(own, 32, 9)) == (
-        f"budget must be at least {own.read(32)} bytes, which reading a brick of 32³ samples takes with its chunk of {2 * 200**3} "
+        f"memory must be at least {own.read(32)} bytes, which reading a brick of 32³ samples takes with its chunk of {2 * 200**3} "
         "bytes; got 9"
     )
-    assert str(too_small(needs(), 32, 9)).startswith(f"budget must be at least {needs().read(32)} bytes, which a brick of 32³")
+    assert str(too_small(needs(), 32, 9)).startswith(f"memory must be at least {needs().read(32)} bytes, which a brick of 32³")
     with pytest.raises(type(too_small(own, 32, 9))):
         raise too_small(own, 32, 9)

@@ -140,7 +140,7 @@ def test_long_chunks_are_unpacked_once_a_picture(chunks: tuple[int, ...], view: 
     camera = clvol.Camera.orbit(*view)
     volume = clvol.LazyVolume(source, limits=(40, 160), labels=False)
     with (
-        clvol.BrickedField(volume, "linear", device=device, edge=16, budget=budget) as field,
+        clvol.BrickedField(volume, "linear", device=device, edge=16, memory=budget) as field,
         clvol.BrickedField(data, "linear", device=device, edge=16) as memory,
         clvol.Renderer(field) as renderer,
         clvol.Renderer(memory) as truth,
@@ -149,11 +149,11 @@ def test_long_chunks_are_unpacked_once_a_picture(chunks: tuple[int, ...], view: 
         across = 2 if chunks[0] == 1 else 1
         assert len(list(itertools.groupby(brick.at[across] for brick in order))) == field.bricks.counts[across]
         source.unpacked = 0
-        picture = renderer.render(camera, "mean", (32, 32), samples=1)
+        picture = renderer.render(camera, "mean", (32, 32), rays=1)
         assert field.reads.bricks > 80  # of 108; the others lie beside the picture
         assert source.unpacked == source.stored
         assert field.nbytes <= budget
-        np.testing.assert_array_equal(picture, truth.render(camera, "mean", (32, 32), samples=1))
+        np.testing.assert_array_equal(picture, truth.render(camera, "mean", (32, 32), rays=1))
 
 
 def test_bricks_are_such_that_long_chunks_are_kept() -> None:
@@ -161,14 +161,14 @@ def test_bricks_are_such_that_long_chunks_are_kept() -> None:
     planes = Stored(np.zeros((256, 256, 256), np.uint8), (1, 256, 256))
     chunks = Stored(planes.data, (64, 64, 64))
     with (
-        clvol.BrickedField(clvol.LazyVolume(planes, limits=(0, 1), labels=False), "linear", budget=12 << 20) as one,
-        clvol.BrickedField(clvol.LazyVolume(chunks, limits=(0, 1), labels=False), "linear", budget=12 << 20) as other,
+        clvol.BrickedField(clvol.LazyVolume(planes, limits=(0, 1), labels=False), "linear", memory=12 << 20) as one,
+        clvol.BrickedField(clvol.LazyVolume(chunks, limits=(0, 1), labels=False), "linear", memory=12 << 20) as other,
     ):
         kept, needs = one.store._chunks, _needs(one.volume, one.filter, one.boundary)
         assert kept is not None
         assert needs.layer(one.edge) <= kept.most <= 6 << 20
         assert one.edge <= other.edge
-    with clvol.BrickedField(clvol.LazyVolume(planes, limits=(0, 1), labels=False), "linear", edge=32, budget=1 << 20) as field:
+    with clvol.BrickedField(clvol.LazyVolume(planes, limits=(0, 1), labels=False), "linear", edge=32, memory=1 << 20) as field:
         field([[10.0, 10.0, 10.0], [250.0, 10.0, 10.0], [128.0, 10.0, 100.0]])
         assert field.nbytes <= 1 << 20
 

@@ -99,7 +99,7 @@ def test_memory_stays_within_the_budget(volume: clvol.Volume) -> None:
     """Bricks make room for others, each is read once while it fits, and what was read is counted."""
     data = Counted(volume.data)
     at = points(volume, 0.5)
-    with BrickedField(clvol.LazyVolume(data, limits=(0, 1)), "linear", edge=16, budget=1 << 20) as bricked:
+    with BrickedField(clvol.LazyVolume(data, limits=(0, 1)), "linear", edge=16, memory=1 << 20) as bricked:
         before = data.read
         bricked(at - 0)
         assert bricked.reads.dropped > 10
@@ -184,7 +184,7 @@ def test_faces_between_two_samples(boundary: str) -> None:
 
 def test_threads_get_what_one_gets(volume: clvol.Volume) -> None:
     at = points(volume, 0.4, 20000)
-    with BrickedField(volume, edge=16, budget=1 << 21) as bricked:
+    with BrickedField(volume, edge=16, memory=1 << 21) as bricked:
         expected, found = bricked(at), {}
         threads = [threading.Thread(target=lambda i=i: found.update({i: bricked(at)})) for i in range(4)]
         for thread in threads:
@@ -290,12 +290,12 @@ def test_threads_stay_within_a_budget_of_fewer_bricks_than_there_are_threads(roo
         truth = roomy(at)
         each = needs(roomy)
     field = BrickedField(
-        clvol.LazyVolume(Watched(samples), limits=(0, 1), labels=False), "linear", edge=16, budget=int((room + 0.2) * each)
+        clvol.LazyVolume(Watched(samples), limits=(0, 1), labels=False), "linear", edge=16, memory=int((room + 0.2) * each)
     )
     with field:
         for found in in_threads(*(partial(field, at, progress=lambda _: look()) for _ in range(5))):
             np.testing.assert_array_equal(found, truth)
-        assert 0 < most[0] <= field.budget
+        assert 0 < most[0] <= field.memory
         assert not field.store._residents._coming
         assert field.store._residents.account._sleeping == []
 
@@ -307,7 +307,7 @@ def test_who_holds_a_brick_waits_for_no_room() -> None:
         each = needs(other)
     both = threading.Barrier(2)
     with BrickedField(
-        clvol.LazyVolume(Counted(data), limits=(0, 1), labels=False), "linear", edge=16, budget=int(2.1 * each)
+        clvol.LazyVolume(Counted(data), limits=(0, 1), labels=False), "linear", edge=16, memory=int(2.1 * each)
     ) as field:
 
         def two(first: int, second: int) -> bool:
@@ -317,7 +317,7 @@ def test_who_holds_a_brick_waits_for_no_room() -> None:
                     return own.at == (second, 0, 0)
 
         assert in_threads(partial(two, 0, 1), partial(two, 2, 3)) == [True, True]
-        assert field.nbytes <= field.budget  # once they have done
+        assert field.nbytes <= field.memory  # once they have done
 
 
 def test_an_interrupted_reader_leaves_the_brick_to_who_waits() -> None:
@@ -362,7 +362,7 @@ def test_it_is_closed_and_pickled(volume: clvol.Volume) -> None:
         again = pickle.loads(pickle.dumps(bricked))
         at = points(volume, 0.4, 50)
         np.testing.assert_array_equal(again(at), bricked(at))
-        assert (again.edge, again.budget) == (bricked.edge, bricked.budget)
+        assert (again.edge, again.memory) == (bricked.edge, bricked.memory)
         again.close()
     assert bricked.closed
     assert "closed" in repr(bricked)
@@ -371,10 +371,10 @@ def test_it_is_closed_and_pickled(volume: clvol.Volume) -> None:
 
 
 def test_bad_input(volume: clvol.Volume) -> None:
-    with pytest.raises(OptionError, match=r"budget must be at least \d+ bytes, which a brick of 32³ samples takes; got 100000"):
-        BrickedField(volume, budget=100_000)
-    with pytest.raises(OptionError, match=r"budget must be at least \d+ bytes, which a brick of 64³ samples takes"):
-        BrickedField(volume, edge=64, budget=1000)
+    with pytest.raises(OptionError, match=r"memory must be at least \d+ bytes, which a brick of 32³ samples takes; got 100000"):
+        BrickedField(volume, memory=100_000)
+    with pytest.raises(OptionError, match=r"memory must be at least \d+ bytes, which a brick of 64³ samples takes"):
+        BrickedField(volume, edge=64, memory=1000)
     with pytest.raises(OptionError, match="edge must be a whole number"):
         BrickedField(volume, edge=7)
     with pytest.raises(OptionError, match="filter must be"):
@@ -427,7 +427,7 @@ def test_all_that_a_volume_says_is_kept() -> None:
     assert set(SAID) == {one.name for one in dataclasses.fields(clvol.Volume)} - {"data"}, "say here what the new field may be"
     volume, plain = clvol.Volume(data, **SAID), clvol.Volume(data)
     with BrickedField(volume, "nearest") as field:
-        for grid in (field.volume.grid, field.volume.known(), pickle.loads(pickle.dumps(field.volume)).grid):
+        for grid in (field.volume.grid, field.volume._known(), pickle.loads(pickle.dumps(field.volume)).grid):
             for name in SAID:
                 assert not np.array_equal(getattr(volume, name), getattr(plain, name))
                 np.testing.assert_equal(getattr(grid, name), getattr(volume, name))

@@ -138,8 +138,8 @@ def test_fewer_samples_are_the_same_to_the_last_bit(kind: str, tmp_path: Any, mo
     assert len(told) == 4 * 3 * 2
     np.testing.assert_array_equal(made.data, truth.data)
     np.testing.assert_allclose(made.origin, truth.origin)
-    least = pytest.raises(OptionError, match=r"budget must be at least \d+ MiB, which a block of 8³ takes; got 0 MiB")
-    with clvol.BrickedField(volume, "linear", budget=300 << 10, edge=8) as field, least:
+    least = pytest.raises(OptionError, match=r"memory must be at least \d+ MiB, which a block of 8³ takes; got 0 MiB")
+    with clvol.BrickedField(volume, "linear", memory=300 << 10, edge=8) as field, least:
         field.resample((8, 8, 8), anti_aliasing="least-squares")
 
 

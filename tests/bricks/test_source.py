@@ -80,7 +80,7 @@ def test_limits_are_those_given_or_found() -> None:
     data = noise(20, 20, 20)
     assert LazyVolume(data).limits == (data.min(), data.max())
     assert LazyVolume(data, limits=(-1, 2)).limits == (-1.0, 2.0)
-    assert LazyVolume(data, limits=(-1, 2)).known().value_range == (-1.0, 2.0)
+    assert LazyVolume(data, limits=(-1, 2))._known().value_range == (-1.0, 2.0)
     for wrong in ((1, 0), (0, np.nan), 3, "ab", (1, 2, 3)):
         with pytest.raises(OptionError, match="limits must be the smallest and the largest sample"):
             LazyVolume(data, limits=wrong)  # type: ignore[arg-type]
@@ -193,12 +193,12 @@ def test_limits_are_estimated_where_not_all_samples_are_looked_at(monkeypatch: p
     assert data.read == 0
 
 
-@pytest.mark.parametrize("options", [{"filter": "linear"}, {"budget": 64 << 20}])
+@pytest.mark.parametrize("options", [{"filter": "linear"}, {"memory": 64 << 20}])
 def test_a_renderer_of_it_is_pickled_with_its_samples_and_its_budget(device: Device, options: dict[str, Any]) -> None:
     volume = LazyVolume(clvol.phantoms.sphere(16).data)
     with clvol.Renderer(volume, device=device, **options) as renderer, pickle.loads(pickle.dumps(renderer)) as again:
         assert isinstance(again.field, clvol.BrickedField)
-        assert again.field.budget == options.get("budget", again.field.budget) == renderer.field.budget  # type: ignore[union-attr]
+        assert again.field.memory == options.get("memory", again.field.memory) == renderer.field.memory  # type: ignore[union-attr]
         np.testing.assert_array_equal(again.render(size=(16, 12)), renderer.render(size=(16, 12)))
 
 
@@ -213,9 +213,9 @@ def test_a_renderer_says_which_size_its_last_picture_shows(device: Device) -> No
         assert renderer.shown is renderer.field
     with (
         clvol.BrickedField(volume, "linear", device=device) as field,
-        pytest.raises(OptionError, match="budget must be left to the"),
+        pytest.raises(OptionError, match="memory must be left to the"),
     ):
-        clvol.Renderer(field, budget=1 << 30)
+        clvol.Renderer(field, memory=1 << 30)
 
 
 # -- mapped files ----------------------------------------------------------------------------------------------------------------

@@ -114,7 +114,7 @@ def test_render_writes_what_render_gives(clvol_command: Command) -> None:
 
 def test_render_passes_every_option_on(clvol_command: Command) -> None:
     options = (
-        "--mode isosurface --boundary wrap --step 0.3 --samples 2 --isovalue -0.25 --color red --background #102030 "
+        "--mode isosurface --boundary wrap --step 0.3 --rays 2 --isovalue -0.25 --color red --background #102030 "
         "--gradient central --azimuth -40 --elevation 10 --zoom 1.5 --projection orthographic --evaluator taps "
         "--fetch buffer --filter mitchell"
     )
@@ -129,7 +129,7 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
         boundary="wrap",
         size=(16, 12),
         step=0.3,
-        samples=2,
+        rays=2,
         isovalue=-0.25,
         color="red",
         background="#102030",
@@ -228,7 +228,7 @@ def test_render_writes_by_suffix(clvol_command: Command, suffix: str) -> None:
         ((SPHERE, "--device", "bogus"), ("device must be one of", "'bogus'")),
         ((SPHERE, "--step", "0"), ("step must be a finite number, greater than 0", "0.0")),
         ((SPHERE, "--step", "nan"), ("step must be a finite number",)),
-        ((SPHERE, "--samples", "0"), ("samples",)),
+        ((SPHERE, "--rays", "0"), ("rays",)),
         ((SPHERE, "--size", "0", "4"), ("width must be a whole number", "got 0")),
         ((SPHERE, "--zoom", "-1"), ("zoom must be a finite number",)),
         ((SPHERE, "--isovalue", "inf", "--mode", "isosurface"), ("isovalue must be a finite number",)),
@@ -508,8 +508,8 @@ def test_a_pyramid_of_a_file(clvol_command: Command) -> None:
     assert clvol.open("v.zarr").bounds is None
     clvol_command("pyramid", "v.npz", "-o", "w.tif").fails(1, "pyramids are written as .zarr")
     clvol_command("pyramid", "v.npz", "-o", "s3://a/w.zarr").fails(1, "pyramids are written to a folder", "got s3://a/w.zarr")
-    clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--budget", "much").fails(1, "--budget must be", "800M or 4G; got 'much'")
-    clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--budget", "50M").fails(1, "--budget must be more than 96 MiB; got 50 MiB")
+    clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--memory", "much").fails(1, "--memory must be", "800M or 4G; got 'much'")
+    clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--memory", "50M").fails(1, "--memory must be more than 96 MiB; got 50 MiB")
     clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--levels", "0").fails(1, "--levels must be")
     clvol_command("pyramid", "phantom:sphere:20", "-o", "p.zarr", "--method", "average", "--ome", "0.4")
     assert clvol.open("p.zarr").shape == (20, 20, 20)
@@ -530,7 +530,7 @@ def ball(_in_folder: None) -> clvol.Volume:
 @pytest.mark.usefixtures("ball")
 def test_what_is_stored_in_several_sizes_is_drawn_by_bricks(clvol_command: Command) -> None:
     own = ("render", "ball.zarr", "-o", "a.png", *SMALL, "--fit", "volume", "--mode", "isosurface")
-    done = clvol_command(*own, "--budget", "1M", "--lod", "0", "--json").json
+    done = clvol_command(*own, "--memory", "1M", "--lod", "0", "--json").json
     assert {name: done[name] for name in ("filter", "level", "level_shape", "bricks")} == {
         "filter": "linear",
         "level": 0,
@@ -543,8 +543,8 @@ def test_what_is_stored_in_several_sizes_is_drawn_by_bricks(clvol_command: Comma
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.show.picture.to_bytes(expected)[..., :3])
     told = clvol_command(*own).out  # a picture of 16 × 12 pixels has no use for all samples
     assert "filter: linear\nmode: isosurface\nlevel: 2, 18 × 18 × 18\nbricks: 1 read, of 1\n" in told
-    clvol_command(*own, "--budget", "1K").fails(1, "--budget must be at least", "a brick of 32³ samples takes; got 1024")
-    clvol_command(*own, "--budget", "much").fails(1, "--budget must be", "800M or 4G; got 'much'")
+    clvol_command(*own, "--memory", "1K").fails(1, "--memory must be at least", "a brick of 32³ samples takes; got 1024")
+    clvol_command(*own, "--memory", "much").fails(1, "--memory must be", "800M or 4G; got 'much'")
     clvol_command(*own, "--lod", "-1").fails(1, "--lod must be a finite number, at least 0; got -1.0")
 
 
@@ -574,8 +574,8 @@ def test_what_does_not_fit_into_memory_is_drawn_by_bricks(
     np.save("ball.npy", ball.data)
     own = ("render", "ball.npy", "-o", "a.png", *SMALL, "--filter", "linear", "--json")
     assert "bricks" not in clvol_command(*own).json
-    assert "bricks" not in clvol_command(*own, "--budget", "2M").json  # it takes 1.8
-    assert clvol_command(*own, "--budget", "1M").json["bricks"] == 27
+    assert "bricks" not in clvol_command(*own, "--memory", "2M").json  # it takes 1.8
+    assert clvol_command(*own, "--memory", "1M").json["bricks"] == 27
     monkeypatch.setattr("clvol.base.memory.available", lambda: 3 << 20)
     assert clvol_command(*own).json["bricks_read"] > 0
 
@@ -1291,7 +1291,7 @@ def told(self, *args, progress, **options):
     return render(self, *args, progress=lambda done: print("tile", flush=True), **options)
 Renderer.render = told
 from clvol.cli import main
-main(["render", "phantom:sphere:64", "-o", "a.png", "--size", "4000", "4000", "--samples", "4096", "--filter", "bspline5"])
+main(["render", "phantom:sphere:64", "-o", "a.png", "--size", "4000", "4000", "--rays", "4096", "--filter", "bspline5"])
 """
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8")
     try:

@@ -21,7 +21,7 @@ PIXELS = 48
 
 @pytest.fixture(scope="module")
 def drawn(device: Device) -> tuple[list[Panel], np.ndarray]:
-    return figure6(pixels=PIXELS, samples=1, device=device)
+    return figure6(pixels=PIXELS, rays=1, device=device)
 
 
 def panel(drawn: tuple[list[Panel], np.ndarray], name: str) -> Panel:
@@ -191,7 +191,7 @@ def test_labels_tell_what_was_measured() -> None:
 
 def test_progress_goes_up_to_one(device: Device) -> None:
     reported: list[float] = []
-    figure6(8, 8, ("linear", "nearest"), samples=1, device=device, progress=reported.append)
+    figure6(8, 8, ("linear", "nearest"), rays=1, device=device, progress=reported.append)
     assert reported == sorted(reported)
     assert reported[-1] == pytest.approx(1)
     reported.clear()
@@ -202,7 +202,7 @@ def test_progress_goes_up_to_one(device: Device) -> None:
 
 def test_a_figure_in_which_no_surface_shows_measures_no_normals(device: Device) -> None:
     away = Camera.look_at((0, 0, 9), (0, 0, 20), (0, 1, 0))
-    panels, _ = figure6(8, 8, ("linear",), camera=away, samples=1, device=device)
+    panels, _ = figure6(8, 8, ("linear",), camera=away, rays=1, device=device)
     assert panels[0].angle is None
     assert panels[0].rms is not None
 
@@ -296,6 +296,6 @@ def test_filters_are_checked_first() -> None:
 
 
 def test_figure_6_names_smoothing_as_it_was_settled(device: Device) -> None:
-    panels, _ = figure6(12, 8, ("bspline3(length=0.1)",), samples=1, device=device)
+    panels, _ = figure6(12, 8, ("bspline3(length=0.1)",), rays=1, device=device)
     spacing = 2 / 11
     assert panels[0].filter == f"bspline3({(0.1 / spacing) ** 4:.6g})"

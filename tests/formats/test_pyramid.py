@@ -122,7 +122,7 @@ def test_no_bit_depends_on_budget_chunks_and_shards(tmp_path: Path, method: Any)
     about: dict[str, Any] = {"method": method, "levels": 3, "filter": "bspline3", "boundary": "reflect"}
     first = clvol.pyramid(volume, tmp_path / "a.zarr", **about)
     others = [
-        clvol.pyramid(volume, tmp_path / "b.zarr", chunks=16, budget=144 * MIB, compressor="none", **about),
+        clvol.pyramid(volume, tmp_path / "b.zarr", chunks=16, memory=144 * MIB, compressor="none", **about),
         clvol.pyramid(volume, tmp_path / "c.zarr", chunks=(16, 8, 32), shards=(32, 32, 32), compressor="lz4", **about),
     ]
     for other in others:
@@ -198,7 +198,7 @@ def test_chunks_of_dask_are_computed_about_once(tmp_path: Path, budget: int | No
 
     chunks = ((50, 70, 30), (50, 50, 40), (1, 79, 50))
     blocks = da.from_array(data, chunks=chunks).map_blocks(count, dtype=data.dtype, meta=np.empty((0, 0, 0), data.dtype))
-    about: dict[str, Any] = {"filter": "bspline3", "levels": levels, "bounds": False, "budget": budget}
+    about: dict[str, Any] = {"filter": "bspline3", "levels": levels, "bounds": False, "memory": budget}
     made = clvol.pyramid(clvol.LazyVolume(blocks, labels=False), tmp_path / "v.zarr", **about)
     assert len(set(computed)) == 27
     assert len(computed) <= most
@@ -358,7 +358,7 @@ def test_where_a_chunk_of_bounds_is_missing_nothing_is_known(
     whole = clvol.open(path, trusted=True)
     assert whole.bounds is not None
     view = {"camera": clvol.Camera.orbit(30, 10, fit="volume"), "mode": "isosurface", "size": (24, 24), "isovalue": 100}
-    picture = np.asarray(clvol.render(whole, budget=2 * MIB, **view))
+    picture = np.asarray(clvol.render(whole, memory=2 * MIB, **view))
     known = (-math.inf, math.inf) if filled else (0, 0)  # its first chunk is of zeros, which were not stored
     assert whole.bounds.within((0, 0, 0), (23, 23, 255)) == known
     least, most = whole.bounds.within((0, 0, 256), (23, 23, 299))
@@ -370,7 +370,7 @@ def test_where_a_chunk_of_bounds_is_missing_nothing_is_known(
     assert opened.bounds is not None
     assert opened.bounds.within((0, 0, 256), (23, 23, 299)) == (-math.inf, math.inf)
     assert opened.limits == (0, 200)
-    np.testing.assert_array_equal(np.asarray(clvol.render(opened, budget=2 * MIB, **view)), picture)
+    np.testing.assert_array_equal(np.asarray(clvol.render(opened, memory=2 * MIB, **view)), picture)
 
 
 def test_values_far_from_zero_have_bounds_of_their_size(tmp_path: Path) -> None:
@@ -804,13 +804,13 @@ def test_samples_that_cannot_be_used_leave_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"budget": 1}, "budget must be more than 96 MiB"),
-        ({"budget": 97 * MIB}, "budget must hold a brick of 64³ samples and its margin, [0-9]+ MiB; got 97 MiB$"),
+        ({"memory": 1}, "memory must be more than 96 MiB"),
+        ({"memory": 97 * MIB}, "memory must hold a brick of 64³ samples and its margin, [0-9]+ MiB; got 97 MiB$"),
         (
-            {"budget": 110 * MIB, "filter": "bspline3(10000)"},
+            {"memory": 110 * MIB, "filter": "bspline3(10000)"},
             r"its margin, [0-9]{3,} MiB; got 110 MiB: that of bspline3\(10000\) is wide, filter bspline3 needs 119 MiB",
         ),
-        ({"budget": 97 * MIB, "bounds": False}, "budget must hold at least one column of chunks, [0-9]+ MiB; got 97 MiB"),
+        ({"memory": 97 * MIB, "bounds": False}, "memory must hold at least one column of chunks, [0-9]+ MiB; got 97 MiB"),
         ({"method": "median"}, "method must be one of"),
         ({"compressor": "zip"}, "compressor must be one of"),
         ({"version": "0.6"}, "version must be one of"),
@@ -893,7 +893,7 @@ GROWS = """
     before, budget = peak(), 120 << 20
     volume = clvol.LazyVolume(Formula(), labels=False)
     assert volume.nbytes > 1.5 * budget
-    volume = clvol.pyramid(volume, sys.argv[1] + "/b.zarr", budget=budget, **about)
+    volume = clvol.pyramid(volume, sys.argv[1] + "/b.zarr", memory=budget, **about)
     print(peak() - before, budget)
 """
 

@@ -30,7 +30,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def test_each_picture_is_that_of_render_and_what_fails_fails_alone(files: list[Path], tmp_path: Path) -> None:
     told: list[float] = []
-    cameras = clvol.turned(3, 30, azimuth=10)
+    cameras = clvol.Camera.turntable(3, 30, azimuth=10)
     drawn = clvol.batch(
         files, cameras, tmp_path / "{name}" / "{frame:03}.png", mode="mip", size=(40, 30), filter="linear", progress=told.append
     )
@@ -49,7 +49,7 @@ def test_each_picture_is_that_of_render_and_what_fails_fails_alone(files: list[P
 def test_names_that_do_not_tell_pictures_apart_are_refused(files: list[Path], tmp_path: Path) -> None:
     for output in ("{name}.png", "all.png"):
         with pytest.raises(OptionError, match="output must tell pictures apart"):
-            clvol.batch(files[:2], clvol.turned(2), tmp_path / output, size=(8, 8))
+            clvol.batch(files[:2], clvol.Camera.turntable(2), tmp_path / output, size=(8, 8))
     for output in ("{nam}.png", "{0}.png", "{name", "{name.x}.png"):
         with pytest.raises(OptionError, match="output must be a name with"):
             clvol.batch(files[0], None, tmp_path / output, size=(8, 8))
@@ -69,8 +69,8 @@ def test_further_options_by_the_volume(files: list[Path], tmp_path: Path) -> Non
 def test_a_cluster_draws_the_same(files: list[Path], tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     options = {"mode": "mip", "size": (40, 30), "filter": "linear"}
-    alone = clvol.batch(files, clvol.turned(2), tmp_path / "one-{name}-{frame}.png", **options)
-    many = clvol.batch(files, clvol.turned(2), tmp_path / "many-{name}-{frame}.png", cluster=2, **options)
+    alone = clvol.batch(files, clvol.Camera.turntable(2), tmp_path / "one-{name}-{frame}.png", **options)
+    many = clvol.batch(files, clvol.Camera.turntable(2), tmp_path / "many-{name}-{frame}.png", cluster=2, **options)
     assert [type(one.error) for one in many] == [type(one.error) for one in alone]
     for one, other in zip(alone[:4], many[:4], strict=True):
         np.testing.assert_array_equal(iio.imread(one.path), iio.imread(other.path))
@@ -95,7 +95,7 @@ def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pyte
         for large in (8 << 20, 1 << 10):
             monkeypatch.setattr("clvol.dask.cluster._LARGE", large)
             drawn = clvol.batch(
-                sources, clvol.turned(3), tmp_path / "{number}-{frame}.png", cluster=cluster, mode="mip", size=(8, 8)
+                sources, clvol.Camera.turntable(3), tmp_path / "{number}-{frame}.png", cluster=cluster, mode="mip", size=(8, 8)
             )
             assert not [one.error for one in drawn if one.error]
     assert len(sent) == 18
@@ -174,7 +174,7 @@ def test_what_reads_files_may_ask_the_cluster(files: list[Path], tmp_path: Path)
     """Its task then leaves its place to others, and those that wait for their turn do so too."""
     pytest.importorskip("distributed")
     drawn = clvol.batch(
-        files[:2], clvol.turned(3), tmp_path / "{name}-{frame}.png", cluster=1, reading=asked, mode="mip", size=(20, 20)
+        files[:2], clvol.Camera.turntable(3), tmp_path / "{name}-{frame}.png", cluster=1, reading=asked, mode="mip", size=(20, 20)
     )
     assert not [one.error for one in drawn if one.error]
 
@@ -198,6 +198,6 @@ def test_the_command(files: list[Path], tmp_path: Path) -> None:
 @pytest.mark.parametrize("wrong", [0, -3, 2.5, True, "4", None])
 def test_a_turn_has_pictures(wrong: Any) -> None:
     with pytest.raises(OptionError, match=r"frames must be a whole number, at least 1; got"):
-        clvol.turned(wrong)
+        clvol.Camera.turntable(wrong)
     with pytest.raises(OptionError, match="cameras must be one or more; got none"):
         clvol.batch(np.zeros((3, 3, 3)), [])

@@ -81,7 +81,7 @@ def test_to_the_last_bit_without_a_prefilter(
 @pytest.mark.parametrize(("mode", "options"), MODES)
 def test_within_a_millionth_with_one(volume: clvol.Volume, filter: str, boundary: str, mode: str, options: dict[str, Any]) -> None:
     options = options | ({"transfer": BUMPY} if mode == "composite" else {})
-    whole, bricked = both(volume, filter, boundary, 16, CAMERAS["aslant"], mode, (70, 50), samples=1, **options)
+    whole, bricked = both(volume, filter, boundary, 16, CAMERAS["aslant"], mode, (70, 50), rays=1, **options)
     different = np.abs(bricked - whole).max(-1)
     # the function differs by 1e-6 at most; where it only just does not reach an isovalue a pixel may change all the same
     assert (different > 1e-5).sum() <= 2
@@ -90,7 +90,7 @@ def test_within_a_millionth_with_one(volume: clvol.Volume, filter: str, boundary
 
 @pytest.mark.parametrize("edge", [8, 12, 33, 64])
 def test_bricks_of_any_size_and_rays_of_any_number(volume: clvol.Volume, edge: int) -> None:
-    for options in ({"samples": 5, "mode": "composite", "transfer": BUMPY}, {"mode": "isosurface"}, {"mode": "mip", "step": 3.7}):
+    for options in ({"rays": 5, "mode": "composite", "transfer": BUMPY}, {"mode": "isosurface"}, {"mode": "mip", "step": 3.7}):
         whole, bricked = both(volume, "linear", "mirror", edge, CAMERAS["aslant"], size=(70, 50), **options)
         np.testing.assert_array_equal(bricked, whole)
 
@@ -162,7 +162,7 @@ def test_bricks_that_cannot_beat_what_was_found_are_not_read(mode: str) -> None:
             np.testing.assert_array_equal(picture[name], expected[name], err_msg=name)
         reads = field.reads.bricks
         field.drop()
-        renderer.render(camera, mode, (64, 64), transfer=BUMPY, samples=1, skipping=False)
+        renderer.render(camera, mode, (64, 64), transfer=BUMPY, rays=1, skipping=False)
         assert reads < 0.8 * (field.reads.bricks - reads)
 
 
@@ -172,14 +172,14 @@ def test_rays_that_come_again_find_bricks_that_are_kept() -> None:
     along = clvol.Camera.orbit(90, 0, fit="volume", projection="orthographic")
     lazy = clvol.LazyVolume(data, limits=(0, 1), labels=False)
     with BrickedField(lazy, "linear", edge=32) as measured, Renderer(measured) as renderer:
-        expected = renderer.render(along, "mean", (16, 16), samples=1)
+        expected = renderer.render(along, "mean", (16, 16), rays=1)
         assert measured.reads.bricks == 8
         budget = int(measured.nbytes * 4.9 / 8)
-    with BrickedField(lazy, "linear", edge=32, budget=budget) as field, Renderer(field) as renderer:
-        np.testing.assert_array_equal(renderer.render(along, "mean", (16, 16), samples=1), expected)
+    with BrickedField(lazy, "linear", edge=32, memory=budget) as field, Renderer(field) as renderer:
+        np.testing.assert_array_equal(renderer.render(along, "mean", (16, 16), rays=1), expected)
         assert field.reads.bricks == 8
         for again in (1, 2):
-            renderer.render(along, "mean", (16, 16), samples=1)
+            renderer.render(along, "mean", (16, 16), rays=1)
             assert field.reads.bricks <= 8 + 5 * again
         assert field.nbytes <= budget
 
@@ -251,7 +251,7 @@ def test_an_eye_in_a_face_but_for_rounding() -> None:
         volume = clvol.Volume(data, (1, 1, 1), rng.normal(size=3) * 100, turn)
         eye = volume.index_to_world([16 - 1e-6, 27 - 1e-7, 9 - 1e-7])  # a plane of samples is just ahead
         camera = clvol.Camera.look_at(eye, eye + 10 * turn[:, 0], up=turn[:, 2], fov=20)
-        whole, bricked = both(volume, "linear", "mirror", 9, camera, "composite", (32, 32), transfer=BUMPY, samples=1)
+        whole, bricked = both(volume, "linear", "mirror", 9, camera, "composite", (32, 32), transfer=BUMPY, rays=1)
         np.testing.assert_array_equal(bricked, whole)
 
 
@@ -289,7 +289,7 @@ def test_a_jump_before_a_brick_is_seen_by_long_steps() -> None:
 
 def test_rays_of_wide_pixel_filters_with_tiles_of_one() -> None:
     volume = clvol.Volume(np.random.default_rng(4).random((24, 24, 24)).astype(np.float32))
-    options: dict[str, Any] = {"samples": 16, "pixel_filter": "lanczos3", "transfer": BUMPY}
+    options: dict[str, Any] = {"rays": 16, "pixel_filter": "lanczos3", "transfer": BUMPY}
     with clvol.device.as_device(None).limited(tile=(1, 1, 1, False)):
         whole, bricked = both(
             volume, "linear", "mirror", 8, clvol.Camera.orbit(20, 10, zoom=0.3, fit="volume"), "mip", (24, 24), **options
@@ -315,7 +315,7 @@ def test_the_levels_of_a_renderer_share_a_budget() -> None:
     data = waves(48, 48, 48)
     levels = [clvol.LazyVolume(data[::n, ::n, ::n], (n, n, n), limits=(0, 1)) for n in (2, 3)]
     lazy = clvol.LazyVolume(data, levels=levels, limits=(0, 1), labels=False)
-    with BrickedField(lazy, "linear", edge=16, budget=700_000) as field, Renderer(field) as renderer:
+    with BrickedField(lazy, "linear", edge=16, memory=700_000) as field, Renderer(field) as renderer:
         for _ in renderer.refine(CAMERAS["aslant"], "mip", (40, 40), lod=0):
             assert field.nbytes + sum(level.nbytes for level in renderer.levels) <= 700_000
 
@@ -336,10 +336,10 @@ def test_levels_that_several_threads_draw_share_a_budget() -> None:
                 most[0] = max(most[0], field.nbytes + sum(level.nbytes for level in renderer.levels))
 
     levels = [clvol.LazyVolume(Watched(data[::n, ::n, ::n]), (n, n, n), limits=(0, 1), labels=False) for n in (1, 2)]
-    with BrickedField(levels[0].with_levels(levels[1:]), "linear", edge=16, budget=budget) as field, Renderer(field) as renderer:
+    with BrickedField(levels[0].with_levels(levels[1:]), "linear", edge=16, memory=budget) as field, Renderer(field) as renderer:
 
         def draw(lod: float) -> list[Any]:
-            return [renderer.render(mode="mean", size=(32, 32), lod=lod, samples=1) for _ in range(3)]
+            return [renderer.render(mode="mean", size=(32, 32), lod=lod, rays=1) for _ in range(3)]
 
         alone = [draw(lod)[0] for lod in (0, 100)]
         drawn.append(True)
@@ -356,7 +356,7 @@ def test_one_field_is_closed_while_another_beside_it_draws() -> None:
     """They count each other's bricks."""
     data = np.random.default_rng(0).random((40, 40, 40)).astype(np.float32)
     points = np.random.default_rng(1).uniform(0, 39, (200, 3))
-    with BrickedField(data, "linear", edge=12, budget=400_000) as one, ThreadPoolExecutor(1) as pool:
+    with BrickedField(data, "linear", edge=12, memory=400_000) as one, ThreadPoolExecutor(1) as pool:
         truth = one(points)
 
         def slowly(own: Any) -> int:  # the other field is closed meanwhile
@@ -377,15 +377,15 @@ def test_one_field_is_closed_while_another_beside_it_draws() -> None:
 
 
 def test_fields_beside_another_have_no_budget_of_their_own(volume: clvol.Volume) -> None:
-    with BrickedField(volume, "linear", edge=16, budget=1 << 20) as one:
+    with BrickedField(volume, "linear", edge=16, memory=1 << 20) as one:
         with BrickedField(volume, "nearest", edge=16, beside=one) as other:
-            assert other.budget == one.budget
+            assert other.memory == one.memory
             other([[9.0, 9.0, 9.0]])
             one([[9.0, 9.0, 9.0]])
             assert other.nbytes + one.nbytes <= 1 << 20
         assert other.nbytes == 0
-        with pytest.raises(OptionError, match="budget must be left to the field beside which this one is; got 3 with it"):
-            BrickedField(volume, budget=3, beside=one)
+        with pytest.raises(OptionError, match="memory must be left to the field beside which this one is; got 3 with it"):
+            BrickedField(volume, memory=3, beside=one)
 
 
 @pytest.mark.parametrize("mode", ["composite", "mip"])
@@ -415,7 +415,7 @@ def test_the_next_brick_is_read_while_rays_go_through_one(mode: str, monkeypatch
     with BrickedField(volume, "linear", edge=16) as field, Renderer(field) as renderer:
         assert field.bricks.counts == (5, 1, 1)
         along = clvol.Camera.look_at((-200.0, 8.0, 8.0), (40.0, 8.0, 8.0), fov=10)
-        renderer.render(along, mode, (8, 8), samples=1)  # bounds are known then, and looks
+        renderer.render(along, mode, (8, 8), rays=1)  # bounds are known then, and looks
         field.drop()
         until = time.monotonic() + 60
         while field.store._residents._ahead:  # what was read ahead for that picture is still on its way
@@ -425,7 +425,7 @@ def test_the_next_brick_is_read_while_rays_go_through_one(mode: str, monkeypatch
         source.read, field.reads.samples, field.reads.bricks = 0, 0, 0
         monkeypatch.setattr(Pass, "march", watched)
         clear = clvol.TransferFunction(((0, (1, 1, 1)),), ((0, 0.01), (1, 0.01)))
-        renderer.render(along, mode, (8, 8), samples=1, transfer=clear, skipping=False)
+        renderer.render(along, mode, (8, 8), rays=1, transfer=clear, skipping=False)
     assert [at[0] for at in marched] == [0, 1, 2, 3, 4]
     assert [first for first, _ in reads] == sorted({first for first, _ in reads})
     assert [by_another for _, by_another in reads] == [False, True, True, True, True]
@@ -447,8 +447,8 @@ def test_pickled_renderers_read_again() -> None:
 def test_the_picture_does_not_depend_on_the_budget(volume: clvol.Volume) -> None:
     pictures = []
     for budget in (1 << 20, 1 << 30):
-        with BrickedField(volume, "linear", edge=16, budget=budget) as field, Renderer(field) as renderer:
-            pictures.append(renderer.render(CAMERAS["aslant"], "composite", (64, 64), transfer=BUMPY, samples=4))
+        with BrickedField(volume, "linear", edge=16, memory=budget) as field, Renderer(field) as renderer:
+            pictures.append(renderer.render(CAMERAS["aslant"], "composite", (64, 64), transfer=BUMPY, rays=4))
             assert field.nbytes <= budget
     np.testing.assert_array_equal(*pictures)
 

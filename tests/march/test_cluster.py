@@ -122,7 +122,7 @@ def test_in_order_to_the_last_bit(cluster: Cluster, volume: clvol.LazyVolume, mo
 
 @pytest.mark.one_in(5)
 @pytest.mark.parametrize("view", CAMERAS)
-@pytest.mark.parametrize(("mode", "options"), [("composite", {"samples": 3}), ("isosurface", {}), ("mip", {})])
+@pytest.mark.parametrize(("mode", "options"), [("composite", {"rays": 3}), ("isosurface", {}), ("mip", {})])
 def test_from_anywhere_with_a_prefilter(
     cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any], view: str
 ) -> None:
@@ -136,7 +136,7 @@ def test_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str, option
     options = options | ({"transfer": BUMPY, "termination": 0.0} if mode == "composite" else {})
     added_up = mode in ("composite", "mean")
     outputs = ["rgba"] if added_up else list(GUIDES)
-    one, many = both(cluster, "tree", volume, "linear", CAMERAS["aslant"], mode, (70, 50), outputs=outputs, samples=1, **options)
+    one, many = both(cluster, "tree", volume, "linear", CAMERAS["aslant"], mode, (70, 50), outputs=outputs, rays=1, **options)
     for name in outputs:
         if added_up:
             cover = one[name][..., 3:]
@@ -170,10 +170,10 @@ def test_bricks_are_read_once_and_hidden_ones_never(cluster: Cluster) -> None:
     with Renderer(volume, "linear", cluster=cluster) as renderer:
         field = renderer.field
         assert isinstance(field, BrickedField)
-        first = renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, samples=1)
+        first = renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, rays=1)
         assert 0 < field.reads.bricks <= 8 < np.prod(field.bricks.counts)
         read = field.reads.bricks
-        np.testing.assert_array_equal(renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, samples=1), first)
+        np.testing.assert_array_equal(renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, rays=1), first)
         assert field.reads.bricks == read  # workers have kept them
 
 
@@ -207,7 +207,7 @@ def test_a_pickled_renderer_finds_its_cluster(cluster: Cluster, volume: clvol.La
                 np.testing.assert_array_equal(again.render(CAMERAS["aslant"], "mip", (48, 48)), picture)
         assert cluster.client.status == "running"  # the copy has left, and ended nobody else's
     again, _ = Renderer(volume, "linear", cluster=cluster).__reduce__()
-    assert again.keywords == {"budget": None, "cluster": cluster.address, "merge": "order"}
+    assert again.keywords == {"memory": None, "cluster": cluster.address, "merge": "order"}
 
 
 def test_a_pickle_of_own_processes_says_how_many(monkeypatch: pytest.MonkeyPatch, cluster: Cluster) -> None:
@@ -229,7 +229,7 @@ def test_a_tree_keeps_within_the_termination(cluster: Cluster, volume: clvol.Laz
     transfer = clvol.TransferFunction(((0.1, (0.2, 0.3, 1)), (0.9, (1, 0.8, 0.3))), ((0.2, dense / 3), (0.5, dense), (1.0, dense)))
     bound = {"termination": clvol.modes()["composite"].termination, **options}["termination"] + 1e-6
     one, many = both(
-        cluster, "tree", volume, "linear", CAMERAS["aslant"], "composite", (70, 50), samples=1, transfer=transfer, **options
+        cluster, "tree", volume, "linear", CAMERAS["aslant"], "composite", (70, 50), rays=1, transfer=transfer, **options
     )
     a, b = (np.concatenate([p[..., :3] * p[..., 3:], p[..., 3:]], -1) for p in (one, many))
     assert np.abs(a - b).max() <= bound
@@ -253,7 +253,7 @@ def test_levels_and_pictures_that_become_finer(cluster: Cluster, merge: Any) -> 
         shown = set()
         for lod in (0, 1, 2.5):
             for size in ((96, 64), (24, 24)):
-                options: dict[str, Any] = {"lod": lod, "samples": 2}
+                options: dict[str, Any] = {"lod": lod, "rays": 2}
                 picture = many.render(camera, mode, size, **options)
                 np.testing.assert_array_equal(picture, one.render(camera, mode, size, **options))
                 assert many.shown.volume.shape == one.shown.volume.shape
@@ -662,7 +662,7 @@ cli.main(sys.argv[1:])
 """
 LONG = {
     "movie": ["movie", "phantom:marschner-lobb:24", "-o", "a.mp4", "--frames", "5000", "--size", "64", "64"],
-    "render": ["render", "phantom:marschner-lobb:64", "-o", "a.png", "--size", "1500", "1500", "--samples", "2048"],
+    "render": ["render", "phantom:marschner-lobb:64", "-o", "a.png", "--size", "1500", "1500", "--rays", "2048"],
     "batch": ["batch", "phantom:marschner-lobb:24", "-o", "{frame}.png", "--turn", "5000", "--size", "64", "64"],
 }
 

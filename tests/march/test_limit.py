@@ -46,8 +46,8 @@ def work(n, chunks):
     few = clvol.LazyVolume(Formula(n // 8, step=8), (8, 8, 8), limits=(-2, 2), labels=False)  # of which looks are decided
     volume = clvol.LazyVolume(Formula(n, chunks), limits=(-2, 2), labels=False, levels=[few])
     matter = clvol.TransferFunction(((-2, (1, 1, 1)), (2, (1, 0, 0))), ((-2, 0.0), (2, 0.01)))
-    with clvol.BrickedField(volume, "linear", budget=budget, edge=edge) as field, clvol.Renderer(field) as renderer:
-        look = {"size": (48, 48), "samples": 1, "step": 2.0, "lod": 0}
+    with clvol.BrickedField(volume, "linear", memory=budget, edge=edge) as field, clvol.Renderer(field) as renderer:
+        look = {"size": (48, 48), "rays": 1, "step": 2.0, "lod": 0}
         renderer.render(mode="isosurface", isovalue=1.2, **look)
         renderer.render(mode="composite", transfer=matter, **look)
         field.resample((24, 24, 24))

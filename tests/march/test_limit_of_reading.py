@@ -50,7 +50,7 @@ def turned(n, count, budget):
     volume = clvol.LazyVolume(Formula(n), limits=(-2, 2), labels=False)
     c, s = np.cos(0.3), np.sin(0.3)
     like = clvol.Volume(np.zeros((count,) * 3, np.float32), (4, 4, 4), (60, 20, 10), [[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    with clvol.BrickedField(volume, "bspline3", budget=budget) as field:
+    with clvol.BrickedField(volume, "bspline3", memory=budget) as field:
         field.resample(like=like, anti_aliasing="gaussian")
 
 
@@ -62,8 +62,8 @@ def looked(n):
 
 def packed(path, budget):
     volume = clvol.open(path, trusted=True)
-    with clvol.BrickedField(volume, "linear", budget=budget, edge=64) as field, clvol.Renderer(field) as renderer:
-        renderer.render(mode="mip", size=(24, 24), samples=1, step=4.0)
+    with clvol.BrickedField(volume, "linear", memory=budget, edge=64) as field, clvol.Renderer(field) as renderer:
+        renderer.render(mode="mip", size=(24, 24), rays=1, step=4.0)
 
 
 what, arguments = sys.argv[1], json.loads(sys.argv[2])
@@ -121,8 +121,8 @@ def test_a_chunk_is_unpacked_within_the_budget_or_not_at_all(tmp_path: Path) -> 
     packed(tmp_path / "v.zarr", (160, 256, 256))  # 20 MiB
     packed(tmp_path / "v.zarr.small", (80, 80, 80))
     volume = clvol.open(tmp_path / "v.zarr")
-    with pytest.raises(OptionError, match=r"budget must be at least \d+ bytes, which a chunk .* clvol\.pyramid") as told:
-        clvol.Renderer(volume, "linear", budget=64 * MIB)
+    with pytest.raises(OptionError, match=r"memory must be at least \d+ bytes, which a chunk .* clvol\.pyramid") as told:
+        clvol.Renderer(volume, "linear", memory=64 * MIB)
     words = re.search(r"at least (\d+) bytes", str(told.value))
     assert words is not None
     least = int(words[1])
@@ -135,34 +135,34 @@ def test_nothing_is_read_of_chunks_that_the_budget_does_not_hold(tmp_path: Path)
     data = Counted(np.zeros((64, 64, 64), np.float32), (64, 64, 64))
     volume = clvol.LazyVolume(data, labels=False)
     for refused in (
-        lambda: clvol.BrickedField(volume, budget=4 * MIB),
-        lambda: clvol.render(volume, budget=4 * MIB),
-        lambda: clvol.BrickedField(clvol.LazyVolume(np.zeros((64, 64, 64)), levels=[volume]), budget=4 * MIB),
+        lambda: clvol.BrickedField(volume, memory=4 * MIB),
+        lambda: clvol.render(volume, memory=4 * MIB),
+        lambda: clvol.BrickedField(clvol.LazyVolume(np.zeros((64, 64, 64)), levels=[volume]), memory=4 * MIB),
     ):
-        with pytest.raises(OptionError, match="budget must be at least 5242880 bytes, which a chunk of the volume takes"):
+        with pytest.raises(OptionError, match="memory must be at least 5242880 bytes, which a chunk of the volume takes"):
             refused()
     assert data.read == 0
-    with clvol.BrickedField(volume, "linear", budget=5242880) as field:
+    with clvol.BrickedField(volume, "linear", memory=5242880) as field:
         assert field([[1, 2, 3]]) == 0
     large = Counted(np.broadcast_to(np.float32(0), (64, 1024, 1024)), (64, 1024, 1024))
-    with pytest.raises(OptionError, match="budget must be at least 1342177280 bytes"):
-        clvol.pyramid(clvol.LazyVolume(large, labels=False), tmp_path / "v.zarr", budget=1 << 30)
+    with pytest.raises(OptionError, match="memory must be at least 1342177280 bytes"):
+        clvol.pyramid(clvol.LazyVolume(large, labels=False), tmp_path / "v.zarr", memory=1 << 30)
     assert (large.read, list(tmp_path.iterdir())) == (0, [])
 
 
 def test_a_default_budget_grows_with_a_chunk_up_to_what_is_available(monkeypatch: pytest.MonkeyPatch) -> None:
     from clvol.base import memory
-    from clvol.bricks.source import BUDGET, budget_for
+    from clvol.bricks.source import BUDGET, memory_for
 
     def of(chunk: int) -> clvol.LazyVolume:
         return clvol.LazyVolume(Counted(np.broadcast_to(np.uint8(0), (1, 1, 4 << 30)), (1, 1, chunk)))
 
     monkeypatch.setattr(memory, "available", lambda: 8 << 30)
-    assert budget_for(of(1 << 20), None) == BUDGET
-    assert 7 << 30 <= budget_for(of(1 << 30), None) <= 8 << 30
-    assert budget_for(of(1 << 20), None, 4) == BUDGET // 4
+    assert memory_for(of(1 << 20), None) == BUDGET
+    assert 7 << 30 <= memory_for(of(1 << 30), None) <= 8 << 30
+    assert memory_for(of(1 << 20), None, 4) == BUDGET // 4
     with pytest.raises(OptionError, match="must be at least"):
-        budget_for(of(2 << 30), None)
+        memory_for(of(2 << 30), None)
 
 
 @pytest.mark.filterwarnings("ignore:.*taken for slices")
@@ -191,7 +191,7 @@ def test_what_is_stored_as_it_is_is_read_by_its_parts(tmp_path: Path, monkeypatc
         assert file["v"].id.get_access_plist().get_chunk_cache()[1] == 1000
     for path in sorted(tmp_path.iterdir()):
         volume = clvol.open(path, trusted=True, spacing=(1, 1, 1))
-        assert (volume.chunks, volume.stored_in_one) == (None, 0), path.name
+        assert (volume.chunks, volume._stored_in_one) == (None, 0), path.name
         for _ in range(8):
             low = [int(rng.integers(0, n)) for n in volume.size]
             high = [int(rng.integers(a + 1, n + 1)) for a, n in zip(low, volume.size, strict=True)]

@@ -45,7 +45,7 @@ OPTIONS: dict[str, Any] = {
     "outputs": OUTPUTS[:-1],
     "isovalue": 0.5,
     "termination": 0.0,
-    "samples": 1,
+    "rays": 1,
     "lights": HEADLIGHT,  # continuous where normals turn over; others are tested below
 }
 MODES = list(modes())
@@ -264,7 +264,7 @@ VIEWS |= {
     "one plane": (slope(), Camera(direction=(1, -0.4, 0.3), fit="volume"), 1000.0, {}),
     "one plane, wide": (slope(), Camera(direction=(1, -0.4, 0.3), fov=120, fit="volume"), 1000.0, {}),
     "larger": (lobes(), CAMERA, 0.5, {}),
-    "three samples a pixel": (block(), CAMERA, STEP, {"samples": 3}),
+    "three rays a pixel": (block(), CAMERA, STEP, {"rays": 3}),
     "background": (block(), CAMERA, STEP, {"background": (0.2, 0.5, 0.9)}),
     "one row": (block(), CAMERA, STEP, {"size": (31, 1)}),
     "one column": (block(), CAMERA, STEP, {"size": (1, 17)}),
@@ -279,7 +279,7 @@ def test_every_view(device: Device, keep: dict[Any, Renderer], view: str, mode: 
     allowed = allowance("bspline3", mode, device)
     away = float(np.abs(volume.origin).max())
     allowed = replace(allowed, position=allowed.position + away * 1.2e-7)  # what float32 holds of a position
-    if options.get("samples") or view == "larger":  # its crests are grazed, where rounding turns the normal
+    if options.get("rays") or view == "larger":  # its crests are grazed, where rounding turns the normal
         allowed = replace(allowed, pixels=2 * allowed.pixels)
     check(
         held(keep, device, volume, "bspline3"),
@@ -375,7 +375,7 @@ def test_opacities_a_world_length(device: Device, keep: dict[Any, Renderer]) -> 
 def test_the_default_look_is_the_references(device: Device, mode: str) -> None:
     """No option is given: transfer function, isovalue, colour, lights and background are what each decides by itself."""
     with Renderer(block(), device=device) as renderer:
-        got = renderer.render(CAMERA, mode, SIZE, STEP, outputs=OUTPUTS[:-1], samples=1)
+        got = renderer.render(CAMERA, mode, SIZE, STEP, outputs=OUTPUTS[:-1], rays=1)
     want = reference.render(block(), CAMERA, mode, size=SIZE, step=STEP, outputs=OUTPUTS[:-1])
     assert isinstance(want, dict)
     # light that early termination leaves out

@@ -71,15 +71,15 @@ def checked(pictures: Iterator[Refined], want: Picture) -> list[Refined]:
 
 
 @pytest.mark.one_in(2)
-@pytest.mark.parametrize("samples", [1, "auto", 4])
+@pytest.mark.parametrize("rays", [1, "auto", 4])
 @pytest.mark.parametrize("mode", modes())
-def test_the_last_is_the_picture_to_the_last_bit(renderer: Renderer, mode: str, samples: Any) -> None:
-    want = renderer.render(CAMERA, mode, SIZE, samples=samples)
-    soon = checked(renderer.refine(CAMERA, mode, SIZE, samples=samples, budget=TINY), want)
+def test_the_last_is_the_picture_to_the_last_bit(renderer: Renderer, mode: str, rays: Any) -> None:
+    want = renderer.render(CAMERA, mode, SIZE, rays=rays)
+    soon = checked(renderer.refine(CAMERA, mode, SIZE, rays=rays, seconds=TINY), want)
     assert len(soon) >= 2
     assert soon[0][..., 0].size <= 1100
     assert soon[-1].step == 0.5
-    assert len(checked(renderer.refine(CAMERA, mode, SIZE, samples=samples, budget=HUGE), want)) == 1
+    assert len(checked(renderer.refine(CAMERA, mode, SIZE, rays=rays, seconds=HUGE), want)) == 1
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 500), (500, 3), (17, 1), (40, 41)], ids=str)
@@ -87,7 +87,7 @@ def test_the_last_is_the_picture_to_the_last_bit(renderer: Renderer, mode: str, 
 def test_pictures_of_any_shape(renderer: Renderer, size: tuple[int, int], budget: float) -> None:
     want = renderer.render(CAMERA, size=size)
     for _ in range(2):  # with what is known from the first time, too
-        made = checked(renderer.refine(CAMERA, size=size, budget=budget), want)
+        made = checked(renderer.refine(CAMERA, size=size, seconds=budget), want)
         if budget == HUGE:
             assert len(made) == 1
 
@@ -101,13 +101,13 @@ def test_all_that_render_takes(renderer: Renderer) -> None:
         "background": "white",
         "clip": ((-0.5, -1, -1), (1, 1, 0.6)),
         "gradient": "central",
-        "samples": 3,
+        "rays": 3,
         "pixel_filter": "mitchell",
         "skipping": False,
         "shading": False,
     }
-    checked(renderer.refine(None, "composite", SIZE, budget=TINY, **look), renderer.render(None, "composite", SIZE, **look))
-    checked(renderer.refine(size=SIZE, budget=TINY, outputs="rgba"), renderer.render(size=SIZE))
+    checked(renderer.refine(None, "composite", SIZE, seconds=TINY, **look), renderer.render(None, "composite", SIZE, **look))
+    checked(renderer.refine(size=SIZE, seconds=TINY, outputs="rgba"), renderer.render(size=SIZE))
 
 
 @pytest.mark.one_in(3)
@@ -117,9 +117,9 @@ def test_other_tiles_and_devices_that_do_not_share_memory(renderer: Renderer, ti
         if not shares:
             monkeypatch.setattr(Device, "shares_memory", property(lambda _: False))
         with renderer.device.limited(tile=TILES[tile], launch_seconds=1e-9):
-            for samples in ("auto", 5):
-                look: dict[str, Any] = {"mode": "isosurface", "size": SIZE, "samples": samples}
-                checked(renderer.refine(CAMERA, budget=TINY, **look), renderer.render(CAMERA, **look))
+            for rays in ("auto", 5):
+                look: dict[str, Any] = {"mode": "isosurface", "size": SIZE, "rays": rays}
+                checked(renderer.refine(CAMERA, seconds=TINY, **look), renderer.render(CAMERA, **look))
 
 
 def test_a_picture_that_comes_too_late_is_drawn_on_later(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,25 +147,25 @@ def test_a_picture_that_comes_too_late_is_drawn_on_later(renderer: Renderer, mon
             want = renderer.render(camera, "mip", size, progress=lambda _: None)
             launches = told.copy()
             told.clear()
-            made = checked(renderer.refine(camera, "mip", size, budget=HUGE), want)
+            made = checked(renderer.refine(camera, "mip", size, seconds=HUGE), want)
         assert [picture.shape[:2] == want.shape[:2] for picture in made] == [False, True]
         assert len(launches) > 10
         assert told == launches
 
 
 def test_a_drawing_goes_on_where_it_stopped(renderer: Renderer) -> None:
-    for samples in (1, 4):
-        seen = captured(renderer, samples)
+    for rays in (1, 4):
+        seen = captured(renderer, rays)
         (frame,) = {id(drawing.frame): drawing.frame for drawing in seen}.values()
         with renderer.device.limited(launch_seconds=1e-9):
-            whole, drawing, stops = draw(frame, samples)["rgba"], Drawing(frame, samples), 0
-            while not drawing.cast(samples, until=0.0):
+            whole, drawing, stops = draw(frame, rays)["rgba"], Drawing(frame, rays), 0
+            while not drawing.cast(rays, until=0.0):
                 stops += 1
         assert stops > 10
         np.testing.assert_array_equal(drawing.arrays["rgba"], whole)
 
 
-def captured(renderer: Renderer, samples: int) -> list[Drawing]:
+def captured(renderer: Renderer, rays: int) -> list[Drawing]:
     """The drawing of a whole picture."""
     made: list[Drawing] = []
 
@@ -177,7 +177,7 @@ def captured(renderer: Renderer, samples: int) -> list[Drawing]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(refine, "Drawing", Kept)
-        list(renderer.refine(CAMERA, size=SIZE, samples=samples, budget=HUGE))
+        list(renderer.refine(CAMERA, size=SIZE, rays=rays, seconds=HUGE))
     return made
 
 
@@ -187,9 +187,9 @@ def test_some_rays_of_a_pixel_make_a_picture(device: Device, background: str | N
     fog = Volume(np.ones((6, 6, 6), np.float32))
     camera = Camera.orbit(0, 0, projection="orthographic", zoom=4)
     transfer = TransferFunction(((0, (1, 0.6, 0)), (2, (1, 0.6, 0))), ((0, 0.1), (2, 0.1)))
-    look: dict[str, Any] = {"size": (20, 20), "samples": 9, "transfer": transfer, "shading": False, "background": background}
+    look: dict[str, Any] = {"size": (20, 20), "rays": 9, "transfer": transfer, "shading": False, "background": background}
     with Renderer(fog, device=device) as renderer:
-        made = list(renderer.refine(camera, budget=TINY, **look))
+        made = list(renderer.refine(camera, seconds=TINY, **look))
         assert len(made) > 3
         for picture in made:
             np.testing.assert_allclose(picture - made[-1][0, 0], 0, atol=2e-6)
@@ -201,7 +201,7 @@ def test_coarse_pictures_show_the_same_part_of_the_world(device: Device) -> None
     blob = Volume(np.exp(-3 * ((x - 0.2) ** 2 + y**2 + (z + 0.3) ** 2)).astype(np.float32))
     with Renderer(blob, device=device) as renderer:
         for size in ((9, 400), (150, 101)):
-            first, *_, last = renderer.refine(CAMERA, "mip", size, budget=TINY)
+            first, *_, last = renderer.refine(CAMERA, "mip", size, seconds=TINY)
             assert first.shape[0] < last.shape[0]
             middles = [(np.arange(n) + 0.5) * m / n - 0.5 for n, m in zip(first.shape[:2], last.shape[:2], strict=True)]
             there = map_coordinates(np.asarray(last)[..., 0], np.meshgrid(*middles, indexing="ij"), order=1, mode="nearest")
@@ -214,10 +214,10 @@ def test_coarse_pictures_show_the_same_part_of_the_world(device: Device) -> None
 
 def test_steps_are_longer_only_where_all_samples_count(renderer: Renderer) -> None:
     for mode in modes():
-        first, *_, last = renderer.refine(CAMERA, mode, (200, 200), budget=TINY)
+        first, *_, last = renderer.refine(CAMERA, mode, (200, 200), seconds=TINY)
         assert first.step == (2.0 if mode in ("composite", "mean") else 0.5)
         assert last.step == 0.5
-    first, *_ = renderer.refine(CAMERA, size=(200, 200), step=3.0, budget=TINY)
+    first, *_ = renderer.refine(CAMERA, size=(200, 200), step=3.0, seconds=TINY)
     assert first.step == 3.0
 
 
@@ -234,7 +234,7 @@ def test_what_was_measured_is_remembered(device: Device, monkeypatch: pytest.Mon
 
     def drawn(camera: Camera, **look: Any) -> int:
         sizes.clear()
-        list(renderer.refine(camera, size=(64, 64), samples=1, budget=HUGE, **look))
+        list(renderer.refine(camera, size=(64, 64), rays=1, seconds=HUGE, **look))
         return len(sizes)
 
     with Renderer(marschner_lobb(12), device=device) as renderer:
@@ -270,7 +270,7 @@ def test_rates() -> None:
 
 
 @pytest.mark.parametrize(
-    "look", [{"mode": "composite"}, {"mode": "isosurface"}, {"mode": "mip", "samples": 3}], ids=lambda look: look["mode"]
+    "look", [{"mode": "composite"}, {"mode": "isosurface"}, {"mode": "mip", "rays": 3}], ids=lambda look: look["mode"]
 )
 def test_cancelled_at_each_question(renderer: Renderer, look: dict[str, Any]) -> None:
     want = renderer.render(CAMERA, size=SIZE, **look)
@@ -287,11 +287,11 @@ def test_cancelled_at_each_question(renderer: Renderer, look: dict[str, Any]) ->
         return asked >= last
 
     with renderer.device.limited(launch_seconds=2e-4):
-        checked(renderer.refine(CAMERA, size=SIZE, budget=TINY, cancelled=count, **look), want)
+        checked(renderer.refine(CAMERA, size=SIZE, seconds=TINY, cancelled=count, **look), want)
         assert counted > 10
         for last in {*range(1, 12), *range(12, counted, max(1, counted // 25))}:
             asked = 0
-            made = list(renderer.refine(CAMERA, size=SIZE, budget=TINY, cancelled=stop, **look))
+            made = list(renderer.refine(CAMERA, size=SIZE, seconds=TINY, cancelled=stop, **look))
             assert not any(picture.final for picture in made) or asked < last
             assert asked <= last  # nobody is asked again
     np.testing.assert_array_equal(renderer.render(CAMERA, size=SIZE, **look), want)
@@ -334,13 +334,13 @@ def test_edges_are_told_of(renderer: Renderer) -> None:
 # -- whatever happens on the way --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("samples", [1, "auto", 4])
+@pytest.mark.parametrize("rays", [1, "auto", 4])
 @pytest.mark.parametrize("budget", [TINY, HUGE])
-def test_progress_is_that_of_the_last_picture(renderer: Renderer, samples: Any, budget: float) -> None:
+def test_progress_is_that_of_the_last_picture(renderer: Renderer, rays: Any, budget: float) -> None:
     told: list[float] = []
-    want = renderer.render(CAMERA, "isosurface", SIZE, samples=samples)
+    want = renderer.render(CAMERA, "isosurface", SIZE, rays=rays)
     with renderer.device.limited(launch_seconds=1e-9):
-        checked(renderer.refine(CAMERA, "isosurface", SIZE, samples=samples, budget=budget, progress=told.append), want)
+        checked(renderer.refine(CAMERA, "isosurface", SIZE, rays=rays, seconds=budget, progress=told.append), want)
     assert len(told) > 10
     assert told == sorted(told)
     assert 0 < told[0] < 0.5
@@ -350,7 +350,7 @@ def test_progress_is_that_of_the_last_picture(renderer: Renderer, samples: Any, 
 def test_whoever_has_enough_stops(renderer: Renderer) -> None:
     want = renderer.render(CAMERA, size=SIZE)
     for count in range(3):
-        pictures = renderer.refine(CAMERA, size=SIZE, budget=TINY)
+        pictures = renderer.refine(CAMERA, size=SIZE, seconds=TINY)
         for _ in range(count):
             assert not next(pictures).final
         pictures.close()  # type: ignore[attr-defined]  # a generator
@@ -369,7 +369,7 @@ def test_errors_of_the_question_come_out(renderer: Renderer, error: type[BaseExc
                 raise error("enough")
             return False
 
-        pictures = renderer.refine(CAMERA, size=SIZE, budget=TINY, cancelled=fail)
+        pictures = renderer.refine(CAMERA, size=SIZE, seconds=TINY, cancelled=fail)
         with pytest.raises(error, match="enough"):
             list(pictures)
         assert list(pictures) == []
@@ -379,7 +379,7 @@ def test_errors_of_the_question_come_out(renderer: Renderer, error: type[BaseExc
 
 def test_closing_a_renderer_between_two_pictures(device: Device) -> None:
     renderer = Renderer(marschner_lobb(12), device=device)
-    pictures = renderer.refine(size=SIZE, budget=TINY)
+    pictures = renderer.refine(size=SIZE, seconds=TINY)
     first = next(pictures)
     before = hashed(first)
     renderer.close()
@@ -406,7 +406,7 @@ def test_closing_a_renderer_while_it_draws(device: Device) -> None:
 
         made: list[Refined] = []
         with renderer.device.limited(launch_seconds=2e-5), contextlib.suppress(OptionError):
-            for picture in renderer.refine(CAMERA, "mip", SIZE, budget=TINY, cancelled=close):
+            for picture in renderer.refine(CAMERA, "mip", SIZE, seconds=TINY, cancelled=close):
                 made.append(picture)  # an error must not take them
         assert renderer.field.closed
         assert made
@@ -420,7 +420,7 @@ def test_closing_a_renderer_while_it_draws(device: Device) -> None:
 def test_a_field_that_was_given_and_closed(device: Device) -> None:
     field = Field(marschner_lobb(12), device=device, precision="single")
     renderer = Renderer(field)
-    pictures = renderer.refine(size=SIZE, budget=TINY)
+    pictures = renderer.refine(size=SIZE, seconds=TINY)
     next(pictures)
     field.close()
     with pytest.raises(OptionError, match="closed"):
@@ -429,7 +429,7 @@ def test_a_field_that_was_given_and_closed(device: Device) -> None:
 
 
 def test_several_threads_refine_with_one_renderer(renderer: Renderer) -> None:
-    looks = [("composite", {}), ("isosurface", {"isovalue": 0.4}), ("isosurface", {"isovalue": 0.6}), ("mip", {"samples": 2})]
+    looks = [("composite", {}), ("isosurface", {"isovalue": 0.4}), ("isosurface", {"isovalue": 0.6}), ("mip", {"rays": 2})]
     want = [renderer.render(CAMERA, mode, SIZE, **options) for mode, options in looks]
     failed: list[BaseException] = []
 
@@ -437,7 +437,7 @@ def test_several_threads_refine_with_one_renderer(renderer: Renderer) -> None:
         mode, options = looks[i]
         try:
             for _ in range(4):
-                checked(renderer.refine(CAMERA, mode, SIZE, budget=TINY, **options), want[i])
+                checked(renderer.refine(CAMERA, mode, SIZE, seconds=TINY, **options), want[i])
         except BaseException as error:
             failed.append(error)
 
@@ -451,7 +451,7 @@ def test_several_threads_refine_with_one_renderer(renderer: Renderer) -> None:
 
 def test_pictures_may_be_asked_for_by_several_threads(renderer: Renderer) -> None:
     """One after the other: a worker begins, another goes on."""
-    pictures = renderer.refine(CAMERA, size=SIZE, budget=TINY)
+    pictures = renderer.refine(CAMERA, size=SIZE, seconds=TINY)
     made: list[Refined] = []
     while not made or not made[-1].final:
         thread = threading.Thread(target=lambda: made.append(next(pictures)))
@@ -463,7 +463,7 @@ def test_pictures_may_be_asked_for_by_several_threads(renderer: Renderer) -> Non
 
 def test_the_limits_of_a_thread_are_its_own_between_two_pictures(renderer: Renderer) -> None:
     before = renderer.device.limits
-    for _ in renderer.refine(CAMERA, size=SIZE, budget=TINY):
+    for _ in renderer.refine(CAMERA, size=SIZE, seconds=TINY):
         assert renderer.device.limits is before
 
 
@@ -472,8 +472,8 @@ def test_the_limits_of_a_thread_are_its_own_between_two_pictures(renderer: Rende
 
 @pytest.mark.parametrize("budget", [0, -1, float("nan"), "x", None, (1,), np.array([1, 2])], ids=repr)
 def test_a_budget_is_a_positive_number(renderer: Renderer, budget: Any) -> None:
-    with pytest.raises(OptionError, match="budget must be"):
-        renderer.refine(size=SIZE, budget=budget)
+    with pytest.raises(OptionError, match="seconds must be"):
+        renderer.refine(size=SIZE, seconds=budget)
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
@@ -486,7 +486,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "mode": ({"mode": "compost"}, "composite"),
     "size": ({"size": (0, 4)}, "width must be"),
     "step": ({"step": 0}, "step must be"),
-    "samples": ({"samples": 0}, "samples must be"),
+    "rays": ({"rays": 0}, "rays must be"),
     "gradient": ({"gradient": "exact"}, "gradient must be"),
     "camera": ({"camera": 4}, "camera must be"),
     "both": ({"transfer": TransferFunction.ramp((0, 1)), "cmap": "gray"}, "transfer must be left out"),
@@ -510,7 +510,7 @@ def test_a_camera_that_is_too_far_away_is_refused_with_the_first_picture(rendere
 
 
 def test_what_a_refined_picture_knows_survives(renderer: Renderer) -> None:
-    first, *_, last = renderer.refine(CAMERA, size=SIZE, budget=TINY)
+    first, *_, last = renderer.refine(CAMERA, size=SIZE, seconds=TINY)
     for picture in (first, last):
         for other in (
             pickle.loads(pickle.dumps(picture)),
@@ -536,7 +536,7 @@ def test_what_a_refined_picture_knows_survives(renderer: Renderer) -> None:
 def test_options_of_a_mode_reach_it(renderer: Renderer) -> None:
     for mode in modes():
         options = suited(mode, {"isovalue": 0.3, "shading": False, "attenuation": 1.0})
-        checked(renderer.refine(CAMERA, mode, SIZE, budget=TINY, **options), renderer.render(CAMERA, mode, SIZE, **options))
+        checked(renderer.refine(CAMERA, mode, SIZE, seconds=TINY, **options), renderer.render(CAMERA, mode, SIZE, **options))
 
 
 def test_launches_are_as_long_as_was_measured(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -140,16 +140,16 @@ def test_tiles_do_not_show(renderer: Renderer, mode: str) -> None:
 def test_no_row_is_added_twice_where_a_tile_is_odd(renderer: Renderer) -> None:
     """Several rays a pixel add up; launches must not overlap, whatever the height of a tile."""
     with renderer.device.limited(tile=TILES["eights"]):
-        want = renderer.render(CAMERA, "minip", (37, 47), samples=3)
+        want = renderer.render(CAMERA, "minip", (37, 47), rays=3)
         with renderer.device.limited(launch_seconds=1e-9):
-            np.testing.assert_array_equal(renderer.render(CAMERA, "minip", (37, 47), samples=3), want)
+            np.testing.assert_array_equal(renderer.render(CAMERA, "minip", (37, 47), rays=3), want)
 
 
 def test_the_same_twice_to_the_last_bit(device: Device, renderer: Renderer) -> None:
     for mode in MODES:
-        first = renderer.render(CAMERA, mode, SIZE, samples=2)
-        np.testing.assert_array_equal(renderer.render(CAMERA, mode, SIZE, samples=2), first)
-        np.testing.assert_array_equal(render(noise(), CAMERA, mode, size=SIZE, samples=2, device=device), first)
+        first = renderer.render(CAMERA, mode, SIZE, rays=2)
+        np.testing.assert_array_equal(renderer.render(CAMERA, mode, SIZE, rays=2), first)
+        np.testing.assert_array_equal(render(noise(), CAMERA, mode, size=SIZE, rays=2, device=device), first)
 
 
 # -- closed forms --------------------------------------------------------------------------------------------------
@@ -351,8 +351,8 @@ WRONG: dict[str, tuple[dict[str, Any], type[ClvolError], str]] = {
     "isovalue NaN": ({"isovalue": float("nan"), "mode": "isosurface"}, OptionError, "isovalue must be a finite number; got nan"),
     "isovalue infinite": ({"isovalue": float("inf"), "mode": "isosurface"}, OptionError, "isovalue must be a finite number"),
     "five lights": ({"lights": [Light()] * 5}, OptionError, "there may be up to 4 lights; got 5"),
-    "no samples": ({"samples": 0}, OptionError, "samples must be a whole number, at least 1 and at most 4096; got 0"),
-    "half samples": ({"samples": 1.5}, OptionError, "samples must be a whole number"),
+    "no rays": ({"rays": 0}, OptionError, "rays must be a whole number, at least 1 and at most 4096; got 0"),
+    "half rays": ({"rays": 1.5}, OptionError, "rays must be a whole number"),
     "termination 1": ({"termination": 1}, OptionError, "termination must be a finite number, at least 0 and less than 1; got 1"),
     "termination NaN": ({"termination": float("nan")}, OptionError, "termination must be"),
     "background": ({"background": "nocolour"}, OptionError, "background must be three numbers, or the name"),
@@ -428,7 +428,7 @@ def test_a_closed_renderer_says_so(device: Device) -> None:
 def test_progress_rises_to_one(renderer: Renderer) -> None:
     calls: list[float] = []
     with renderer.device.limited(launch_seconds=1e-9):
-        renderer.render(CAMERA, size=(40, 30), samples=3, progress=calls.append)
+        renderer.render(CAMERA, size=(40, 30), rays=3, progress=calls.append)
     assert len(calls) > 10
     assert calls == sorted(calls)
     assert calls[-1] == pytest.approx(1)
@@ -637,3 +637,19 @@ def test_labels_that_float32_cannot_tell_apart_are_refused(device: Device) -> No
     data[1:3] = 2**24 + 1
     with pytest.raises(DataError, match=r"2\*\*24.*renumber"):
         render(Volume(data, labels=True), device=device)
+
+
+def test_a_volume_renders_and_plots_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    data, camera = np.random.default_rng(3).random((9, 10, 11)).astype(np.float32), clvol.Camera.orbit(40, 10)
+    shown: list[Any] = []
+    monkeypatch.setattr("clvol.show.picture.show", shown.append)
+    for volume in (clvol.Volume(data), clvol.LazyVolume(data, labels=False)):
+        want = clvol.render(volume, camera, "mip", (20, 15), filter="linear")
+        np.testing.assert_array_equal(volume.render(camera, "mip", (20, 15), filter="linear"), want)
+        volume.plot(camera, "mip", (20, 15), filter="linear")
+        np.testing.assert_array_equal(shown.pop(), want)
+        with pytest.raises(OptionError, match="colour is no option of mip"):
+            volume.render(mode="mip", colour="red")
+        with pytest.raises(OptionError, match="colour is no option of mip"):
+            volume.plot(mode="mip", colour="red")
+    assert not shown

@@ -67,7 +67,7 @@ def test_by_bricks_within_a_budget() -> None:
     """A field that is given is used, with its budget, and stays open."""
     lazy = LazyVolume(Counted(DATA), limits=(0, 1))
     told: list[float] = []
-    with clvol.BrickedField(lazy, "bspline3", clvol.boundaries()["constant"], edge=8, budget=1 << 20) as field:
+    with clvol.BrickedField(lazy, "bspline3", clvol.boundaries()["constant"], edge=8, memory=1 << 20) as field:
         found = ndimage.map_coordinates(field, AT, progress=told.append)
         assert field.reads.bricks > 1
         assert field.nbytes <= 1 << 20
@@ -109,7 +109,7 @@ INSTEAD: dict[str, Any] = {
     "rotate": lambda data: ndimage.rotate(data, 33, (0, 2), False, order=1, mode="grid-wrap"),
     "resample": lambda data: clvol.resample(data, (30, 30, 30)).data,
     "sample": lambda data: clvol.sample(data, LARGE_AT[::-1].T),
-    "a picture": lambda data: clvol.render(data, mode="mip", filter="linear", size=(24, 24), samples=1),
+    "a picture": lambda data: clvol.render(data, mode="mip", filter="linear", size=(24, 24), rays=1),
 }
 
 

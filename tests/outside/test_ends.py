@@ -106,7 +106,7 @@ def drawn(device: Device, camera: str, box: Box, step: float, **options: Any) ->
         "step": step,
         "clip": box,
         "background": None,
-        "samples": 1,
+        "rays": 1,
         **options,
     }
     transfer = clvol.TransferFunction(((0.0, "black"), (1.0, "white")), THROUGH, 1.0)
@@ -146,7 +146,7 @@ def test_a_thin_slab_has_its_opacity_wherever_it_lies(device: Device, tile: str)
     """0.2 of a voxel of matter that stops half of the light a voxel: 1 - 0.5^0.2 = 0.1294."""
     fog = clvol.TransferFunction(((0.0, "white"),), ((0.0, 0.5),), 1.0)
     camera = clvol.Camera(direction=(0, 1, 0), up=(0, 0, 1), projection="orthographic", fit="volume")
-    look: dict[str, Any] = {"size": (20, 17), "transfer": fog, "background": None, "outputs": ("rgba", "visited"), "samples": 1}
+    look: dict[str, Any] = {"size": (20, 17), "transfer": fog, "background": None, "outputs": ("rgba", "visited"), "rays": 1}
     with device.limited(tile=TILES[tile]), clvol.Renderer(np.zeros((12, 12, 12), np.float32), device=device) as renderer:
         for at in np.arange(1.0, 3.0, 0.1):
             clip = ((-np.inf, at, -np.inf), (np.inf, at + 0.2, np.inf))

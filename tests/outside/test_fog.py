@@ -26,7 +26,7 @@ def draw(device: Device, length: int, transfer: clvol.TransferFunction, **option
     data = np.zeros((2, length, 2), np.float32)
     look: dict[str, Any] = {
         "size": (9, 9),
-        "samples": 1,
+        "rays": 1,
         "background": None,
         "outputs": ("rgba", "depth", "position"),
         "termination": 0.0,

@@ -35,7 +35,7 @@ BOX = ((CENTER - 12,) * 3, (CENTER + 12,) * 3)
 LOOK: dict[str, Any] = {
     "camera": Camera.orbit(30, 20, zoom=4.0, fit="volume"),
     "size": (48, 48),
-    "samples": 1,
+    "rays": 1,
     "clip": BOX,
     "transfer": SHELL,
 }
@@ -77,7 +77,7 @@ def test_rounding_gives_no_normal(device: Device, filter: str, gradient: str) ->
     for value, spacing in ((0.1 + 0.2, 1.0), (1 / 3, 1e-3), (-1234.5678, 7.0), (1e30 / 7, 1.0), (3e-20, 1.0), (0.0, 1.0)):
         volume = Volume(np.full((9, 12, 10), value, np.float32), (spacing, spacing, 3 * spacing))
         transfer = TransferFunction(((value - 1, "white"), (value + 1, "white")), ((value - 1, 0.2), (value + 1, 0.2)))
-        options: dict[str, Any] = {"transfer": transfer, "gradient": gradient, "samples": 1, "size": (24, 24), "device": device}
+        options: dict[str, Any] = {"transfer": transfer, "gradient": gradient, "rays": 1, "size": (24, 24), "device": device}
         got = clvol.render(volume, filter=filter, outputs="normal", **options)
         assert np.isnan(got).all(), (value, spacing)
     data = np.full((72, 8, 8), 1 / 3, np.float32)

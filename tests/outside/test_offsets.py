@@ -380,12 +380,7 @@ def looks(shift: float) -> dict[str, dict[str, Any]]:
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["bspline3", "linear", "hybrid"])
 def test_pictures_are_those_without_the_offset(device: Device, filter: str) -> None:
-    options: dict[str, Any] = {
-        "size": (41, 37),
-        "samples": 1,
-        "camera": clvol.Camera.orbit(30, 20, fit="volume"),
-        "outputs": OUTPUTS,
-    }
+    options: dict[str, Any] = {"size": (41, 37), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume"), "outputs": OUTPUTS}
     with clvol.Renderer(smooth(), filter, device=device) as near, clvol.Renderer(smooth() + FAR, filter, device=device) as far:
         for (mode, plain), moved in zip(looks(0.0).items(), looks(FAR).values(), strict=True):
             one, other = near.render(mode=mode, **plain, **options), far.render(mode=mode, **moved, **options)
@@ -394,7 +389,7 @@ def test_pictures_are_those_without_the_offset(device: Device, filter: str) -> N
 
 
 def test_default_looks_are_those_without_the_offset(device: Device) -> None:
-    options: dict[str, Any] = {"size": (41, 37), "samples": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
+    options: dict[str, Any] = {"size": (41, 37), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
     with clvol.Renderer(smooth(), device=device) as near, clvol.Renderer(smooth() + FAR, device=device) as far:
         for mode in clvol.modes():
             assert_allclose(far.render(mode=mode, **options), near.render(mode=mode, **options), rtol=0, atol=1e-5, err_msg=mode)
@@ -407,7 +402,7 @@ def test_the_surface_lies_where_the_function_has_its_value(device: Device) -> No
         clvol.Camera.orbit(30, 20, fit="volume"),
         "isosurface",
         size=(41, 37),
-        samples=1,
+        rays=1,
         isovalue=PRESSURE + 0.25,
         outputs=OUTPUTS,
         device=device,
@@ -422,12 +417,7 @@ def test_the_surface_lies_where_the_function_has_its_value(device: Device) -> No
 
 
 def test_pictures_of_a_field_and_in_float32(device: Device) -> None:
-    look: dict[str, Any] = {
-        "mode": "isosurface",
-        "size": (41, 37),
-        "samples": 1,
-        "camera": clvol.Camera.orbit(30, 20, fit="volume"),
-    }
+    look: dict[str, Any] = {"mode": "isosurface", "size": (41, 37), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
     plain = clvol.render(smooth(), isovalue=0.25, device=device, **look)
     with clvol.Field(smooth() + FAR, device=device) as field:
         assert_array_equal(clvol.render(field, isovalue=FAR + 0.25, **look), plain)
@@ -438,7 +428,7 @@ def test_pictures_of_a_field_and_in_float32(device: Device) -> None:
 
 
 def test_skipping_changes_nothing(device: Device) -> None:
-    options: dict[str, Any] = {"size": (41, 37), "samples": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
+    options: dict[str, Any] = {"size": (41, 37), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
     with clvol.Renderer(small() + PRESSURE, device=device) as renderer:
         for mode, look in looks(PRESSURE).items():
             pictures = [renderer.render(mode=mode, skipping=on, **look, **options) for on in (True, False)]
@@ -447,7 +437,7 @@ def test_skipping_changes_nothing(device: Device) -> None:
 
 def test_the_reference_draws_the_same(device: Device) -> None:
     data = smooth()[::2, ::2, ::2] + PRESSURE
-    options: dict[str, Any] = {"size": (17, 15), "samples": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
+    options: dict[str, Any] = {"size": (17, 15), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
     for mode, look in looks(PRESSURE).items():
         got = clvol.render(data, mode=mode, device=device, **look, **options)
         expected = render(data, mode=mode, **look, **options)

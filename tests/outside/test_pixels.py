@@ -33,15 +33,15 @@ def drawn(volume: Volume, camera: Camera, device: Device, **options: Any) -> np.
     return np.asarray(clvol.render(volume, camera, "mean", **{**look, **options})[..., 0], np.float64)
 
 
-@pytest.mark.parametrize("samples", [2, 3, 4, 5, 8, 9, 16, 64])
-def test_several_rays_do_not_shift_the_picture(device: Device, samples: int) -> None:
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 8, 9, 16, 64])
+def test_several_rays_do_not_shift_the_picture(device: Device, count: int) -> None:
     """A picture that is linear across is what it is with one ray. (It was shifted by up to 0.22 pixel, here 0.7 %.)"""
     n = 64
     z, _, x = np.meshgrid(np.arange(n), np.arange(2), np.arange(n), indexing="ij")
     volume = Volume(((x + 2 * z) / (3 * n)).astype(np.float32))
     camera = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic", zoom=3.0, fit="volume")
     one = drawn(volume, camera, device)
-    got = drawn(volume, camera, device, samples=samples)
+    got = drawn(volume, camera, device, rays=count)
     assert one.std() > 0.05
     np.testing.assert_allclose(got, one, atol=2e-6)
 
@@ -62,7 +62,7 @@ def response(name: str, f: float) -> float:
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline2-approx", "bspline3-approx", "mitchell", "catmull-rom", "lanczos3"])
 def test_waves_are_damped_as_the_filter_says(device: Device, name: str, f: float) -> None:
     volume, camera = waves(f, voxels=8)
-    got = drawn(volume, camera, device, samples=512, pixel_filter=name)
+    got = drawn(volume, camera, device, rays=512, pixel_filter=name)
     x = np.arange(SIZE[0]) + 0.5 - SIZE[0] / 2
     want = 0.5 + 0.5 * response(name, f) * np.cos(2 * np.pi * f * x)
     want = np.clip(want, 0, 1)
@@ -70,7 +70,7 @@ def test_waves_are_damped_as_the_filter_says(device: Device, name: str, f: float
     np.testing.assert_allclose(got, np.broadcast_to(want, got.shape), atol=loose)
 
 
-def zone_plate(samples: int, name: str) -> tuple[float, float]:
+def zone_plate(count: int, name: str) -> tuple[float, float]:
     """RMS of what is left past half a wave a pixel, and of what is lost below it, of rings up to 0.75 waves a pixel."""
     n = 192
     y, x = (np.mgrid[:n, :n] + 0.5 - n / 2).astype(float)
@@ -78,56 +78,56 @@ def zone_plate(samples: int, name: str) -> tuple[float, float]:
     def plate(dx: float, dy: float) -> np.ndarray[Any, Any]:
         return np.asarray(0.5 + 0.5 * np.cos(np.pi * 1.5 / n * ((x + dx) ** 2 + (y + dy) ** 2)))
 
-    rays = pixel_rays(samples, as_filter(name), middle=False)
+    rays = pixel_rays(count, as_filter(name), middle=False)
     picture = sum(weight * plate(*(offset - 0.5)) for offset, weight in rays)
     past = np.maximum(np.abs(x), np.abs(y)) * 1.5 / n > 0.5
     return float(np.sqrt(np.mean((picture[past] - 0.5) ** 2))), float(np.sqrt(np.mean((picture[~past] - plate(0, 0)[~past]) ** 2)))
 
 
-@pytest.mark.parametrize("samples", [4, 9, 16, 64])
-def test_the_default_leaves_less_aliasing_than_the_pixels_square(samples: int) -> None:
-    square, tent = zone_plate(samples, "nearest"), zone_plate(samples, "linear")
-    assert tent[0] < (0.5 if samples >= 16 else 0.67) * square[0]
+@pytest.mark.parametrize("count", [4, 9, 16, 64])
+def test_the_default_leaves_less_aliasing_than_the_pixels_square(count: int) -> None:
+    square, tent = zone_plate(count, "nearest"), zone_plate(count, "linear")
+    assert tent[0] < (0.5 if count >= 16 else 0.67) * square[0]
     assert tent[1] < 1.7 * square[1]
 
 
-@pytest.mark.parametrize("samples", [16, 32, 64, 256])
-def test_lobes_need_about_64_rays(samples: int) -> None:
-    tent, lobed = zone_plate(samples, "linear"), zone_plate(samples, "mitchell")
+@pytest.mark.parametrize("count", [16, 32, 64, 256])
+def test_lobes_need_about_64_rays(count: int) -> None:
+    tent, lobed = zone_plate(count, "linear"), zone_plate(count, "mitchell")
     for mine, other in zip(lobed, tent, strict=True):
-        assert mine < (1 if samples >= 64 else 1.1) * other
+        assert mine < (1 if count >= 64 else 1.1) * other
 
 
 @pytest.mark.parametrize("name", PIXEL_FILTERS)
-@pytest.mark.parametrize("samples", [1, 2, 3, 4, 7, 16, 33, 256])
-def test_patterns_are_even_and_within_the_filter(samples: int, name: str) -> None:
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 16, 33, 256])
+def test_patterns_are_even_and_within_the_filter(count: int, name: str) -> None:
     row = as_filter(name)
-    rays = pixel_rays(samples, row, middle=False)
+    rays = pixel_rays(count, row, middle=False)
     offsets, weights = np.array([offset for offset, _ in rays]), np.array([weight for _, weight in rays])
-    np.testing.assert_array_equal(offsets, pixel_offsets(samples, name))
+    np.testing.assert_array_equal(offsets, pixel_offsets(count, name))
     np.testing.assert_allclose(weights.sum(), 1, atol=1e-12)
     np.testing.assert_allclose(weights @ offsets, [0.5, 0.5], atol=1e-12)
     assert np.abs(offsets - 0.5).max() <= row.support / 2
     for axis in (0, 1):  # no two rays share a row or a column
-        assert np.unique(offsets[:, axis].round(9)).size == samples
+        assert np.unique(offsets[:, axis].round(9)).size == count
     turned = {tuple(np.round(1 - offset, 9)) for offset in offsets}
     assert turned == {tuple(np.round(offset, 9)) for offset in offsets}
     x = np.linspace(-row.support / 2, row.support / 2, 40_001)
-    if samples >= 16 and row(x).min() >= 0:
+    if count >= 16 and row(x).min() >= 0:
         wanted = (row(x) * x**2).sum() / row(x).sum()
         np.testing.assert_allclose(weights @ (offsets - 0.5) ** 2, wanted, rtol=0.08)
 
 
 @pytest.mark.one_in(2)
-@pytest.mark.parametrize("samples", [2, 3, 4, 16])
-def test_guides_are_of_the_ray_through_the_middle(device: Device, samples: int) -> None:
+@pytest.mark.parametrize("count", [2, 3, 4, 16])
+def test_guides_are_of_the_ray_through_the_middle(device: Device, count: int) -> None:
     volume = clvol.phantoms.sphere(20)
     with Renderer(volume, device=device) as renderer:
         guides: Any = ("depth", "normal", "position", "visited")
         want = renderer.render(None, "isosurface", SIZE, outputs=guides)
-        got = renderer.render(None, "isosurface", SIZE, samples=samples, outputs=guides)
-        alone = renderer.render(None, "isosurface", SIZE, samples=samples)
-        beside = renderer.render(None, "isosurface", SIZE, samples=samples, outputs=("rgba", "depth"))["rgba"]
+        got = renderer.render(None, "isosurface", SIZE, rays=count, outputs=guides)
+        alone = renderer.render(None, "isosurface", SIZE, rays=count)
+        beside = renderer.render(None, "isosurface", SIZE, rays=count, outputs=("rgba", "depth"))["rgba"]
     for name in guides:
         np.testing.assert_array_equal(got[name], want[name])
     np.testing.assert_array_equal(alone, beside)
@@ -136,7 +136,7 @@ def test_guides_are_of_the_ray_through_the_middle(device: Device, samples: int) 
 def test_one_ray_goes_through_the_middle_whatever_the_filter(device: Device) -> None:
     volume = clvol.phantoms.sphere(20)
     pictures = [
-        clvol.render(volume, size=SIZE, samples=1, pixel_filter=name, device=device) for name in ("nearest", "linear", "lanczos3")
+        clvol.render(volume, size=SIZE, rays=1, pixel_filter=name, device=device) for name in ("nearest", "linear", "lanczos3")
     ]
     for picture in pictures[1:]:
         np.testing.assert_array_equal(picture, pictures[0])
@@ -151,7 +151,7 @@ def test_what_is_no_pixel_filter_is_refused(device: Device) -> None:
         ("gauss", "filter must be one of"),
     ):
         with pytest.raises(OptionError, match=message):
-            clvol.render(np.ones((3, 3, 3)), size=(4, 4), samples=4, pixel_filter=choice, device=device)
+            clvol.render(np.ones((3, 3, 3)), size=(4, 4), rays=4, pixel_filter=choice, device=device)
 
 
 def test_it_is_refused_before_any_work() -> None:
@@ -167,7 +167,7 @@ def test_pixels_on_edges_have_more_rays_and_no_others(device: Device) -> None:
         for background in ("white", None):
             matte = clvol.Material(specular=0.0)  # nothing is brighter than white, which would be cut off
             look: dict[str, Any] = {"mode": "isosurface", "size": (61, 47), "background": background, "material": matte}
-            one, more, many = (renderer.render(**look, samples=n) for n in (1, EDGE_RAYS, 64))
+            one, more, many = (renderer.render(**look, rays=n) for n in (1, EDGE_RAYS, 64))
             auto = renderer.render(**look)
             edges = np.zeros(one.shape[:2], bool)
             edges[tuple(on_edges(one).T)] = True

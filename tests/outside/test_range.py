@@ -116,7 +116,7 @@ def test_beyond_float64_is_refused() -> None:
 # -- pictures --------------------------------------------------------------------------------------------------------
 
 OUTPUTS = ("rgba", "depth", "normal", "position", "visited")
-VIEW: dict[str, Any] = {"size": (37, 35), "samples": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume"), "outputs": OUTPUTS}
+VIEW: dict[str, Any] = {"size": (37, 35), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume"), "outputs": OUTPUTS}
 
 
 def looks(scale: float) -> dict[str, dict[str, Any]]:

@@ -21,14 +21,7 @@ def drawn(device: Device, values: NDArray[Any], transfer: clvol.TransferFunction
     """Values, each (N,), and their colours and opacities in the picture of a slab of voxels that have them, (N, 4)."""
     slab = values.reshape(24, 1, 24)
     with clvol.Renderer(slab, "nearest", device=device) as renderer:
-        look: dict[str, Any] = {
-            "camera": VIEW,
-            "size": (61, 61),
-            "samples": 1,
-            "step": 1.0,
-            "transfer": transfer,
-            "background": None,
-        }
+        look: dict[str, Any] = {"camera": VIEW, "size": (61, 61), "rays": 1, "step": 1.0, "transfer": transfer, "background": None}
         place = renderer.render(mode="mip", outputs="position", **look).reshape(-1, 3).astype(np.float64)
         colors = renderer.render(mode="mip", **look).reshape(-1, 4)[:, :3]
         both = {skip: renderer.render(**look, **COMPOSITE, skipping=skip).reshape(-1, 4) for skip in (True, False)}

@@ -33,7 +33,7 @@ def test_each_share_of_light_on_a_sphere(device: Device) -> None:
     """Ambient everywhere; diffuse towards the light; a highlight halfway between light and viewer."""
     volume, camera = phantoms.sphere(32), Camera.orbit(0, 0, projection="orthographic", fit="volume")
     options: dict[str, Any] = {"camera": camera, "mode": "isosurface", "isovalue": 0.5, "color": "white"}
-    options |= {"size": (65, 65), "samples": 1, "device": device}
+    options |= {"size": (65, 65), "rays": 1, "device": device}
 
     def picture(material: Material, light: Light) -> np.ndarray[Any, Any]:
         return np.asarray(render(volume, material=material, lights=[light], outputs=("rgba", "normal"), **options)["rgba"][..., 0])
@@ -56,7 +56,7 @@ def test_each_share_of_light_on_a_sphere(device: Device) -> None:
 def test_lights_add_up(device: Device) -> None:
     volume = phantoms.sphere(16)
     options: dict[str, Any] = {"mode": "isosurface", "isovalue": 0.5, "size": (16, 16), "device": device, "background": None}
-    options["samples"] = 1
+    options["rays"] = 1
     colors = [(0.2, 0, 0), (0, 0.3, 0.1), (0.1, 0.1, 0.1), (0.1, 0, 0.2)]
     directions = [(1, -1, 0), (-1, -1, 1), None, (0, -1, 0)]
     lights = [Light(*pair) for pair in zip(directions, colors, strict=True)]
@@ -69,7 +69,7 @@ def test_lights_add_up(device: Device) -> None:
 def test_lights_that_move_with_the_camera(device: Device) -> None:
     """Right, up and towards the viewer, in any view."""
     volume, camera = phantoms.sphere(32), Camera.orbit(40, 25, projection="orthographic", fit="volume")
-    options: dict[str, Any] = {"camera": camera, "mode": "isosurface", "isovalue": 0.5, "color": "white", "samples": 1}
+    options: dict[str, Any] = {"camera": camera, "mode": "isosurface", "isovalue": 0.5, "color": "white", "rays": 1}
     options |= {"size": (65, 65), "device": device, "outputs": ("rgba", "normal"), "material": Material(0, 1, 0, 1)}
     view = camera.view(volume)
     for direction, axis in (((2, 0, 0), view.right), ((0, 1, 0), view.up), ((0, 0, 1), -view.forward)):

@@ -130,7 +130,7 @@ def test_the_command(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[st
 def test_a_cluster_makes_the_same_movie(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A task a picture: in the order of the pictures, few of them waiting."""
     pytest.importorskip("distributed")
-    volume, cameras, told = clvol.phantoms.marschner_lobb(24), clvol.turned(9), list[float]()
+    volume, cameras, told = clvol.phantoms.marschner_lobb(24), clvol.Camera.turntable(9), list[float]()
     alone = [picture.copy() for picture in frames(volume, cameras, mode="mip", size=(30, 20))]
     with as_cluster(2) as cluster:
         submit, asked = cluster.submit, []

@@ -23,7 +23,7 @@ from clvol.spline.minmax import MinMax
 
 DATA = np.random.default_rng(5).random((128, 128, 128), np.float32)  # of more than 4 MiB, which go back to the system at once
 POINTS = np.random.default_rng(6).uniform(0, 127, (1 << 20, 3)).astype(np.float32)
-VIEW: dict[str, Any] = {"mode": "mip", "size": (64, 48), "samples": 4}
+VIEW: dict[str, Any] = {"mode": "mip", "size": (64, 48), "rays": 4}
 
 
 @pytest.fixture

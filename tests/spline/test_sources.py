@@ -18,7 +18,7 @@ DATA = (2000 + 900 * np.sin(x / 4) * np.cos(y / 5) * np.sin(z / 6)).astype(np.ui
 CHUNKS = (16, 44, 20)
 AT = np.random.default_rng(1).uniform(2, 35, (300, 3))
 GRID = (20, 20, 20)
-LOOK: dict[str, Any] = {"camera": clvol.Camera.orbit(30, 20), "size": (20, 20), "samples": 1}
+LOOK: dict[str, Any] = {"camera": clvol.Camera.orbit(30, 20), "size": (20, 20), "rays": 1}
 
 
 class Plain:
@@ -79,7 +79,7 @@ def source(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:
 
 def of(source: Any) -> dict[str, Any]:
     """What bricks give of an array."""
-    with BrickedField(source, edge=16, budget=8 << 20) as field, clvol.Renderer(field) as renderer:
+    with BrickedField(source, edge=16, memory=8 << 20) as field, clvol.Renderer(field) as renderer:
         pictures = {mode: renderer.render(mode=mode, **LOOK) for mode in ("isosurface", "composite")}
         return {"points": field(AT), "grid": field.resample(GRID).data, **pictures}
 

@@ -118,7 +118,7 @@ def test_a_view_starts_as_render_draws(volume: Volume, device: Device) -> None:
         "material": Material(0.3, 0.6),
         "background": "navy",
         "gradient": "central",
-        "samples": 2,
+        "rays": 2,
     }
     view = View(volume, device=device, **options)
     picture = view.picture(SIZE)

@@ -141,4 +141,4 @@ def too_small(needs: Needs, edge: int, budget: int) -> OptionError:
     why = f"a brick of {edge}³ samples takes"
     if needs.read(edge) > needs.resident(edge):
         why = f"reading {why}" + (f" with its chunk of {needs.chunk} bytes" if needs.chunk else ", low-passed")
-    return OptionError(f"budget must be at least {needs.read(edge)} bytes, which {why}; got {budget}")
+    return OptionError(f"memory must be at least {needs.read(edge)} bytes, which {why}; got {budget}")

@@ -195,7 +195,7 @@ class ByBricks:
         volume, rule, matrix, offset = self._volume, self._boundary, target.matrix, target.offset
         kind = wide_enough(np.float32, ends_of(volume), self._filter, rule)
         if target.anti_aliasing == "least-squares":
-            return nearest_sums(volume.known(), self._filter, rule, kind, matrix, offset, target.shape)
+            return nearest_sums(volume._known(), self._filter, rule, kind, matrix, offset, target.shape)
         continues = rule.period is not None and rule.outside in ("rule", "clamp")
         if not (no_shear(matrix, target.shape) and continues and self._filter.magnified_by is None and settled):
             return None

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base import memory
 from clvol.base.checks import whole
 from clvol.base.errors import DataError, OptionError
+from clvol.base.memory import require
 from clvol.base.rounding import in_kind
 from clvol.bricks.bounds import BrickBounds
 from clvol.bricks.budget import LEAST, Needs, edge_for, too_small
@@ -27,7 +27,7 @@ from clvol.bricks.evaluate import ByBricks, ends_of
 from clvol.bricks.grid import NEIGHBOURS, BrickGrid
 from clvol.bricks.reduced import Reduced
 from clvol.bricks.residents import Account, Reads
-from clvol.bricks.source import LazyVolume, budget_for
+from clvol.bricks.source import LazyVolume, memory_for
 from clvol.bricks.store import Part, Store, require_names
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
@@ -51,7 +51,7 @@ __all__ = ["BrickedField", "as_lazy", "of_lazy", "require_plain"]
 class BrickedField(ContinuousFunction):
     """The continuous function of a volume that is read brick by brick.
 
-    It answers as a `Field` does, but keeps no more coefficients than its budget allows: bricks that will be needed last are evicted
+    It answers as a `Field` does, but keeps no more coefficients than `memory` allows: bricks that will be needed last are evicted
     first. Nothing is read before it is needed.
 
     Parameters
@@ -65,7 +65,7 @@ class BrickedField(ContinuousFunction):
         As of `Field`.
     device : Device, str or int, optional
         See `as_device`.
-    budget : int, optional
+    memory : int, optional
         Bytes that bricks may take, on the device and while they are read, with unpacked chunks; by default 2 GiB, or
         half of the available memory if that is less, or more where unpacking a chunk takes as much.
     edge : int, optional
@@ -85,7 +85,7 @@ class BrickedField(ContinuousFunction):
     device : Device
     missing : Missing
         Always "error": a brick with missing samples is refused when it is read.
-    budget, edge : int
+    memory, edge : int
     reads : Reads
         What was read until now.
     bricks : BrickGrid
@@ -102,8 +102,8 @@ class BrickedField(ContinuousFunction):
     DataError
         `LazyVolume` does not take `volume`, or float32 does not hold labels that are drawn by "nearest".
     OptionError
-        `filter`, `boundary` or `device` is an unknown name; `edge` is no whole number of at least 8; the budget is smaller than a
-        brick, or than unpacking a chunk takes: the message says the least; or `budget` is given with `beside`.
+        `filter`, `boundary` or `device` is an unknown name; `edge` is no whole number of at least 8; `memory` is smaller than a
+        brick, or than unpacking a chunk takes: the message says the least; or `memory` is given with `beside`.
     OutOfMemoryError
         The device allows no buffer that holds a brick.
 
@@ -122,15 +122,15 @@ class BrickedField(ContinuousFunction):
         boundary: str | Boundary | None = None,
         device: Device | str | int | None = None,
         *,
-        budget: int | None = None,
+        memory: int | None = None,
         edge: int | None = None,
         at_once: bool = True,
         beside: BrickedField | None = None,
     ) -> None:
-        if beside is not None and budget is not None:
-            raise OptionError(f"budget must be left to the field beside which this one is; got {budget!r} with it")
+        if beside is not None and memory is not None:
+            raise OptionError(f"memory must be left to the field beside which this one is; got {memory!r} with it")
         self.volume = volume = as_lazy(volume)
-        own = 0 if beside is not None else budget_for(volume, budget)
+        own = 0 if beside is not None else memory_for(volume, memory)
         kept = volume.bounds
         chosen = kept.filter if filter is None and kept is not None else filter
         if boundary is None:
@@ -138,14 +138,14 @@ class BrickedField(ContinuousFunction):
         self._asked = row = filter_for(volume.part(), None, DEFAULT_FILTER) if chosen is None else as_filter(chosen)
         known = row.settled and (row.magnified_by is None or row.magnified_by.settled)
         self.filter = row = settled(row, volume.grid if known else volume.part())
-        require_names(row, volume, volume.known)
+        require_names(row, volume, volume._known)
         self.boundary = rule = as_boundary(boundary)
         self.device, self.missing = as_device(device), as_missing("error")
         account: Account = Account(own) if beside is None else beside.store.account
-        self.budget = account.budget
+        self.memory = account.budget
         self.stored = Stored.of(ends_of(volume), row, rule)
         needs = _needs(volume, row, rule)
-        self.edge = _edge(needs, edge, self.budget, self.device, volume, at_once=at_once)
+        self.edge = _edge(needs, edge, self.memory, self.device, volume, at_once=at_once)
         outside = rule.padding((row.magnified_by or row).prefilter, row.support) + rule.reach(row.support)
         self._extent = extent_of(row, 3, tuple(row.scale * n for n in volume.size), row.scale * outside)
         self.bricks = BrickGrid(volume.size, self.edge, needs.margin, needs.wraps, row.support, row.scale, int(self._extent[3]))
@@ -163,7 +163,7 @@ class BrickedField(ContinuousFunction):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A pickle holds what the field is made of."""
-        again = partial(type(self), budget=self.budget, edge=self.edge)
+        again = partial(type(self), memory=self.memory, edge=self.edge)
         return again, (self.volume, self.filter, self.boundary, self.device)
 
     @property
@@ -189,7 +189,7 @@ class BrickedField(ContinuousFunction):
     @cached_property
     def coefficients(self) -> Whole:
         """Metadata of the whole volume's coefficients, for pictures."""
-        return Whole(self.volume.known(), self.filter, self._extent, self.device, self.stored)
+        return Whole(self.volume._known(), self.filter, self._extent, self.device, self.stored)
 
     def drop(self) -> None:
         """Evict all bricks that nobody uses; they are read again when they are needed."""
@@ -225,7 +225,7 @@ class BrickedField(ContinuousFunction):
     def _on(self, target: Target, progress: Progress | None, out: Any) -> NDArray[Any]:
         kind = target.kind or self._function.kind
         if out is None:
-            memory.require(math.prod(target.shape) * kind.itemsize, described(target.shape))
+            require(math.prod(target.shape) * kind.itemsize, described(target.shape))
         elif np.dtype(out.dtype).kind != "f":
             raise OptionError(f"out must be of floating type; got {out.dtype}: results are rounded with dtype=, and no out")
         elif tuple(getattr(out, "shape", ())) != target.shape:
@@ -254,7 +254,7 @@ def _needs(volume: LazyVolume, row: Filter, rule: Boundary) -> Needs:
     """What bricks of a volume need of memory."""
     support = -(-(row.support + 1) // 2 // row.scale)  # half of the taps lie to either side
     coarse = row.magnified_by.support if row.magnified_by else 0
-    lines = volume.lines
+    lines = volume._lines
     return Needs(
         volume.size,
         volume.dtype.itemsize,
@@ -306,7 +306,7 @@ def of_lazy(
 ) -> BrickedField:
     """The field that takes the place of `Field` for a LazyVolume, with the filter that a volume in memory has by default."""
     require_plain(precision, nan)
-    budget_for(volume, None)  # which refuses chunks that are too large before anything is read
+    memory_for(volume, None)  # which refuses chunks that are too large before anything is read
     return BrickedField(volume, filter_for(volume.part(), filter, DEFAULT_FILTER), boundary, device)
 
 

@@ -112,7 +112,7 @@ class Reduced:
         if edge is None:
             least = -(-self._bytes(_EDGES[-1]) // _MIB)
             raise OptionError(
-                f"budget must be at least {least} MiB, which a block of {_EDGES[-1]}³ takes; got {budget // _MIB} MiB"
+                f"memory must be at least {least} MiB, which a block of {_EDGES[-1]}³ takes; got {budget // _MIB} MiB"
             )
         lines = [[slice(a, min(a + edge, n)) for a in range(0, n, edge)] for n in self.shape]
         count, nbytes = math.prod(map(len, lines)), self._bytes(edge)

@@ -22,9 +22,10 @@ from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
 from clvol.noise import Noise
+from clvol.volume.pictured import Pictured
 from clvol.volume.volume import Volume
 
-__all__ = ["BUDGET", "Bounds", "LazyVolume", "Sliced", "budget_for", "by_bricks", "needed_by", "too_large"]
+__all__ = ["BUDGET", "Bounds", "LazyVolume", "Sliced", "by_bricks", "memory_for", "needed_by", "too_large"]
 
 Index: TypeAlias = tuple[int, int, int]
 """Along x, y and z."""
@@ -73,7 +74,7 @@ class Bounds(Protocol):
         """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these."""
 
 
-class LazyVolume:
+class LazyVolume(Pictured):
     """A volume whose samples are read part by part, when they are needed.
 
     It takes the place of a `Volume` for `clvol.render`, `Renderer` and `BrickedField`, which read it by bricks,
@@ -228,7 +229,7 @@ class LazyVolume:
         return made
 
     @property
-    def ahead(self) -> bool:
+    def _ahead(self) -> bool:
         """Whether threads may read it ahead: in a cluster only what is known not to ask that, which must be done by the task."""
         known = self._again is not None or isinstance(self.data, np.ndarray) or _is_of_dask(self.data)
         return known or not self._for_tasks or type(self.data).__module__.partition(".")[0] in _ALONE
@@ -310,13 +311,13 @@ class LazyVolume:
         return x, y, z
 
     @property
-    def stored_in_one(self) -> int:
+    def _stored_in_one(self) -> int:
         """Bytes of the largest chunk of all sizes, which is unpacked as a whole; 0 where any part is read by itself."""
         with _reading(f"the chunks of {self._title}"):
             return max(stored_in_one(one.data) for one in (self, *self.levels))
 
     @property
-    def lines(self) -> tuple[NDArray[np.int64], ...] | None:
+    def _lines(self) -> tuple[NDArray[np.int64], ...] | None:
         """Where chunks begin along z, y and x, and where the last one ends; None if there are none, or all is in memory."""
         with _reading(f"the chunks of {self._title}"):
             return None if isinstance(self.data, np.ndarray) else lines_of(self.data)
@@ -457,7 +458,7 @@ class LazyVolume:
                 self._part = self._piecewise(low, high)
             return self._part
 
-    def known(self) -> Volume:
+    def _known(self) -> Volume:
         """The grid, with what is known of the samples, which are none: their limits, whether they are labels."""
         low, high = self.limits
         volume = replace(self.grid, labels=self.is_labels if self.grid.labels is None else self.grid.labels)
@@ -544,7 +545,7 @@ def _ends(limits: Any) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
-def budget_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
+def memory_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
     """Bytes that work on a volume may take: as given, else 2 GiB, or half of the memory that is available if that is less.
 
     Where a chunk takes much of these to be unpacked they are more by that, up to all that is available. `sharing` is how many
@@ -555,7 +556,7 @@ def budget_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
     OptionError
         Chunks cannot be unpacked in so many; nothing has been read.
     """
-    one = volume.stored_in_one
+    one = volume._stored_in_one
     least = (UNPACKING + 1) * one  # what looks at it takes it as a whole
     if given is None:
         room = memory.available() // sharing
@@ -563,10 +564,10 @@ def budget_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
         if 2 * least > budget:
             budget = max(budget, min(budget + least, room))
     else:
-        budget = whole("budget", given, 1)
+        budget = whole("memory", given, 1)
     if least > max(budget, _PIECE):  # less does not count beside a brick
         raise OptionError(
-            f"budget must be at least {least} bytes, which a chunk of {volume.name or 'the volume'} takes that is unpacked as a "
+            f"memory must be at least {least} bytes, which a chunk of {volume.name or 'the volume'} takes that is unpacked as a "
             f"whole, to {one} bytes; got {budget}: clvol.pyramid, given that much once, makes a store of small chunks"
         )
     return budget
@@ -582,9 +583,9 @@ def too_large(volume: LazyVolume, room: float | None = None) -> bool:
     return needed_by(volume) > (memory.available() / 2 if room is None else room)
 
 
-def by_bricks(volume: LazyVolume, *, several: bool = True, budget: int | None = None) -> bool:
+def by_bricks(volume: LazyVolume, *, several: bool = True, most: int | None = None) -> bool:
     """Whether pictures of what is stored are made by bricks, and not read as one: it has several sizes, or is too large.
 
-    `several` says whether sizes count, none having been chosen; `budget` is what bricks may take.
+    `several` says whether sizes count, none having been chosen; `most` is what bricks may take, in bytes.
     """
-    return (several and bool(volume.levels)) or too_large(volume) or (budget is not None and too_large(volume, budget))
+    return (several and bool(volume.levels)) or too_large(volume) or (most is not None and too_large(volume, most))

@@ -104,7 +104,7 @@ class Store:
 
     def read_ahead(self, brick: Brick) -> None:
         """Read the samples of a brick in another thread, if it is not resident and there is room for them."""
-        if self._volume.ahead:
+        if self._volume._ahead:
             nbytes = brick.samples * self._volume.dtype.itemsize + self._unpacking(brick)
             self._residents.read_ahead(brick.at, nbytes, partial(self._samples, brick))
 
@@ -141,7 +141,7 @@ class Store:
         """
         self._count(brick.samples)
         samples = self._gathered(*self._grid.runs(brick))
-        require_names(self._filter, self._volume, lambda: replace(self._volume.known(), data=samples))
+        require_names(self._filter, self._volume, lambda: replace(self._volume._known(), data=samples))
         return samples
 
     def _read(self, low: Index, high: Index) -> NDArray[Any]:

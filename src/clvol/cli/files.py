@@ -313,7 +313,7 @@ def pyramid(
     compressor: Literal["lz4", "zstd", "none"] = "lz4",
     bounds: bool = True,
     ome: Literal["0.4", "0.5"] = "0.5",
-    budget: Annotated[str | None, Parameter(show_default=False)] = None,
+    memory: Annotated[str | None, Parameter(show_default=False)] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     device: DeviceName = None,
     input: Input | None = None,
@@ -343,7 +343,7 @@ def pyramid(
         Keep minima and maxima of the function, so that what cannot be seen is not read.
     ome
         Version of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
-    budget
+    memory
         Memory to take, such as 800M or 4G. [default: 2G, or half of what there is]
     overwrite
         Replace what is at OUTPUT, and what another unfinished command left there.
@@ -363,7 +363,7 @@ def pyramid(
             compressor=compressor,
             bounds=bounds,
             version=ome,
-            budget=None if budget is None else bytes_of(budget),
+            memory=None if memory is None else bytes_of(memory),
             overwrite=overwrite,
             device=device,
             progress=told,

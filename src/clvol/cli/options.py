@@ -62,7 +62,7 @@ def bytes_of(text: str) -> int:
     """A number of bytes as people write it: 800M, 4G, 1.5GiB."""
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
     if found is None:
-        raise OptionError(f"budget must be a number of bytes, such as 800M or 4G; got {text!r}")
+        raise OptionError(f"memory must be a number of bytes, such as 800M or 4G; got {text!r}")
     return int(float(found[1]) * 1024 ** " KMGT".index(found[2].upper() or " "))
 
 
@@ -312,7 +312,7 @@ class Look:
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = (
         0.5
     )
-    samples: Annotated[
+    rays: Annotated[
         int | Literal["auto"] | None,
         Parameter(help="Rays a pixel; 'auto': more where there are edges.", converter=_whole_or("auto")),
     ] = None
@@ -333,7 +333,7 @@ class Look:
 
     def options(self, volume: clvol.Volume) -> dict[str, Any]:
         """Arguments of `clvol.render`."""
-        given: dict[str, Any] = {} if self.samples is None else {"samples": self.samples}
+        given: dict[str, Any] = {} if self.rays is None else {"rays": self.rays}
         given |= {} if self.clip is None else {"clip": (self.clip[:3], self.clip[3:])}
         return given | {
             "camera": self.camera(),

@@ -17,8 +17,8 @@ from clvol.base.checks import number, whole
 from clvol.base.errors import OptionError
 from clvol.base.files import require_folder, require_suffix, staged
 from clvol.bricks.field import BrickedField, as_lazy
-from clvol.bricks.source import budget_for
 from clvol.bricks.source import by_bricks as are_by_bricks
+from clvol.bricks.source import memory_for
 from clvol.cli import speech
 from clvol.cli.options import (
     Compared,
@@ -78,7 +78,7 @@ def render(
     heat_map: Path | None = None,
     uncertainty: Path | None = None,
     by_bricks: Annotated[bool, Parameter(negative="", group=_BRICKS)] = False,
-    budget: Annotated[str | None, Parameter(show_default=False, group=_BRICKS)] = None,
+    memory: Annotated[str | None, Parameter(show_default=False, group=_BRICKS)] = None,
     lod: Annotated[float | Literal["auto"], Parameter(group=_BRICKS)] = "auto",
     together: Together | None = None,
     preview: bool = True,
@@ -101,7 +101,7 @@ def render(
         Another picture, of an isosurface: within what of it the true surface lies in 95 % of places, with its scale.
     by_bricks
         Read it by bricks in any case.
-    budget
+    memory
         Memory that bricks may take, such as 800M or 4G; what fits into it in one size is read whole. [default: 2G, or half of what
         there is]
     lod
@@ -121,7 +121,7 @@ def render(
             speech.require_picture(other)
     look = look or Look()
     options = own_options(look, own)
-    most = None if budget is None else bytes_of(budget)
+    most = None if memory is None else bytes_of(memory)
     whole = needs_whole(look.limits(), () if uncertainty is None else ("uncertainty",))
     cluster = together.cluster if together else None
     by_bricks = by_bricks or cluster is not None
@@ -135,7 +135,7 @@ def render(
         options |= look.options(volume.preview())
         begun = time.perf_counter()
         wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
-        with clvol.Renderer(volume, wanted, look.boundary, device, budget=most, cluster=cluster) as renderer:
+        with clvol.Renderer(volume, wanted, look.boundary, device, memory=most, cluster=cluster) as renderer:
             ready = time.perf_counter()
             shows = preview and progress is not None and isinstance(renderer.field, clvol.Field)
             if shows and isinstance(progress, _preview()):
@@ -173,7 +173,7 @@ def _preview() -> type[Preview]:
 
 def _refined(renderer: clvol.Renderer, shown: Preview, **options: Any) -> clvol.Picture:
     """The picture that `render` makes, those on the way to it being shown."""
-    for picture in renderer.refine(budget=_FIRST, progress=shown, **options):
+    for picture in renderer.refine(seconds=_FIRST, progress=shown, **options):
         if not picture.final:
             shown.show(picture)
     return picture
@@ -213,7 +213,7 @@ def batch(
     reader = input or Input()
     speech.require_picture(Path(f"picture{Path(output).suffix}"))
     camera = {"zoom": look.zoom, "projection": look.projection, "fit": look.fit}
-    cameras = clvol.turned(turn, look.elevation, azimuth=look.azimuth, **camera) if turn != 1 else None
+    cameras = clvol.Camera.turntable(turn, look.elevation, azimuth=look.azimuth, **camera) if turn != 1 else None
     with speech.progress("drawing", json) as progress:
         drawn = clvol.batch(
             sources,
@@ -315,18 +315,18 @@ def movie(
 
 
 def _volume(
-    reader: Input, source: str | Path, budget: int | None = None, *, by_bricks: bool = False, whole: bool = False
+    reader: Input, source: str | Path, memory: int | None = None, *, by_bricks: bool = False, whole: bool = False
 ) -> clvol.Volume | clvol.LazyVolume:
     """What is drawn: opened, if it is to be read by bricks, else read. `whole` says that it has to be, as long as it fits."""
 
     def wanted(lazy: clvol.LazyVolume) -> bool:
-        return by_bricks or are_by_bricks(lazy, several=reader.level is None and not whole, budget=budget)
+        return by_bricks or are_by_bricks(lazy, several=reader.level is None and not whole, most=memory)
 
     lazy = reader.by_parts(source, wanted)
     if lazy is None:
         volume = reader.read(source)
         return as_lazy(volume) if by_bricks else volume
-    budget_for(lazy, budget)  # before it is looked at
+    memory_for(lazy, memory)  # before it is looked at
     return lazy
 
 

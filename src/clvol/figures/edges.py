@@ -100,7 +100,7 @@ def draw(
         As for `clvol.render`.
     """
     samples, pixels, rows = whole("samples", samples, 8), whole("pixels", pixels, 1), as_filters(filters)
-    look: dict[str, Any] = {"color": SURFACE, "lights": LIGHTS, "material": MATERIAL, "background": _WHITE, "samples": _RAYS}
+    look: dict[str, Any] = {"color": SURFACE, "lights": LIGHTS, "material": MATERIAL, "background": _WHITE, "rays": _RAYS}
     numbers: list[dict[str, Any]] = []
     with styled():
         figure, panels, times = tiles(2, len(LOWPASSES), (pixels, pixels), above=2, below=1, between=1)

@@ -64,7 +64,7 @@ def draw(
                 material=MATERIAL,
                 background=_WHITE,
                 clip=BOX,
-                samples=_RAYS,
+                rays=_RAYS,
                 outputs=("rgba", "normal", "position"),
             )
         pictures.append(seen["rgba"][..., :3])

@@ -76,12 +76,12 @@ def draw(
     with ExitStack() as stack:
         renderers = [stack.enter_context(Renderer(volume, name, device=device)) for name in _GRADIENTS]
         pairs = list(zip(renderers, _GRADIENTS.values(), strict=True))
-        pictures = {r.filter.name: r.render(**look, gradient=g, samples=_RAYS)[..., :3].astype(np.float64) for r, g in pairs}
+        pictures = {r.filter.name: r.render(**look, gradient=g, rays=_RAYS)[..., :3].astype(np.float64) for r, g in pairs}
         taken: list[list[float]] = [[] for _ in pairs]
         for done in range(1, _ROUNDS + 1):  # in turns, so that other load on the machine hits all of them alike
             for mine, (renderer, gradient) in zip(taken, pairs, strict=True):
                 started = time.perf_counter()
-                renderer.render(**look, gradient=gradient, samples=1)
+                renderer.render(**look, gradient=gradient, rays=1)
                 mine.append(time.perf_counter() - started)
             if progress is not None:
                 progress(done / _ROUNDS)

@@ -129,7 +129,7 @@ def figure6(
     filters: Sequence[str | Filter] = PANELS,
     *,
     camera: Camera = CAMERA,
-    samples: int = 4,
+    rays: int = 4,
     step: float = 0.25,
     device: Device | str | int | None = None,
     progress: Progress | None = None,
@@ -146,7 +146,7 @@ def figure6(
         One panel each, and below it the difference of its shade to the truth; the exact function is added at the end.
         "exact-sinc" is the exact sinc: the samples are magnified by the FFT and drawn through `bspline3`, and the panel
         says how far that is from exact.
-    camera, samples, step, device, progress
+    camera, rays, step, device, progress
         As for `Renderer.render`.
 
     Returns
@@ -158,7 +158,7 @@ def figure6(
     whole("pixels", pixels, 1)
     chosen = as_compared(filters, len(LETTERS))
     volume = phantoms.marschner_lobb(size)
-    surface, picture = exact(volume, camera, pixels, samples)
+    surface, picture = exact(volume, camera, pixels, rays)
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
     truth, normals = phantoms.marschner_lobb_function(points), phantoms.marschner_lobb_gradient(surface)
     panels = []
@@ -177,7 +177,7 @@ def figure6(
                 material=MATERIAL,
                 background=BACKGROUND,
                 clip=BOX,
-                samples=samples,
+                rays=rays,
                 progress=report,
             )
             name = row if isinstance(row, str) else renderer.filter.name  # with its smoothing as it was settled
@@ -324,7 +324,7 @@ def shading_gradients(
 
 
 def exact(
-    volume: Volume, camera: Camera, pixels: int, samples: int, background: tuple[float, float, float] = BACKGROUND
+    volume: Volume, camera: Camera, pixels: int, rays: int, background: tuple[float, float, float] = BACKGROUND
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """The visible points of the true surface, (N, 3), and the picture."""
     return draw_function(
@@ -339,5 +339,5 @@ def exact(
         lights=LIGHTS,
         material=MATERIAL,
         background=background,
-        samples=samples,
+        rays=rays,
     )

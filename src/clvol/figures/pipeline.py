@@ -132,7 +132,7 @@ def draw(samples: int = 21, pixels: int = 400, filter: str = "bspline3", device:
     look: dict[str, Any] = {"step": _STEP, "transfer": _TRANSFER, "lights": HEADLIGHT, "background": (1.0, 1.0, 1.0)}
     with Renderer(volume, filter, device=device) as renderer:
         picture = renderer.render(_CAMERA, "composite", size, **look)
-        coarse = {rays: renderer.render(_CAMERA, "composite", few, samples=rays, **look)[..., :3] for rays in (*_RAYS, _MANY)}
+        coarse = {rays: renderer.render(_CAMERA, "composite", few, rays=rays, **look)[..., :3] for rays in (*_RAYS, _MANY)}
     ray = follow(volume, filter, size, pixel)
     aliases = {rays: float(np.sqrt(np.mean((coarse[rays] - coarse[_MANY]) ** 2))) for rays in _RAYS}
     times = -(-_LEAST_WIDTH // size[0])

@@ -14,7 +14,7 @@ from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING, Any, Unpack
 
-from clvol.base.checks import instance, whole
+from clvol.base.checks import instance
 from clvol.base.errors import ClvolError, OptionError
 from clvol.base.progress import Progress, part_of
 from clvol.bricks.source import LazyVolume, by_bricks
@@ -31,7 +31,7 @@ from clvol.volume.volume import Volume, as_volume
 if TYPE_CHECKING:  # clusters need dask
     from clvol.dask.cluster import Cluster, ClusterLike
 
-__all__ = ["Drawn", "batch", "frames", "needs_whole", "turned"]
+__all__ = ["Drawn", "batch", "frames", "needs_whole"]
 
 _OF_RENDERER = tuple(FieldOptions.__annotations__)  # the other options are those of a picture
 _FIELDS = ("name", "number", "frame")
@@ -60,28 +60,6 @@ class Drawn:
     error: ClvolError | None = None
 
 
-def turned(frames: int, elevation: float = 20.0, **camera: Any) -> list[Camera]:
-    """Cameras on a full turn around the scene, at equal angles.
-
-    Parameters
-    ----------
-    frames : int
-        Their number, 1 or more.
-    elevation : float
-        Degrees.
-    **camera
-        As of `Camera.orbit`; `azimuth` is the first camera's.
-
-    Raises
-    ------
-    OptionError
-        `frames` is no whole number of at least 1, or an argument of `Camera.orbit` is refused.
-    """
-    frames = whole("frames", frames, minimum=1)
-    first = camera.pop("azimuth", 0.0)
-    return [Camera.orbit(first + 360 * i / frames, elevation, **camera) for i in range(frames)]
-
-
 def batch(
     sources: Any,
     cameras: Camera | Sequence[Camera] | None = None,
@@ -104,7 +82,7 @@ def batch(
         Files are read by the process that draws them; by bricks, as by 'clvol render', if they are stored in several sizes or do
         not fit into half of the available memory.
     cameras : Camera or sequence of Camera, optional
-        Each takes one picture of each source; by default `Camera.orbit()`. See `turned`.
+        Each takes one picture of each source; by default `Camera.orbit()`. See `Camera.turntable`.
     output : str
         The file of a picture: a name with ``{name}``, that of the source without its suffix, and the indices ``{number}`` of the
         source and ``{frame}`` of the camera, with a format if needed, such as ``{frame:04}``.
@@ -141,7 +119,7 @@ def batch(
     >>> import tempfile, pathlib
     >>> folder = pathlib.Path(tempfile.mkdtemp())
     >>> ball = clvol.phantoms.marschner_lobb(24)
-    >>> drawn = clvol.batch(ball, clvol.turned(3), folder / "{frame}.png", mode="mip", size=(40, 40))
+    >>> drawn = clvol.batch(ball, clvol.Camera.turntable(3), folder / "{frame}.png", mode="mip", size=(40, 40))
     >>> [one.path.name for one in drawn if one.error is None]
     ['0.png', '1.png', '2.png']
     """

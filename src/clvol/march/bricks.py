@@ -62,7 +62,7 @@ class BrickedDrawing(Drawing):
 
     Parameters
     ----------
-    frame, samples, filter
+    frame, rays, filter
         As of `Drawing`; the frame is of the whole volume (`BrickedField.coefficients`), without a pyramid.
     field : BrickedField
         Where bricks come from.
@@ -75,14 +75,14 @@ class BrickedDrawing(Drawing):
     def __init__(
         self,
         frame: Frame,
-        samples: int | Literal["auto"],
+        rays: int | Literal["auto"],
         filter: str | Filter,
         field: BrickedField,
         view: Viewpoint,
         *,
         skipping: bool,
     ) -> None:
-        super().__init__(frame, samples, filter)
+        super().__init__(frame, rays, filter)
         self._field, self._view, self._skipping = field, view, skipping
 
     @property
@@ -99,7 +99,7 @@ class BrickedDrawing(Drawing):
         frame, (width, height) = self.frame, self.frame.size
         last = min(self.rays, self.cast_rays + rays)
         each = 4 * width * height * fields_of(frame)
-        together = max(1, self._field.budget // _SHARE // each)
+        together = max(1, self._field.memory // _SHARE // each)
         while self.cast_rays < last:
             first, past = self.cast_rays, min(last, self.cast_rays + together)
             memory.require((past - first) * each, f"the states of {(past - first) * width * height} rays")

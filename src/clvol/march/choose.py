@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from clvol.base.checks import one_of
 from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
-from clvol.bricks.source import LazyVolume, budget_for
+from clvol.bricks.source import LazyVolume, memory_for
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
@@ -36,7 +36,7 @@ def source_of(
     boundary: str | Boundary | None = None,
     device: Device | str | int | None = None,
     *,
-    budget: int | None = None,
+    memory: int | None = None,
     cluster: ClusterLike | None = None,
     merge: Merge = "order",
     usual: str | None = None,
@@ -49,12 +49,12 @@ def source_of(
     if isinstance(given, ContinuousFunction):
         if cluster is not None:
             raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
-        return _of_field(given, filter, boundary, device, budget)
+        return _of_field(given, filter, boundary, device, memory)
     if isinstance(given, LazyVolume):
-        budget_for(given, budget)  # before anything is read
+        memory_for(given, memory)  # before anything is read
         row = filter if usual is None else row_for(given, filter, usual)
         field = BrickedField(
-            given, usual_filter(given) if row is None else row, boundary, device, budget=budget, at_once=cluster is None
+            given, usual_filter(given) if row is None else row, boundary, device, memory=memory, at_once=cluster is None
         )
         medium = Medium(field.coefficients.volume, filter=None if row is None else field.filter, boundary=field.boundary)
         scene, preview = as_scene(medium), given.preview()
@@ -70,12 +70,12 @@ def source_of(
                 return InMemory(scene, made, preview, arguments)
             except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
                 pass
-        field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget, at_once=cluster is None)
+        field = BrickedField(medium.volume, row, medium.boundary, device, memory=memory, at_once=cluster is None)
     if cluster is None:
         return ByBricks(scene, field, preview, arguments)
     from clvol.march.cluster import OnCluster
 
-    return OnCluster(scene, field, preview, arguments, cluster, merge, device, budget)
+    return OnCluster(scene, field, preview, arguments, cluster, merge, device, memory)
 
 
 def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | None, usual: str | None) -> Scene:
@@ -96,7 +96,7 @@ def _of_field(
     filter: str | Filter | None,
     boundary: str | Boundary | None,
     device: Device | str | int | None,
-    budget: int | None,
+    memory: int | None,
 ) -> Source:
     """The source of a field, which stays open when the renderer is closed."""
     medium = Medium(field.coefficients.volume, filter=field.filter, boundary=field.boundary)
@@ -112,8 +112,8 @@ def _of_field(
         if field.precision != "single":
             raise OptionError(f"rendering takes a field of single precision; got one of {field.precision} precision")
         return InMemory(as_scene(medium), field, medium.volume, (field,))
-    if filter is not None or boundary is not None or device is not None or budget is not None:
-        raise OptionError("filter, boundary, device and budget must be left to the field; got them beside it")
+    if filter is not None or boundary is not None or device is not None or memory is not None:
+        raise OptionError("filter, boundary, device and memory must be left to the field; got them beside it")
     if field.closed:
         raise OptionError(_FIELD_CLOSED)
     return ByBricks(as_scene(medium), field, field.volume.preview(), (field,))

@@ -26,7 +26,7 @@ from clvol.base.errors import ClusterError, DeviceError, OptionError, OutOfMemor
 from clvol.base.progress import Progress
 from clvol.bricks.field import BrickedField
 from clvol.bricks.grid import Brick
-from clvol.bricks.source import Index, LazyVolume, budget_for
+from clvol.bricks.source import Index, LazyVolume, memory_for
 from clvol.dask.cluster import (
     Cluster,
     ClusterLike,
@@ -145,7 +145,7 @@ def shared_out(field: BrickedField, workers: int) -> BrickedField:
         edge //= 2
     if edge == field.edge:
         return field
-    return BrickedField(field.volume, field.filter, field.boundary, field.device, budget=field.budget, edge=edge)
+    return BrickedField(field.volume, field.filter, field.boundary, field.device, memory=field.memory, edge=edge)
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class _Recipe:
     filter: Filter
     boundary: Boundary
     device: str | int | None
-    budget: int | None
+    memory: int | None
     edge: int
     ranks: dict[str, int]
     version: str = field(default_factory=version)
@@ -171,7 +171,7 @@ class _Job:
 
     whole: Frame
     frames: tuple[tuple[Frame, NDArray[np.float32] | None], ...]
-    samples: int | Literal["auto"]
+    rays: int | Literal["auto"]
     filter: Filter
     view: Viewpoint
     skipping: bool
@@ -196,13 +196,13 @@ class Shared:
         This process reads none of its bricks.
     device : str, int or None
         Of the workers: see `as_device`. None: workers of a host that has several GPUs take turns at them.
-    budget : int or None
+    memory : int or None
         Bytes for the bricks of each worker. None: the workers of a host share what one process would have.
     """
 
-    def __init__(self, cluster: Cluster, field: BrickedField, device: str | int | None, budget: int | None) -> None:
+    def __init__(self, cluster: Cluster, field: BrickedField, device: str | int | None, memory: int | None) -> None:
         self.cluster, self.field = cluster, field
-        self._device, self._budget = device, budget
+        self._device, self._memory = device, memory
         self.token = uuid.uuid4().hex
         self.share()
 
@@ -217,7 +217,7 @@ class Shared:
             field.filter,
             field.boundary,
             self._device,
-            self._budget,
+            self._memory,
             field.edge,
             self.cluster.local_ranks(),
         )
@@ -242,7 +242,7 @@ class ClusterDrawing(BrickedDrawing):
 
     Parameters
     ----------
-    frame, samples, filter, view, skipping
+    frame, rays, filter, view, skipping
         As of `BrickedDrawing`.
     shared : Shared
     merge : {"order", "tree"}
@@ -252,7 +252,7 @@ class ClusterDrawing(BrickedDrawing):
     def __init__(
         self,
         frame: Frame,
-        samples: int | Literal["auto"],
+        rays: int | Literal["auto"],
         filter: str | Filter,
         shared: Shared,
         view: Viewpoint,
@@ -260,8 +260,8 @@ class ClusterDrawing(BrickedDrawing):
         skipping: bool,
         merge: Merge,
     ) -> None:
-        super().__init__(frame, samples, filter, shared.field, view, skipping=skipping)
-        self._samples, self._shared, self._merge = samples, shared, require_merge(merge, frame)
+        super().__init__(frame, rays, filter, shared.field, view, skipping=skipping)
+        self._asked, self._shared, self._merge = rays, shared, require_merge(merge, frame)
 
     def _go_through(
         self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], progress: Progress | None
@@ -276,7 +276,7 @@ class ClusterDrawing(BrickedDrawing):
         self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], progress: Progress | None
     ) -> None:
         bare = tuple((_bare(frame), places) for frame, places in frames)
-        job = _Job(_bare(self.frame), bare, self._samples, self._filter, self._view, self._skipping)
+        job = _Job(_bare(self.frame), bare, self._asked, self._filter, self._view, self._skipping)
         groups = [
             group
             for group in visible(self._shared.tree, self._field, self._view)
@@ -460,8 +460,8 @@ def _field_of(recipe: _Recipe) -> BrickedField:
         except DeviceError as error:
             raise ClusterError(f"workers must have an OpenCL device; {worker_address()} has none: {error}") from error
         volume = recipe.volume.as_known(recipe.limits, recipe.labels)
-        budget = recipe.budget or budget_for(volume, None, local_size(recipe.ranks))
-        _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, budget=budget, edge=recipe.edge)
+        memory = recipe.memory or memory_for(volume, None, local_size(recipe.ranks))
+        _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, memory=memory, edge=recipe.edge)
     field = _fields[recipe.token]
     _fields.move_to_end(recipe.token)
     for other in _fields.values():
@@ -493,7 +493,7 @@ def _begun(field: BrickedField, job: _Job, number: int, area: Area) -> tuple[Bri
     tile = tile_of(field.device, job.whole.evaluator)
     whole = replace(job.whole, coefficients=field.coefficients, tile=tile)
     frame, places = job.frames[number]
-    drawing = BrickedDrawing(whole, job.samples, job.filter, field, job.view, skipping=job.skipping)
+    drawing = BrickedDrawing(whole, job.rays, job.filter, field, job.view, skipping=job.skipping)
     return drawing, drawing.begun(replace(frame, coefficients=field.coefficients, tile=tile), places, area)
 
 
@@ -552,7 +552,7 @@ class OnCluster(ByBricks):
         As of `ByBricks`; this process reads no bricks of the field.
     cluster : distributed.Client, str or int
     merge : {"order", "tree"}
-    device, budget
+    device, memory
         Of each worker, as they were given.
     """
 
@@ -565,11 +565,11 @@ class OnCluster(ByBricks):
         cluster: ClusterLike,
         merge: Merge,
         device: Device | str | int | None,
-        budget: int | None,
+        memory: int | None,
     ) -> None:
         super().__init__(scene, field, preview, arguments)
         self._merge: Merge = merge
-        self._device, self._budget = device, budget
+        self._device, self._memory = device, memory
         self._processes = cluster if isinstance(cluster, int) else None
         self._shared: dict[int, Shared] = {}
         self._cluster = as_cluster(cluster)
@@ -580,14 +580,14 @@ class OnCluster(ByBricks):
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
         cluster = self._processes or self._cluster.address
         arguments = *self.arguments, self._device  # as it was given: each worker finds its own
-        return arguments, {"budget": self._budget, "cluster": cluster, "merge": self._merge}
+        return arguments, {"memory": self._memory, "cluster": cluster, "merge": self._merge}
 
     def _shared_out(self, field: BrickedField) -> BrickedField:
         return shared_out(field, len(self._cluster.workers))
 
     def drawing(self, frame: Frame, look: ResolvedLook, fine: Fineness, field: BrickedField) -> BrickedDrawing:
         view = look.view(fine.size)
-        return ClusterDrawing(frame, fine.samples, fine.filter, self._share(field), view, skipping=look.skipping, merge=self._merge)
+        return ClusterDrawing(frame, fine.rays, fine.filter, self._share(field), view, skipping=look.skipping, merge=self._merge)
 
     def _share(self, field: BrickedField) -> Shared:
         """Which worker has which bricks of a field; they are shared out anew when the workers are others."""
@@ -595,7 +595,7 @@ class OnCluster(ByBricks):
             found = self._shared.get(id(field))
             if found is None:
                 device = self._device.name if isinstance(self._device, Device) else self._device
-                found = self._shared[id(field)] = Shared(self._cluster, field, device, self._budget)
+                found = self._shared[id(field)] = Shared(self._cluster, field, device, self._memory)
             elif found.workers != self._cluster.workers:
                 found.share()
             return found

@@ -59,22 +59,22 @@ _SHADED, _CENTRAL, _SOFTWARE = 3, 12, 8  # times as long with the gradient, with
 
 
 def draw(
-    frame: Frame, samples: int | Literal["auto"] = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
+    frame: Frame, rays: int | Literal["auto"] = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
 ) -> dict[str, Picture]:
-    """The picture of a frame with `samples` rays a pixel, and its guides if the frame has them; each (height, width, ...).
+    """The picture of a frame with `rays` a pixel, and its guides if the frame has them; each (height, width, ...).
 
     With "auto" one, and `EDGE_RAYS` in pixels on edges of that picture (`on_edges`).
 
     Guides are those of the ray through the pixel's middle, which is cast for them if the picture does without it.
     """
-    return drawn(Drawing(frame, samples, filter), samples, progress)
+    return drawn(Drawing(frame, rays, filter), rays, progress)
 
 
-def drawn(drawing: Drawing, samples: int | Literal["auto"], progress: Progress | None = None) -> dict[str, Picture]:
-    """The pictures of a drawing with `samples` rays a pixel, once it is complete."""
-    share = 1.0 if samples != "auto" else BEFORE_EDGES
+def drawn(drawing: Drawing, rays: int | Literal["auto"], progress: Progress | None = None) -> dict[str, Picture]:
+    """The pictures of a drawing with `rays` a pixel, once it is complete."""
+    share = 1.0 if rays != "auto" else BEFORE_EDGES
     drawing.cast(drawing.rays, part_of(progress, 0, share))
-    if samples == "auto":
+    if rays == "auto":
         drawing.smooth_edges(part_of(progress, share, 1))
     return _in_world(drawing.frame, drawing.arrays)
 
@@ -86,7 +86,7 @@ class Drawing:
 
     Parameters
     ----------
-    frame, samples, filter
+    frame, rays, filter
         As for `draw`.
     expected : float
         Seconds that one ray of each pixel may take, if more is known than guesses.
@@ -101,11 +101,11 @@ class Drawing:
     """
 
     def __init__(
-        self, frame: Frame, samples: int | Literal["auto"] = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, expected: float = 0.0
+        self, frame: Frame, rays: int | Literal["auto"] = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, expected: float = 0.0
     ) -> None:
         self.frame = frame
         self._filter = as_pixel_filter(filter)
-        self._pattern = pixel_rays(1 if samples == "auto" else samples, self._filter, middle=frame.guides)
+        self._pattern = pixel_rays(1 if rays == "auto" else rays, self._filter, middle=frame.guides)
         self._budget = _Budget(frame)
         self._budget.expect(expected / math.prod(frame.size))
         self._areas: Iterator[tuple[int, int, int, int]] | None = None  # of the ray that was begun

@@ -116,11 +116,11 @@ class RefineOptions(LookOptions, ModeOptions, total=False):
 
     Attributes
     ----------
-    samples : int or "auto"
+    rays : int or "auto"
         Rays a pixel, 1 to 4096. A single one goes through its middle. "auto", the default: one, and in modes that light what they
         show two more in pixels on edges, which differ from a neighbour by more than an eighth of full luminance. At most a 20th of
         the pixels that are not plain background have more (on processors a 64th, but for surfaces), which bounds the cost. All
-        other pixels are those of ``samples=1``, bit for bit.
+        other pixels are those of ``rays=1``, bit for bit.
     pixel_filter : str or Filter
         What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps. "linear",
         the default, leaves half of the aliasing of "nearest", the pixel's own square, from 16 rays on, and two thirds with fewer,
@@ -132,7 +132,7 @@ class RefineOptions(LookOptions, ModeOptions, total=False):
         the viewer. "auto", the default, is 1; 0 draws the finest level whatever the picture's size. Steps count its voxels.
     """
 
-    samples: int | Literal["auto"]
+    rays: int | Literal["auto"]
     pixel_filter: str | Filter
     skipping: bool
     lod: float | Literal["auto"]
@@ -157,7 +157,7 @@ class FieldOptions(TypedDict, total=False):
     filter: str | Filter | None
     boundary: str | Boundary | None
     device: Device | str | int | None
-    budget: int | None
+    memory: int | None
 
 
 class RendererOptions(FieldOptions, total=False):
@@ -229,7 +229,7 @@ class Fineness:
         Width and height in pixels.
     step : float
         Voxels between samples of a ray, at most.
-    samples : int or "auto"
+    rays : int or "auto"
         Rays a pixel.
     filter : Filter
         What these sample.
@@ -239,22 +239,22 @@ class Fineness:
 
     size: tuple[int, int]
     step: float
-    samples: int | Literal["auto"]
+    rays: int | Literal["auto"]
     filter: Filter
     lod: float
 
     @classmethod
     def of(cls, mode: Mode, size: tuple[int, int], step: float, options: RefineOptions) -> Fineness:
         """As the options say; only modes that light what they show take more rays on edges."""
-        samples, lod = options.get("samples", "auto"), options.get("lod", "auto")
-        if samples != "auto":
-            samples = whole("samples", samples, minimum=1, maximum=4096)
+        rays, lod = options.get("rays", "auto"), options.get("lod", "auto")
+        if rays != "auto":
+            rays = whole("rays", rays, minimum=1, maximum=4096)
         elif not mode.shaded:
-            samples = 1
+            rays = 1
         return cls(
             as_size(size),
             number("step", step, above=0),
-            samples,
+            rays,
             as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER)),
             1.0 if isinstance(lod, str) and lod == "auto" else number("lod", lod, minimum=0),
         )

@@ -51,16 +51,16 @@ def as_pixel_filter(choice: str | Filter) -> Filter:
     return row
 
 
-def pixel_offsets(samples: int, filter: str | Filter = DEFAULT_PIXEL_FILTER) -> NDArray[np.float64]:
-    """Where the rays of a pixel lie, in pixels from its upper left corner, those nearest its middle first; (samples, 2)."""
-    return _pattern(samples, as_pixel_filter(filter))[0]
+def pixel_offsets(count: int, filter: str | Filter = DEFAULT_PIXEL_FILTER) -> NDArray[np.float64]:
+    """Where the rays of a pixel lie, in pixels from its upper left corner, those nearest its middle first; (count, 2)."""
+    return _pattern(count, as_pixel_filter(filter))[0]
 
 
-def pixel_rays(samples: int, filter: Filter, *, middle: bool) -> list[tuple[NDArray[np.float64], float]]:
+def pixel_rays(count: int, filter: Filter, *, middle: bool) -> list[tuple[NDArray[np.float64], float]]:
     """Offset and weight of each ray of a pixel; with `middle` the first lies in its middle, and may count nothing."""
-    offsets, weights = _pattern(samples, filter)
+    offsets, weights = _pattern(count, filter)
     rays = [(offset, float(weight)) for offset, weight in zip(offsets, weights, strict=True)]
-    return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and samples % 2 == 0 else rays
+    return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and count % 2 == 0 else rays
 
 
 def on_edges(picture: NDArray[np.float32], most: int = 20, progress: Callable[[float], object] | None = None) -> NDArray[np.intp]:
@@ -102,12 +102,12 @@ def on_edges(picture: NDArray[np.float32], most: int = 20, progress: Callable[[f
 
 
 @lru_cache
-def _pattern(samples: int, filter: Filter) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Offsets (samples, 2), and weights, which sum to one."""
-    k = np.arange(samples) - (samples - 1) / 2
-    across, down = np.arange(samples), np.argsort(np.argsort((0.5 + k * _GOLDEN) % 1.0))
+def _pattern(count: int, filter: Filter) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Offsets (count, 2), and weights, which sum to one."""
+    k = np.arange(count) - (count - 1) / 2
+    across, down = np.arange(count), np.argsort(np.argsort((0.5 + k * _GOLDEN) % 1.0))
     strips = np.stack([across, down], -1)[np.argsort(np.abs(k), kind="stable")]
-    places, shares = _strips(filter, samples)
+    places, shares = _strips(filter, count)
     weights = shares[strips].prod(1)
     return 0.5 + places[strips], weights / weights.sum()
 

@@ -96,7 +96,7 @@ class Wanted:
     subject: Subject
     size: tuple[int, int]
     step: float
-    samples: int | Literal["auto"]
+    rays: int | Literal["auto"]
     filter: Filter
 
     @property
@@ -306,7 +306,7 @@ class _Refinement:
         full = wanted.subject.frame(wanted.size, wanted.step, progress=self._asked.require_wanted)
         self._asked.require_wanted()
         self._view, self._rate = _view_of(full), self._rates.of(wanted.kind)
-        self._whole = Drawing(full, wanted.samples, wanted.filter, self._expected(self._pixels, wanted.step))
+        self._whole = Drawing(full, wanted.rays, wanted.filter, self._expected(self._pixels, wanted.step))
         yield from self._first()
         yield from self._between()
         yield from self._last()
@@ -374,7 +374,7 @@ class _Refinement:
         whole, wanted = self._whole, self._wanted
         self._cast()
         self._learn(self._pixels, wanted.step, self._casting, first=not self._shown)
-        smoothed = wanted.samples == "auto"
+        smoothed = wanted.rays == "auto"
         if smoothed or whole.rays > 1:
             more = self._casting * (whole.rays - 1 if not smoothed or self._rate is None else self._rate.edges)
             if self._shown or self._seconds + more > self._budget:
@@ -394,7 +394,7 @@ class _Refinement:
     def _cast(self, until: float = math.inf) -> bool:
         """The first ray of the whole picture, or what is left of it; whether it was in time."""
         begun = time.perf_counter()
-        progress = self._asked.reporting(0, BEFORE_EDGES if self._wanted.samples == "auto" else 1)
+        progress = self._asked.reporting(0, BEFORE_EDGES if self._wanted.rays == "auto" else 1)
         done = self._whole.cast_rays > 0 or self._whole.cast(1, progress, until)
         self._casting += time.perf_counter() - begun
         return done

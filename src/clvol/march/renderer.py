@@ -60,11 +60,11 @@ class Renderer:
         such as "mip"; and "nearest" for labels (see `filter_of`).
     device : Device, str or int, optional
         See `as_device`.
-    budget : int, optional
+    memory : int, optional
         Bytes that bricks may take: see `BrickedField`, which has its own if one is given.
     cluster : distributed.Client, str or int, optional
         Processes that draw together, by bricks: those of a dask client, of the scheduler at an address, or n processes of this
-        machine. Each reads some of the bricks from where the volume was opened, within the budget; each uses a GPU of its own if
+        machine. Each reads some of the bricks from where the volume was opened, within `memory`; each uses a GPU of its own if
         a host has several. A volume in memory is sent to them. A pickle holds the scheduler's address, or the number of processes.
     merge : {"order", "tree"}
         How rays go through the bricks of a cluster. "order": front to back, from process to process; the picture is that of one
@@ -94,14 +94,14 @@ class Renderer:
         boundary: str | Boundary | None = None,
         device: Device | str | int | None = None,
         *,
-        budget: int | None = None,
+        memory: int | None = None,
         cluster: ClusterLike | None = None,
         merge: Merge = "order",
     ) -> None:
         if isinstance(scene, Source):
             source = scene
         else:
-            source = source_of(scene, filter, boundary, device, budget=budget, cluster=cluster, merge=merge)
+            source = source_of(scene, filter, boundary, device, memory=memory, cluster=cluster, merge=merge)
         self._source, self._lease = source, source.lease
         self.scene: Scene = source.scene
         self.field: Field | BrickedField = source.field
@@ -210,7 +210,7 @@ class Renderer:
             Called with the fraction done.
         **options
             Those of `clvol.march.options.PictureOptions`, which describes them (`transfer`, `preset`, `window`, `cmap`, `opacity`,
-            `material`, `lights`, `background`, `clip`, `gradient`, `samples`, `pixel_filter`, `skipping`, `lod`, `sigma`), and
+            `material`, `lights`, `background`, `clip`, `gradient`, `rays`, `pixel_filter`, `skipping`, `lod`, `sigma`), and
             those of the mode, such as ``isovalue`` of "isosurface": see its class.
 
         Returns
@@ -224,7 +224,7 @@ class Renderer:
         ------
         OptionError
             An option that the mode does not have, or a value that is not allowed: `size` beyond 1 to 32768 pixels, a `step` that
-            is not positive or gives more than 2²⁰ samples a ray, `samples` beyond 1 to 4096, more than 4 lights, an unknown name;
+            is not positive or gives more than 2²⁰ samples a ray, `rays` beyond 1 to 4096, more than 4 lights, an unknown name;
             or the renderer is closed.
         GeometryError
             The camera stands on its target or further away than 10²⁰ mean spacings, `clip` is no box, or a picture spans more than
@@ -251,7 +251,7 @@ class Renderer:
             wanted = as_outputs(outputs)
             noise = noise_of(self.volume, options.get("sigma")) if "uncertainty" in wanted else None
             fine = Fineness.of(chosen, size, step, options)
-            require_room(fine.size, wanted, edges=fine.samples == "auto")
+            require_room(fine.size, wanted, edges=fine.rays == "auto")
             uncertainty = self._source.uncertainty(chosen) if noise else None
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
             pictures = self._source.draw(look, fine, wanted != ("rgba",), progress)
@@ -268,14 +268,14 @@ class Renderer:
         size: tuple[int, int] = (512, 512),
         step: float = 0.5,
         *,
-        budget: float = 0.05,
+        seconds: float = 0.05,
         cancelled: Callable[[], bool] | None = None,
         progress: Progress | None = None,
         **options: Unpack[RefineOptions],
     ) -> Iterator[Refined]:
         """Pictures that become finer: the first soon, the last equal to that of `render`, bit for bit.
 
-        The first has as few pixels as `budget` asks for: the renderer measures and remembers how long pictures take, so that a
+        The first has as few pixels as `seconds` asks for: the renderer measures and remembers how long pictures take, so that a
         moving camera gets one picture after the other in time. Where pixels would become too few, "composite" and "mean" take
         longer steps too. Then follow one or two finer ones, if the whole picture takes much longer; the one with one ray a pixel;
         and the one with its other rays. All show the same part of the world: scale them to `size`.
@@ -287,8 +287,8 @@ class Renderer:
         ----------
         camera, mode, size, step, **options
             As for `render`; pictures are of colours alone, so there are no `outputs` and no `sigma`.
-        budget : float
-            Seconds within which the first picture is wanted. It takes longer where the smallest picture does, where kernels are
+        seconds : float
+            Time to the first picture. It takes longer where the smallest picture does, where kernels are
             built first, and where something is computed for the first time: a volume's histogram, its pyramid, for "isosurface"
             the cells where a new isovalue may lie (0.04 s for 256³ samples on two cores).
         cancelled : callable, optional
@@ -317,7 +317,7 @@ class Renderer:
         --------
         >>> import clvol
         >>> renderer = clvol.Renderer(clvol.phantoms.marschner_lobb(32))
-        >>> for picture in renderer.refine(clvol.Camera.orbit(40, 10), "mip", (200, 150), budget=0.02):
+        >>> for picture in renderer.refine(clvol.Camera.orbit(40, 10), "mip", (200, 150), seconds=0.02):
         ...     last = picture  # show it, scaled to 200 × 150
         >>> last.final, last.shape
         (True, (150, 200, 4))
@@ -327,15 +327,15 @@ class Renderer:
         if refused and (refused != ["outputs"] or options["outputs"] != "rgba"):  # type: ignore[typeddict-item]  # it has none
             raise OptionError(f"refine gives colours alone: leave out {' and '.join(refused)}, or use render")
         chosen = chosen_mode(mode, options)
-        budget = number("budget", budget, above=0)
+        seconds = number("seconds", seconds, above=0)
         require_callback("cancelled", cancelled)
         require_callback("progress", progress)
         self.device.require_usable()
         with self._source.in_use():
             fine = Fineness.of(chosen, size, step, options)
-            require_room(fine.size, ("rgba",), edges=fine.samples == "auto")
+            require_room(fine.size, ("rgba",), edges=fine.rays == "auto")
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
-            return self._source.refine(look, fine, Asked(budget, cancelled, progress, began))
+            return self._source.refine(look, fine, Asked(seconds, cancelled, progress, began))
 
 
 @overload

@@ -139,12 +139,12 @@ class InMemory(Source):
 
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
         frame = self._subject(look).frame(fine.size, fine.step, guides=guides)
-        pictures = launch.draw(frame, fine.samples, fine.filter, progress)
+        pictures = launch.draw(frame, fine.rays, fine.filter, progress)
         self.shown = self.function(look.mode)
         return pictures
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
-        wanted = Wanted(self._subject(look), fine.size, fine.step, fine.samples, fine.filter)
+        wanted = Wanted(self._subject(look), fine.size, fine.step, fine.rays, fine.filter)
         return refined(wanted, asked, self._rates, self.in_use)
 
     def _subject(self, look: ResolvedLook) -> Subject:
@@ -189,7 +189,7 @@ class ByBricks(Source):
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
         arguments, _ = super().recipe()
-        return arguments, {"budget": self.field.budget} if self._owned else {}
+        return arguments, {"memory": self.field.memory} if self._owned else {}
 
     def function(self, mode: Mode, level: int = 0) -> BrickedField:
         level = whole("level", level, 0, len(self.field.volume.levels))
@@ -247,13 +247,13 @@ class ByBricks(Source):
         with field.in_use():
             own = look.of_level(field.coefficients.volume, field.boundary)
             frame = Subject(own, field.coefficients, None, DIRECT).frame(fine.size, fine.step, guides=guides)
-            made = launch.drawn(self.drawing(frame, own, fine, field), fine.samples, progress)
+            made = launch.drawn(self.drawing(frame, own, fine, field), fine.rays, progress)
             self.shown = field
             return made
 
     def drawing(self, frame: Frame, look: ResolvedLook, fine: Fineness, field: BrickedField) -> BrickedDrawing:
         """The picture of a frame, to be drawn."""
-        return BrickedDrawing(frame, fine.samples, fine.filter, field, look.view(fine.size), skipping=look.skipping)
+        return BrickedDrawing(frame, fine.rays, fine.filter, field, look.view(fine.size), skipping=look.skipping)
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
         self._require_direct()

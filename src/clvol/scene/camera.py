@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.arrays import reals
-from clvol.base.checks import instance, number, one_of
+from clvol.base.checks import instance, number, one_of, whole
 from clvol.base.errors import GeometryError
 from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume.volume import Volume
@@ -263,6 +263,28 @@ class Camera:
             fit=fit,
             upright=True,
         )
+
+    @classmethod
+    def turntable(cls, frames: int, elevation: float = 20.0, **camera: Any) -> list[Camera]:
+        """Cameras on a full turn around the target, at equal angles.
+
+        Parameters
+        ----------
+        frames : int
+            Their number, 1 or more.
+        elevation : float
+            Degrees.
+        **camera
+            As of `orbit`; `azimuth` is the first camera's.
+
+        Raises
+        ------
+        OptionError
+            `frames` is no whole number of at least 1, or an argument of `orbit` is refused.
+        """
+        frames = whole("frames", frames, minimum=1)
+        first = camera.pop("azimuth", 0.0)
+        return [cls.orbit(first + 360 * i / frames, elevation, **camera) for i in range(frames)]
 
     @classmethod
     def look_at(

@@ -289,7 +289,7 @@ def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generat
             yield Shot(to_bytes(renderer.render(size=order.size, progress=asking(order.stop), **given)), True, given["step"])
         return
     camera, mode, step = (given.pop(name) for name in ("camera", "mode", "step"))
-    for picture in renderer.refine(camera, mode, order.size, step, budget=order.budget, cancelled=order.stop, **given):
+    for picture in renderer.refine(camera, mode, order.size, step, seconds=order.budget, cancelled=order.stop, **given):
         yield Shot(to_bytes(picture), picture.final and not order.coarse, picture.step)
         if order.coarse:
             return
@@ -300,7 +300,7 @@ def share_visited(resident: Resident, state: State, shape: tuple[float, float]) 
     edge = _TOUR / max(shape)
     size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))
     with resident.renderers.renderer(state.filter, state.boundary, resident.catalog.which(state)) as renderer:
-        given = resident.arguments(state) | {"samples": 1}
+        given = resident.arguments(state) | {"rays": 1}
         return _mean(np.asarray(renderer.render(size=size, outputs="visited", **given)))
 
 

@@ -92,7 +92,7 @@ def _hit(renderer: Renderer, pane: Pane3D, x: float, y: float, arguments: dict[s
         up=tuple(map(float, view.up)),  # type: ignore[arg-type]
         projection="orthographic" if view.orthographic else "perspective",
     )
-    given = arguments | {"camera": camera, "samples": 1}
+    given = arguments | {"camera": camera, "rays": 1}
     point = np.asarray(renderer.render(size=(1, 1), outputs="position", **given), np.float64)[0, 0]
     return point if np.isfinite(point).all() else None
 

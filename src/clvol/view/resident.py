@@ -30,7 +30,7 @@ from clvol.volume.volume import Volume
 __all__ = ["Resident", "targeted"]
 
 _KEPT = 64  # descriptions of volumes
-_BESIDE = ("gradient", "samples", "pixel_filter", "skipping")  # passed on, and in no state
+_BESIDE = ("gradient", "rays", "pixel_filter", "skipping")  # passed on, and in no state
 
 
 class Resident:

@@ -47,7 +47,7 @@ class Sketch:
         if camera.radius is None:
             camera = replace(camera, radius=self._whole.radius)
         given = {name: value for name, value in few.arguments(state).items() if name not in WORDS}
-        given |= {"camera": camera, "transfer": transfer, "samples": 1}
+        given |= {"camera": camera, "transfer": transfer, "rays": 1}
         shrink = min(1.0, _EDGE / max(size))
         width, height = (max(1, round(shrink * n)) for n in size)
         renderer = self._drawn_by(state)

@@ -23,6 +23,7 @@ from clvol.interop.nibabel import to_nibabel
 from clvol.interop.xarray_images import to_xarray
 from clvol.noise import MOST_LABELS, Noise, estimate
 from clvol.volume.missing import Missing, filled_smoothly
+from clvol.volume.pictured import Pictured
 
 __all__ = ["SPACES", "Volume", "array_of", "as_volume", "clim_of"]
 
@@ -40,7 +41,7 @@ _TINY_DETERMINANT = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Volume:
+class Volume(Pictured):
     """Samples on a regular grid in world space.
 
     Arrays are indexed ``[z, y, x]`` (images ``[y, x]``); everything geometric is

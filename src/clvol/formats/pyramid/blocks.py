@@ -101,7 +101,7 @@ class Bricks:
                 return edge
         plain = filter_at(filter, 1)
         least, without = (-(-Bricks.bytes_of(row, edge) // _MIB) + FIXED // _MIB for row in (filter, plain))
-        text = f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
+        text = f"memory must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
         if without < least:
             text += f": that of {filter.name} is wide, filter {plain.name} needs {without} MiB"
         raise OptionError(text)

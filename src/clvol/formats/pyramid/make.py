@@ -17,7 +17,7 @@ from clvol.base.files import require_suffix
 from clvol.base.rounding import wide
 from clvol.base.units import ome_unit
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
-from clvol.bricks.source import LazyVolume, Sliced, budget_for
+from clvol.bricks.source import LazyVolume, Sliced, memory_for
 from clvol.device import Device, as_device
 from clvol.filter.boundary import Boundary, as_boundary
 from clvol.filter.filter import Filter
@@ -62,7 +62,7 @@ def pyramid(
     compressor: Literal["lz4", "zstd", "none"] = "lz4",
     bounds: bool = True,
     version: Literal["0.4", "0.5"] = "0.5",
-    budget: int | None = None,
+    memory: int | None = None,
     overwrite: bool = False,
     device: Device | str | int | None = None,
     progress: Callable[[float], object] | None = None,
@@ -98,7 +98,7 @@ def pyramid(
         these exclude, and `LazyVolume.limits` are exact.
     version : {"0.4", "0.5"}
         Of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
-    budget : int, optional
+    memory : int, optional
         Bytes of memory beyond what Python takes. Default: 2 GiB or half of the memory available, whichever is less, but enough to
         unpack a chunk of the source.
     overwrite : bool
@@ -129,7 +129,7 @@ def pyramid(
     Notes
     -----
     Smaller sizes keep the dtype: whole numbers are rounded and clipped. Their filter is `filter` without smoothing, for the noise
-    went with the first size. Samples are the same to the last bit whatever the budget and the chunks.
+    went with the first size. Samples are the same to the last bit whatever `memory` and the chunks.
 
     Examples
     --------
@@ -145,7 +145,7 @@ def pyramid(
     require_suffix(target, _SUFFIXES, "pyramids")
     given, target = _lazy(source), target.resolve()
     require_apart(given, target)
-    room = _room(budget, given)
+    room = _room(memory, given)
     volume, cache = _kept(given, room)
     storage = _Storage.of(chunks, shards, compressor, version)
     plan = _plan(volume, filter, boundary, method, levels, storage, bounds, as_device(device))
@@ -196,12 +196,12 @@ def _kept(volume: LazyVolume, room: int) -> tuple[LazyVolume, Chunks | None]:
     return made, cache
 
 
-def _room(budget: int | None, volume: LazyVolume) -> int:
-    """The budget without what Zarr and the device take uncounted."""
-    if budget is not None and whole("budget", budget, 1) <= FIXED:
-        raise OptionError(f"budget must be more than {FIXED >> 20} MiB; got {budget >> 20} MiB")
-    given = budget_for(volume, budget)
-    return given - FIXED if budget is not None else max(FIXED, given - FIXED)
+def _room(memory: int | None, volume: LazyVolume) -> int:
+    """`memory` without what Zarr and the device take uncounted."""
+    if memory is not None and whole("memory", memory, 1) <= FIXED:
+        raise OptionError(f"memory must be more than {FIXED >> 20} MiB; got {memory >> 20} MiB")
+    given = memory_for(volume, memory)
+    return given - FIXED if memory is not None else max(FIXED, given - FIXED)
 
 
 # -- the plan ----------------------------------------------------------------------------------------------------------

@@ -103,7 +103,7 @@ class Reduction:
             if not wide:
                 least = -(-(self._bytes(x, y) + beside) // _MIB)
                 raise OptionError(
-                    f"budget must hold at least one column of chunks, {least} MiB; got {(budget + beside) // _MIB} MiB"
+                    f"memory must hold at least one column of chunks, {least} MiB; got {(budget + beside) // _MIB} MiB"
                 )
             edge, axis = max(wide)
             half = -(-edge // (2 * self.units[axis])) * self.units[axis]

@@ -34,7 +34,7 @@ def draw_function(
     material: Material,
     background: Sequence[float],
     clip: tuple[Sequence[float], Sequence[float]] | None = None,
-    samples: int = 1,
+    rays: int = 1,
     pixel_filter: str | Filter = "linear",
     steps: int = 240,
 ) -> tuple[Array, NDArray[np.float32]]:
@@ -44,7 +44,7 @@ def draw_function(
     ----------
     function, gradient : callable
         Values (N,) and gradients (N, 3) at world positions (N, 3).
-    volume, view, size, isovalue, color, lights, material, background, clip, samples, pixel_filter
+    volume, view, size, isovalue, color, lights, material, background, clip, rays, pixel_filter
         As for `Renderer.render`, with a view from `Camera.view`.
     steps : int
         Intervals of a ray in which a change of sign is looked for.
@@ -58,17 +58,17 @@ def draw_function(
     width, height = size
     picture, points = np.zeros((height * width, 3)), []
     lit_by = [light.placed(view) for light in lights]
-    for k, (offset, weight) in enumerate(pixel_rays(samples, pixel_filter)):
-        rays = camera_rays(volume, view, size, offset, clip)
-        crossing = np.flatnonzero(rays.enter < rays.leave)
+    for k, (offset, weight) in enumerate(pixel_rays(rays, pixel_filter)):
+        cast = camera_rays(volume, view, size, offset, clip)
+        crossing = np.flatnonzero(cast.enter < cast.leave)
         drawn = np.broadcast_to(np.asarray(background, np.float64), picture.shape).copy()
         for part in np.array_split(crossing, -(-crossing.size // _RAYS)) if crossing.size else []:
             hit, t = _first_crossing(
-                lambda p: function(p) - isovalue, rays.origin[part], rays.direction[part], rays.enter[part], rays.leave[part], steps
+                lambda p: function(p) - isovalue, cast.origin[part], cast.direction[part], cast.enter[part], cast.leave[part], steps
             )
-            at = rays.at(t, part[hit])
+            at = cast.at(t, part[hit])
             colors = np.broadcast_to(np.asarray(color, np.float64), at.shape)
-            drawn[part[hit]] = shade(gradient(at), colors, rays.direction[part[hit]], material, lit_by, 0.0)
+            drawn[part[hit]] = shade(gradient(at), colors, cast.direction[part[hit]], material, lit_by, 0.0)
             if k == 0:
                 points.append(at)
         picture += drawn * weight

@@ -197,7 +197,7 @@ def render(
     lights: Light | Sequence[Light] = KIT,
     background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
     clip: tuple[Sequence[float], Sequence[float]] | None = None,
-    samples: int = 1,
+    rays: int = 1,
     pixel_filter: str | Filter = "linear",
     outputs: str | Sequence[str] = "rgba",
     **options: Any,
@@ -281,21 +281,21 @@ def render(
     axis, planes = planes_across(volume, view, width / height, step)
     total = np.zeros((width * height, 4))
     guides: dict[str, Array] = {}
-    for offset, weight in pixel_rays(samples, pixel_filter):
-        rays = camera_rays(volume, view, size, offset, clip, rule.edge)
-        t, there, world_step = _sample_distances(volume, rays, axis, planes, step, chosen.endpoints)
+    for offset, weight in pixel_rays(rays, pixel_filter):
+        cast = camera_rays(volume, view, size, offset, clip, rule.edge)
+        t, there, world_step = _sample_distances(volume, cast, axis, planes, step, chosen.endpoints)
         values = np.full(t.shape, math.nan)
         which, k = np.nonzero(there)
-        values[there] = value(rays.at(t[which, k], which))
-        rgb, opacity, depth = gather(scene, chosen, rays, t, there, values, world_step)
+        values[there] = value(cast.at(t[which, k], which))
+        rgb, opacity, depth = gather(scene, chosen, cast, t, there, values, world_step)
         total += np.concatenate([rgb, opacity[:, None]], 1) * weight
         if not guides:
             somewhere = np.isfinite(depth)
             place = np.full((depth.size, 3), math.nan)
-            place[somewhere] = rays.at(depth[somewhere], somewhere)
+            place[somewhere] = cast.at(depth[somewhere], somewhere)
             normal = np.full((depth.size, 3), math.nan)
             flat = flat_below(volume, value(place[somewhere]) - taken_off)
-            normal[somewhere], _ = facing(slope(place[somewhere]), rays.direction[somewhere], flat)
+            normal[somewhere], _ = facing(slope(place[somewhere]), cast.direction[somewhere], flat)
             guides = {"depth": depth, "normal": normal, "position": place}
     premultiplied, cover = total[:, :3], total[:, 3:]
     if background is None:
@@ -309,7 +309,7 @@ def render(
     return shaped[outputs] if isinstance(outputs, str) else {name: shaped[name] for name in outputs}
 
 
-def pixel_rays(samples: int, filter: str | Filter) -> list[tuple[tuple[float, float], float]]:
+def pixel_rays(count: int, filter: str | Filter) -> list[tuple[tuple[float, float], float]]:
     """Offset in the pixel and weight of each of its rays, that through the middle first, which may count nothing.
 
     Along each axis the magnitude of the filter is cut into strips of equal weight. Counted from the middle of all, strip
@@ -327,15 +327,15 @@ def pixel_rays(samples: int, filter: str | Filter) -> list[tuple[tuple[float, fl
     def within(low: float, high: float) -> float:
         return float(np.interp(high, x[1:], np.cumsum(pieces), left=0) - np.interp(low, x[1:], np.cumsum(pieces), left=0))
 
-    place = [until((i + 0.5) / samples) for i in range(samples)]
-    share = [within(until(i / samples), until((i + 1) / samples)) for i in range(samples)]
-    along = [math.fmod(samples + 0.5 + (i - (samples - 1) / 2) * (math.sqrt(5) - 1) / 2, 1) for i in range(samples)]
+    place = [until((i + 0.5) / count) for i in range(count)]
+    share = [within(until(i / count), until((i + 1) / count)) for i in range(count)]
+    along = [math.fmod(count + 0.5 + (i - (count - 1) / 2) * (math.sqrt(5) - 1) / 2, 1) for i in range(count)]
     rank = [sum(other < mine for other in along) for mine in along]
-    total = sum(share[i] * share[rank[i]] for i in range(samples))
-    rays = [((0.5 + place[i], 0.5 + place[rank[i]]), share[i] * share[rank[i]] / total) for i in range(samples)]
-    if samples % 2 == 0:
+    total = sum(share[i] * share[rank[i]] for i in range(count))
+    rays = [((0.5 + place[i], 0.5 + place[rank[i]]), share[i] * share[rank[i]] / total) for i in range(count)]
+    if count % 2 == 0:
         return [((0.5, 0.5), 0.0), *rays]
-    return [((0.5, 0.5), rays[samples // 2][1]), *rays[: samples // 2], *rays[samples // 2 + 1 :]]
+    return [((0.5, 0.5), rays[count // 2][1]), *rays[: count // 2], *rays[count // 2 + 1 :]]
 
 
 # -- the modes: premultiplied colour, opacity and depth of each ray ------------------------------------------------
