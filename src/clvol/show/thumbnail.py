@@ -1,4 +1,4 @@
-"""The middle slices of a volume as thumbnails, and pictures in the text of a page."""
+"""The middle slices of a volume as thumbnails, and pictures embedded in HTML."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from clvol.show.picture import to_png
 
 __all__ = ["image", "in_window", "slices"]
 
-_SIDE = 160  # Pixels of a thumbnail's longer side.
-_TAILS = (0.5, 99.5)  # Percentiles that become black and white where no window is known.
+_SIDE = 160  # longer side of a thumbnail, in pixels
+_TAILS = (0.5, 99.5)  # percentiles shown black and white if no window is known
 _PLANES = {"LPS": ("axial", "coronal", "sagittal"), "": ("xy", "xz", "yz")}
-_DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # Whether rows of a picture run along y, and along z, or against it.
+_DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # sign of y, and of z, down the rows of a picture
 
 
 def image(picture: ArrayLike, caption: str = "") -> str:
-    """A picture and a line beneath it, both in the text of the page."""
+    """A picture with a caption, as HTML."""
     data = base64.b64encode(to_png(picture)).decode("ascii")
     words = html.escape(caption)
     return (
@@ -42,27 +42,27 @@ def slices(
     blended: bool = True,
     all_planes: bool = True,
 ) -> list[tuple[str, NDArray[np.uint8]]]:
-    """The middle slices of a volume across its axes, each with the name of its plane; an image itself.
+    """The middle slices of a volume across its axes, each with the name of its plane; for an image, the image.
 
-    They are turned as `space` says: a patient's as radiologists see them, stacks of images as microscopes show them, else with y
-    and z up. Voxels are as long and wide as `spacing` says.
+    `space` sets their orientation: a patient as radiologists see it, a stack of images as microscopes show it, else with y
+    and z up. `spacing` sets the aspect ratio of voxels.
 
     Parameters
     ----------
     data : ndarray, shape (nz, ny, nx) or (ny, nx)
         Samples.
     spacing, direction
-        As of `Volume`.
+        See `Volume`.
     space : str
-        As of `Volume`.
+        See `Volume`.
     window : (float, float), optional
-        What is black and what is white; by default what all but a hundredth of the slices' samples lie between.
+        Values of black and white; by default 99 % of the slices' samples are between them.
     color : (float, float, float), optional
-        In place of white.
+        Colour used instead of white.
     blended : bool
-        Whether there is something between samples; not so for labels.
+        Interpolate between samples; False for labels.
     all_planes : bool
-        False: only the first, across z.
+        False: only the first plane, across z.
     """
     if data.ndim == 2:
         return [("", _sized(_shades([data], window, color)[0], spacing, blended))]
@@ -83,14 +83,14 @@ def slices(
 
 
 def in_window(values: ArrayLike, low: float, high: float) -> NDArray[np.float64]:
-    """Values from 0 where they are `low` to 1 where they are `high`; NaN is 0."""
+    """Map `low`..`high` to 0..1; NaN is 0."""
     array = np.nan_to_num(np.asarray(values, np.float64), nan=low, posinf=high, neginf=low)
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(np.clip(np.nan_to_num((array / 2 - low / 2) / (high / 2 - low / 2)), 0, 1))
 
 
 def _towards_world(direction: NDArray[np.float64]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """For the world's x, y and z: the axis of the samples that runs most along it, and whether with it (1) or against it (-1)."""
+    """For the world's x, y and z: the index axis closest to it, and the sign of its direction."""
     axes = max(itertools.permutations(range(3)), key=lambda p: sum(abs(direction[i, p[i]]) for i in range(3)))
     return axes, tuple(1 if direction[i, axes[i]] >= 0 else -1 for i in range(3))
 
@@ -98,12 +98,12 @@ def _towards_world(direction: NDArray[np.float64]) -> tuple[tuple[int, ...], tup
 def _shades(
     parts: Sequence[NDArray[Any]], window: tuple[float, float] | None, color: tuple[float, float, float] | None
 ) -> list[NDArray[np.uint8]]:
-    """Slices in eight bits, grey or in a colour."""
+    """Slices in 8 bits, grey or in one colour."""
     if window is None:
         values = np.concatenate([part.ravel() for part in parts]).astype(np.float64)
         values = values[np.isfinite(values)]
         low, high = (float(v) for v in np.percentile(values, _TAILS)) if values.size else (0.0, 1.0)
-        if not low < high and values.size:  # few samples are not background
+        if not low < high and values.size:  # nearly all samples are background
             low, high = float(values.min()), float(values.max())
         window = (low, high) if low < high else (low - 1, low)
     grey = [in_window(part, *window) for part in parts]
@@ -112,7 +112,7 @@ def _shades(
 
 
 def _sized(picture: NDArray[np.uint8], sides: Sequence[float], blended: bool) -> NDArray[np.uint8]:
-    """A slice whose pixels are square, its longer side of one length; `sides` are those of its voxels, (width, height)."""
+    """Resize a slice to square pixels and a fixed longer side; `sides` are those of its voxels, (width, height)."""
     from PIL import Image
 
     height, width = picture.shape[0] * sides[1], picture.shape[1] * sides[0]
