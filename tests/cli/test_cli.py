@@ -690,7 +690,7 @@ def test_info_says_what_the_file_wants_shown(clvol_command: Command) -> None:
     nibabel.save(image, "a.nii")
     out = clvol_command("info", "a.nii").out
     assert "\nwindow: 10 to 50 (--window 30 40)\n" in out
-    assert "\nspace: LPS: a patient: x runs to the left, y to the back, z to the head (nibabel's RAS flips x and y)\n" in out
+    assert "\nspace: LPS: a patient: x points to the left, y to the back, z to the head (nibabel's RAS flips x and y)\n" in out
     assert "sform_code" in out
     value, why = clvol.volume.histogram.isovalue_of(clvol.read("a.nii"))
     assert f"\nisovalue: {value:.6g}, {why}\n" in out
@@ -1086,7 +1086,7 @@ def test_errors_and_notes_name_the_options_of_the_shell(clvol_command: Command) 
     done = clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--preset", "ct-bone")
     assert done.code == 0
     assert done.err.startswith("clvol: note: preset 'ct-bone' is in Hounsfield units")
-    assert done.err.endswith("--window CENTER WIDTH says where\n")
+    assert done.err.endswith("--window CENTER WIDTH sets the range\n")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

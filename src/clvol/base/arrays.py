@@ -108,7 +108,7 @@ def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[An
     if array.shape != shape:
         raise OptionError(f"{what} must have shape {shape}; got {array.shape}")
     if not array.flags.writeable:
-        raise OptionError(f"{what} must be an array that can be written into; got {type(out).__qualname__} that may only be read")
+        raise OptionError(f"{what} must be an array that can be written into; got a read-only {type(out).__qualname__}")
     return array
 
 
