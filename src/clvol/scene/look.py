@@ -1,4 +1,4 @@
-"""What a volume's values look like in a mode: its default, or what is asked for instead, put together in one place."""
+"""The look of a volume's values in a mode: combines the default with the given options, in one place."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ def look(
     cmap: str | None = None,
     opacity: float | Sequence[tuple[float, float]] | None = None,
 ) -> TransferFunction:
-    """The transfer function of a volume in a mode; where nothing is given, the mode's own.
+    """The transfer function of a volume in a mode; the default is that of the mode.
 
     Parameters
     ----------
     volume : Volume or array-like
     mode : str, Mode or class of Mode
     preset : str, optional
-        The name of a row of `clvol.presets`: colours and opacities for one kind of data. Projections show its
-        window; means only that of one in Hounsfield units, and else their own.
+        The name of a row of `clvol.presets`: colours and opacities for one kind of data. Projections use its
+        window, the mode mean only that of a preset in Hounsfield units.
     window : (center, width), optional
-        The value in the middle of what is told apart, and how wide that is, in units of the data, as radiologists say it: from
-        transparent to the brightest, from black to white. (`Volume.window`, instead of which it is taken, is the two ends.)
+        Display window in units of the data, from transparent to brightest or from black to white, in the radiologists'
+        convention. It replaces `Volume.window`, which is the two ends.
     cmap : str, optional
-        Colours by the name of a map of the `cmap` package, instead of the others; opacities stay.
+        Replaces the colours by a colour map of the `cmap` package; opacities stay.
     opacity : float, or sequence of (value, opacity), optional
-        A number, 0 or more, scales the opacities, as far as 1; points replace them. Colours stay.
+        A number, 0 or more, scales the opacities, clipped to 1; points replace them. Colours stay.
 
     Raises
     ------
     OptionError
-        An unknown name, or a value that is not allowed.
+        A name is unknown, or a value is not allowed.
 
     Warns
     -----
@@ -64,7 +64,7 @@ def look(
         row = as_preset(preset)
         if chosen.shows == "matter" or row.unit == "labels":
             transfer = TransferFunction(*row.points(volume, ends), unit_of(volume))
-        elif chosen.shows == "mean" and row.unit == "matter":  # means reach no such values
+        elif chosen.shows == "mean" and row.unit == "matter":  # means do not reach such values
             transfer = chosen.windowed(volume, ends)
         else:
             transfer = chosen.windowed(volume, ends or row.span(volume))
@@ -74,10 +74,10 @@ def look(
         transfer = replace(transfer, colors=colored.colors)
     if opacity is None:
         return transfer
-    if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or nothing that is a sequence
+    if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or not a sequence
         factor = number("opacity", opacity, minimum=0)
         return transfer.with_opacity([(value, min(1.0, factor * share)) for value, share in transfer.opacities])
-    return transfer.with_opacity(opacity)  # type: ignore[arg-type]  # __post_init__ refuses what is none
+    return transfer.with_opacity(opacity)  # type: ignore[arg-type]  # __post_init__ checks it
 
 
 def _ends(window: object) -> tuple[float, float]:
