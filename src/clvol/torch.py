@@ -199,7 +199,7 @@ def _functions() -> SimpleNamespace:
             return for_given, for_points, None, None
 
     class Gradient(torch.autograd.Function):  # type: ignore[misc, name-defined]
-        """Samples, points → gradients of the function; cannot be differentiated again."""
+        """Samples, points → gradients of the function; their gradients cannot be differentiated again."""
 
         @staticmethod
         def forward(ctx: Any, values: Tensor, points: Tensor, grid: _Grid, kept: _Kept) -> Any:

@@ -166,11 +166,11 @@ class DatasetAccessor(_Accessor[xarray.Dataset]):
         data = self._labelled
         lines = {dim: _Line.of(data, dim) for dim in coords}
         targets = {dim: line.positions(_indexer(dim, coords[dim])) for dim, line in lines.items()}
-        own = [name for name, v in data.data_vars.items() if v.dtype.kind in "iufc" and not targets.keys().isdisjoint(v.dims)]
+        names = [name for name, v in data.data_vars.items() if v.dtype.kind in "iufc" and not targets.keys().isdisjoint(v.dims)]
         # xarray creates the coordinates, from a dataset without the variables interpolated here
         indices = {dim: np.arange(data.sizes[dim]) for dim in lines if dim not in data.coords}
-        rest = data.drop_vars(own).assign_coords(indices).interp(coords)
-        done = {name: spline(data[name].variable, targets) for name in own}
+        rest = data.drop_vars(names).assign_coords(indices).interp(coords)
+        done = {name: spline(data[name].variable, targets) for name in names}
         result = rest.assign(done)
         kept: xarray.Dataset = result[[name for name in data.data_vars if name in result]]
         return kept

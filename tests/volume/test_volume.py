@@ -137,7 +137,7 @@ def test_filled_takes_a_number_that_the_samples_can_be(bad: object) -> None:
 def test_longdouble_beyond_float64() -> None:
     volume = Volume(np.array([[1, np.longdouble("1e4000")]]))
     assert volume.value_range == (1, 1)
-    with pytest.raises(DataError, match=r"which float64 holds; got 1.0 to 1e\+4000"):
+    with pytest.raises(DataError, match=r"the range of float64; got 1.0 to 1e\+4000"):
         volume.require_finite()
 
 
