@@ -69,7 +69,7 @@ def _require_room(source: Any, what: str, error: type[ClvolError], rule: str) ->
         if module == "zarr":
             raise error(
                 f"{what} must be {rule}; got a {type(source).__qualname__} of zarr: give one of its arrays, "
-                "or read it with clvol.read(path), which knows what OME-Zarr says"
+                "or read it with clvol.read(path), which reads the OME-Zarr metadata"
             )
         return
     if module not in ("zarr", "dask", "h5py") and getattr(source, "chunks", None) is None:

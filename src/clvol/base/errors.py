@@ -61,7 +61,7 @@ class DeviceError(ClvolError, RuntimeError):
 
 
 class OutOfMemoryError(DeviceError, MemoryError):
-    """The device, or the machine, cannot hold what was requested."""
+    """The request does not fit into the memory of the device or the machine."""
 
 
 class ClusterError(ClvolError, ConnectionError):
@@ -72,7 +72,7 @@ class ClusterError(ClvolError, ConnectionError):
 
 
 class RefusedError(OptionError, RuntimeError):
-    """An argument that SciPy refuses with a `RuntimeError`: an order, a mode, a shape, a length."""
+    """An argument for which SciPy raises `RuntimeError`: an order, a mode, a shape, a length."""
 
 
 class OptionTypeError(OptionError, TypeError):

@@ -124,4 +124,6 @@ def _refuse_to_overwrite_anothers(data_file: Path, header: Path) -> None:
             names_it = rb"[\s=:/\\]" + re.escape(data_file.name.encode()) + rb"\s*$"
             if re.search(names_it, stream.read(MAX_HEADER), re.MULTILINE):
                 return
-    raise FormatError(f"cannot write {header}: its samples would replace {data_file}, which is not its own; choose another name")
+    raise FormatError(
+        f"cannot write {header}: its samples would replace {data_file}, which belongs to another file; choose another name"
+    )

@@ -76,7 +76,7 @@ def from_ras(placement: Placement, d: int, unit: float) -> dict[str, Any]:
     """
     spacing, origin, direction = placement
     if d == 2 and np.abs(direction[2, :2]).max() > _FLAT:
-        raise GeometryError(f"an image of two axes must lie in the xy plane; its axes run along {direction[:, :2].T.tolist()}")
+        raise GeometryError(f"an image of two axes must be in the xy plane; its axes point along {direction[:, :2].T.tolist()}")
     return {
         "spacing": spacing[:d] * unit,
         "origin": flipped(origin)[:d] * unit,

@@ -1,4 +1,4 @@
-"""How much memory this process may still allocate; requests that need more are refused before they allocate any.
+"""How much memory this process may still allocate; larger requests fail before they allocate any.
 
 Linux overcommits memory and kills the process that touches too much; in a container at its limit, even if the machine has
 memory free. So large requests are checked here first, against the smallest of the machine's available memory, the limits of
@@ -176,9 +176,9 @@ def _groups(root: Path) -> Iterator[tuple[Path, Path, int]]:
             continue
         top = root / _unescaped(place[4]).lstrip("/")
         with contextlib.suppress(ValueError):  # the process's group is outside the mount: only the mount is visible
-            own = top / PurePosixPath(inside[version]).relative_to(_unescaped(place[3]))
-            if ".." not in own.parts and own.is_dir():
-                yield own, top, version
+            group = top / PurePosixPath(inside[version]).relative_to(_unescaped(place[3]))
+            if ".." not in group.parts and group.is_dir():
+                yield group, top, version
                 continue
         yield top, top, version
 

@@ -27,8 +27,8 @@ _OUTSIDE = ("rule", "clamp", "constant", "grid-constant", "overlap")
 _PAD = 12  # samples of padding that scipy.ndimage adds where a rule has no exact prefilter
 
 # Every rule of this kind that keeps the samples unchanged and maps each outside index to one of them, on axes of
-# any length. Without a fold the period is n. A fold -s/2 must lie between index -1 and index 0, so s is 0 or 1; the
-# other fold, half a period further, must lie between indices n - 1 and n: (period - s)/2 is n - 1 or
+# any length. Without a fold the period is n. A fold -s/2 must be between index -1 and index 0, so s is 0 or 1; the
+# other fold, half a period further, must be between indices n - 1 and n: (period - s)/2 is n - 1 or
 # n - 1/2.
 _RULES = {(None, None), ((1, 0), None)} | {((2, s - 2 + half), s) for s in (0, 1) for half in (0, 1)}
 
@@ -42,7 +42,7 @@ class Boundary:
     name : str
         Its name in the table.
     period : tuple of int, optional
-        ``(a, b)``: the period on an axis of ``n`` samples is ``a n + b``. None: nothing lies outside.
+        ``(a, b)``: the period on an axis of ``n`` samples is ``a n + b``. None: zero outside.
     fold : int, optional
         ``s``: index ``i`` equals index ``-s - i``, a reflection about ``-s/2``. None: no reflection.
     description : str

@@ -255,8 +255,8 @@ class Filter(Shown):
     @property
     def settled(self) -> bool:
         """Whether it is the same for every volume: its smoothing is a number, not "auto" or a length."""
-        own = self.smoothing != "auto" and self.length is None
-        return own and (self.magnified_by is None or self.magnified_by.settled)
+        fixed = self.smoothing != "auto" and self.length is None
+        return fixed and (self.magnified_by is None or self.magnified_by.settled)
 
     @property
     def penalty(self) -> int:

@@ -30,7 +30,7 @@ def bspline(
 ) -> Filter:
     """The B-spline of degree 0 to 9, by the recursion of eqs (3) and (4) on a uniform knot sequence.
 
-    With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1). Smoothing splines lie between
+    With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1). Smoothing splines are between
     the two and beyond.
 
     Parameters

@@ -50,7 +50,7 @@ def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
     """
     chosen, w = as_filter(filter), _frequencies(omega)
     if np.abs(w).max(initial=0.0) > _MAX_OMEGA:
-        raise OptionError(f"omega must lie within ±{_MAX_OMEGA}; got {float(np.abs(w).max()):g}")
+        raise OptionError(f"omega must be within ±{_MAX_OMEGA}; got {float(np.abs(w).max()):g}")
     response = _kernel_response(chosen, w / chosen.scale) * prefilter_response(chosen, w)
     if chosen.magnified_by is not None:
         by, s = chosen.magnified_by, chosen.scale

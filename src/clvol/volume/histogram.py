@@ -55,7 +55,7 @@ _FEW = 8
 _GREY = 0.65  # fraction of the way from black to white that the median of lit columns should not exceed ...
 _DIMMEST = 0.05  # ... while black is at most this quantile of them ...
 _HALF = 0.5  # ... and at most this fraction of the window
-_COUNTED = 1 << 24  # labels with counters of their own: sorting all samples is far slower
+_COUNTED = 1 << 24  # largest number of labels counted with a table: sorting all samples is far slower
 _COLUMNS_OF = 1 << 22  # voxels sampled for projections
 
 

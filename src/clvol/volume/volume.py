@@ -366,7 +366,7 @@ class Volume:
             with np.errstate(over="ignore"):  # longdouble has a larger range
                 held = np.isfinite([float(low), float(high)]).all()
             if not held:
-                raise DataError(f"samples must lie within ±1.8e308, which float64 holds; got {low!s} to {high!s}")
+                raise DataError(f"samples must be within ±1.8e308, the range of float64; got {low!s} to {high!s}")
             return
         missing, infinite, first = 0, 0, None
         for part, start in zip(_parts(self.data), _starts(self.data), strict=True):

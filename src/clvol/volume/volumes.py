@@ -432,5 +432,5 @@ def _require_same_grid(first: Volume, other: Volume) -> None:
     apart = np.abs(first.corners - other.corners).max()
     if len({first.units, other.units} - {""}) > 1 or not apart <= _OFF * min(first.spacing):
         raise GeometryError(
-            f"volumes must lie on one grid; got {first!r} and {other!r}: clvol.resample(..., like=) puts them on one grid"
+            f"volumes must be on one grid; got {first!r} and {other!r}: clvol.resample(..., like=) puts them on one grid"
         )
