@@ -1,4 +1,4 @@
-"""Images, grey or in colour, through the same filters as volumes: the paper's Figure 5."""
+"""Resample grey and colour images with the filters of volumes: the paper's Figure 5."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from clvol.volume.volume import Volume
 
 __all__ = ["resample", "rotate", "zoom"]
 
-_LONGEST = (1 << 31) - 1  # pixels along an axis: OpenCL's int
-_FLOAT32_INTEGERS = 1 << 16  # with so large a magnitude float32, which has 24 bits, errs by less than 1/2, whatever the filter
+_LONGEST = (1 << 31) - 1  # pixels along an axis: the range of OpenCL's int
+_FLOAT32_INTEGERS = 1 << 16  # magnitude up to which the float32 error (24 bits) is below 1/2 for all filters
 
 
 def resample(
@@ -37,26 +37,26 @@ def resample(
     *,
     device: Device | str | int | None = None,
 ) -> NDArray[Any]:
-    """The image with other numbers of rows and columns; its domain, from edge to edge, stays the same.
+    """Resample an image to another number of rows and columns over the same domain, from edge to edge.
 
     Parameters
     ----------
     image : array-like, shape (height, width) or (height, width, channels)
-        Up to 4 channels, each reconstructed on its own. For volumes use `clvol.resample`, where three axes are [z, y, x].
+        Up to 4 channels, reconstructed separately. For volumes use `clvol.resample`, where three axes are [z, y, x].
     shape : (int, int)
         Height and width of the result.
     filter, boundary, device
-        As for `clvol.sample`. No low-pass is applied.
+        See `clvol.sample`. There is no low-pass.
 
     Returns
     -------
     ndarray of the image's dtype
-        Integers are rounded to the nearest, and clipped to their type, because filters may leave the image's range. Where new
-        pixels lie on old ones, filters that go through the samples give those back exactly; elsewhere a pixel whose exact
-        value lies close to a half may be rounded to the other side. Integers of 32 and 64 bits that reach further than 2¹⁶
-        (from their middle, where they lie far from zero) are computed in double precision, which the device must have. Where they
-        span more than 2⁵³, results err as float64 does. Floats are computed in float32, about their middle where they lie far from
-        zero: to about 10⁻⁶ of the image's range.
+        Integers are rounded to nearest and clipped to their type, because filters may overshoot the image's range. Where new
+        pixels coincide with old ones, interpolating filters reproduce them exactly; elsewhere a pixel whose exact
+        value is close to a half may round the other way. Integers of 32 and 64 bits with magnitudes above 2¹⁶
+        (relative to their middle, if they are far from zero) are computed in double precision, which the device must support. If
+        they span more than 2⁵³, results have the error of float64. Floats are computed in float32, relative to their middle if they
+        are far from zero: the error is about 10⁻⁶ of the image's range.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def zoom(
     *,
     device: Device | str | int | None = None,
 ) -> NDArray[Any]:
-    """The image `factor` times as high and wide, or (rows, columns) times, rounded to whole pixels; else as `resample`."""
+    """Enlarge an image by `factor`, or by (rows, columns) factors, rounded to whole pixels; otherwise like `resample`."""
     pixels = _pixels(image)
     factors = factor if isinstance(factor, (tuple, list)) else (factor, factor)
     if len(factors) != 2:
@@ -105,7 +105,7 @@ def rotate(
     fill: float | None = 0.0,
     device: Device | str | int | None = None,
 ) -> NDArray[Any]:
-    """The image turned about its middle, counter-clockwise as it is shown (row 0 on top), and magnified by `zoom`.
+    """Rotate an image about its centre, counter-clockwise as displayed (row 0 on top), and magnify it by `zoom`.
 
     Parameters
     ----------
@@ -118,13 +118,13 @@ def rotate(
     zoom : float
         Magnification, greater than 0.
     shape : (int, int), optional
-        Height and width of the result, whose middle shows the image's middle; default: those of the image.
+        Height and width of the result, which has the same centre; default: those of the image.
     fill : float or None
-        Value of pixels outside the image, which cannot be NaN for integers; None: the boundary rule goes on.
+        Value of pixels outside the image, not NaN for integers; None: the boundary rule applies.
 
     Returns
     -------
-    ndarray of the image's dtype, as `resample` gives it
+    ndarray of the image's dtype, as from `resample`
 
     Raises
     ------
@@ -139,7 +139,7 @@ def rotate(
     height, width = pixels.shape[:2] if shape is None else _size(shape)
     if fill is not None and pixels.dtype.kind != "f":
         number("fill", fill)
-    # the picture turns one way when the sampling grid turns the other; rows go down
+    # the picture rotates against the sampling grid; rows go down
     cos, sin = _cos_sin(angle)
     direction = np.array([[cos, -sin], [sin, cos]])
     middle = (np.array(pixels.shape[1::-1]) - 1) / 2
@@ -166,7 +166,7 @@ def _size(shape: Sequence[int]) -> tuple[int, int]:
 
 
 def _cos_sin(degrees: float) -> tuple[float, float]:
-    """Exact at quarter turns, so that pixels then coincide."""
+    """Cosine and sine, exact at quarter turns, so that pixels coincide."""
     turns, rest = divmod(degrees, 90)
     cos, sin = (math.cos(math.radians(rest)), math.sin(math.radians(rest))) if rest else (1.0, 0.0)
     for _ in range(int(turns % 4)):
@@ -177,8 +177,8 @@ def _cos_sin(degrees: float) -> tuple[float, float]:
 def _grid(
     shape: tuple[int, int], spacing: tuple[float, ...], origin: tuple[float, ...], direction: NDArray[np.float64] | None = None
 ) -> Volume:
-    """Where pixels lie, in pixels of the image; they take no memory."""
-    return Volume(np.broadcast_to(np.float32(0), shape), spacing, origin, direction)  # type: ignore[arg-type]  # None: not turned
+    """The grid of the result, in pixels of the image; it uses no memory."""
+    return Volume(np.broadcast_to(np.float32(0), shape), spacing, origin, direction)  # type: ignore[arg-type]  # None: not rotated
 
 
 def _drawn(
@@ -189,12 +189,12 @@ def _drawn(
     fill: float | None,
     device: Device | str | int | None,
 ) -> NDArray[Any]:
-    """Each channel on another grid, in the image's dtype."""
+    """Resample each channel to a grid, in the image's dtype."""
     chosen, rule = as_filter(filter), as_boundary(boundary)
     if pixels.dtype.kind != "f":
         number("the value of the boundary", rule.cval)
     channels = 1 if pixels.ndim == 2 else pixels.shape[2]
-    each = 2 * channels * pixels.itemsize + 4 + (0 if pixels.dtype.kind == "f" else 24)  # whole numbers are rounded in float64
+    each = 2 * channels * pixels.itemsize + 4 + (0 if pixels.dtype.kind == "f" else 24)  # integers are rounded in float64
     memory.require(each * math.prod(grid.shape), f"an image of {grid.shape} pixels and {channels} channels")
     planes = [pixels] if pixels.ndim == 2 else list(np.moveaxis(pixels, 2, 0))
     drawn = [_channel(plane, grid, chosen, rule, fill, device) for plane in planes]
@@ -213,12 +213,12 @@ def _channel(
 def _wide_integers(
     plane: NDArray[Any], grid: Volume, filter: Filter, boundary: Boundary, fill: float | None, device: Device | str | int | None
 ) -> NDArray[Any]:
-    """A channel of integers of 32 or 64 bits, less a whole number that is added again to whole numbers."""
+    """Resample a channel of 32- or 64-bit integers, minus an integer offset that is added back to the rounded result."""
     image = Volume(plane)
     low, high = (int(v) for v in image.limits)
     offset = int(Stored.of(image, filter, boundary).offset)
     if max(high - offset, offset - low) > _FLOAT32_INTEGERS and filter.sums_to_one and boundary.period is not None:
-        offset = low + (high - low + 1) // 2  # float64 does not hold all of them; differences from here are int64
+        offset = low + (high - low + 1) // 2  # float64 cannot hold all of them; differences from here fit into int64
     moved = differences(plane, offset) if offset else plane
     rule = replace(boundary, cval=boundary.cval - offset)
     outside = None if fill is None else np.nan if offset else fill
@@ -235,7 +235,7 @@ def _wide_integers(
 
 
 def _moved(values: NDArray[Any], kind: np.dtype[Any], offset: int) -> NDArray[Any]:
-    """The nearest integers of a type to values plus an offset."""
+    """Round values plus an offset to the nearest integers of a type."""
     low, high = (end - offset for end in limits(kind))
     least, most = np.iinfo(np.int64).min, np.iinfo(np.int64).max
     whole = np.clip(np.rint(values.astype(np.float64)), -below(-max(low, int(least))), below(min(high, int(most))))

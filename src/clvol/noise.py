@@ -1,9 +1,9 @@
-"""The noise of a volume, estimated from its own samples.
+"""Estimate the noise of a volume from its samples.
 
-Noise is measured in the highest octave along every axis, where a scan has the least signal: in the band HHH of an orthonormal
-wavelet (Donoho and Johnstone, 1994: the median of the absolute values over 0.6745), and only at places where the neighbouring
-bands are quiet. Edges and texture show in all bands; white noise in these bands is independent of that in HHH, so the choice of
-places does not bias the estimate.
+Noise is measured in the highest octave along every axis, where a scan has the least signal: in the HHH band of an orthonormal
+wavelet (Donoho and Johnstone, 1994: the median of the absolute values over 0.6745), and only where the neighbouring
+bands have little power. Edges and texture show in all bands; white noise in these bands is independent of that in HHH, so the
+selection does not bias the estimate.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from clvol.base.errors import DataError
 __all__ = ["MOST_LABELS", "Noise", "estimate"]
 
 MOST_LABELS = 256
-"""Largest number of distinct values that are recognised as labels."""
+"""Largest number of distinct values recognised as labels."""
 
 Array: TypeAlias = NDArray[np.float64]
 
-_SAMPLES = 1 << 20  # of a larger volume blocks are used
-_SHORT = 256  # samples of a cosine transform by its matrix
+_SAMPLES = 1 << 20  # samples used; a larger volume contributes blocks
+_SHORT = 256  # longest cosine transform computed with a matrix, in samples
 _BLOCK = {2: 256, 3: 32}  # samples along each axis of a block
 # Daubechies' extremal phase wavelet with four vanishing moments (Ten Lectures on Wavelets, table 6.1): the low-pass
 _LOW = np.array(
@@ -43,8 +43,8 @@ _LOW = np.array(
     ]
 )
 _HIGH = _LOW[::-1] * (-1.0) ** np.arange(len(_LOW))
-_MEDIAN_SQUARE = 0.45493642311957283  # of a normal variable with variance 1
-_FLAT = 1e-6  # of the range of values: bands below it hold equal samples, but for rounding
+_MEDIAN_SQUARE = 0.45493642311957283  # median square of a normal variable with variance 1
+_FLAT = 1e-6  # relative to the range of values: smaller band values are rounding of equal samples
 _NEGLIGIBLE = 1e-10  # variance over the squared range
 _LEVELS = 8  # classes of the local mean in which the variance is estimated
 _CONFIDENT = 4.0  # standard errors by which the variance of signal-dependent noise grows, at least
@@ -67,16 +67,16 @@ _OMEGA = np.linspace(0, np.pi, 65)
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The power spectrum of a volume's samples, and the noise in it, in units of the range of their values.
+    """The power spectrum of a volume's samples and of their noise, in units of the range of their values.
 
     Parameters
     ----------
     power : ndarray, shape (kz, ky, kx) or (ky, kx)
-        The variance of the samples, noise included, by cells of frequencies; its sum is the variance.
+        Variance of the samples, including noise, per frequency cell; the sum is their variance.
     frequencies : tuple of ndarray
         Mean frequency of the cells along each axis of `power`, in radians per sample.
     noise : tuple of ndarray
-        Shares of the noise by cells along each axis: its power in a cell is their product.
+        Noise factors of the cells along each axis: the noise power in a cell is their product.
     """
 
     power: Array
@@ -86,36 +86,36 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Noise:
-    """The noise of a volume, and what its samples are like otherwise.
+    """The noise of a volume, and other statistics of its samples.
 
     Parameters
     ----------
     sigma : float
-        Standard deviation of additive noise, in units of the data: the root of the mean variance where it varies, without samples
-        of a `background`. Noise without power in the highest octave, such as that of a magnified scan, is not found.
+        Standard deviation of additive noise, in units of the data: the root of the mean variance if it varies, without samples
+        of a `background`. Noise without power in the highest octave, as in a magnified scan, is not detected.
     kind : str
-        "none"; "white"; "correlated" along an axis (`colour`); "signal-dependent", if it grows with the value (`gain`), as that of
-        counts does; "binary", "labels" and "rounded", if few values fill regions without noise: neighbouring regions of rounded
-        data are one step apart, labels are names.
+        "none"; "white"; "correlated" along an axis (`colour`); "signal-dependent", if it grows with the value (`gain`), as for
+        counts; "binary", "labels" and "rounded", if few values fill regions without noise: neighbouring regions of rounded
+        data differ by one step, those of labels arbitrarily.
     gain : float
-        Slope of the variance over the value (for photon counts, the data's units a photon); 0 if none is found.
+        Slope of the variance over the value (for photon counts, the data's units per photon); 0 if none is detected.
     colour : tuple of float
-        Power in the lower half of the band over that in the upper half along x, y[, z]; 1 for white noise.
+        Ratio of the power in the lower and the upper half of the band along x, y[, z]; 1 for white noise.
     step : float
-        The least difference between two values of integers or rounded data; 0 for continuous values.
+        Smallest difference between two values of integers or rounded data; 0 for continuous values.
     distinct : int
         Number of distinct values among the samples used.
     background : float or None
-        The exact value of a background that was masked out or cut off, if there is one.
+        Exact value of a masked or clipped background, if there is one.
     background_share : float
-        Share of the samples that have it.
+        Fraction of the samples with this value.
     jump : float
-        The step from the background to objects' outer samples, over that to the next samples inside: far above 1 at a mask that
+        Ratio of the step from the background to an object's outer samples and the next step inside: far above 1 at a mask that
         cuts through an object, 1 or less where objects fade out.
     clipped : (float, float)
-        Shares of the samples at the smallest and at the largest value.
+        Fractions of the samples at the smallest and at the largest value.
     spectrum : Spectrum
-        Of the samples used and, if there is noise, of means of their surroundings.
+        Spectrum of the samples used and, if there is noise, of local means.
     """
 
     sigma: float
@@ -128,7 +128,7 @@ class Noise:
     background_share: float = 0.0
     jump: float = 0.0
     clipped: tuple[float, float] = (0.0, 0.0)
-    spectrum: Spectrum = field(default=None, compare=False, repr=False)  # type: ignore[assignment]  # `estimate` always gives it
+    spectrum: Spectrum = field(default=None, compare=False, repr=False)  # type: ignore[assignment]  # `estimate` always sets it
 
     @property
     def masked(self) -> bool:
@@ -137,7 +137,7 @@ class Noise:
 
 
 def estimate(samples: NDArray[Any]) -> Noise:
-    """Estimate the noise of a volume or image from at most about a million of its samples; `Volume.noise` keeps the result.
+    """Estimate the noise of a volume or image from at most about a million of its samples; `Volume.noise` caches the result.
 
     If there is noise, the low frequencies of the spectrum come from means of two and of four samples along each axis, at most about
     a million each.
@@ -150,7 +150,7 @@ def estimate(samples: NDArray[Any]) -> Noise:
     Raises
     ------
     DataError
-        Samples that are used are NaN or infinite.
+        A sample used is NaN or infinite.
     """
     data = samples
     samples = np.stack([data[place] for place in _places(data.shape, (1,) * data.ndim)])
@@ -195,9 +195,9 @@ def estimate(samples: NDArray[Any]) -> Noise:
 
 
 def colour_power(ratio: float, omega: Array) -> Array:
-    """The power along an axis of noise with `ratio` times as much in the lower half of its band as in the upper, where it is 1.
+    """Power along an axis of noise with `ratio` times the power in the lower half of its band; in the upper half it is 1.
 
-    Its logarithm falls like cos ω, whose mean is 2 / π over the lower half and − 2 / π over the upper.
+    Its logarithm is proportional to cos ω, with means 2 / π over the lower half and − 2 / π over the upper.
     """
     return np.asarray(ratio ** (np.pi / 4 * np.cos(omega) + 0.5))
 
@@ -206,26 +206,26 @@ def colour_power(ratio: float, omega: Array) -> Array:
 
 
 def _places(shape: tuple[int, ...], factors: Sequence[int]) -> list[tuple[slice, ...]]:
-    """Evenly spread blocks with at most `_SAMPLES` means of `factors` samples; one block of all samples if these are few enough."""
+    """Evenly spread blocks with at most `_SAMPLES` means of `factors` samples; a single block if there are few samples."""
     most = _SAMPLES * math.prod(factors)
     if math.prod(shape) <= most:
         return [tuple(slice(0, n) for n in shape)]
     edges = [min(n, _BLOCK[len(shape)] * factor) for n, factor in zip(shape, factors, strict=True)]
     counts = [1] * len(shape)
-    while True:  # more along the axes with the widest gaps, and equally along equal axes
+    while True:  # add blocks along the axes with the widest gaps, and equally along equal axes
         gaps = [n / (e * c) for n, e, c in zip(shape, edges, counts, strict=True)]
         more = [c + (gap == max(gaps)) for c, gap in zip(counts, gaps, strict=True)]
         if max(gaps) < 2 or math.prod(more) * math.prod(edges) > most:
             break
         counts = more
-    # each in the middle of its share of the axis
+    # each in the middle of its part of the axis
     starts = [[int(n * (i + 0.5) / c - e / 2) for i in range(c)] for n, e, c in zip(shape, edges, counts, strict=True)]
     return [tuple(slice(s, s + e) for s, e in zip(at, edges, strict=True)) for at in itertools.product(*starts)]
 
 
 def _normalised(samples: NDArray[Any], low: Any, high: Any) -> tuple[NDArray[np.float32], np.longdouble]:
-    """Samples scaled from 0 at `low` to 1 at `high`, and this range, which float64 may not hold."""
-    if samples.dtype.kind in "iu" and samples.dtype.itemsize == 8:  # differences of large ones are exact modulo 2**64
+    """Samples scaled from 0 at `low` to 1 at `high`, and this range, which may overflow float64."""
+    if samples.dtype.kind in "iu" and samples.dtype.itemsize == 8:  # differences of large integers are exact modulo 2**64
         samples = samples.astype(np.uint64) - np.uint64(int(low) % 2**64)
         low, high = np.uint64(0), np.uint64(int(high) - int(low))
     kind = np.result_type(samples.dtype, np.float64)
@@ -233,7 +233,11 @@ def _normalised(samples: NDArray[Any], low: Any, high: Any) -> tuple[NDArray[np.
     if not np.isfinite(wide).all():
         raise DataError("samples must be finite for their noise to be estimated: replace them with Volume.filled(value)")
     exponent = int(np.frexp(max(abs(low), abs(high)))[1]) + 1
-    wide, low, high = np.ldexp(wide, -exponent), np.ldexp(low, -exponent), np.ldexp(high, -exponent)  # no difference overflows
+    wide, low, high = (
+        np.ldexp(wide, -exponent),
+        np.ldexp(low, -exponent),
+        np.ldexp(high, -exponent),
+    )  # avoids overflow of differences
     unit = np.ldexp(np.longdouble(high - low), exponent)
     return ((wide - low) / (high - low if low < high else 1)).astype(np.float32), unit
 
@@ -257,7 +261,7 @@ def _averages(data: NDArray[Any], factors: Sequence[int], low: Any, high: Any) -
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """The power of blocks by cells of frequencies: the cells' edges along each axis, and the distance of two frequencies."""
+    """The power of blocks per frequency cell: the edges of cells along each axis, and the spacing of frequencies."""
 
     power: Array
     edges: tuple[Array, ...]
@@ -265,11 +269,11 @@ class _Cells:
 
 
 def _cells(blocks: NDArray[np.float32]) -> _Cells:
-    """The mean spectrum of the blocks less their means, by the cosine transform."""
+    """The mean spectrum of the blocks minus their means, by cosine transforms."""
     axes = tuple(range(1, blocks.ndim))
     blocks = blocks - blocks.mean(axes, keepdims=True)
     weight = float(blocks[0].size)
-    if len(blocks) > 1:  # the volume continues beyond the edges of a block
+    if len(blocks) > 1:  # the volume continues outside a block
         for axis in axes:
             n = blocks.shape[axis]
             taper = (np.sin(np.pi * (np.arange(n) + 0.5) / n) ** _TAPER).astype(np.float32)
@@ -290,7 +294,7 @@ def _cells(blocks: NDArray[np.float32]) -> _Cells:
 
 
 def _cosine_transform(array: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Orthonormal, of the second kind; by SciPy only along long axes: its import takes longer than the estimate."""
+    """Orthonormal DCT-II; uses SciPy only along long axes, because its import takes longer than the estimate."""
     n = array.shape[axis]
     if n > _SHORT:
         from scipy import fft
@@ -304,10 +308,10 @@ def _cosine_transform(array: NDArray[np.float32], axis: int) -> NDArray[np.float
 def _finer(
     cells: _Cells, averages: NDArray[np.float32], factors: Sequence[int], variance: float, colour: Sequence[float]
 ) -> _Cells:
-    """Cells with finer low frequencies, from averages over a wider surrounding: blocks smear them over several cells.
+    """Refine cells of low frequencies with averages over larger regions, because blocks smear them over several cells.
 
-    Means of s samples pass ``sin(s ω / 2) / (s sin(ω / 2))``, also of the s - 1 frequencies ``ω + 2 π k / s``. There the signal has
-    little power and the noise, which is known, as much as elsewhere.
+    The gain of means of s samples is ``sin(s ω / 2) / (s sin(ω / 2))``, also at the s - 1 aliases ``ω + 2 π k / s``. There the
+    signal has little power, and the power of the noise is known.
     """
     wide = _cells(averages)
     low = wide.power
@@ -343,14 +347,14 @@ def _spectrum(cells: _Cells, variance: float, colour: Sequence[float]) -> Spectr
 
 
 def _pairs(array: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The first and the second of all neighbours along an axis."""
+    """The first and second samples of all neighbouring pairs along an axis."""
     before, after = [slice(None)] * array.ndim, [slice(None)] * array.ndim
     before[axis], after[axis] = slice(None, -1), slice(1, None)
     return array[tuple(before)], array[tuple(after)]
 
 
 def _jump(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> float:
-    """`Noise.jump`, of blocks whose background is 0."""
+    """`Noise.jump` of blocks whose background is 0."""
     first, second = [], []
     for axis in range(1, blocks.ndim):
         for values, outside in ((blocks, background), (np.flip(blocks, axis), np.flip(background, axis))):
@@ -362,12 +366,12 @@ def _jump(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> float:
     steps = np.concatenate(first)
     if not steps.size:
         return 0.0
-    least = np.median(np.abs(blocks[~background])) / 10  # steps of rounding do not count
+    least = np.median(np.abs(blocks[~background])) / 10  # ignore rounding steps
     return float(np.median(steps) / max(np.median(np.concatenate(second)), least))
 
 
 def _surroundings(blocks: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float]:
-    """Which samples equal all of their neighbours, and the share of the others that equal at most one."""
+    """Which samples equal all their neighbours, and the fraction of the others that equal at most one."""
     equal = np.zeros(blocks.shape, np.int8)
     there = np.zeros(blocks.shape, np.int8)
     for axis in range(1, blocks.ndim):
@@ -381,13 +385,13 @@ def _surroundings(blocks: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float
 
 
 def _fill_regions(values: Array, counts: NDArray[np.int64], blocks: NDArray[np.float32], same: NDArray[np.bool_]) -> bool:
-    """Whether the values at edges are those of regions, and not means of two of them (partial volume)."""
+    """Whether the values at edges are those of regions, not means of two of them (partial volume)."""
     between = counts[~np.isin(values, blocks[same])].sum()
     return bool(between < _ALONE * (same.size - same.sum()))
 
 
 def _by_steps(values: Array, blocks: NDArray[np.float32]) -> bool:
-    """Whether neighbours have equal or adjacent values, as in rounded smooth data; labels need not."""
+    """Whether neighbours have equal or adjacent values, as in rounded smooth data, unlike labels."""
     if len(values) < _ROUNDED:
         return False
     differs = nexts = 0
@@ -401,7 +405,7 @@ def _by_steps(values: Array, blocks: NDArray[np.float32]) -> bool:
 def _variance(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> tuple[float, float, tuple[float, ...]]:
     """The mean variance of the noise in the highest octave, its slope over the value, and its colour along each axis.
 
-    0 if too few places show it.
+    0 if there are too few places to measure.
     """
     axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(_LOW)]
     white = (1.0,) * (blocks.ndim - 1)
@@ -414,7 +418,7 @@ def _variance(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> tup
     # the mean, with the weights of the squared high-pass
     level = _bands(blocks, axes, (_HIGH**2,))[lowest]
     used = np.logical_or.reduce([np.abs(band) > _FLAT for band in bands.values()])
-    if background.any():  # not at places that reach into a background, which has no noise
+    if background.any():  # exclude places that overlap a background, which has no noise
         used &= _bands(background.astype(np.float32), axes, (np.ones(len(_LOW)),))[lowest] < 0.5
     if used.sum() < _FEWEST:
         return 0.0, 0.0, white
@@ -428,20 +432,20 @@ def _variance(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> tup
     squares = {key: square[used] for key, square in squares.items()}
 
     def power(key: tuple[int, ...], places: NDArray[np.int64]) -> float:
-        """The noise in a band: of half of the places, those with the least power around them, then of half of these, ..."""
+        """The noise in a band, from the half of the places with the least power around them, then from half of these, ..."""
         square = squares[key][places]
         others = around[places] - square
         order = np.argsort(others, kind="stable")
         count = max(len(order) // 2, min(len(order), _FEWEST))
         found = float(np.median(square[order[:count]]))
-        while count >= 2 * _FEWEST:  # while that lowers the power by more than chance
+        while count >= 2 * _FEWEST:  # while this lowers the power significantly
             less = float(np.median(square[order[: count // 2]]))
             if less > found * (1 - 2 * _error(count // 2)):
                 break
             found, count = less, count // 2
         return found / _MEDIAN_SQUARE
 
-    # classes of equal width in value, in each of which the variance is nearly constant
+    # classes of equal width in value, each with nearly constant variance
     least, most = np.quantile(level, (0.005, 0.995))
     number = np.floor(_LEVELS * (level - least) / max(float(most - least), _FLAT)).clip(0, _LEVELS - 1)
     classes: list[NDArray[np.int64]] = []
@@ -472,7 +476,7 @@ def _variance(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> tup
 def _line(levels: Array, variances: Array, counts: Array) -> tuple[float, float]:
     """The variance at level 0 and its slope over the level.
 
-    By the lower slopes between classes, not the median one of Theil and Sen: edges only ever add to variances.
+    Uses the lower slopes between classes, not the median slope of Theil and Sen, because edges only increase variances.
     """
     if len(levels) < 2:
         return float(variances[0]), 0.0
@@ -499,9 +503,9 @@ def _error(count: int) -> float:
 def _bands(
     blocks: NDArray[np.float32], axes: list[int], filters: Sequence[Array] = (_LOW, _HIGH)
 ) -> dict[tuple[int, ...], NDArray[np.float32]]:
-    """Blocks filtered and decimated by 2 along each axis; a key has the number of the filter along each axis.
+    """Filter and decimate blocks by 2 along each axis; a key has the index of the filter along each axis.
 
-    Samples at the edges of blocks are left out.
+    The edges of blocks are left out.
     """
     bands: dict[tuple[int, ...], NDArray[np.float32]] = {(): blocks}
     for axis in axes:

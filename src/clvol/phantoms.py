@@ -1,4 +1,4 @@
-"""Volumes that sample a known function, so that reconstructions can be compared with it."""
+"""Volumes that sample a known function, to compare reconstructions with it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = [
 Array: TypeAlias = NDArray[np.float64]
 Size: TypeAlias = int | Sequence[int]
 
-_AT_ONCE = 1 << 18  # samples whose positions are in memory at a time, but for one row
+_AT_ONCE = 1 << 18  # samples with positions in memory at once, plus one row
 
 
 @enough_memory("a phantom")
@@ -41,9 +41,9 @@ def marschner_lobb(size: Size = 41, alpha: float = 0.25, f_m: float = 6.0) -> Vo
     Parameters
     ----------
     size : int or (nz, ny, nx)
-        Samples along each axis, at least 2; the outer ones lie on the faces of the cube.
+        Samples along each axis, at least 2; the outer ones are on the faces of the cube.
     alpha, f_m : float
-        Amplitude and frequency of the waves; 0.25 and 6 are customary, and 41 samples are then just enough.
+        Amplitude and frequency of the waves; usually 0.25 and 6, for which 41 samples are just enough.
     """
     return _on_cube(size, lambda points: marschner_lobb_function(points, alpha, f_m))
 
@@ -56,28 +56,28 @@ def marschner_lobb_function(points: ArrayLike, alpha: float = 0.25, f_m: float =
 
 
 def marschner_lobb_gradient(points: ArrayLike, alpha: float = 0.25, f_m: float = 6.0) -> Array:
-    """Its gradient at points (..., 3); shape (..., 3)."""
+    """The gradient of `marschner_lobb_function` at points (..., 3); shape (..., 3)."""
     x, y, z = _columns(points, alpha, f_m)
     r = np.hypot(x, y)
     slope = np.pi**2 * f_m * np.sin(np.pi * r / 2) * np.sin(2 * np.pi * f_m * np.cos(np.pi * r / 2))
-    # slope / r is finite on the axis, where x and y vanish anyway
+    # slope / r is finite on the axis, where x and y are zero
     radial = alpha * np.divide(slope, r, out=np.zeros_like(r), where=r > 0)
     return np.stack([radial * x, radial * y, -np.pi / 2 * np.cos(np.pi * z / 2)], -1) / (2 * (1 + alpha))
 
 
 @enough_memory("a phantom")
 def sphere(size: Size = 64, radius: float = 0.75) -> Volume:
-    """A smooth field on [-1, 1]³ that is 1/2 on a sphere, larger inside and smaller outside.
+    """A smooth function on [-1, 1]³ that is 1/2 on a sphere, larger inside and smaller outside.
 
-    ``1/2 + (radius² - |p|²) / (2 radius)``: near the sphere the signed distance to it, quadratic
-    everywhere, so that filters of order 3 and more draw the sphere exactly.
+    ``1/2 + (radius² - |p|²) / (2 radius)``: approximately the signed distance near the sphere, and quadratic,
+    so that filters of order 3 and higher reconstruct it exactly.
 
     Parameters
     ----------
     size : int or (nz, ny, nx)
         Samples along each axis, at least 2.
     radius : float
-        In world units; the cube's faces lie at 1.
+        In world units; the faces of the cube are at ±1.
     """
     radius = number("radius", radius, above=0)
     return _on_cube(size, lambda points: 0.5 + (radius**2 - (points**2).sum(-1)) / (2 * radius))
@@ -94,13 +94,13 @@ def polynomial(size: Size = 16, degree: int = 3, seed: int = 0, coefficients: Ar
     degree : int
         Highest degree along each axis, 0 to 9; unused if `coefficients` are given.
     seed : int
-        Of the random coefficients, which lie in [-1, 1).
+        Seed of the random coefficients, which are in [-1, 1).
     coefficients : array-like, shape (a, b, c), optional
         ``coefficients[i, j, k]`` belongs to ``x**i y**j z**k``.
 
     See Also
     --------
-    polynomial_function : the same at any point.
+    polynomial_function : the polynomial at any point.
     """
     chosen = _coefficients(degree, seed, coefficients)
     return _on_cube(size, lambda points: _polynomial_at(points, chosen))
@@ -113,7 +113,7 @@ def polynomial_function(points: ArrayLike, degree: int = 3, seed: int = 0, coeff
 
 @enough_memory("a phantom")
 def checker(size: Size = 64, period: int = 16) -> Volume:
-    """Alternating cubes of 0 and 1 that repeat every `period` samples; spacing 1.
+    """Alternating cubes of 0 and 1 with a period of `period` samples; spacing 1.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def checker(size: Size = 64, period: int = 16) -> Volume:
 
 @enough_memory("a phantom")
 def box(size: Size = 64) -> Volume:
-    """A hard-edged object of 0 and 1 on [-1, 1]³: a box of half-width 0.6, less a ball about one corner.
+    """A hard-edged object of 0 and 1 on [-1, 1]³: a box of half-width 0.6, minus a ball around one corner.
 
     Parameters
     ----------
@@ -155,17 +155,17 @@ _TABLE: dict[str, Callable[..., Volume]] = {
 
 
 def names() -> list[str]:
-    """The names that `by_name` knows."""
+    """The names of `by_name`."""
     return list(_TABLE)
 
 
 def by_name(name: str) -> Volume:
-    """A phantom for a name, or a name and a size: ``"sphere"``, ``"sphere:64"``, ``"box:32,48,64"`` (nz, ny, nx).
+    """A phantom from a name, or a name and a size: ``"sphere"``, ``"sphere:64"``, ``"box:32,48,64"`` (nz, ny, nx).
 
     Raises
     ------
     OptionError
-        An unknown name, or an invalid size.
+        The name is unknown, or the size is not valid.
     """
     if not isinstance(name, str):
         raise one_of("phantom", name, _TABLE)
@@ -189,7 +189,7 @@ def _shape(size: Size, minimum: int) -> tuple[int, int, int]:
     if isinstance(size, (bool, str)):
         raise OptionError(wanted)
     try:
-        sizes: tuple[object, ...] = tuple(size)  # type: ignore[arg-type]  # one number cannot be iterated
+        sizes: tuple[object, ...] = tuple(size)  # type: ignore[arg-type]  # a single number is not iterable
     except TypeError:
         sizes = (size,) * 3
     try:
@@ -201,7 +201,7 @@ def _shape(size: Size, minimum: int) -> tuple[int, int, int]:
 
 
 def _on_cube(size: Size, function: Callable[[Array], NDArray[Any]]) -> Volume:
-    """A function of points (..., 3) on [-1, 1]³, the outer samples on its faces; some layers and rows at a time."""
+    """Sample a function of points (..., 3) on [-1, 1]³, with the outer samples on its faces; by layers and rows."""
     shape = _shape(size, 2)
     memory.require(4 * math.prod(shape), f"a phantom of {shape} samples")
     nz, ny, nx = shape

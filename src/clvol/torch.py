@@ -1,4 +1,4 @@
-"""Sampling tensors of PyTorch, with gradients through samples and points: `clvol.torch.sample`, an extra."""
+"""Sample PyTorch tensors, with gradients through samples and points: `clvol.torch.sample`, an extra."""
 
 from __future__ import annotations
 
@@ -38,45 +38,45 @@ def sample(
     fill: float | None = None,
     device: Device | str | int | None = None,
 ) -> Tensor:
-    """The spline through samples at points, as `clvol.sample`, differentiable in both.
+    """Evaluate the spline through samples at points, as `clvol.sample` does, differentiable in both.
 
     Gradients are exact: with respect to points they are those of the spline, with respect to samples the adjoint of sampling
-    (`clvol.adjoint`). Both can be differentiated once more, so that gradients of the sampled function may be part of a loss.
-    Results and gradients are the same to the last bit on every run.
+    (`clvol.adjoint`). Both can be differentiated once more, so that a loss may include gradients of the sampled function.
+    Results and gradients are reproducible to the last bit.
 
     Parameters
     ----------
     values : Tensor of float32 or float64, shape (..., ny, nx) or (..., nz, ny, nx)
-        Samples, on the host. Axes in front (batches, channels) are functions of their own, sampled at the same points.
+        Samples, on the host. Leading axes (batches, channels) are separate functions, sampled at the same points.
     points : Tensor of float32 or float64, shape (..., d)
-        Positions (x, y) or (x, y, z), on the host; `d` says how many of the last axes of `values` are those of the grid. As
-        in all of clvol, x comes first and belongs to the last axis.
+        Positions (x, y) or (x, y, z), on the host; the last `d` axes of `values` are those of the grid. As
+        everywhere in clvol, x comes first and belongs to the last axis.
     filter, boundary
-        As of `clvol.sample`; no hybrid, and no smoothing that is decided for a volume ("auto", lengths).
+        See `clvol.sample`; no hybrid, and no smoothing that depends on a volume ("auto", lengths).
     spacing, origin : float or sequence of float
-        Where samples lie: index (i, j[, k]) at ``origin + (i, j[, k]) * spacing``. By default positions are indices.
+        Positions of samples: index (i, j[, k]) is at ``origin + (i, j[, k]) * spacing``. By default positions are indices.
     fill : float, optional
-        The result outside the domain, half a sample past the outer ones, and where a position is not finite; its gradients are
-        zero. None: the boundary rule goes on.
+        The result outside the domain, which ends half a sample outside the outer ones, and where a position is not finite; its
+        gradients are zero. None: the boundary rule applies.
     device : Device, str or int, optional
-        Of OpenCL; see `as_device`.
+        OpenCL device; see `as_device`.
 
     Returns
     -------
-    Tensor, shape: the axes in front of `values`, then those of `points` without the last
-        Of the dtype of `values`. float64 is computed in double precision throughout, float32 in single.
+    Tensor, shape: the leading axes of `values`, then those of `points` without the last
+        The dtype of `values`. float64 is computed in double precision throughout, float32 in single.
 
     Raises
     ------
     MissingDependencyError
         PyTorch is not installed.
     OptionError
-        Tensors of another dtype, on another device, or whose shapes do not fit each other; an unknown filter or boundary, or
-        one that is not linear in the samples.
+        Tensors have another dtype, are on another device, or have shapes that do not match; the filter or boundary is unknown or
+        not linear in the samples.
     DataError
         A sample is not finite.
     DeviceError
-        There is no OpenCL device, or it cannot be used; tensors of float64 need one with double precision.
+        There is no usable OpenCL device; float64 tensors need one with double precision.
 
     Examples
     --------
@@ -102,7 +102,7 @@ def sample(
         index = (points.detach().double() - torch.tensor(grid.origin)) / torch.tensor(grid.spacing)
         size = torch.tensor(tuple(values.shape[-d:][::-1]))
         inside = ((index >= -0.5) & (index <= size - 0.5)).all(-1)
-        # elsewhere a place in the domain is sampled in vain: no gradient of it counts
+        # outside, sample a dummy point in the domain, whose result and gradient are discarded
         at = torch.where(inside[..., None], points, torch.tensor(grid.origin, dtype=points.dtype))
     functions = values.reshape(-1, *values.shape[-d:])
     each = [_functions().Value.apply(function, at, grid, _Kept()) for function in functions]
@@ -130,7 +130,7 @@ class _Sampling:
 
 
 class _Kept:
-    """The field of a tensor, which the gradients of one sampling share."""
+    """Cache of a tensor's field, shared by the gradients of one sampling."""
 
     field: Field | None = None
 
@@ -151,10 +151,10 @@ def _torch() -> Any:
 
 @cache
 def _functions() -> SimpleNamespace:
-    """The differentiable functions; their base class is PyTorch's.
+    """The differentiable functions, subclasses of PyTorch's `Function`.
 
-    `Value` and `Gradient` sample, `Spread` is the adjoint of `Value`. Gradients of each are made of these, which is what lets
-    them be differentiated again.
+    `Value` and `Gradient` sample, `Spread` is the adjoint of `Value`. The gradients of each use these functions, so that
+    they can be differentiated again.
     """
     torch = _torch()
 
@@ -199,7 +199,7 @@ def _functions() -> SimpleNamespace:
             return for_given, for_points, None, None
 
     class Gradient(torch.autograd.Function):  # type: ignore[misc, name-defined]
-        """Samples, points → gradients of the function; what is differentiated again ends here."""
+        """Samples, points → gradients of the function; their gradients cannot be differentiated again."""
 
         @staticmethod
         def forward(ctx: Any, values: Tensor, points: Tensor, grid: _Sampling, kept: _Kept) -> Any:
@@ -228,5 +228,5 @@ def _functions() -> SimpleNamespace:
 
 
 def _along(value: Sequence[float] | float, d: int) -> tuple[float, ...]:
-    """A number for every axis, if it is one."""
+    """One number per axis; a single number applies to all."""
     return tuple(np.asarray(value).tolist()) if np.ndim(value) == 1 else (number("spacing or origin", value),) * d

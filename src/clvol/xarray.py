@@ -5,8 +5,8 @@
 >>> da.clvol.interp(x=("station", xs), y=("station", ys))     # at points
 >>> da.clvol.regrid(spacing={"lat": 0.1, "lon": 0.1})         # onto another grid of the same domain
 
-Coordinates must be uniform to within a thousandth of a step. Arrays of dask stay lazy: each block of the result reads the blocks
-that it needs, with a margin as wide as the spline's poles require.
+Coordinates must be uniform to within a thousandth of a step. Dask arrays stay lazy: each block of the result reads the blocks
+that it needs, with a margin that follows from the spline's poles.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ Labelled = TypeVar("Labelled", xarray.DataArray, xarray.Dataset)
 
 _ORDERS = {"nearest": 0, "linear": 1, "bspline2": 2, "bspline3": 3, "bspline4": 4, "bspline5": 5}
 _MODES = {"mirror": "mirror", "reflect": "reflect", "wrap": "grid-wrap", "nearest": "nearest"}  # SciPy's names
-_UNIFORM = 1e-3  # of a step, by which coordinates may be off: float32 ones are off by less
-_AT_ONCE = 3  # axes of a kernel
-_LEFT_OUT = {"single": 2e-7, "double": 2e-14}  # weight beyond a block's margin, which is 12 and 24 samples for cubic splines
+_UNIFORM = 1e-3  # tolerance of coordinates in steps, above the error of float32
+_AT_ONCE = 3  # largest number of axes of a kernel
+_LEFT_OUT = {"single": 2e-7, "double": 2e-14}  # weight outside a block's margin, which is 12 and 24 samples for cubic splines
 
 
 class _Accessor(Generic[Labelled]):
@@ -66,23 +66,23 @@ class _Accessor(Generic[Labelled]):
         device: Device | str | int | None = None,
         **coords_kwargs: Any,
     ) -> Labelled:
-        """The function between the samples at other coordinates, as `xarray.DataArray.interp` takes them.
+        """Interpolate at new coordinates, given as for `xarray.DataArray.interp`.
 
-        Numbers drop their dimension; one-dimensional sequences give a grid; DataArrays give what their dimensions say, points
-        where they share some. Other dimensions are batches: each of their indices is a function of its own. Coordinates and
-        attributes are kept as xarray keeps them, and other numeric coordinates along the dimensions are interpolated linearly.
+        Numbers drop their dimension; one-dimensional sequences give a grid; DataArrays give their dimensions, and points
+        if they share some. Other dimensions are batches: each of their indices is a separate function. Coordinates and
+        attributes are kept as in xarray, and other numeric coordinates along the dimensions are interpolated linearly.
 
         Parameters
         ----------
         coords : mapping of dimension to number, array-like or DataArray, optional
-            New coordinates; datetimes where the old ones are. Along at most 3 dimensions at points, any number on grids.
+            New coordinates; datetimes if the old ones are. At most 3 dimensions at points, any number on grids.
         filter : {"bspline3", "nearest", "linear", "bspline2", "bspline4", "bspline5"}
         boundary : {"mirror", "reflect", "wrap", "nearest"}
-            The extension beyond the outer samples; it matters near them, and beyond them if `fill` is None.
+            The boundary rule outside the outer samples; it affects values near them, and outside if `fill` is None.
         fill : float or None
-            The result where a coordinate is beyond the outer samples or NaN; None: the boundary rule applies.
+            The result where a coordinate is NaN or outside the outer samples; None: the boundary rule applies.
         precision : {"single", "double"}, optional
-            Default: double, but for samples of float32 and float16, whose results are float32.
+            Default: double, except for samples of float32 and float16, whose results are float32.
         device : Device, str or int, optional
             See `clvol.device.as_device`.
         **coords_kwargs
@@ -91,23 +91,23 @@ class _Accessor(Generic[Labelled]):
         Returns
         -------
         DataArray or Dataset
-            Lazy if the samples are arrays of dask, in blocks at most as long as theirs. It differs from the result of the same
+            Lazy if the samples are dask arrays, in blocks at most as long as theirs. It differs from the result of the same
             array in memory by at most 10⁻¹² of the largest magnitude (10⁻⁶ in single precision), because blocks start the
             prefilter's recursions in a margin of 24 samples (12 in single precision), more for higher orders.
 
         Raises
         ------
         OptionError
-            An unknown dimension, filter or boundary, or indexers that need more than 3 dimensions at once.
+            A dimension, filter or boundary is unknown, or indexers need more than 3 dimensions at once.
         GeometryError
             The coordinate of a dimension is not uniform, or neither numbers nor datetimes.
         DataError
-            A sample is NaN or infinite (when it is computed, for arrays of dask), or not a number.
+            A sample is NaN or infinite (raised on compute for dask arrays), or not a number.
 
         Notes
         -----
-        In a Dataset all numeric variables that have one of the dimensions are interpolated; xarray decides on the others.
-        xarray's own ``method="cubic"`` builds a spline with other end conditions (not-a-knot), so the two differ near ends.
+        In a Dataset all numeric variables with one of the dimensions are interpolated; xarray handles the others.
+        xarray's ``method="cubic"`` builds a spline with other end conditions (not-a-knot), so the two differ near the ends.
         """
         if coords is not None and coords_kwargs:
             raise OptionError("give coordinates as a mapping or as keywords, not both")
@@ -125,9 +125,9 @@ class _Accessor(Generic[Labelled]):
         precision: Precision | None = None,
         device: Device | str | int | None = None,
     ) -> Labelled:
-        """The array on another uniform grid over the same domain, half a step beyond the outer samples, as `clvol.resample`.
+        """Resample to another uniform grid over the same domain, which ends half a step outside the outer samples.
 
-        It is not called ``resample``, which in xarray groups a time axis. No low-pass is applied: smooth before you enlarge steps.
+        Like `clvol.resample`, but xarray's ``resample`` groups a time axis. There is no low-pass: smooth before you enlarge steps.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class _Accessor(Generic[Labelled]):
         Raises
         ------
         OptionError, GeometryError, DataError
-            As in `interp`; or both or none of `shape` and `spacing` are given, or one is no positive number.
+            As in `interp`; or both or neither of `shape` and `spacing` are given, or one is not positive.
         """
         given = spacing if shape is None else shape
         if (shape is None) == (spacing is None) or not isinstance(given, Mapping):
@@ -166,11 +166,11 @@ class DatasetAccessor(_Accessor[xarray.Dataset]):
         data = self._labelled
         lines = {dim: _Line.of(data, dim) for dim in coords}
         targets = {dim: line.positions(_indexer(dim, coords[dim])) for dim, line in lines.items()}
-        own = [name for name, v in data.data_vars.items() if v.dtype.kind in "iufc" and not targets.keys().isdisjoint(v.dims)]
-        # xarray itself makes the coordinates, from a dataset without the variables that are interpolated here
+        names = [name for name, v in data.data_vars.items() if v.dtype.kind in "iufc" and not targets.keys().isdisjoint(v.dims)]
+        # xarray creates the coordinates, from a dataset without the variables interpolated here
         indices = {dim: np.arange(data.sizes[dim]) for dim in lines if dim not in data.coords}
-        rest = data.drop_vars(own).assign_coords(indices).interp(coords)
-        done = {name: spline(data[name].variable, targets) for name in own}
+        rest = data.drop_vars(names).assign_coords(indices).interp(coords)
+        done = {name: spline(data[name].variable, targets) for name in names}
         result = rest.assign(done)
         kept: xarray.Dataset = result[[name for name in data.data_vars if name in result]]
         return kept
@@ -194,7 +194,7 @@ class ArrayAccessor(_Accessor[xarray.DataArray]):
 class _Line:
     """The uniform coordinate of a dimension: ``first + index * step``.
 
-    Datetimes are integer nanoseconds from the first, so that no digit is lost.
+    Datetimes are integer nanoseconds from the first, to keep all digits.
     """
 
     def __init__(self, dim: Hashable, values: Array) -> None:
@@ -234,17 +234,17 @@ class _Line:
         return values.astype(np.float64) - float(first)
 
     def positions(self, indexer: xarray.Variable) -> xarray.Variable:
-        """Positions of coordinates, in samples: integers exactly where they equal those of the samples."""
+        """Positions of coordinates, in samples; exact integers at the coordinates of samples."""
         away = self._from_first(np.asarray(indexer.values)) * math.copysign(1, self.step)
         at = np.interp(away, self._places, np.arange(self.size, dtype=np.float64))
-        beyond = ~((away >= 0) & (away <= self._places[-1]))  # NaN too
+        beyond = ~((away >= 0) & (away <= self._places[-1]))  # true for NaN as well
         return xarray.Variable(indexer.dims, np.where(beyond, away / abs(self.step), at))
 
     def regridded(self, value: Any, *, is_step: bool) -> Array:
-        """The coordinates of `value` samples over the same domain, or of samples at steps of `value`."""
+        """Coordinates of `value` samples over the same domain, or of samples at steps of `value`."""
         if is_step:
             if self.values.dtype.kind in "Mm":
-                if not isinstance(value, (np.timedelta64, timedelta)):  # pandas's is one of the latter
+                if not isinstance(value, (np.timedelta64, timedelta)):  # pandas.Timedelta is a timedelta
                     raise OptionError(
                         f"spacing along {self.dim!r} must be a timedelta, as its coordinate is in time; got {value!r}"
                     )
@@ -261,7 +261,7 @@ class _Line:
 
 
 def _indexer(dim: Hashable, given: Any) -> xarray.Variable:
-    """New coordinates with their dimensions; a sequence has the dimension itself."""
+    """New coordinates with their dimensions; a sequence has dimension `dim`."""
     if isinstance(given, xarray.DataArray):
         return given.variable
     if isinstance(given, (tuple, xarray.Variable)):
@@ -295,16 +295,16 @@ class _Spline:
         self._device = None if device is None else as_device(device)
 
     def __call__(self, data: xarray.Variable, targets: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
-        """A variable at positions in samples along those of the dimensions that it has."""
+        """Interpolate a variable at positions, in samples, along those of the dimensions that it has."""
         wanted = {dim: target for dim, target in targets.items() if dim in data.dims}
-        # in xarray's order: the dimensions of an indexer replace its own
+        # in xarray's order: the dimensions of an indexer replace the indexed one
         dims = dict.fromkeys(d for dim in data.dims for d in (wanted[dim].dims if dim in wanted else (dim,)))
         return self._interpolated(data, wanted).transpose(*dims)
 
     def _interpolated(self, data: xarray.Variable, wanted: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
         for dim in data.dims:
             if dim not in wanted and any(dim in target.dims for target in wanted.values()):
-                # positions depend on another dimension of the samples: interpolate one of its indices after the other
+                # positions depend on another dimension of the samples: interpolate each of its indices separately
                 parts = [
                     self._interpolated(data[{dim: i}], {d: t[{dim: i}] if dim in t.dims else t for d, t in wanted.items()})
                     for i in range(data.sizes[dim])
@@ -313,42 +313,42 @@ class _Spline:
                 return joined
         alone = [group for group in _groups(wanted) if len(group) == 1]
         lines = {dim: wanted[dim] for group in alone for dim in group}
-        # dimensions that shrink come first
+        # process shrinking dimensions first
         order = sorted(lines, key=lambda dim: lines[dim].size / data.sizes[dim])
         for first in range(0, len(order), _AT_ONCE):
             data = self._along_lines(data, {dim: lines[dim] for dim in order[first : first + _AT_ONCE]})
         for group in _groups(wanted):
             if len(group) > _AT_ONCE:
-                raise OptionError(f"points may lie along at most {_AT_ONCE} dimensions; got {', '.join(map(str, group))}")
+                raise OptionError(f"points may have at most {_AT_ONCE} dimensions; got {', '.join(map(str, group))}")
             if len(group) > 1:
                 data = self._at_points(data, {dim: wanted[dim] for dim in group})
         return data
 
     def _along_lines(self, data: xarray.Variable, lines: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
-        """Each dimension at its own positions: a grid."""
+        """Interpolate each dimension at its positions: a grid."""
         axes = data.get_axis_num(list(lines))
         given: list[Positions] = [line.values.ravel() for line in lines.values()]
-        made = self._grid(data.data, axes, given)
+        result = self._grid(data.data, axes, given)
         shape: list[int] = []
         dims: list[Hashable] = []
-        for dim, length in zip(data.dims, made.shape, strict=True):
+        for dim, length in zip(data.dims, result.shape, strict=True):
             dims += lines[dim].dims if dim in lines else (dim,)
             shape += lines[dim].shape if dim in lines else (length,)
-        return xarray.Variable(dims, made.reshape(shape), data.attrs)
+        return xarray.Variable(dims, result.reshape(shape), data.attrs)
 
     def _at_points(self, data: xarray.Variable, at: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
-        """Several dimensions at points, which come last."""
+        """Interpolate several dimensions at points, whose dimensions come last."""
         like = sum(at.values(), xarray.Variable((), 0.0))
         points = np.stack([target.set_dims(like.sizes).transpose(*like.dims).values.ravel() for target in at.values()])
         kept = [dim for dim in data.dims if dim not in at]
         moved = data.transpose(*kept, *at).data
-        made = self._points(moved, points)
-        return xarray.Variable([*kept, *like.dims], made.reshape(moved.shape[: len(kept)] + like.shape), data.attrs)
+        result = self._points(moved, points)
+        return xarray.Variable([*kept, *like.dims], result.reshape(moved.shape[: len(kept)] + like.shape), data.attrs)
 
     # -- in memory, or block by block ----------------------------------------------------------------------------
 
     def _grid(self, data: Any, axes: Sequence[int], positions: Sequence[Positions]) -> Any:
-        """An array at positions along some of its axes."""
+        """Interpolate an array at positions along some of its axes."""
         if not _is_lazy(data):
             spans = [self._span(p, data.shape[axis]) for axis, p in zip(axes, positions, strict=True)]
             return self._grid_here(data[_slices(data.ndim, axes, spans)], axes, positions, spans, data.shape)
@@ -375,10 +375,10 @@ class _Spline:
         spans: Sequence[tuple[int, int]],
         shape: tuple[int, ...],
     ) -> Array:
-        made = list(data.shape)
+        sizes = list(data.shape)
         for axis, p in zip(axes, positions, strict=True):
-            made[axis] = p.size
-        output = np.empty(made, self._kind(data.dtype))
+            sizes[axis] = p.size
+        output = np.empty(sizes, self._kind(data.dtype))
         ranges = [shape[axis] for axis in axes]
         missing = [self._missing(p, n) for p, n in zip(positions, ranges, strict=True)]
         order = np.argsort(axes)
@@ -390,7 +390,7 @@ class _Spline:
         return output
 
     def _points(self, data: Any, points: Positions) -> Any:
-        """An array at points along its last axes."""
+        """Interpolate an array at points along its last axes."""
         k = len(points)
         axes = range(data.ndim - k, data.ndim)
         shape = data.shape[-k:]
@@ -468,7 +468,7 @@ class _Spline:
 
 
 def _groups(targets: Mapping[Hashable, xarray.Variable]) -> list[list[Hashable]]:
-    """Groups of dimensions whose targets share dimensions, directly or through others."""
+    """Groups of dimensions whose targets share dimensions, directly or indirectly."""
     groups: list[tuple[list[Hashable], set[Hashable]]] = []
     for dim, target in targets.items():
         members, dims = [dim], set(target.dims)
@@ -499,7 +499,7 @@ def _slices(ndim: int, axes: Sequence[int], spans: Sequence[tuple[int, int]]) ->
 
 
 def _is_lazy(data: Any) -> bool:
-    """Whether it is an array of dask."""
+    """Whether `data` is a dask array."""
     return hasattr(data, "dask") and hasattr(data, "map_blocks")
 
 
@@ -508,7 +508,7 @@ def _nothing(ndim: int, kind: np.dtype[Any]) -> Array:
 
 
 def _joined(block: Callable[[tuple[int, ...]], Any], axes: Sequence[int], counts: Sequence[int]) -> Any:
-    """An array of dask of blocks along some axes."""
+    """Join blocks along some axes to a dask array."""
     import dask.array
 
     def along(done: tuple[int, ...]) -> Any:

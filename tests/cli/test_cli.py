@@ -1086,7 +1086,7 @@ def test_errors_and_notes_name_the_options_of_the_shell(clvol_command: Command) 
     done = clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--preset", "ct-bone")
     assert done.code == 0
     assert done.err.startswith("clvol: note: preset 'ct-bone' is in Hounsfield units")
-    assert done.err.endswith("--window CENTER WIDTH says where\n")
+    assert done.err.endswith("--window CENTER WIDTH sets the range\n")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

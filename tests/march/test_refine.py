@@ -502,7 +502,7 @@ def test_wrong_arguments_are_refused_when_it_is_called(renderer: Renderer, case:
 
 def test_a_camera_that_is_too_far_away_is_refused_with_the_first_picture(renderer: Renderer) -> None:
     pictures = renderer.refine(Camera(position=(1e30, 0, 0)), size=SIZE)
-    with pytest.raises(GeometryError, match="the camera must stand within"):
+    with pytest.raises(GeometryError, match="the camera must be within"):
         next(pictures)
 
 

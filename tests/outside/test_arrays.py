@@ -144,7 +144,7 @@ def test_exchanged_arrays_that_may_only_be_read() -> None:
     except BufferError:
         pytest.skip("this NumPy does not export them")
     assert np.shares_memory(as_array(given), data)
-    with pytest.raises(OptionError, match="may only be read"):
+    with pytest.raises(OptionError, match="read-only"):
         as_output(given, data.shape)
 
 
@@ -212,7 +212,7 @@ def test_memory_that_cannot_be_written_into() -> None:
         (np.zeros((3, 4), np.int32), "float32 or float64; got int32"),
         (np.zeros((3, 4), np.complex128), "float32 or float64; got complex128"),
         (np.zeros((3, 4), np.float16), "float32 or float64; got float16"),
-        (fixed, "may only be read"),
+        (fixed, "read-only"),
         ([[0.0] * 4] * 3, "of which NumPy makes a copy"),
         (OnDevice(), "host's memory"),
         (np.ma.array(fixed, mask=True), "no masked element"),

@@ -90,7 +90,7 @@ def test_wide_cameras_are_exact_or_refused(device: Device, fov: float, zoom: flo
     corner = np.tan(np.radians(fov / 2)) / zoom
     with clvol.Renderer(volume, "linear", device=device) as renderer:
         if corner * volume.radius > 200_000:
-            with pytest.raises(GeometryError, match="must span no more than 262144 voxels"):
+            with pytest.raises(GeometryError, match="must span at most 262144 voxels"):
                 renderer.render(camera, "mip", size, outputs=("rgba", "position"))
             return
         got = renderer.render(camera, "mip", size, outputs=("rgba", "position"))
@@ -155,7 +155,7 @@ def test_cameras_as_far_as_float64_reaches_are_refused(device: Device) -> None:
     """(Squares of 1e155 overflow: "cannot convert float NaN to integer".)"""
     for position in ((1e155, 1e155, 0.0), (1e300, -1e300, 1e300), (-1.7e308, 0.0, 0.0)):
         for target in (None, (1.7e308, 0.0, 0.0)):
-            with pytest.raises(GeometryError, match=r"must stand within 1e\+20|must lie within"):
+            with pytest.raises(GeometryError, match=r"must be within"):
                 clvol.render(ball((0, 0, 0)), Camera.look_at(position, target), "mip", size=(8, 8), device=device)
 
 

@@ -279,7 +279,7 @@ def test_images(tmp_path: Path, codes: tuple[int, int]) -> None:
 def test_an_image_across_the_plane_is_an_error_by_every_way_in(tmp_path: Path) -> None:
     path = nifti(tmp_path / "v.nii", codes=(1, 0), dim=(2, 6, 4, 1, 1, 1, 1, 1))
     for way_in in (clvol.read, lambda path: clvol.Volume(nibabel.load(path))):
-        with pytest.raises(GeometryError, match="must lie in the xy plane"):
+        with pytest.raises(GeometryError, match="must be in the xy plane"):
             way_in(path)
 
 

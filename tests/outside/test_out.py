@@ -147,7 +147,7 @@ def test_what_is_refused_before_anything_is_computed(device: Device, monkeypatch
             (np.zeros((5, 6)), r"out must have shape \(6, 5\); got \(5, 6\)"),
             (np.zeros((6, 5), np.int64), "out must be float32 or float64; got int64"),
             (np.zeros((6, 5), np.complex64), "out must be float32 or float64"),
-            (fixed, "may only be read"),
+            (fixed, "read-only"),
             ([[0.0] * 5] * 6, "of which NumPy makes a copy"),
         ):
             with pytest.raises(OptionError, match=rule):

@@ -149,7 +149,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "too narrow": ({"window": (1e300, 1.0)}, "wide enough"),
     "cmap": ({"cmap": "nomap"}, "colour map 'nomap' is not known"),
     "opacity": ({"opacity": -1}, "opacity must be a finite number, at least 0; got -1"),
-    "points": ({"opacity": [(0, 2)]}, r"opacities must lie in 0..1; got \[2.0\]"),
+    "points": ({"opacity": [(0, 2)]}, r"opacities must be in 0..1; got \[2.0\]"),
     "a window of labels": ({"preset": "labels", "window": (1, 2)}, "window must not be given for the preset 'labels'"),
 }
 

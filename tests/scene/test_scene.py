@@ -83,7 +83,7 @@ def test_a_field_is_drawn_as_it_is_and_stays(device: Device) -> None:
         clvol.Renderer(field)
 
 
-ONE = "a scene must have one medium, no more so far; got "
+ONE = "a scene must have exactly one medium so far; got "
 REFUSED: dict[str, tuple[Any, type[ClvolError], str]] = {
     "two media": (lambda: Scene([Medium(DATA), Medium(DATA)]), OptionError, ONE + "2"),
     "two volumes": (lambda: Scene([Volume(DATA), Volume(DATA)]), OptionError, ONE + "2"),

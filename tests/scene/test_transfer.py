@@ -138,7 +138,7 @@ WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "descending": (lambda: TransferFunction(((1, "red"), (0, "blue"))), OptionError, "ascending order of value; got"),  # type: ignore[arg-type]
     "no pairs": (lambda: TransferFunction((1, 2, 3)), OptionError, "colors must be pairs"),  # type: ignore[arg-type]
     "a colour's name": (lambda: TransferFunction(((0, "rojo"),)), OptionError, "a color must be .*; got 'rojo'"),  # type: ignore[arg-type]
-    "opacity": (lambda: SOME.with_opacity([(0, 1.2)]), OptionError, r"opacities must lie in 0..1; got \[1.2\]"),
+    "opacity": (lambda: SOME.with_opacity([(0, 1.2)]), OptionError, r"opacities must be in 0..1; got \[1.2\]"),
     "NaN": (lambda: SOME.with_opacity([(float("nan"), 1)]), OptionError, "must be a finite number; got nan"),
     "unit": (lambda: TransferFunction(((0, "red"),), unit_distance=0), OptionError, "unit_distance must be a finite number"),  # type: ignore[arg-type]
     "map": (lambda: TransferFunction.from_cmap("nomap", (0, 1)), OptionError, "colour map 'nomap' is not known"),

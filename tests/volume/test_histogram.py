@@ -107,7 +107,7 @@ def test_the_isovalue_is_not_within_a_masks_step(case: str) -> None:
     data, low, high = STEPS[case]
     value, reason = isovalue_of(data)
     assert low <= value <= high
-    words = {"one even value": "half way", "two values": "half way", "no step": "Otsu"}
+    words = {"one even value": "halfway", "two values": "halfway", "no step": "Otsu"}
     assert words.get(case, "beyond the mask's step, 0 to ") in reason
 
 

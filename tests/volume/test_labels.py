@@ -101,9 +101,9 @@ def test_what_was_seen_to_be_labels_stays_labels() -> None:
 
 
 def test_refuses_what_is_no_label_map_and_no_label() -> None:
-    with pytest.raises(OptionError, match="labels are chosen of a label map"):
+    with pytest.raises(OptionError, match="the volume must be a label map"):
         labels.only(Volume(np.random.default_rng(0).normal(size=(4, 4, 4))), [1])
     with pytest.raises(OptionError, match=r"each label must be a whole number; got 1\.5"):
         labels.without(Volume(np.zeros((2, 2, 2), np.uint8), labels=True), [1.5])  # type: ignore[list-item]
-    with pytest.raises(OptionError, match=r"labels must be whole numbers, several of them; got 7"):
+    with pytest.raises(OptionError, match=r"labels must be a sequence of whole numbers; got 7"):
         labels.without(Volume(np.zeros((2, 2, 2), np.uint8), labels=True), 7)  # type: ignore[arg-type]

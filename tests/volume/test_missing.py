@@ -297,7 +297,7 @@ def test_what_is_refused(device: Device) -> None:
     with pytest.raises(DataError, match="mask must be boolean"):
         Missing(mask=np.zeros(3))
     wrong: list[tuple[Any, str]] = [(Missing(mask=np.zeros((7, 6, 5), bool)), "mask must have the shape of the samples")]
-    wrong += [(Missing("error", np.ones(data.shape, bool)), 'nan="error" refuses')]
+    wrong += [(Missing("error", np.ones(data.shape, bool)), 'nan="error" does not allow')]
     for nan, message in wrong:
         with pytest.raises(DataError, match=message):
             clvol.Field(data, nan=nan, device=device)

@@ -1,4 +1,4 @@
-"""What every wing stands on: errors, checks of arguments, memory, files, numbers. NumPy only.
+"""Shared foundations: errors, argument checks, memory, files, numbers. Depends on NumPy only.
 
-No module here knows what a volume or a device is.
+No module here knows about volumes or devices.
 """

@@ -1,4 +1,4 @@
-"""Arrays and tensors of other libraries as arrays of NumPy, without a copy where possible, to read them or write into them."""
+"""View arrays and tensors of other libraries as NumPy arrays, without a copy where possible, for reading or writing."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from clvol.base.errors import ClvolError, DataError, OptionError
 
 __all__ = ["as_array", "as_output", "memory_of", "reals"]
 
-_ON_HOST = {1, 3, 11, 13}  # DLPack's types of device whose memory the host can read: its own, pinned, and managed
+_ON_HOST = {1, 3, 11, 13}  # DLPack device types whose memory the host can read: CPU, pinned and managed memory
 _TO_HOST = {"torch": "tensor.cpu()", "cupy": "array.get()", "jax": "jax.device_get(array)", "jaxlib": "jax.device_get(array)"}
 
 
 def as_array(
     source: Any, what: str = "data", error: type[ClvolError] = DataError, rule: str = "a regular array of numbers"
 ) -> NDArray[Any]:
-    """An array of whatever has `__array__`, `__array_interface__`, `__dlpack__` or a buffer, and of nested sequences.
+    """Convert nested sequences and any object with `__array__`, `__array_interface__`, `__dlpack__` or a buffer to an array.
 
-    Its memory is shared, not copied, where the object's protocol allows it. Tensors of PyTorch are detached from their graph;
-    bfloat16, which NumPy does not have, becomes float32, which holds it exactly.
+    The result shares the object's memory where its protocol allows it. PyTorch tensors are detached from their graph;
+    bfloat16, which NumPy lacks, becomes float32 without loss.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ def as_array(
     Raises
     ------
     ClvolError
-        It lies in the memory of a device, is ragged, sparse, or has masked elements.
+        The object is on a device, ragged, sparse, or has masked elements.
     """
     if type(source) is np.ndarray:
         return source
     if np.ma.is_masked(source):
         raise error(f"{what} must be {rule} with no masked element; replace them with .filled(value) of the masked array")
     if not _on_host(source):
-        advice = _TO_HOST.get(type(source).__module__.partition(".")[0], "with what its library has for that")
+        advice = _TO_HOST.get(type(source).__module__.partition(".")[0], "with the function of its library")
         kind = f"{type(source).__module__}.{type(source).__qualname__}"
         raise error(f"{what} must lie in the host's memory; got a {kind} on a device: copy it to the host first, {advice}")
     _require_room(source, what, error, rule)
@@ -63,13 +63,13 @@ def as_array(
 
 
 def _require_room(source: Any, what: str, error: type[ClvolError], rule: str) -> None:
-    """Raise before an array that is not in memory (Zarr, dask, HDF5, or xarray of these) is read and does not fit."""
+    """Raise before reading an array that is not in memory (Zarr, dask, HDF5, or xarray of these) and does not fit."""
     module = type(source).__module__.partition(".")[0]
     if not hasattr(source, "shape") or not hasattr(source, "dtype"):
         if module == "zarr":
             raise error(
                 f"{what} must be {rule}; got a {type(source).__qualname__} of zarr: give one of its arrays, "
-                "or read it with clvol.read(path), which knows what OME-Zarr says"
+                "or read it with clvol.read(path), which reads the OME-Zarr metadata"
             )
         return
     if module not in ("zarr", "dask", "h5py") and getattr(source, "chunks", None) is None:
@@ -77,7 +77,7 @@ def _require_room(source: Any, what: str, error: type[ClvolError], rule: str) ->
     shape = tuple(source.shape)
     if any(isinstance(n, float) and math.isnan(n) for n in shape):
         raise error(f"{what} must have a known shape; got {shape}: compute_chunk_sizes() of the dask array finds it")
-    copies = 2 if hasattr(source, "__dask_graph__") else 1  # its blocks, and the array that they form
+    copies = 2 if hasattr(source, "__dask_graph__") else 1  # the blocks, and the assembled array
     memory.require(
         copies * math.prod(int(n) for n in shape) * np.dtype(source.dtype).itemsize,
         f"reading an array of {module} of shape {shape} whole",
@@ -85,12 +85,12 @@ def _require_room(source: Any, what: str, error: type[ClvolError], rule: str) ->
 
 
 def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[Any]:
-    """The memory of an object, as an array into which results are written.
+    """View the memory of an object as an array to write results into.
 
     Parameters
     ----------
     out : object
-        What `as_array` reads without a copy: an array of NumPy with any strides, a tensor of PyTorch on the host, ...
+        Anything `as_array` reads without a copy: a NumPy array with any strides, a PyTorch tensor on the host, ...
     shape : tuple of int
         Of the results.
     what : str
@@ -99,7 +99,7 @@ def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[An
     Raises
     ------
     OptionError
-        It has another shape, is neither float32 nor float64, may only be read, has to be copied to become an array, or is a
+        It has another shape, is neither float32 nor float64, is read-only, cannot become an array without a copy, or is a
         tensor that requires a gradient.
     """
     array = memory_of(out, what)
@@ -108,17 +108,17 @@ def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[An
     if array.shape != shape:
         raise OptionError(f"{what} must have shape {shape}; got {array.shape}")
     if not array.flags.writeable:
-        raise OptionError(f"{what} must be an array that can be written into; got {type(out).__qualname__} that may only be read")
+        raise OptionError(f"{what} must be an array that can be written into; got a read-only {type(out).__qualname__}")
     return array
 
 
 def memory_of(out: Any, what: str) -> NDArray[Any]:
-    """As `as_output`, for any dtype and shape, and for memory that may only be read.
+    """Like `as_output`, for any dtype and shape; read-only memory is allowed.
 
     Raises
     ------
     OptionError
-        It has to be copied to become an array, or is a tensor that requires a gradient.
+        It cannot become an array without a copy, or is a tensor that requires a gradient.
     """
     if type(out) is np.ndarray:
         return out
@@ -133,7 +133,7 @@ def memory_of(out: Any, what: str) -> NDArray[Any]:
 
 
 def _is_tensor(source: object) -> bool:
-    """Whether it is a tensor of PyTorch. If that is not imported, there is none."""
+    """Whether `source` is a PyTorch tensor. False while PyTorch is not imported."""
     tensor = getattr(sys.modules.get("torch"), "Tensor", None)  # missing while another thread imports it
     return tensor is not None and isinstance(source, tensor)
 
@@ -144,19 +144,19 @@ def _on_host(source: Any) -> bool:
     if hasattr(source, "__dlpack_device__"):
         try:
             return int(source.__dlpack_device__()[0]) in _ON_HOST
-        except (BufferError, RuntimeError, TypeError, ValueError):  # it does not say, such as an array in shards
+        except (BufferError, RuntimeError, TypeError, ValueError):  # the device is unknown, as for a sharded array
             pass
     return hasattr(source, "__array_interface__") or not hasattr(source, "__cuda_array_interface__")
 
 
 def _of_tensor(tensor: Any) -> NDArray[Any]:
-    """The memory of a tensor of PyTorch on the host."""
+    """The memory of a PyTorch tensor on the host."""
     plain = tensor.detach().resolve_conj().resolve_neg()
     return np.asarray((plain.float() if str(plain.dtype) == "torch.bfloat16" else plain).numpy())
 
 
 def reals(what: str, value: object, rule: str = "real numbers", error: type[ClvolError] = OptionError) -> NDArray[np.float64]:
-    """`value` as an array of float64, not copied where it is one; `error` for strings, complex and masked numbers."""
+    """`value` as a float64 array, without a copy if it is one; raises `error` for strings, complex and masked numbers."""
     try:
         array = as_array(value, what, error, rule)
         known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))

@@ -1,11 +1,11 @@
-"""Names of axes, which every format and library spells in its own way."""
+"""Axis names, which every format and library spells differently."""
 
 from __future__ import annotations
 
 __all__ = ["AXES", "meaning"]
 
 AXES = ("volume", "time", "position", "channel")
-"""What an axis before z, y and x may count: the volumes of a series (of any meaning), times, positions of the stage, channels."""
+"""Meanings of the axes before z, y and x: volumes of a series (of any kind), times, stage positions, channels."""
 
 _WORDS = {
     "x": ("x", "lon", "longitude", "column", "columns", "easting", "width"),
@@ -20,5 +20,5 @@ _MEANINGS = {word: meaning for meaning, words in _WORDS.items() for word in word
 
 
 def meaning(word: str) -> str:
-    """What an axis of this name counts: one of `AXES`, "z", "y" or "x"; "" where that is not known."""
+    """The meaning of an axis name: one of `AXES`, "z", "y" or "x"; "" if unknown."""
     return _MEANINGS.get(word.strip().lower(), "")

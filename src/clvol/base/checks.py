@@ -1,4 +1,4 @@
-"""Checks of arguments: each returns the value in its proper type, or raises an error that says the rule; and warnings."""
+"""Argument checks and warnings. Each check returns the value in its proper type, or raises an error that states the rule."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from clvol.base.errors import ClvolError, ClvolWarning, OptionError, OutOfMemory
 
 __all__ = ["as_path", "enough_memory", "flag", "instance", "number", "one_of", "require_room", "several", "warn", "whole"]
 
-_MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
+_MAX_SAMPLES = 1 << 36  # samples; no machine holds the float64 positions of more
 
 
 def instance(what: str, value: object, *kinds: type) -> None:
-    """Raise `OptionError` unless `value` is of one of the classes; the first gives the rule its name."""
+    """Raise `OptionError` unless `value` is an instance of one of `kinds`; the message names the first."""
     if not isinstance(value, kinds):
         raise OptionError(f"{what} must be a {kinds[0].__name__}; got {value!r}")
 
 
 def flag(what: str, value: object) -> bool:
-    """`value` as a bool, if it is True or False, or a whole number in place of these; else `OptionError`."""
+    """`value` as a bool, if it is a bool or an integer; else `OptionError`."""
     if not isinstance(value, (bool, np.bool_, int)):
         raise OptionError(f"{what} must be True or False; got {value!r}")
     return bool(value)
 
 
 def one_of(what: str, value: object, allowed: Iterable[str]) -> OptionError:
-    """The error for an unknown name: the rule, what is allowed, and the offender."""
+    """The error for an unknown name: states the rule, the allowed names and the given value."""
     return OptionError(f"{what} must be one of {', '.join(allowed)}; got {value!r}")
 
 
@@ -50,7 +50,7 @@ def number(
 ) -> float:
     """`value` as a float, if it is one finite real number within the bounds; else `OptionError`.
 
-    Python's and NumPy's real scalars and arrays without axes are accepted; booleans and strings are not.
+    Accepts real scalars and 0-d arrays of Python and NumPy; booleans and strings are not.
     """
     scalar = _scalar(value)
     try:
@@ -73,7 +73,7 @@ def number(
 def whole(what: str, value: object, minimum: int | None = None, maximum: int | None = None) -> int:
     """`value` as an int, if it is one whole number within the bounds; else `OptionError`.
 
-    Python's and NumPy's integers and arrays of them without axes are accepted; booleans and floats are not.
+    Accepts integers of Python and NumPy and 0-d arrays of them, but no booleans or floats.
     """
     scalar = _scalar(value)
     result = int(scalar) if isinstance(scalar, Integral) else None
@@ -86,7 +86,7 @@ def whole(what: str, value: object, minimum: int | None = None, maximum: int | N
 def several(what: str, value: object, rule: str, maximum: int | None = None) -> list[Any]:
     """`value` as a list, if it is a sequence of 1 to `maximum` items; else `OptionError`. A string is no sequence here."""
     try:
-        result = [] if isinstance(value, (str, bytes)) else list(value)  # type: ignore[call-overload]  # or it cannot be iterated
+        result = [] if isinstance(value, (str, bytes)) else list(value)  # type: ignore[call-overload]  # may not be iterable
     except TypeError:
         result = []
     if not result:
@@ -97,13 +97,13 @@ def several(what: str, value: object, rule: str, maximum: int | None = None) -> 
 
 
 def require_room(what: str, samples: int, value: object) -> None:
-    """Raise `OutOfMemoryError` if `what`, whose value requests so many samples, requests more than any machine can hold."""
+    """Raise `OutOfMemoryError` if `value` of the option `what` requests more samples than any machine can hold."""
     if samples > _MAX_SAMPLES:
         raise OutOfMemoryError(f"out of memory: {what} must give at most {_MAX_SAMPLES} samples; got {value!r}")
 
 
 def warn(message: str) -> None:
-    """Warn of the caller's line, whatever lies between it and this one."""
+    """Warn, pointing at the first caller outside clvol."""
     frame, level = sys._getframe(), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
         frame, level = frame.f_back, level + 1
@@ -121,7 +121,7 @@ def as_path(value: object) -> Path:
 
 @contextmanager
 def enough_memory(what: str) -> Iterator[None]:
-    """Turn a `MemoryError` into an `OutOfMemoryError` that says what does not fit."""
+    """Turn a `MemoryError` into an `OutOfMemoryError` that names `what`."""
     try:
         yield
     except ClvolError:
@@ -131,10 +131,10 @@ def enough_memory(what: str) -> Iterator[None]:
 
 
 def _scalar(value: object) -> object:
-    """`value`, or the element of an array without axes; None for booleans."""
+    """`value`, or the element of a 0-d array; None for booleans."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    return None if isinstance(value, (bool, np.timedelta64)) else value  # numpy.bool is of no class of `numbers`
+    return None if isinstance(value, (bool, np.timedelta64)) else value  # numpy.bool is not registered with `numbers`
 
 
 def _allowed(bounds: Mapping[str, float | None]) -> str:

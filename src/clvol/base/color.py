@@ -12,7 +12,7 @@ __all__ = ["color_of"]
 
 
 def color_of(what: str, value: Sequence[float] | str) -> tuple[float, float, float]:
-    """Red, green and blue, from three numbers or from a name that the `cmap` package knows."""
+    """Red, green and blue, from three numbers or a colour name of the `cmap` package."""
     if isinstance(value, str):
         import cmap
 

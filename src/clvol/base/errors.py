@@ -33,11 +33,11 @@ class ClvolError(Exception):
 
 
 class ClvolWarning(UserWarning):
-    """Something was chosen that the caller may want otherwise; the message says what, and how to choose."""
+    """clvol made a choice for the caller; the message says which, and how to choose otherwise."""
 
 
 class OptionError(ClvolError, ValueError):
-    """An option or argument lies outside what is allowed."""
+    """An option or argument is not allowed."""
 
 
 class DataError(ClvolError, ValueError):
@@ -49,11 +49,11 @@ class GeometryError(ClvolError, ValueError):
 
 
 class FormatError(ClvolError, OSError):
-    """A file is of no known format, damaged, or cannot hold what is to be written."""
+    """A file has an unknown format, is damaged, or cannot hold the data to write."""
 
 
 class MissingDependencyError(ClvolError, ImportError):
-    """An optional package is needed; the message says which extra brings it."""
+    """An optional package is needed; the message names the extra that installs it."""
 
 
 class DeviceError(ClvolError, RuntimeError):
@@ -61,18 +61,18 @@ class DeviceError(ClvolError, RuntimeError):
 
 
 class OutOfMemoryError(DeviceError, MemoryError):
-    """The device, or the machine, cannot hold what was requested."""
+    """The request does not fit into the memory of the device or the machine."""
 
 
 class ClusterError(ClvolError, ConnectionError):
-    """A scheduler or its workers cannot be reached, are gone, or are of another version; or work ends every worker."""
+    """A scheduler or its workers are unreachable, gone, or run another version; or a task kills every worker."""
 
 
-# What `clvol.ndimage` raises is also the exception that SciPy raises for the same.
+# Each error of `clvol.ndimage` is also the exception that SciPy raises in the same case.
 
 
 class RefusedError(OptionError, RuntimeError):
-    """An argument that SciPy refuses with a `RuntimeError`: an order, a mode, a shape, a length."""
+    """An argument for which SciPy raises `RuntimeError`: an order, a mode, a shape, a length."""
 
 
 class OptionTypeError(OptionError, TypeError):
@@ -88,8 +88,8 @@ class AxisError(OptionError, np.exceptions.AxisError):
 
 
 class DtypeError(DataError, RuntimeError, TypeError):
-    """The samples are of a type that is not computed with: objects, strings, dates, numbers of more than 64 bits."""
+    """The sample type is not supported: objects, strings, dates, numbers of more than 64 bits."""
 
 
 class UnsupportedError(OptionError, NotImplementedError):
-    """SciPy computes this, clvol does not."""
+    """SciPy supports this, clvol does not."""

@@ -1,4 +1,4 @@
-"""Naming and writing files: checks before any work, and files that appear only when they are complete."""
+"""Name and write files: checks come before any work, and a file appears only when it is complete."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from clvol.base.errors import ClvolError, FormatError
 __all__ = ["MAX_HEADER", "require_folder", "require_suffix", "staged"]
 
 MAX_HEADER = 1 << 20
-"""Bytes. No honest text header is longer, and libraries overrun their stack on headers of megabytes."""
+"""Largest text header, in bytes. No valid one is longer, and libraries overflow their stack on headers of megabytes."""
 
-_NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)  # what file systems say that have no such thing: some of networks
+_NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)  # errors of file systems that cannot sync, such as some network ones
 
 
 def require_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> str:
-    """The suffix of `path`, one of `allowed`, in lower case; `what` is the plural that the error names.
+    """The suffix of `path`, one of `allowed`, in lower case; `what` is the plural for the message.
 
     Raises
     ------
@@ -40,16 +40,16 @@ def require_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: s
 
 
 def require_folder(target: Path) -> None:
-    """Raise `FormatError` before hours of work if the folder of `target` is missing or cannot be written to."""
+    """Raise `FormatError` before any work if the folder of `target` is missing or not writable."""
     _hidden_folder(target).rmdir()
 
 
 @contextlib.contextmanager
 def staged(path: Path, suffix: str) -> Iterator[Path]:
-    """A path to write to, in a hidden folder beside `path`; moved into place when the block succeeds and the disk has all of it.
+    """A path to write to, in a hidden folder beside `path`. The file moves into place once the block succeeds and it is synced.
 
-    Other files that the writer leaves there (the samples beside a header) move along, before the header. It is a
-    folder and not a temporary name because libraries choose formats by suffix, and headers name their data file.
+    Other files that the writer leaves there (the samples beside a header) move first, the header last. It is a
+    folder, not a temporary name, because libraries choose formats by suffix, and headers name their data file.
 
     Raises
     ------
@@ -57,8 +57,8 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
         `path` is a folder, its folder is missing, or writing failed with an `OSError` or a `ValueError`.
     """
     try:
-        target = path.resolve()  # replaces what a link points to; the link stays
-    except (OSError, RuntimeError) as error:  # links that lead in a circle
+        target = path.resolve()  # replace the link's target and keep the link
+    except (OSError, RuntimeError) as error:  # a cycle of links
         raise FormatError(f"cannot write {path}: {error}") from error
     if target.is_dir():
         raise FormatError(f"cannot write {target}: it is a folder")
@@ -86,8 +86,8 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
 
 
 def _sync(file: Path) -> None:
-    """Have the disk hold what was written: one that is full, or fails, may say so only now."""
-    with file.open("rb+") as stream:  # Windows refuses it for what was opened to be read
+    """Sync a file to disk: a disk that is full or failing may report it only now."""
+    with file.open("rb+") as stream:  # Windows cannot sync a file opened for reading
         try:
             os.fsync(stream.fileno())
         except OSError as error:
@@ -96,7 +96,7 @@ def _sync(file: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Have the disk hold the new names, where folders can be opened; the files are whole without it."""
+    """Sync the new names to disk where folders can be opened; the files are complete without it."""
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -106,13 +106,13 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _hidden_folder(target: Path) -> Path:
-    """A new one beside `target`."""
+    """Create a hidden folder beside `target`."""
     if not target.parent.is_dir():
         raise FormatError(f"cannot write {target}: the folder {target.parent} does not exist")
     try:
         return Path(tempfile.mkdtemp(dir=target.parent, prefix=".clvol-"))
     except OSError as error:
-        raise FormatError(f"cannot write {target}: nothing can be made in {target.parent}: {error.strerror}") from error
+        raise FormatError(f"cannot write {target}: cannot create files in {target.parent}: {error.strerror}") from error
 
 
 def _refuse_to_overwrite_anothers(data_file: Path, header: Path) -> None:
@@ -124,4 +124,6 @@ def _refuse_to_overwrite_anothers(data_file: Path, header: Path) -> None:
             names_it = rb"[\s=:/\\]" + re.escape(data_file.name.encode()) + rb"\s*$"
             if re.search(names_it, stream.read(MAX_HEADER), re.MULTILINE):
                 return
-    raise FormatError(f"cannot write {header}: its samples would replace {data_file}, which is not its own; choose another name")
+    raise FormatError(
+        f"cannot write {header}: its samples would replace {data_file}, which belongs to another file; choose another name"
+    )

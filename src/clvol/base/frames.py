@@ -1,4 +1,4 @@
-"""World frames: the LPS and RAS of a patient, and affine maps from indices into the world."""
+"""World frames: a patient's LPS and RAS, and affine maps from indices to the world."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from clvol.base.errors import GeometryError, OptionError
 __all__ = ["FRAMES", "Placement", "affine_parts", "flipped", "from_ras", "in_frame", "ras_affine"]
 
 FRAMES = ("LPS", "RAS")
-"""The frames of a patient's points: that of ITK and DICOM, and that of nibabel and NIfTI, in which x runs to the right and y to
-the front. A world that is no patient's has one frame, its own, which is called "LPS" too, for it is the default."""
+"""Frames of a patient's points: LPS as in ITK and DICOM; RAS as in nibabel and NIfTI, where x points right and y points to
+the front. A world without a patient has one frame, which is called "LPS" as well, the default."""
 
 Placement: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """Spacing, origin and direction (columns) of index axes in the world."""
 
-_FLAT = 1e-4  # largest z of the directions of an image of two axes: files keep them in float32
+_FLAT = 1e-4  # largest z of a 2-d image's directions, which files store in float32
 
 
 def flipped(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors, shape (..., d), from LPS to RAS or back: x and y change their sign. -0 becomes 0."""
+    """Vectors, shape (..., d), from LPS to RAS or back: negates x and y. -0 becomes 0."""
     other = vectors.copy()
     other[..., :2] *= -1
     other += 0.0
@@ -31,21 +31,21 @@ def flipped(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def in_frame(points: NDArray[np.float64], frame: str, space: str) -> NDArray[np.float64]:
-    """Points between a volume's world and a frame of its patient; the same for both ways.
+    """Convert points between a volume's world and a frame of its patient, in either direction.
 
     Parameters
     ----------
     points : array of float64, shape (..., d)
         In (x, y, z).
     frame : {"LPS", "RAS"}
-        "LPS": the volume's world, whatever it is; the points are returned as they are. "RAS": x and y change their sign.
+        "LPS": the volume's world, whatever it is; returns the points unchanged. "RAS": negates x and y.
     space : str
-        `Volume.space`; only "LPS" has a RAS.
+        `Volume.space`; only "LPS" converts to RAS.
 
     Raises
     ------
     OptionError
-        `frame` is neither, or the world is no patient's.
+        `frame` is neither, or the world has no patient.
     """
     if not isinstance(frame, str) or frame not in FRAMES:
         raise one_of("frame", frame, FRAMES)
@@ -60,23 +60,23 @@ def in_frame(points: NDArray[np.float64], frame: str, space: str) -> NDArray[np.
 
 
 def affine_parts(matrix: NDArray[np.float64], origin: NDArray[np.float64]) -> Placement:
-    """The placement that an affine map of indices gives; the direction of an axis of no length is NaN."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # a volume refuses what is not finite
+    """The placement of an affine map of indices; the direction of an axis of length zero is NaN."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # `Volume` rejects values that are not finite
         spacing = np.linalg.norm(matrix, axis=0)
         return spacing, origin, matrix / spacing
 
 
 def from_ras(placement: Placement, d: int, unit: float) -> dict[str, Any]:
-    """The geometry in LPS and millimetres, as arguments of `Volume`, of a grid of `d` axes in a RAS world in units of `unit` mm.
+    """`Volume` arguments, in LPS and millimetres, for a grid of `d` axes placed in a RAS world whose unit is `unit` mm.
 
     Raises
     ------
     GeometryError
-        An image of two axes lies across the world's xy plane, in which a `Volume` keeps images.
+        A 2-d image is not parallel to the world's xy plane, as `Volume` requires.
     """
     spacing, origin, direction = placement
     if d == 2 and np.abs(direction[2, :2]).max() > _FLAT:
-        raise GeometryError(f"an image of two axes must lie in the xy plane; its axes run along {direction[:, :2].T.tolist()}")
+        raise GeometryError(f"an image of two axes must be in the xy plane; its axes point along {direction[:, :2].T.tolist()}")
     return {
         "spacing": spacing[:d] * unit,
         "origin": flipped(origin)[:d] * unit,

@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 __all__ = ["beside", "curve", "facts", "histogram", "numbers", "strip", "table", "text_table"]
 
-_WIDTH, _HEIGHT = 360, 120  # Pixels of a curve.
-_MARGIN = 14  # Pixels around a curve, for its numbers.
-_BINS = 90  # Of histograms.
-_COUNTED = 1 << 18  # Samples that a histogram counts, about.
-_INK = "currentColor"  # The notebook's theme decides.
+_WIDTH, _HEIGHT = 360, 120  # size of a curve, in pixels
+_MARGIN = 14  # pixels around a curve, for its numbers
+_BINS = 90  # bins of a histogram
+_COUNTED = 1 << 18  # approximate number of samples that a histogram counts
+_INK = "currentColor"  # follows the notebook's theme
 _LINE = "#1769c2"
-_NUMBER = re.compile(r"[-–]|[-+]?[\d.,]+(e[-+]?\d+)?( ?%)?")  # A dash stands for none.
+_NUMBER = re.compile(r"[-–]|[-+]?[\d.,]+(e[-+]?\d+)?( ?%)?")  # a dash means no value
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; columns of numbers are aligned to the right."""
+    """A table; columns of numbers are right-aligned."""
     rows = [tuple(row) for row in rows]
     right = [all(_NUMBER.fullmatch(cell) for cell in column) for column in zip(*rows, strict=True)] or [False] * len(header)
     head = "".join(f"<th{_side(right[i])}>{html.escape(cell)}</th>" for i, cell in enumerate(header))
@@ -34,14 +34,14 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def text_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """The same for a terminal."""
+    """A table for the terminal."""
     lines = [tuple(header), *map(tuple, rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
 def facts(title: str, values: Mapping[str, str]) -> str:
-    """What is known of an object, one line each; empty values are left out."""
+    """Facts about an object, one per line; empty values are left out."""
     rows = "".join(
         f"<tr><th{_side(False)}>{html.escape(key)}</th><td{_side(False)}>{html.escape(value)}</td></tr>"
         for key, value in values.items()
@@ -51,12 +51,12 @@ def facts(title: str, values: Mapping[str, str]) -> str:
 
 
 def beside(*parts: str) -> str:
-    """Parts side by side, below each other where there is no room."""
+    """Parts side by side; they wrap where the page is narrow."""
     return f'<div style="display:flex;flex-wrap:wrap;gap:12px;align-items:flex-start">{"".join(parts)}</div>'
 
 
 def numbers(values: Iterable[float], between: str = " × ") -> str:
-    """Numbers as people read them."""
+    """Format numbers for people."""
     return between.join(f"{v:.6g}" for v in values)
 
 
@@ -65,7 +65,7 @@ def _side(right: bool) -> str:
 
 
 def curve(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
-    """A function as a line over its axis, with the ends of both."""
+    """The plot of a function, labelled with the limits of both axes."""
     low, high = min(0.0, float(y.min())), max(float(y.max()), 0.0)
     place = _Placed(float(x[0]), float(x[-1]), low, high if high > low else low + 1)
     axis = f'<line x1="0" x2="{_WIDTH}" y1="{place.y(0):.1f}" y2="{place.y(0):.1f}" stroke="{_INK}" stroke-opacity="0.3"/>'
@@ -76,9 +76,9 @@ def curve(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
 
 
 def histogram(data: NDArray[Any], low: float, high: float) -> str:
-    """How many samples have which value, between the smallest and the largest; of every few samples of a large array.
+    """The histogram of samples between the smallest and the largest; subsamples a large array.
 
-    Heights are logarithms: the background would leave nothing else to see.
+    Heights are logarithmic, because the background would dwarf everything else.
     """
     each = max(1, math.ceil((data.size / _COUNTED) ** (1 / max(1, data.ndim))))
     values = data[(slice(None, None, each),) * data.ndim].astype(np.float64).ravel()
@@ -102,14 +102,14 @@ def histogram(data: NDArray[Any], low: float, high: float) -> str:
 
 
 def strip(values: Sequence[float], colors: Sequence[Sequence[float]], opacities: Sequence[tuple[float, float]]) -> str:
-    """A transfer function: its colours from the lowest value to the highest, beneath the curve of its opacity.
+    """A transfer function: a strip of its colours from the lowest value to the highest, and the curve of its opacity.
 
     Parameters
     ----------
     values, colors : sequence
-        Values in ascending order, and the colour at each, three numbers in 0..1.
+        Values in ascending order, and the colour of each, three numbers in 0..1.
     opacities : sequence of (value, opacity)
-        Points of the curve, likewise.
+        Points of the curve, in ascending order.
     """
     ends = [*values, *(v for v, _ in opacities)]
     low, high = min(ends), max(ends)
@@ -118,7 +118,7 @@ def strip(values: Sequence[float], colors: Sequence[Sequence[float]], opacities:
         f'<stop offset="{place.share(v):.4f}" stop-color="#{"".join(f"{round(255 * c):02x}" for c in color)}"/>'
         for v, color in zip(values, colors, strict=True)
     )
-    name = f"clvol-{abs(hash((tuple(values), tuple(map(tuple, colors))))):x}"  # of the page, on which there may be several
+    name = f"clvol-{abs(hash((tuple(values), tuple(map(tuple, colors))))):x}"  # ids must be unique on the page
     first, last = opacities[0], opacities[-1]
     points = [(low, first[1]), *opacities, (place.high, last[1])]
     line = " ".join(f"{place.x(v):.1f},{place.y(a):.1f}" for v, a in points)
@@ -136,7 +136,7 @@ def strip(values: Sequence[float], colors: Sequence[Sequence[float]], opacities:
 
 
 class _Placed:
-    """Where values lie in a curve's picture."""
+    """Maps values to pixels of a curve's plot."""
 
     def __init__(self, low: float, high: float, bottom: float, top: float) -> None:
         self.low, self.high, self.bottom, self.top = low, high, bottom, top

@@ -1,6 +1,6 @@
-"""Ctrl-C while the command is still importing, which takes a second: prints one line, as `clvol.cli.main` does later.
+"""Handle Ctrl-C while the command is still importing, which takes a second: print one line, as `clvol.cli.main` does later.
 
-Imported first; has no effect unless this process is the command.
+Import this first. It has no effect unless this process is the command.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def is_the_command() -> bool:
 
 
 def excepthook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Value of `sys.excepthook` in the command: an interrupt ends it with one line and exit code 130."""
+    """`sys.excepthook` of the command: on an interrupt, print one line and exit with code 130."""
     if not issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
         return

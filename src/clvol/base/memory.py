@@ -1,8 +1,8 @@
-"""How much memory this process may still take, and refusing what needs more before any of it is allocated.
+"""How much memory this process may still allocate; larger requests fail before they allocate any.
 
-Linux grants memory that is not there and kills whoever touches it, in a container at its limit, however much the machine has
-free. So what is large asks here first: the machine's available memory, the limits of the control groups that the process is in
-(cgroup v1 and v2, every ancestor's too) and its own limits (``ulimit -v``, ``-d``); the least of them counts.
+Linux overcommits memory and kills the process that touches too much; in a container at its limit, even if the machine has
+memory free. So large requests are checked here first, against the smallest of the machine's available memory, the limits of
+the process's control groups (cgroup v1 and v2, with all ancestors) and its own limits (``ulimit -v``, ``-d``).
 """
 
 from __future__ import annotations
@@ -27,57 +27,57 @@ from clvol.base.errors import OutOfMemoryError
 __all__ = ["Room", "available", "empty", "require", "require_addressable", "room"]
 
 ROOT = Path("/")
-"""Where ``proc`` and ``sys`` are: tests have others."""
+"""Root of ``proc`` and ``sys``; tests replace it."""
 
 _MIB = 1 << 20
-_SMALL = 64 * _MIB  # requests that are not looked into: to ask takes 0.5 ms
-_KEPT = 32 * _MIB  # of what is available, for the small things that nobody asks for
-_SECONDS = 0.1  # for which an answer is kept
-_ADDRESSABLE = (1 << 31) - 1  # samples along an axis: OpenCL's int
+_SMALL = 64 * _MIB  # bytes; smaller requests are not checked, because a check takes 0.5 ms
+_KEPT = 32 * _MIB  # bytes reserved for small allocations that are not checked
+_SECONDS = 0.1  # seconds for which a measurement is cached
+_ADDRESSABLE = (1 << 31) - 1  # samples along an axis: the range of OpenCL's int
 _UNLIMITED = sys.maxsize
-_WIDEST = 16  # bytes of a sample
+_WIDEST = 16  # bytes of the widest sample
 
 
 class Room(NamedTuple):
-    """Memory that may still be taken.
+    """Memory that may still be allocated.
 
     Attributes
     ----------
     nbytes : int
     limit : str
-        What sets it, for people.
+        What sets the limit, for messages.
     """
 
     nbytes: int
     limit: str
 
 
-_TOUCHED = 1.0  # seconds, after which results are there, or the work on them has begun
+_TOUCHED = 1.0  # seconds after which a result's memory is in use, or its work has started
 
-_lock = threading.RLock()  # a handler of signals may come back here
+_lock = threading.RLock()  # a signal handler may re-enter
 _waiting: list[tuple[weakref.ref[NDArray[Any]], float]] = []
 _answer: tuple[float, Path, Room] | None = None
 
 
 def available() -> int:
-    """Bytes that this process may still take, by the least of the limits that it is under."""
+    """Bytes that this process may still allocate under its smallest limit."""
     return room().nbytes
 
 
 def room() -> Room:
-    """What is `available`, and by which limit; measured now."""
-    return min(_rooms(), default=Room(_UNLIMITED, "no limit that is known"))
+    """The `available` memory and the limit that sets it, measured now."""
+    return min(_rooms(), default=Room(_UNLIMITED, "no known limit"))
 
 
 def require(nbytes: int, what: str) -> None:
-    """Raise `OutOfMemoryError` if `what` needs more bytes than this process may take; nothing is allocated.
+    """Raise `OutOfMemoryError` if `what` needs more bytes than this process may allocate. Allocates nothing.
 
-    An answer is kept for a tenth of a second, less what was granted on it; nothing is refused without asking anew.
+    A measurement is cached for a tenth of a second, minus the bytes granted since; a refusal always measures again.
 
     Parameters
     ----------
     nbytes : int
-        All that the call needs at a time: its results, and the copies on the way.
+        Peak memory of the call: its results and temporary copies.
     what : str
         The subject of the message.
     """
@@ -87,13 +87,13 @@ def require(nbytes: int, what: str) -> None:
     now, root = time.monotonic(), ROOT
     with _lock:
         _waiting[:] = [(one, since) for one, since in _waiting if one() is not None and now - since < _TOUCHED]
-        asked = nbytes
+        requested = nbytes
         nbytes += sum(array.nbytes for one, _ in _waiting if (array := one()) is not None)
         if _answer is None or now - _answer[0] > _SECONDS or _answer[1] != root or nbytes > _answer[2].nbytes - _KEPT:
             _answer = now, root, room()
         then, _, left = _answer
         if nbytes <= left.nbytes - _KEPT:
-            _answer = then, root, Room(left.nbytes - asked, left.limit)
+            _answer = then, root, Room(left.nbytes - requested, left.limit)
             return
     raise OutOfMemoryError(
         f"out of memory: {what} must fit into the {max(0, left.nbytes - _KEPT) // _MIB} MiB that are available ({left.limit}); "
@@ -102,7 +102,7 @@ def require(nbytes: int, what: str) -> None:
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike, what: str) -> NDArray[Any]:
-    """An array for results, which counts as taken for a second: until they are written the system does not count it itself."""
+    """An array for results. Counts as used for a second, because the system counts it only when it is written."""
     require(math.prod(shape) * np.dtype(dtype).itemsize, what)
     array: NDArray[Any] = np.empty(shape, dtype)
     if array.nbytes >= _SMALL:
@@ -112,7 +112,7 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike, what: str) -> NDArray[Any]:
 
 
 def require_addressable(what: str, shape: tuple[int, ...]) -> None:
-    """Raise `OutOfMemoryError` for more samples along an axis than kernels can count, or more of them than can have addresses."""
+    """Raise `OutOfMemoryError` for more samples along an axis than kernels can count, or more in all than can be addressed."""
     if max(shape, default=0) > _ADDRESSABLE or math.prod(shape) > _UNLIMITED // _WIDEST:
         raise OutOfMemoryError(
             f"out of memory: {what} must have at most {_ADDRESSABLE} samples along each axis, and {_UNLIMITED // _WIDEST} in all; "
@@ -120,7 +120,7 @@ def require_addressable(what: str, shape: tuple[int, ...]) -> None:
         )
 
 
-# -- what sets limits ----------------------------------------------------------------------------------------------
+# -- limits --------------------------------------------------------------------------------------------------------
 
 
 def _rooms() -> Iterator[Room]:
@@ -135,14 +135,14 @@ def _rooms() -> Iterator[Room]:
 
 
 def _of_linux(root: Path) -> Iterator[Room]:
-    """What the kernel says can be had without swapping, and what can be swapped out."""
+    """Memory available without swapping, plus free swap space."""
     values = _table(root / "proc/meminfo")
     if "MemAvailable:" in values:
         yield Room((values["MemAvailable:"] + values.get("SwapFree:", 0)) * 1024, "all of the machine's")
 
 
 def _of_groups(root: Path) -> Iterator[Room]:
-    """Of the control groups that the process is in, from its own up to the one that is mounted."""
+    """Limits of the process's control groups, from its own up to the mounted root."""
     for folder, top, version in _groups(root):
         limit, usage = ("memory.max", "memory.current") if version == 2 else ("memory.limit_in_bytes", "memory.usage_in_bytes")
         for group in (folder, *folder.parents):
@@ -150,7 +150,7 @@ def _of_groups(root: Path) -> Iterator[Room]:
             if most is not None and used is not None:
                 kept = _table(group / "memory.stat")
                 prefix = "" if version == 2 else "total_"
-                # the kernel gives up what it holds of files before it kills
+                # the kernel drops cached files before it kills
                 cached = sum(kept.get(f"{prefix}{kind}_file", 0) for kind in ("active", "inactive"))
                 yield Room(max(0, most - max(0, used - cached)), f"the container's limit is {most // _MIB} MiB")
             if group == top:
@@ -158,7 +158,7 @@ def _of_groups(root: Path) -> Iterator[Room]:
 
 
 def _groups(root: Path) -> Iterator[tuple[Path, Path, int]]:
-    """The folder of each group of the process that may limit memory, the topmost that can be seen, and the version."""
+    """For each control group that may limit memory: its folder, the topmost visible folder, and the cgroup version."""
     inside: dict[int, str] = {}
     for line in _lines(root / "proc/self/cgroup"):
         number, controllers, path = (*line.split(":", 2), "", "")[:3]
@@ -175,16 +175,16 @@ def _groups(root: Path) -> Iterator[tuple[Path, Path, int]]:
         if version not in inside:
             continue
         top = root / _unescaped(place[4]).lstrip("/")
-        with contextlib.suppress(ValueError):  # the process lies outside of what is mounted: its mount is all there is to see
-            own = top / PurePosixPath(inside[version]).relative_to(_unescaped(place[3]))
-            if ".." not in own.parts and own.is_dir():
-                yield own, top, version
+        with contextlib.suppress(ValueError):  # the process's group is outside the mount: only the mount is visible
+            group = top / PurePosixPath(inside[version]).relative_to(_unescaped(place[3]))
+            if ".." not in group.parts and group.is_dir():
+                yield group, top, version
                 continue
         yield top, top, version
 
 
 def _of_process(root: Path) -> Iterator[Room]:
-    """Of the limits that a shell sets."""
+    """Resource limits, as a shell sets them."""
     try:
         import resource
 
@@ -199,7 +199,7 @@ def _of_process(root: Path) -> Iterator[Room]:
 
 
 def _of_windows() -> Iterator[Room]:
-    """What can be committed, which Windows never exceeds."""
+    """The commit limit, which Windows never exceeds."""
 
     class Status(ctypes.Structure):  # MEMORYSTATUSEX
         _fields_ = (
@@ -218,7 +218,7 @@ def _of_windows() -> Iterator[Room]:
 
 
 def _of_macos() -> Iterator[Room]:
-    """All but what applications use, as the system's Activity Monitor counts it: wired, compressed, and not a file's."""
+    """Memory that applications do not use, counted as in Activity Monitor: all but wired, compressed and anonymous pages."""
     with contextlib.suppress(AttributeError, OSError, ValueError):
         words = (ctypes.c_uint32 * 38)()  # vm_statistics64
         count = ctypes.c_uint32(len(words))
@@ -242,17 +242,17 @@ def _lines(path: Path) -> list[str]:
 
 
 def _table(path: Path) -> dict[str, int]:
-    """Names and the numbers behind them."""
+    """The numbers of a file by name."""
     rows = (line.split() for line in _lines(path))
     return {row[0]: int(row[1]) for row in rows if len(row) > 1 and row[1].isdecimal()}
 
 
 def _number(path: Path) -> int | None:
-    """The only number of a file; None for "max", or where there is no such file."""
+    """The single number of a file; None for "max" or a missing file."""
     text = "".join(_lines(path)).strip()
     return int(text) if text.isdecimal() else None
 
 
 def _unescaped(text: str) -> str:
-    """A path of mountinfo, where spaces are octal."""
+    """A path of mountinfo, which writes spaces in octal."""
     return text.encode().decode("unicode_escape", errors="replace") if "\\" in text else text

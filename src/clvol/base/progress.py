@@ -1,4 +1,4 @@
-"""Progress callbacks: called with the fraction of the work that is done; they may raise to stop it."""
+"""Progress callbacks. They receive the fraction of the work that is done, and may raise to cancel it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Progress: TypeAlias = Callable[[float], None]
 
 
 def part_of(progress: Progress | None, start: float, end: float) -> Progress | None:
-    """A callback for the part of the work between two fractions of the whole; None without `progress`.
+    """A callback for one part of the work, between two fractions of the whole; None if `progress` is None.
 
     Examples
     --------

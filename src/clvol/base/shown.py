@@ -1,4 +1,4 @@
-"""Objects that show themselves in notebooks: each says what is known of it, `clvol.base.html` how that looks."""
+"""Objects with a notebook representation: each lists its facts, and `clvol.base.html` formats them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Row = TypeVar("Row")
 
 
 class Facts(NamedTuple):
-    """What is known of an object: a title, a line for each fact, and perhaps a curve."""
+    """Facts about an object: a title, one line per fact, and an optional curve."""
 
     title: str
     lines: dict[str, str]
@@ -23,7 +23,7 @@ class Facts(NamedTuple):
 
 
 class Shown:
-    """An object that notebooks show as its facts, beside its curve."""
+    """An object that notebooks show as facts beside a curve."""
 
     def _facts(self) -> Facts:
         raise NotImplementedError
@@ -34,12 +34,12 @@ class Shown:
 
 
 class Named(dict[str, Row]):
-    """Rows by name; shown, it is a table."""
+    """Rows by name, shown as a table."""
 
     HEADER: ClassVar[tuple[str, ...]]
 
     def rows(self) -> list[tuple[str, ...]]:
-        """One tuple of texts a row, in the order of `HEADER`."""
+        """One tuple of strings per row, in the order of `HEADER`."""
         raise NotImplementedError
 
     def __repr__(self) -> str:

@@ -1,7 +1,7 @@
-"""Parameter blocks of the kernels: each declared once, as a NumPy dtype and as the C struct that has the same layout.
+"""Parameter blocks of kernels: each is declared once, and gives a NumPy dtype and a C struct of the same layout.
 
-A type that kernels read owns its block: its declaration (`BLOCK`) and the values (`block(...)`). Every number is four bytes
-wide, so that the layout is the same everywhere.
+A type that kernels read defines its own block: the declaration (`BLOCK`) and the values (`block(...)`). Every number has
+four bytes, so that the layout is the same everywhere.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Block:
     name : str
         The type's name in OpenCL C.
     **fields : FLOAT, INT, (FLOAT, n), (INT, n) or Block
-        Numbers, arrays of them, and blocks within this one.
+        Numbers, arrays of numbers, and nested blocks.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Block:
         self.dtype: np.dtype[np.void] = np.dtype(members)
 
     def __call__(self, **values: ArrayLike) -> Values:
-        """The block with these values, one for each field."""
+        """The block with a value for each field."""
         if values.keys() != self.fields.keys() and (values or "unused" not in self.fields):
             raise TypeError(f"{self.name} has the fields {', '.join(self.fields)}; got {', '.join(values)}")
         result = np.zeros((), self.dtype)
@@ -54,7 +54,7 @@ class Block:
         return result
 
     def declaration(self) -> str:
-        """The struct in OpenCL C, behind those of the blocks within it."""
+        """The struct in OpenCL C, after those of its nested blocks."""
         parts: Sequence[Block] = [kind for kind in self.fields.values() if isinstance(kind, Block)]
         members = "\n".join(f"    {_member(key, kind)};" for key, kind in self.fields.items())
         return "".join(part.declaration() for part in parts) + f"typedef struct {{\n{members}\n}} {self.name};\n"

@@ -1,4 +1,4 @@
-"""Units of length: their names, which every format spells in its own way, and their ratios."""
+"""Units of length: their names, which every format spells differently, and their ratios."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from clvol.base.errors import FormatError, GeometryError
 __all__ = ["METRES", "axes_unit", "millimetres", "ome_unit", "one_unit", "scale", "unit_name"]
 
 METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}
-"""Metres of each unit, by its name in `Volume.units`."""
+"""Metres per unit, by its name in `Volume.units`."""
 
 _SPELLINGS = {
     "um": ("µm", "μm", "micron", "microns", "micrometer", "micrometre", "\\u00b5m"),  # the micro sign and the Greek mu
@@ -26,7 +26,7 @@ _OF_OME = {"um": "micrometer", "nm": "nanometer", "mm": "millimeter", "cm": "cen
 
 
 def unit_name(text: str) -> str:
-    """The unit's name in `Volume.units`, however `text` spells it; "" for counts of pixels."""
+    """The name in `Volume.units` of a unit in any spelling; "" for pixels."""
     word = text.strip()
     return _NAMES.get(word.lower(), word)
 
@@ -37,7 +37,7 @@ def ome_unit(name: str) -> str:
 
 
 def one_unit(source: str, units: Sequence[str]) -> str:
-    """The unit of a file's axes, of which some may have none; "" if none has one.
+    """The common unit of a file's axes; axes without a unit are ignored. "" if none has a unit.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def one_unit(source: str, units: Sequence[str]) -> str:
 
 
 def axes_unit(units: Sequence[str]) -> str:
-    """The unit of an image's axes; "" where they differ and one is no length.
+    """The common unit of an image's axes; "" if they differ and one is not a length.
 
     Raises
     ------
@@ -65,17 +65,17 @@ def axes_unit(units: Sequence[str]) -> str:
 
 
 def scale(unit: str, to: str) -> float:
-    """How many of unit `to` one `unit` is; NaN if either is not a known length."""
+    """Units `to` per `unit`; NaN if either is not a known length."""
     return 1.0 if unit == to else METRES.get(unit, math.nan) / METRES.get(to, math.nan)
 
 
 def millimetres(unit: str) -> float:
-    """Millimetres of a unit; a volume without units counts as one in millimetres.
+    """Millimetres per unit; no unit means millimetres.
 
     Raises
     ------
     GeometryError
-        The unit is no length.
+        The unit is not a length.
     """
     if unit and unit not in METRES:
         raise GeometryError(f"units must be a length, {', '.join(METRES)}, for a library that measures in mm; got {unit!r}")

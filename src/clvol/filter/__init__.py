@@ -1,4 +1,4 @@
-"""Reconstruction filters: the table of them, their responses, and the boundary rules.
+"""Reconstruction filters: their table, their responses, and the boundary rules.
 
-No module here knows what a volume is.
+No module here knows about volumes.
 """

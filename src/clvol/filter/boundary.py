@@ -1,8 +1,8 @@
-"""What lies past the edge: an index rule, and the prefilter that goes with it, as one thing.
+"""Boundary rules: what the function is outside the volume, as an index rule together with its prefilter.
 
 The rule extends the *coefficients*: ``c[i]`` for an index outside ``0 .. n - 1`` is ``c[rule(i)]``,
-or nothing. Everything else follows from it: the matrix of eq. (11) has row ``i`` and column
-``rule(i + k)``, and the prefilter starts and ends its recursions such that it solves that matrix.
+or zero. Everything else follows: the matrix of eq. (11) has row ``i`` and column
+``rule(i + k)``, and the prefilter starts and ends its recursions so that it solves that matrix.
 """
 
 from __future__ import annotations
@@ -24,49 +24,49 @@ DEFAULT_BOUNDARY = "mirror"
 
 Outside: TypeAlias = Literal["rule", "clamp", "constant", "grid-constant", "overlap"]
 _OUTSIDE = ("rule", "clamp", "constant", "grid-constant", "overlap")
-_PAD = 12  # samples that scipy.ndimage puts around an array where a rule has no exact prefilter
+_PAD = 12  # samples of padding that scipy.ndimage adds where a rule has no exact prefilter
 
-# Every rule of this kind that leaves the samples what they are and gives each index past the edge one of them, on axes of
-# any length. Without a fold the period is n. A fold -s/2 must lie between the last sample before the volume and its first
-# one, so s is 0 or 1; the other fold, half a period further, likewise between samples n - 1 and n: (period - s)/2 is n - 1 or
+# Every rule of this kind that keeps the samples unchanged and maps each outside index to one of them, on axes of
+# any length. Without a fold the period is n. A fold -s/2 must be between index -1 and index 0, so s is 0 or 1; the
+# other fold, half a period further, must be between indices n - 1 and n: (period - s)/2 is n - 1 or
 # n - 1/2.
 _RULES = {(None, None), ((1, 0), None)} | {((2, s - 2 + half), s) for s in (0, 1) for half in (0, 1)}
 
 
 @dataclass(frozen=True)
 class Boundary:
-    """One rule: indices repeat with a period, whose second half may be folded back.
+    """A boundary rule: indices repeat with a period, whose second half may be folded back.
 
     Parameters
     ----------
     name : str
         Its name in the table.
     period : tuple of int, optional
-        ``(a, b)``: the period on an axis of ``n`` samples is ``a n + b``. None: nothing lies outside.
+        ``(a, b)``: the period on an axis of ``n`` samples is ``a n + b``. None: zero outside.
     fold : int, optional
         ``s``: index ``i`` equals index ``-s - i``, a reflection about ``-s/2``. None: no reflection.
     description : str
-        What it means, for listings.
+        Its meaning, for listings.
     outside : {"rule", "clamp", "constant", "grid-constant", "overlap"}
-        What the function is outside. "rule": the index rule goes on. The others are those of `scipy.ndimage`, and the period and
-        fold are then those that the prefilter ends its recursions with. "clamp": outer samples are repeated, some before the
-        prefilter; "grid-constant": so is `cval`; "constant": `cval` past the outer samples; "overlap": the function between the
-        outer samples is repeated, so that the last sample is the first one again.
+        The function outside. "rule": the index rule extends the coefficients. The others match `scipy.ndimage`; their period
+        and fold only set the ends of the prefilter's recursions. "clamp": the outer samples are repeated, some of them before
+        the prefilter; "grid-constant": `cval` is repeated likewise; "constant": `cval` outside the outer samples; "overlap": the
+        function between the outer samples is repeated, so that the last sample coincides with the first.
     cval : float
-        The value outside, of "constant" and "grid-constant"; it may be NaN.
+        The value outside for "constant" and "grid-constant"; may be NaN.
 
     Raises
     ------
     OptionError
-        The rule does not say, on an axis of any length, which one of the samples an index past the edge stands for, or that
-        none does. Those that do: no period and no fold; period (1, 0) and no fold; period (2, -2) or (2, -1) and fold 0;
-        period (2, -1) or (2, 0) and fold 1.
+        The rule does not map every outside index to one sample, or to none, on axes of any length. The rules that do: no
+        period and no fold; period (1, 0) and no fold; period (2, -2) or (2, -1) and fold 0; period (2, -1) or (2, 0) and
+        fold 1.
 
     Notes
     -----
-    The rule extends coefficients, and the domain ends half a voxel past the outer samples. In that outer half voxel "mirror"
-    goes on as the function did inside, in the mirror; ITK and VTK keep the outer sample's value there for linear
-    interpolation (they clamp), and so does "reflect". See the README.
+    The rule extends coefficients, and the domain ends half a voxel outside the outer samples. In that half voxel "mirror"
+    reflects the function inside; ITK and VTK clamp to the outer sample's value there for linear interpolation, and
+    so does "reflect". See the README.
     """
 
     name: str
@@ -105,33 +105,33 @@ class Boundary:
 
     @property
     def ends(self) -> Boundary:
-        """The period and fold alone, by which the prefilter ends; the same for all rules that have them."""
+        """The rule that ends the prefilter's recursions: period and fold only."""
         return replace(self, name="", description="", outside="rule", cval=0.0)
 
     @property
     def repeats(self) -> bool:
-        """Whether the coefficients repeat with the period, as far as one goes."""
+        """Whether the coefficients repeat with the period without limit."""
         return self.period is not None and self.outside == "rule"
 
     @property
     def edge(self) -> float:
-        """How far past the outer samples the function inside goes: half a sample, or nothing where another one begins there."""
+        """Distance from the outer samples to the edge of the domain: half a sample, or 0 where the function changes there."""
         return 0.0 if self.outside in ("constant", "overlap") else 0.5
 
     def padding(self, prefilter: bool, support: int) -> int:
-        """How many samples are put around an axis before it is filtered."""
+        """Samples of padding on each side of an axis before the prefilter."""
         return max(_PAD, support) if prefilter and self.outside in ("clamp", "grid-constant") else 0
 
     def reach(self, support: int) -> int:
-        """How far past the padded samples the function may differ from what it is further out."""
+        """Distance from the padded samples beyond which the function is constant."""
         return support // 2 + 1 if self.outside in ("clamp", "grid-constant") or self.period is None else 0
 
     def length(self, n: int) -> int:
-        """The period in samples on an axis of `n`; at least 1, and 0 if the rule has none."""
+        """The period on an axis of `n` samples, at least 1; 0 if the rule has none."""
         return max(1, self.period[0] * n + self.period[1]) if self.period else 0
 
     def index(self, i: ArrayLike, n: int, pad: int = 0) -> NDArray[np.int64]:
-        """The index that stands for `i`, within ``0 .. n - 1``, or as far outside as was padded; -pad - 1 where nothing does."""
+        """Map index `i` into ``0 .. n - 1`` or the padding around it; -pad - 1 where there is no coefficient."""
         i = np.asarray(i, dtype=np.int64)
         if self.outside == "clamp":
             return np.asarray(np.clip(i, -pad, n - 1 + pad))
@@ -140,7 +140,7 @@ class Boundary:
         return self.folded(i, n)
 
     def folded(self, i: ArrayLike, n: int) -> NDArray[np.int64]:
-        """The index within ``0 .. n - 1`` that stands for `i` under the period and fold alone, by which the prefilter ends."""
+        """Map index `i` into ``0 .. n - 1`` by period and fold only, as the prefilter's recursions do at their ends."""
         i = np.asarray(i, dtype=np.int64)
         if not self.period:
             return np.asarray(np.where((i >= 0) & (i < n), i, -1))
@@ -149,16 +149,16 @@ class Boundary:
         return i if self.fold is None else np.asarray(np.minimum(i, period - self.fold - i))
 
     def position(self, x: ArrayLike, n: int, pad: int = 0, reach: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions whose taps are all stored and where the function is the same as at `x`, and the sign of derivatives there.
+        """Map `x` to positions of the same value whose taps are all stored; returns them and the sign of derivatives there.
 
-        The sign is -1 where the axis is reflected, 1 elsewhere. Under "constant" positions outside stay as they are: the value
-        there is known. `boundary_position` in boundary.cl is the same rule for kernels; both are that of `scipy.ndimage`, to the
+        The sign is -1 where the axis is reflected, 1 elsewhere. "constant" leaves outside positions unchanged: their value
+        is known. `boundary_position` in boundary.cl is the same rule for kernels; both match `scipy.ndimage` to the
         last bit.
         """
         x, last = np.asarray(x, dtype=np.float64), n - 1
         forward = np.ones(x.shape)
         if self.outside in ("clamp", "grid-constant") or not self.period:
-            low, high = -(pad + reach), last + pad + reach  # all coefficients further out are the same
+            low, high = -(pad + reach), last + pad + reach  # all coefficients further out are equal
             rest = x - np.floor(x)
             return np.asarray(np.where(x < low, low - 1 + rest, np.where(x > high, high + rest, x))), forward
         if self.outside == "constant":
@@ -201,31 +201,31 @@ _TABLE = {
         Boundary("wrap", (1, 0), None, "repeated, the paper's closed curve (eq. 11): b c d | a b c d | a b c"),
         Boundary("zero", None, None, "coefficients are zero outside: 0 0 0 | a b c d | 0 0 0"),
         Boundary("nearest", (2, 0), 1, "outer samples are repeated: a a a | a b c d | d d d", "clamp"),
-        Boundary("constant", (2, -2), 0, "one value past the outer samples, 0 or constant(v): v v v | a b c d | v v v", "constant"),
+        Boundary("constant", (2, -2), 0, "one value outside, 0 or constant(v): v v v | a b c d | v v v", "constant"),
         Boundary("grid-constant", (2, -2), 0, "samples of one value outside, 0 or grid-constant(v)", "grid-constant"),
-        Boundary("overlap", (2, -2), 0, "repeated, the last sample being the first one again: b c d | a b c d | b c d", "overlap"),
+        Boundary("overlap", (2, -2), 0, "repeated, the last sample coincides with the first: b c d | a b c d | b c d", "overlap"),
     )
 }
 _WITH_VALUE = re.compile(r"(constant|grid-constant)\(([^()]+)\)")
 
 
 class BoundaryTable(Named[Boundary]):
-    """Every rule by name; shown, it is a table."""
+    """Boundary rules by name, shown as a table."""
 
-    HEADER = ("boundary", "what lies past the outer samples")
+    HEADER = ("boundary", "outside the outer samples")
 
     def rows(self) -> list[tuple[str, ...]]:
-        """One tuple of texts a rule, in the order of `HEADER`."""
+        """One tuple of strings per rule, in the order of `HEADER`."""
         return [(name, rule.description) for name, rule in self.items()]
 
 
 def boundaries() -> BoundaryTable:
-    """Every rule by name; shown, it says what each means."""
+    """The boundary rules by name, with their meanings when shown."""
     return BoundaryTable(_TABLE)
 
 
 def as_boundary(choice: str | Boundary) -> Boundary:
-    """The rule for a name; "constant(v)" and "grid-constant(v)" have the value v outside."""
+    """The boundary rule of a name; "constant(v)" and "grid-constant(v)" set the value v outside."""
     if isinstance(choice, Boundary):
         return choice
     if isinstance(choice, str) and (given := _WITH_VALUE.fullmatch(choice)):

@@ -1,4 +1,4 @@
-"""A reconstruction filter: a row of numbers, from which everything about it is derived.
+"""A reconstruction filter: a table of numbers, from which all its properties are derived.
 
 A filter is a matrix of TAPS rows and DEGREE + 1 columns: row ``i`` holds the polynomial, in the
 fractional position ``t``, of the weight of tap ``i``. For a position ``x`` (in samples)::
@@ -6,8 +6,8 @@ fractional position ``t``, of the weight of tap ``i``. For a position ``x`` (in 
     u = x - TAPS/2 + 1        base = floor(u)        t = u - base
     f(x) = sum over i of  c[base + i] * sum over k of taps[i][k] * t**k
 
-so tap ``i`` lies at signed distance ``t + TAPS/2 - 1 - i`` from ``x``; one rule for odd and even
-tap counts. Entries are exact fractions wherever the filter has them.
+so tap ``i`` lies at signed distance ``t + TAPS/2 - 1 - i`` from ``x``, for odd and even
+tap counts alike. Entries are exact fractions where possible.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ Polynomial: TypeAlias = tuple[Number, ...]
 Smoothing: TypeAlias = float | tuple[float, ...] | Literal["auto"]
 Array: TypeAlias = NDArray[np.float64]
 
-MAX_TAPS = 16  # the widest row that one vector load of the device code covers
+MAX_TAPS = 16  # taps per row that one vector load of a kernel covers
 MAX_DEGREE = 20
-_ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
-_LEAST_SMOOTHING = -0.25  # of quasi-interpolators, which sharpen: linear's prefilter ends to exist there
-MOST_SMOOTHING = 1e5  # beyond it poles lie so near to the unit circle that float32 cannot follow
+_ROUNDING = 1e-9  # tolerance for comparing rows of floats
+_LEAST_SMOOTHING = -0.25  # lower limit for quasi-interpolators, which sharpen: the prefilter of linear does not exist below
+MOST_SMOOTHING = 1e5  # above it, poles are too close to the unit circle for float32
 
 ALIASES = {
     "box": "nearest",
@@ -70,35 +70,35 @@ ALIASES = {
 
 @dataclass(frozen=True)
 class Filter(Shown):
-    """One row of the table.
+    """One row of the filter table.
 
     Parameters
     ----------
     name : str
-        The name by which it is looked up.
+        Its name in the table.
     taps : tuple of polynomials
         ``taps[i][k]`` is the coefficient of ``t**k`` for tap ``i``.
     prefilter : bool
-        Solve for the coefficients first (eq. 11), so that the result passes through the samples.
+        Solve for coefficients first (eq. 11), so that the result interpolates the samples.
     magnified_by : Filter, optional
-        Magnify the samples by two with this filter first, then reconstruct on the finer grid: the
+        First magnify the samples by two with this filter, then reconstruct on the finer grid: the
         paper's hybrid (section 4.3).
     fit_error : float
-        Largest absolute error of `taps` to the kernel that they were fitted to; 0 if exact.
+        Largest absolute error of `taps` against the kernel they were fitted to; 0 if exact.
     smoothing : float, tuple of float or "auto"
-        λ, from 0 to 10⁵, of a smoothing spline, which trades closeness to the samples for smoothness: 0 passes through them. One
-        number, or one for each axis, x first. "auto" is decided for each volume (`clvol.volume.smoothing.settled`). A negative one
+        λ, from 0 to 10⁵, of a smoothing spline, which trades fidelity to the samples for smoothness: 0 interpolates. One
+        number, or one per axis, x first. "auto" is chosen for each volume (`clvol.volume.smoothing.settled`). A negative λ
         sharpens (`quasi`).
     length : float, optional
-        Instead of λ, a length ℓ in world units: λ is (ℓ / spacing)²ᵐ along each axis, m being the `penalty`, so that a wave
-        of wavelength 2πℓ keeps about half of its height, whatever the spacing.
+        Instead of λ, a length ℓ in world units: λ is (ℓ / spacing)²ᵐ along each axis, where m is the `penalty`. A wave
+        of wavelength 2πℓ keeps about half of its amplitude, whatever the spacing.
 
     Notes
     -----
     A smoothing spline of odd degree 2m - 1 minimises the sum of squared distances to the samples plus λ times the integral of
     its squared m-th derivative, along each axis in turn (Unser, Aldroubi and Eden, 1993); lengths are in samples. Its
-    coefficients are those of eq. (13) with B(ω) + λ (2 - 2 cos ω)ᵐ in place of B(ω). For even degrees m is that of the next odd
-    one, and the penalty the corresponding sum over coefficients.
+    coefficients follow from eq. (13) with B(ω) + λ (2 - 2 cos ω)ᵐ in place of B(ω). An even degree uses m of the next odd
+    degree, and the corresponding sum over coefficients as the penalty.
     """
 
     name: str
@@ -134,11 +134,11 @@ class Filter(Shown):
                 self.along(axis)._require_invertible()
 
     def _facts(self) -> Facts:
-        """What notebooks show: the properties of the row beside its kernel."""
+        """Facts for notebooks: the properties of the filter beside its kernel."""
         return Facts(self.name, self.properties(), self.plot(33))
 
     def properties(self) -> dict[str, str]:
-        """What follows from the row, in words."""
+        """The derived properties, in words."""
         direct = self.interpolates_directly and not self.magnified_by
         return {
             "support": str(self.support),
@@ -158,18 +158,18 @@ class Filter(Shown):
             return "; ".join(self.along(axis)._poles_in_words() for axis in range(len(self.smoothing)))
         return " ".join(f"{p:.4f}" for p in self.poles) or "-"
 
-    # -- what follows from the matrix ------------------------------------------------------
+    # -- derived from the matrix -----------------------------------------------------------
 
     @cached_property
     def _hash(self) -> int:
         return hash((self.name, self.taps, self.prefilter, self.magnified_by, self.smoothing, self.length))
 
     def __hash__(self) -> int:
-        """Computed once: that of many fractions takes longer than a small array."""
+        """Cached: hashing many fractions takes longer than filtering a small array."""
         return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Its fields alone are pickled: what follows from them is computed anew, and hashes of strings differ between processes."""
+        """Pickle the fields only: cached properties are recomputed, because string hashes differ between processes."""
         return Filter, tuple(getattr(self, field.name) for field in fields(self))
 
     @cached_property
@@ -179,7 +179,7 @@ class Filter(Shown):
 
     @property
     def support(self) -> int:
-        """Width of the kernel in samples: the number of taps along one axis."""
+        """Support of the kernel in samples: the number of taps along one axis."""
         return len(self.taps)
 
     @property
@@ -194,27 +194,27 @@ class Filter(Shown):
 
     @property
     def exact(self) -> bool:
-        """Whether the row is written in exact fractions."""
+        """Whether all entries are exact fractions."""
         return all(isinstance(c, (int, Fraction)) for row in self.taps for c in row)
 
     @cached_property
     def continuity(self) -> int:
-        """The function drawn is Cᵏ; -1 where it jumps."""
+        """k, where the reconstructed function is Cᵏ; -1 if it jumps."""
         for k in range(self.degree + 1):
             rows = self._derivative(k)
-            # past a knot, tap i takes the place of tap i - 1
+            # across a knot, tap i replaces tap i - 1
             starts = [0, *(_evaluate(row, 0) for row in rows)]
             ends = [*(_evaluate(row, 1) for row in rows), 0]
             if any(not _near(a, b, self._slack(k)) for a, b in zip(starts, ends, strict=True)):
                 return k - 1
-        return self.degree  # one polynomial throughout: only the zero kernel
+        return self.degree  # a single polynomial: only the zero kernel
 
     @cached_property
     def order(self) -> int:
-        """Order of the polynomials reproduced: ``n`` where every degree below ``n`` is exact.
+        """Approximation order: ``n`` if all polynomials of degree below ``n`` are reproduced.
 
         Strang and Fix: ``sum w_i(t) (x - x_i)**m`` may not depend on ``t``; without a prefilter it
-        must also be what a kernel that changes nothing has, 1 for m = 0, else 0.
+        must also equal that of the identity, 1 for m = 0, else 0.
         """
         first = self.magnified_by.order if self.magnified_by else None
         for m in range(self.degree + 2):
@@ -232,7 +232,7 @@ class Filter(Shown):
 
     @cached_property
     def interpolates(self) -> bool:
-        """Whether the result passes through the samples (with the prefilter, where it has one)."""
+        """Whether the result interpolates the samples (with the prefilter, if it has one)."""
         if self.magnified_by and not self.magnified_by.interpolates:
             return False
         if self.prefilter:
@@ -247,33 +247,33 @@ class Filter(Shown):
 
     @cached_property
     def samples(self) -> Array:
-        """The kernel at 0, 1, 2, ...: what the prefilter undoes (eqs 11 and 16)."""
+        """The kernel at 0, 1, 2, ...: the prefilter inverts these (eqs 11 and 16)."""
         b = self(np.arange((self.support + 1) // 2))
         used = np.flatnonzero(np.abs(b) > _ROUNDING)
         return b[: used[-1] + 1] if used.size else b[:1]
 
     @property
     def settled(self) -> bool:
-        """Whether it is the same for every volume: its smoothing is neither "auto" nor a length."""
-        own = self.smoothing != "auto" and self.length is None
-        return own and (self.magnified_by is None or self.magnified_by.settled)
+        """Whether it is the same for every volume: its smoothing is a number, not "auto" or a length."""
+        fixed = self.smoothing != "auto" and self.length is None
+        return fixed and (self.magnified_by is None or self.magnified_by.settled)
 
     @property
     def penalty(self) -> int:
-        """The order m of the derivative that smoothing keeps small: the degree is 2m - 1, or the even one below."""
+        """The order m of the derivative that smoothing penalises: the degree is 2m - 1, or the even degree below."""
         return self.degree // 2 + 1
 
     def smoothed(self, smoothing: Smoothing | Sequence[float]) -> Filter:
-        """The same row with other smoothing, named after it: one number, one for each axis, or "auto"."""
+        """The filter with other smoothing, and a name that states it: one number, one per axis, or "auto"."""
         return smoothed(self, as_smoothing(smoothing))
 
     def along(self, axis: int) -> Filter:
-        """What the row does along an axis, 0 being x: itself, but for λ that differs from axis to axis.
+        """The filter along one axis, 0 for x: with the λ of that axis.
 
         Raises
         ------
         OptionError
-            The row has no λ for this axis, or has still to be settled for a volume.
+            The filter has no λ for this axis, or depends on a volume (`settled` is False).
         """
         if not self.settled:
             raise OptionError(
@@ -287,7 +287,7 @@ class Filter(Shown):
 
     @cached_property
     def undone(self) -> Array:
-        """What the prefilter undoes, at distances 0, 1, 2, ...: `samples`, and λ times the penalty; 1 without a prefilter.
+        """The filter that the prefilter inverts, at distances 0, 1, 2, ...: `samples` + λ · penalty; 1 without a prefilter.
 
         Its transform is the denominator of eq. (16) plus λ (2 - 2 cos ω)ᵐ.
         """
@@ -308,7 +308,7 @@ class Filter(Shown):
     def poles(self) -> NDArray[Any]:
         """Roots inside the unit circle of ``b0 + sum b_k (z**k + z**-k)``, b being `undone`; empty without a prefilter.
 
-        For the cubic B-spline this is √3 - 2. Complex ones are conjugate pairs.
+        For the cubic B-spline this is √3 - 2. Complex poles come in conjugate pairs.
         """
         if not self.prefilter:
             return np.empty(0)
@@ -318,13 +318,13 @@ class Filter(Shown):
 
     @cached_property
     def has_gradient(self) -> bool:
-        """Whether the derivative of the function drawn says anything; `nearest` is flat nearly everywhere."""
+        """Whether the function has a useful gradient; that of `nearest` is zero almost everywhere."""
         return self.degree >= 1
 
     def pairable(self, derivative: int = 0) -> bool:
-        """Whether two taps can be had by one linear fetch: weights of a pair never differ in sign.
+        """Whether one linear fetch can read two taps: the weights of a pair never differ in sign.
 
-        Taps are paired 0-1, 2-3, ...; an odd one is alone.
+        Taps are paired 0-1, 2-3, ...; an odd last one is single.
         """
         t = np.linspace(0, 1, 4097)
         w = self.weights(t, derivative)
@@ -340,15 +340,15 @@ class Filter(Shown):
         return np.asarray(np.polynomial.polynomial.polyval(reals("t", t), rows.T))
 
     def cell(self, x: ArrayLike) -> tuple[Array, Array]:
-        """The first tap's coefficient and the fraction past it for positions `x` in samples: the index rule.
+        """The index rule: the first tap's coefficient and the fraction for positions `x` in samples.
 
         ``u = x * scale - (TAPS/2 - 1)``, ``base = floor(u)`` and ``t = u - base``; the value at `x` is the sum over tap
-        ``i`` of ``c[base + i]`` times its weight at `t`. In kernels cell.cl holds this rule.
+        ``i`` of ``c[base + i]`` times its weight at `t`. cell.cl is this rule for kernels.
 
         Returns
         -------
         base, t : ndarray of float64, the shape of `x`
-            Whole numbers, as floats, for a position may lie far out; and fractions in [0, 1).
+            Integers, as floats because a position may be far outside, and fractions in [0, 1).
         """
         u = np.asarray(x, dtype=np.float64) * self.scale - (self.support / 2 - 1)
         base = np.floor(u)
@@ -357,15 +357,15 @@ class Filter(Shown):
     def __call__(self, x: ArrayLike, derivative: int = 0) -> Array:
         """The kernel, or its derivative, at signed distance `x` in (finer) samples; same shape as `x`."""
         x = reals("x", x)
-        x = np.where(np.abs(x) <= self.support, x, self.support)  # the kernel is zero there, as at any distance beyond
+        x = np.where(np.abs(x) <= self.support, x, self.support)  # the kernel is zero at this distance and beyond
         base, t = self.cell(x / self.scale)
-        inside = (base <= 0) & (base > -self.support)  # tap -base is that of the coefficient at 0
+        inside = (base <= 0) & (base > -self.support)  # tap -base belongs to the coefficient at 0
         tap = np.where(inside, -base, 0).astype(np.int64)
         every = self.weights(np.where(inside, t, 0.0), derivative)
         return np.where(inside, np.take_along_axis(every, tap[None], 0)[0], 0.0)
 
     def plot(self, points: int = 129) -> tuple[Array, Array]:
-        """Distance and kernel value for drawing the kernel: two arrays, `points` for each unit piece."""
+        """Distances and kernel values for a plot: two arrays, `points` per unit piece."""
         points = whole("points", points, 2)
         half = self.support / 2
         x = np.linspace(-half, half, self.support * (points - 1) + 1)
@@ -396,7 +396,7 @@ class Filter(Shown):
         return rows
 
     def _slack(self, derivative: int) -> float:
-        """How far floating rows may miss an identity; exact rows may not at all."""
+        """Tolerance of an identity: 0 for exact rows."""
         if self.exact:
             return 0.0
         return max(_ROUNDING, 10 * self.fit_error) * max(1.0, float(self.degree) ** (2 * derivative))
@@ -405,7 +405,7 @@ class Filter(Shown):
 def as_polynomials(what: str, rows: object) -> tuple[Polynomial, ...]:
     """`rows` as polynomials; `OptionError` unless they are sequences of finite numbers."""
     try:
-        polynomials = tuple(tuple(row) for row in rows)  # type: ignore[attr-defined]  # what cannot be iterated is refused
+        polynomials = tuple(tuple(row) for row in rows)  # type: ignore[attr-defined]  # fails if not iterable
     except TypeError:
         raise OptionError(f"{what} must be sequences of numbers; got {rows!r}") from None
     for c in (c for row in polynomials for c in row):
@@ -435,7 +435,7 @@ def _moment(taps: Sequence[Polynomial], m: int) -> list[Number]:
 
 @lru_cache(maxsize=1024)
 def smoothed(filter: Filter, smoothing: Smoothing, length: float | None = None) -> Filter:
-    """A row with other smoothing, named after it."""
+    """A filter with other smoothing, and a name that states it."""
     name = filter.name.rpartition("(")[0] if filter.smoothing != 0 or filter.length is not None else filter.name
     if length is not None:
         name += f"(length={_shortest(length)})"
@@ -446,13 +446,13 @@ def smoothed(filter: Filter, smoothing: Smoothing, length: float | None = None) 
 
 
 def _shortest(value: float) -> str:
-    """The fewest digits that give the same number."""
+    """The shortest text that gives the same number."""
     short = f"{value:g}"
     return short if float(short) == value else repr(value)
 
 
 def as_smoothing(value: object, least: float = 0.0) -> Smoothing:
-    """λ, one for each axis, or "auto", as a filter holds it: the same for all axes is one number."""
+    """λ, one per axis, or "auto", normalised for `Filter`: equal λ on all axes become one number."""
     if isinstance(value, str):
         if value == "auto":
             return "auto"
@@ -466,5 +466,5 @@ def as_smoothing(value: object, least: float = 0.0) -> Smoothing:
 
 
 def also_called(name: str) -> list[str]:
-    """What else a row of the table is called."""
+    """Aliases of a filter of the table."""
     return [other for other, row in ALIASES.items() if row == name]

@@ -1,4 +1,4 @@
-"""Constructors of filters: B-splines by their recursion, cubics, MOMS, windowed sinc, and rows of your own."""
+"""Constructors of filters: B-splines by their recursion, cubics, MOMS, windowed sinc, and custom kernels."""
 
 from __future__ import annotations
 
@@ -20,40 +20,40 @@ from clvol.filter.filter import MAX_DEGREE, MAX_TAPS, Array, Filter, Number, Smo
 
 __all__ = ["bc", "bspline", "from_callable", "from_pieces", "lanczos", "moms3", "omoms3", "quasi", "sinc"]
 
-_FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs by about 1e-6
-_MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
-_SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: more would cost derivatives in float32 what the fit gains
+_FIT_TOLERANCE = 1e-10  # relative to the kernel's peak: the error of its second derivative is then about 1e-6
+_MISFIT = 0.1  # relative to the kernel's peak: a fit with a larger error is rejected
+_SINC_DEGREE = 12  # degree of the fits to sinc and its windowed forms: with more, float32 derivatives lose what the fit gains
 
 
 def bspline(
     degree: int, *, prefilter: bool = True, smoothing: Smoothing | Sequence[float] = 0, length: float | None = None
 ) -> Filter:
-    """The B-spline of a degree 0 to 9, by the recursion of eqs (3) and (4) on a uniform knot sequence.
+    """The B-spline of degree 0 to 9, by the recursion of eqs (3) and (4) on a uniform knot sequence.
 
-    With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1). Smoothing splines lie between
-    the two, and beyond.
+    With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1). Smoothing splines are between
+    the two and beyond.
 
     Parameters
     ----------
     degree : int
     prefilter : bool
     smoothing : float, sequence of float, or "auto"
-        λ ≥ 0, the same for all axes or one for each, x first; 0 interpolates. "auto" takes it from the noise of the volume.
-        See `Filter`. Its name is "bspline3(0.1)", "bspline3(0.1,0.1,0.4)" or "bspline3(auto)".
+        λ ≥ 0, one for all axes or one per axis, x first; 0 interpolates. "auto" estimates it from the noise of the volume.
+        See `Filter`. The name is then "bspline3(0.1)", "bspline3(0.1,0.1,0.4)" or "bspline3(auto)".
     length : float, optional
-        Instead, a length in world units. Its name is "bspline3(length=0.3)".
+        Instead of λ, a length in world units. The name is then "bspline3(length=0.3)".
 
     Raises
     ------
     OptionError
-        A degree outside 0 to 9; smoothing that is negative or more than 10⁵, which float32 could not follow, or given to a
-        filter without a prefilter (degrees 0 and 1 have none).
+        The degree is outside 0 to 9; smoothing is negative or above 10⁵, the limit of float32, or given for a filter
+        without a prefilter (degrees 0 and 1 have none).
     """
     degree = whole("degree", degree, 0, 9)
-    made = _bspline(degree, flag("prefilter", prefilter) and degree >= 2)  # the first two interpolate as they are
+    result = _bspline(degree, flag("prefilter", prefilter) and degree >= 2)  # degrees 0 and 1 interpolate without it
     given = as_smoothing(smoothing)
     length = None if length is None else float(number("length", length, minimum=0))
-    return made if length is None and given == 0 else smoothed(made, given, length)
+    return result if length is None and given == 0 else smoothed(result, given, length)
 
 
 @lru_cache
@@ -67,7 +67,7 @@ def _bspline(degree: int, prefilter: bool) -> Filter:
 
 
 def _next_degree(rows: list[list[Fraction]], k: int, m: int) -> list[Fraction]:
-    """Eq. (4) for the spline of degree `k` that starts at knot ``-m``, given those of degree ``k - 1``."""
+    """Eq. (4): the spline of degree `k` that starts at knot ``-m``, from the splines of degree ``k - 1``."""
     result = [Fraction(0)] * (k + 1)
     if m < k:  # (u - u_i) / k times the spline that starts at the same knot
         for j, c in enumerate(rows[m]):
@@ -81,29 +81,29 @@ def _next_degree(rows: list[list[Fraction]], k: int, m: int) -> list[Fraction]:
 
 
 def quasi(degree: int) -> Filter:
-    """The quasi-interpolating B-spline of degree 1, 3 or 5: near the samples instead of through them, and nearer to the function.
+    """The quasi-interpolating B-spline of degree 1, 3 or 5: it misses the samples slightly, and fits the function better.
 
-    Interpolation errs by ``|B_L| / L! T**L f^(L)`` in the mean, L = degree + 1, with Bernoulli's number B_L: 1/12 for linear,
-    1/720 for the cubic. A prefilter that takes it off leaves the asymptotic error of least squares, 0.41 of that of linear
-    interpolation, 0.55 of that of the cubic, with the same taps (L. Condat, T. Blu and M. Unser, *Beyond interpolation: optimal
-    reconstruction by quasi-interpolation*, ICIP 2005). It is a smoothing spline whose λ is negative, ``-|B_L| / L!``: linear's
-    prefilter is ``12 / (z + 10 + 1/z)``. Noise grows by up to 1.5 along each axis, the cubic's 3 to 3.2.
+    The mean error of interpolation is ``|B_L| / L! T**L f^(L)``, where L = degree + 1 and B_L is Bernoulli's number: 1/12 for
+    linear, 1/720 for cubic. A prefilter that removes it leaves the asymptotic error of least squares: 0.41 of that of linear
+    interpolation, 0.55 of that of cubic, with the same taps (L. Condat, T. Blu and M. Unser, *Beyond interpolation: optimal
+    reconstruction by quasi-interpolation*, ICIP 2005). This is a smoothing spline with negative λ, ``-|B_L| / L!``; the
+    prefilter of linear is ``12 / (z + 10 + 1/z)``. It amplifies noise by up to 1.5 along each axis, that of cubic from 3 to 3.2.
 
     Raises
     ------
     OptionError
-        Another degree: in even ones the mean error is 0.
+        Another degree; for even degrees the mean error is 0.
     """
     bernoulli = {1: Fraction(1, 6), 3: Fraction(1, 30), 5: Fraction(1, 42)}
     if whole("degree", degree, 1, 5) not in bernoulli:
         raise OptionError(f"degree must be 1, 3 or 5; got {degree!r}")
     smoothing = -float(bernoulli[degree] / math.factorial(degree + 1))
-    made = bspline(degree)
-    return replace(made, name=f"{made.name}-quasi", prefilter=True, smoothing=smoothing)
+    base = bspline(degree)
+    return replace(base, name=f"{base.name}-quasi", prefilter=True, smoothing=smoothing)
 
 
 def from_pieces(name: str, pieces: Sequence[Sequence[Number]], *, prefilter: bool = False) -> Filter:
-    """A filter from an even kernel: ``pieces[j]`` are its coefficients in powers of ``|x|`` on [j, j + 1).
+    """A filter from an even kernel: ``pieces[j]`` are its coefficients of powers of ``|x|`` on [j, j + 1).
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def from_pieces(name: str, pieces: Sequence[Sequence[Number]], *, prefilter: boo
     size = max(len(piece) for piece in pieces)
     taps = []
     for i in range(2 * len(pieces)):
-        d = len(pieces) - 1 - i  # the tap lies at distance t + d
+        d = len(pieces) - 1 - i  # the distance of the tap is t + d
         piece, offset, sign = (pieces[d], d, 1) if d >= 0 else (pieces[-d - 1], -d, -1)  # |x| = offset + sign t
         row: list[Number] = [Fraction(0)] * size
         for k, c in enumerate(piece):
@@ -152,19 +152,19 @@ def from_callable(
     prefilter : bool
         Make it interpolate by solving eq. (11) for its kernel.
     degree : int, optional
-        Degree of the Chebyshev fit on each unit piece; by default the smallest that errs by no more
-        than 1e-10 of the peak, at most 20.
+        Degree of the Chebyshev fit on each unit piece; by default the smallest with an error of at most
+        1e-10 of the peak, up to 20.
 
     Returns
     -------
     Filter
-        Its `fit_error` is the largest error found between the nodes of the fit.
+        `fit_error` is the largest error found between the nodes of the fit.
 
     Raises
     ------
     OptionError
-        A kernel that fails or gives other than finite numbers, or that jumps between the integers, unless `degree` is
-        given.
+        The kernel fails, returns values that are not finite, or jumps between the integers (unless `degree` is
+        given).
     """
     radius = _radius(radius)
     degree = None if degree is None else whole("degree", degree, 0, MAX_DEGREE)
@@ -172,7 +172,7 @@ def from_callable(
         raise OptionError(f"kernel must be a function of distances; got {kernel!r}")
     t = np.linspace(0, 1, 1001)
     distance = t[None, :] - np.arange(2 * radius)[:, None] + radius - 1
-    # the ends of a piece belong to two pieces; a kernel that jumps there is evaluated just inside
+    # two pieces share each end; evaluate just inside, because the kernel may jump there
     wanted = _kernel_at(name, kernel, np.clip(distance, distance[:, :1] + 1e-12, distance[:, -1:] - 1e-12))
     peak = float(np.abs(wanted).max())
     for n in [degree] if degree is not None else range(MAX_DEGREE + 1):
@@ -210,7 +210,7 @@ def _radius(radius: object) -> int:
 
 @lru_cache
 def _chebyshev_powers(degree: int) -> Array:
-    """Coefficients in powers of t, one row each, of the Chebyshev polynomials of 2t - 1 up to a degree: whole numbers, exact."""
+    """Coefficients of powers of t for the Chebyshev polynomials of 2t - 1, one row per degree; exact integers."""
     rows = np.zeros((degree + 2, degree + 2))
     rows[0, 0], rows[1, :2] = 1, (-1, 2)
     for k in range(2, degree + 1):
@@ -222,14 +222,14 @@ def _chebyshev_powers(degree: int) -> Array:
 def bc(B: Number, C: Number) -> Filter:
     """The cubic of Mitchell and Netravali with parameters B and C (reference [10] of the paper).
 
-    (1, 0) is the cubic B-spline without prefilter, (1/3, 1/3) theirs, (0, 1/2) Catmull-Rom.
+    (1, 0) is the cubic B-spline without prefilter, (1/3, 1/3) their choice, (0, 1/2) Catmull-Rom.
     """
     b, c = _exact("B and C", B), _exact("B and C", C)
     return _bc(f"bc({b},{c})", Fraction(b), Fraction(c))
 
 
 def _exact(what: str, value: object) -> Number:
-    """`value` as a fraction where it is one or a whole number, else as a float."""
+    """`value` as a fraction if it is rational, else as a float."""
     real = number(what, value)
     if isinstance(value, Rational):
         return Fraction(int(value.numerator), int(value.denominator))
@@ -250,8 +250,8 @@ def _bc(name: str, b: Fraction, c: Fraction) -> Filter:
 def sinc(radius: int = 4, *, normalized: bool = False) -> Filter:
     """The ideal filter cut off at `radius` samples, 1 to 8.
 
-    As the paper has it, the weights miss one by up to 0.08 at radius 4: what truncation does is to be seen. With
-    `normalized` they are divided by their sum, which is how programs use it; that is Berrut's rational interpolant of the
+    As in the paper, the weights do not sum to one (off by up to 0.08 at radius 4), so that the effect of truncation shows.
+    With `normalized` they are divided by their sum, as programs do; the result is Berrut's rational interpolant of the
     nearest ``2 radius`` samples (Computers & Mathematics with Applications 15, 1988).
     """
     return _sinc(_radius(radius), flag("normalized", normalized))
@@ -265,9 +265,9 @@ def _sinc(radius: int, normalized: bool) -> Filter:
 
 
 def lanczos(radius: int, *, normalized: bool = False) -> Filter:
-    """Sinc under the window sinc(x / radius), radius 1 to 8.
+    """Sinc windowed by sinc(x / radius), radius 1 to 8.
 
-    Its weights sum to one only nearly; with `normalized` they are divided by their sum.
+    The weights sum to one only approximately; with `normalized` they are divided by their sum.
     """
     return _lanczos(_radius(radius), flag("normalized", normalized))
 
@@ -283,12 +283,12 @@ def _lanczos(radius: int, normalized: bool) -> Filter:
 
 
 def _normalized(name: str, kernel: Callable[[Array], Array], radius: int, order: int) -> Filter:
-    """The row of a kernel, 1 at 0 and 0 at the other integers, whose weights are divided by their sum.
+    """The filter of a kernel, 1 at 0 and 0 at the other integers, with weights divided by their sum.
 
-    What holds of the quotients and only nearly of the fits is restored: a line added to each makes it exact at the
-    samples, and the smallest change of the weights brings back the polynomials below `order`.
+    The fits satisfy the identities of the quotients only approximately. Adding a line to each makes it exact at the
+    samples, and the smallest change of the weights restores the polynomials below `order`.
     """
-    shifts = radius - 1.0 - np.arange(2 * radius)  # tap i lies at t + shifts[i]
+    shifts = radius - 1.0 - np.arange(2 * radius)  # the distance of tap i is t + shifts[i]
 
     def divided(x: Array) -> Array:
         return np.asarray(kernel(x) / kernel((x - np.floor(x))[..., None] + shifts).sum(-1))
@@ -298,7 +298,7 @@ def _normalized(name: str, kernel: Callable[[Array], Array], radius: int, order:
     rows[:, 0] = shifts == 0
     rows[:, 1] += (shifts == -1) - rows.sum(1)
     powers = np.vander(shifts, order, increasing=True).T
-    wanted = np.zeros((order, rows.shape[1]))  # the sum of w_i(t) (t + shifts[i])**m is that of m = 0 alone
+    wanted = np.zeros((order, rows.shape[1]))  # the sum of w_i(t) (t + shifts[i])**m is zero for m > 0
     wanted[range(order), range(order)] = (-1.0) ** np.arange(order)
     rows += np.linalg.pinv(powers) @ (wanted - powers @ rows)
     row = replace(row, taps=tuple(map(tuple, rows.tolist())))
@@ -310,17 +310,17 @@ def moms3(weight: Number = Fraction(1, 56)) -> Filter:
     """The cubic B-spline plus `weight` of its second derivative: order 4 on support 4, prefiltered.
 
     Blu, Thévenaz and Unser (*MOMS: maximal-order interpolation of minimal support*, IEEE Trans. Image Processing 10, 2001).
-    All even kernels of that order and support are among these: 0 is the cubic B-spline, -1/6 the cubic Lagrange
-    interpolant. With samples ever finer, the RMS error of interpolation is `constant` times that of ``T**4 f^(4)``, where::
+    These are all even kernels of that order and support: 0 is the cubic B-spline, -1/6 the cubic Lagrange
+    interpolant. As the spacing T goes to 0, the RMS error of interpolation is `constant` times ``T**4 f^(4)``, where::
 
         constant**2 = (1/720 - weight/12)**2 + 1/1209600 - weight/15120 + weight**2/720
 
-    1/56, the default, makes it the smallest: 0.19 of the B-spline's.
+    The default, 1/56, minimises it: 0.19 of the B-spline's.
 
     Parameters
     ----------
     weight : number
-        Below 1/12, where the prefilter ceases to exist.
+        Less than 1/12; the prefilter does not exist above.
     """
     w = _exact("weight", weight)
     return _moms3("moms3" if w == Fraction(1, 56) else f"moms3({w})", Fraction(w))
@@ -333,9 +333,9 @@ def _moms3(name: str, weight: Fraction) -> Filter:
 
 
 def omoms3() -> Filter:
-    """`moms3` of 1/42, the best of them for least squares: where coefficients are fitted to the function itself.
+    """`moms3` with 1/42, the best for least squares, where coefficients are fitted to the function itself.
 
-    Its asymptotic error is then 0.22 of that of the cubic B-spline (Blu, Thévenaz and Unser, 2001). As it is used here,
-    through samples, it is 0.38 of it, and twice that of `moms3`.
+    Its asymptotic error is then 0.22 of the cubic B-spline's (Blu, Thévenaz and Unser, 2001). Here it interpolates
+    samples, where its error is 0.38 of the B-spline's, twice that of `moms3`.
     """
     return replace(moms3(Fraction(1, 42)), name="omoms3")

@@ -1,4 +1,4 @@
-"""How far a prefilter reaches: the samples around a part of a volume that the part's coefficients depend on."""
+"""The reach of a prefilter: the margin of samples around a part of a volume that the part's coefficients depend on."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from clvol.filter.table import as_filter
 __all__ = ["LEFT_OUT", "reach", "require_settled"]
 
 LEFT_OUT = {"single": 1e-8, "double": 1e-14}
-"""The share of a prefilter's weights that a margin may leave out, by precision."""
+"""Fraction of a prefilter's weights outside the margin, by precision."""
 
 
 def reach(filter: str | Filter, precision: str = "single") -> int:
-    """The samples on each side of a part that its coefficients depend on; those further out add less than rounding does.
+    """Margin in samples on each side of a part; samples further out change its coefficients by less than rounding.
 
     Parameters
     ----------
     filter : str or Filter
-        Where its smoothing differs along the axes, the result is the largest of their reaches.
+        If its smoothing differs between axes, the result is the largest reach.
     precision : {"single", "double"}
-        The margin may leave out 10⁻⁸ of the sum of the prefilter's weights, or 10⁻¹⁴.
+        The margin leaves out 10⁻⁸ ("single") or 10⁻¹⁴ ("double") of the sum of the prefilter's weights.
 
     Raises
     ------
     OptionError
-        The filter's smoothing is chosen from the samples, or one of the names is unknown.
+        The filter's smoothing depends on the samples, or a name is unknown.
 
     Notes
     -----
-    Coefficients are samples convolved with ``h``, the inverse of `Filter.undone`, which decays like powers of the largest pole. The
-    reach is the smallest d with ``sum of |h[k]| for |k| > d ≤ ε · sum of all |h[k]|``: 14 and 24 samples for cubic splines. Let G
-    be the latter sum (3 for cubic splines) and R the range of the samples. Where a part ends its recursions by a boundary rule d
-    samples further out, the samples that the rule assumes there differ from the real ones by R at most. So coefficients err by
-    at most ε G R along one axis, and by ``D ε Gᴰ R`` along D axes. Where a boundary rule puts values of its own outside
-    (0, `cval`), R includes them.
+    Coefficients are samples convolved with ``h``, the inverse of `Filter.undone`, which decays like powers of the largest pole.
+    The reach is the smallest d with ``sum of |h[k]| for |k| > d ≤ ε · sum of all |h[k]|``: 14 and 24 samples for cubic splines.
+    Let G be the latter sum (3 for cubic splines) and R the range of the samples. If the recursions of a part end with a
+    boundary rule d samples further out, the samples that the rule assumes there differ from the real ones by at most R. So the
+    error of coefficients is at most ε G R along one axis, and ``D ε Gᴰ R`` along D axes. If the boundary rule has a constant
+    outside (0, `cval`), R includes it.
     """
     if precision not in LEFT_OUT:
         raise one_of("precision", precision, LEFT_OUT)
@@ -53,7 +53,7 @@ def reach(filter: str | Filter, precision: str = "single") -> int:
 
 
 def require_settled(row: Filter) -> None:
-    """Raise `OptionError` for a filter whose smoothing is chosen from the samples."""
+    """Raise `OptionError` for a filter whose smoothing depends on the samples."""
     if not row.settled:
         raise OptionError(
             f"the smoothing of {row.name!r} is decided from all samples, and parts are computed before these are known: "
@@ -65,11 +65,11 @@ def require_settled(row: Filter) -> None:
 def _reach(row: Filter, left_out: float) -> int:
     if not row.prefilter or not row.poles.size:
         return 0
-    # powers of the largest pole, and of pairs of poles that lie together, down to where float64 sees nothing
+    # powers of the largest pole, and of close pairs of poles, until they vanish in float64
     count = math.ceil(40 / -math.log(float(np.abs(row.poles).max()))) + 2 * row.poles.size
     causal = _impulse_response(np.asarray(np.poly(row.poles).real, np.float64), count)
-    weights = np.abs(np.correlate(causal, causal, "full")[count - 1 :])  # at distances 0, 1, 2, ..., up to a factor
-    beyond = np.append(np.cumsum(weights[::-1])[::-1], 0.0)  # the sum of weights from a distance on
+    weights = np.abs(np.correlate(causal, causal, "full")[count - 1 :])  # at distances 0, 1, 2, ..., up to a constant factor
+    beyond = np.append(np.cumsum(weights[::-1])[::-1], 0.0)  # the sum of weights from each distance on
     allowed = left_out * (2 * beyond[0] - weights[0])
     return int(np.flatnonzero(2 * beyond[1:] <= allowed)[0])
 

@@ -1,7 +1,7 @@
 """Frequency responses of the filters (eqs 14 to 18), derived from their taps.
 
-Frequencies are in radians per sample of the given volume: π is its Nyquist frequency, and an ideal
-filter would be 1 below it and 0 above.
+Frequencies are in radians per sample of the volume: π is its Nyquist frequency, and an ideal
+filter is 1 below it and 0 above.
 """
 
 from __future__ import annotations
@@ -19,38 +19,38 @@ from clvol.filter.table import as_filter
 __all__ = ["frequency_response", "prefilter_response"]
 
 Array: TypeAlias = NDArray[np.float64]
-_MAX_OMEGA = 2000  # the nodes of integration grow with it, and their time with its cube
-_CHUNK = 1 << 20  # cosines in memory at a time
+_MAX_OMEGA = 2000  # radians per sample; the number of quadrature nodes grows with it, and their time with its cube
+_CHUNK = 1 << 20  # cosines in memory at once
 
 
 def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
-    """The response of the whole reconstruction along one axis, the prefilter included.
+    """The response of the whole reconstruction along one axis, including the prefilter.
 
     Parameters
     ----------
     filter : str or Filter
         Any filter of the table.
     omega : array-like
-        Angular frequency in radians per sample, at most 2000 either way.
+        Angular frequency in radians per sample, within ±2000.
 
     Returns
     -------
     ndarray of float64, the shape of `omega`
-        B(ω) for a filter that uses the samples as they are, eq. (15) for B-splines; S(ω) B(ω) for one
+        B(ω) for a filter without a prefilter, eq. (15) for B-splines; S(ω) B(ω) for one
         with a prefilter, eq. (17); H(ω) for a hybrid, eq. (18).
 
     Notes
     -----
     The kernel is integrated piece by piece with enough Gauss–Legendre nodes for float64. A kernel of
-    the table is even, so its transform is real; of one that is not, this is the even part.
+    the table is even, so its transform is real; for other kernels, this is the even part.
 
-    A hybrid samples one spline at ``1 / s`` of a sample, a digital filter, and draws the result through
+    A hybrid samples one spline at steps of ``1 / s``, a digital filter, and reconstructs the result with
     another kernel of ``1 / s`` the width: the product of S(ω), the sum over j of ``k(j / s) cos(ω j / s)``
     and ``B(ω / s) / s``.
     """
     chosen, w = as_filter(filter), _frequencies(omega)
     if np.abs(w).max(initial=0.0) > _MAX_OMEGA:
-        raise OptionError(f"omega must lie within ±{_MAX_OMEGA}; got {float(np.abs(w).max()):g}")
+        raise OptionError(f"omega must be within ±{_MAX_OMEGA}; got {float(np.abs(w).max()):g}")
     response = _kernel_response(chosen, w / chosen.scale) * prefilter_response(chosen, w)
     if chosen.magnified_by is not None:
         by, s = chosen.magnified_by, chosen.scale
@@ -66,7 +66,7 @@ def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
 def prefilter_response(filter: str | Filter, omega: ArrayLike) -> Array:
     """The response S(ω) of the prefilter (equation 16): 1 without one, the magnifying filter's for a hybrid.
 
-    That of a smoothing spline has λ (2 - 2 cos ω)ᵐ added to the denominator.
+    A smoothing spline adds λ (2 - 2 cos ω)ᵐ to the denominator.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _frequencies(omega: ArrayLike) -> Array:
 def _kernel_response(filter: Filter, omega: Array) -> Array:
     """The Fourier integral of the kernel: B(ω), eq. (15) for B-splines."""
     flat = omega.ravel()
-    # n nodes are exact to degree 2n - 1: the polynomial's, and as much as the cosine needs on a unit length
+    # n nodes are exact to degree 2n - 1: the polynomial's degree, plus what the cosine needs on a unit interval
     count = filter.degree + 16 + int(np.abs(flat).max(initial=0.0))
     nodes, lengths = np.polynomial.legendre.leggauss(count)
     t = (nodes + 1) / 2

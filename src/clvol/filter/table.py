@@ -1,4 +1,4 @@
-"""The table of filters: their names, aliases and families, and how a name is read."""
+"""The table of filters: names, aliases and families, and the parser of names."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 DEFAULT_FILTER = "bspline3"
-PICTURE_FILTER = "bspline3(auto)"  # of pictures: data that are drawn should not show their noise
+PICTURE_FILTER = "bspline3(auto)"  # default of pictures: they should not show the noise of the data
 
 _TABLE: dict[str, Filter] = {}
 _FAMILIES: dict[str, tuple[str, Callable[..., Filter]]] = {
@@ -43,7 +43,7 @@ _SMOOTHED = "bspline3(0.1), bspline3(auto), bspline3(length=0.5)"
 
 
 def register_filter(new: Filter, *, replace_existing: bool = False) -> Filter:
-    """Add a filter to the table, so that its name can be given wherever a filter is expected; returns it."""
+    """Add a filter to the table, so that its name works wherever a filter is expected. Returns the filter."""
     if not isinstance(new, Filter):
         raise OptionError(f"register_filter takes a Filter; got {new!r}")
     if not re.fullmatch(r"[a-zA-Z][\w.+-]*(\([\w.+/,-]*\))?", new.name):
@@ -58,9 +58,9 @@ def register_filter(new: Filter, *, replace_existing: bool = False) -> Filter:
 
 
 def unregister_filter(name: str) -> Filter:
-    """Remove a filter from the table and return it; `OptionError` if there is none of that name.
+    """Remove a filter from the table and return it; `OptionError` if the name is unknown.
 
-    The filters that clvol comes with may be removed, too; ``register_filter(unregister_filter("linear"))`` puts one back.
+    Built-in filters can be removed too; ``register_filter(unregister_filter("linear"))`` restores one.
     """
     if not isinstance(name, str) or name not in _TABLE:
         raise one_of("filter", name, _TABLE)
@@ -68,22 +68,22 @@ def unregister_filter(name: str) -> Filter:
 
 
 class FilterTable(Named[Filter]):
-    """Every filter by name; shown, it is a table."""
+    """Filters by name, shown as a table."""
 
     HEADER = ("filter", "support", "degree", "continuity", "order", "interpolates", "sums to one", "poles", "also called")
 
     def rows(self) -> list[tuple[str, ...]]:
-        """One tuple of texts a filter, in the order of `HEADER`."""
+        """One tuple of strings per filter, in the order of `HEADER`."""
         return [(name, *f.properties().values()) for name, f in self.items()]
 
 
 def filters() -> FilterTable:
-    """The table: every filter by name, in order; shown, it says what each has, and what else it is called."""
+    """The table of filters by name, in order, with their properties and aliases when shown."""
     return FilterTable(_TABLE)
 
 
 def as_filter(choice: str | Filter) -> Filter:
-    """The row for a name, an alias, or a family with its parameters, such as ``"bc(0, 1/2)"``, ``"sinc(6)"``, ``"bspline3(0.1)"``,
+    """The filter of a name, an alias, or a family with parameters, such as ``"bc(0, 1/2)"``, ``"sinc(6)"``, ``"bspline3(0.1)"``,
     ``"bspline3(0.1, 0.1, 0.4)"``, ``"bspline3(auto)"`` or ``"bspline3(length=0.5)"``.
     """
     if isinstance(choice, Filter):
@@ -102,7 +102,7 @@ def as_filter(choice: str | Filter) -> Filter:
             return _FAMILIES[match[1]][1](*(Fraction(v.strip()) for v in match[2].split(",")))
         except (ValueError, TypeError, ZeroDivisionError):
             raise OptionError(f"filter {choice!r} has wrong parameters; write {', '.join(written[:-1])} or {written[-1]}") from None
-    if match := re.fullmatch(r"bspline([6-9])", name):  # what one that smooths is called where there is nothing to smooth
+    if match := re.fullmatch(r"bspline([6-9])", name):  # the name of a smoothing filter with λ = 0
         return bspline(int(match[1]))
     if match := re.fullmatch(r"(?:bspline|cubic)\(([^()]*)\)|bspline(\d)\(([^()]*)\)", name):
         return _smoothed_by_name(choice, int(match[2] or 3), match[1] or match[3] or "")
@@ -129,12 +129,12 @@ def _smoothed_by_name(choice: str, degree: int, text: str) -> Filter:
 
 
 def as_filters(choices: Sequence[str | Filter], maximum: int | None = None) -> list[Filter]:
-    """The filters of one or more names, at most `maximum`."""
+    """The filters for one or more names, at most `maximum`."""
     return [as_filter(choice) for choice in several_names(choices, maximum)]
 
 
 def several_names(choices: object, maximum: int | None = None) -> list[Any]:
-    """The one or more names or rows that `filters` says, not yet looked up."""
+    """`filters` as a list of one or more names or filters, without looking them up."""
     if isinstance(choices, Filter):
         raise OptionError(f"filters must be one or more names; got {choices!r}")
     return several("filters", choices, "one or more names", maximum)

@@ -1,4 +1,4 @@
-"""What a picture is to show: media, lights, camera, mode, transfer function, presets.
+"""The content of a picture: media, lights, camera, mode, transfer function, presets.
 
 No module here needs a device.
 """

@@ -1,4 +1,4 @@
-"""Orthographic and perspective cameras in world space."""
+"""Orthographic and perspective cameras in the world."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ __all__ = ["Camera", "Viewpoint"]
 _PROJECTIONS = ("perspective", "orthographic")
 _FITS = ("matter", "volume")
 _WORLD = np.eye(3)
-_FRAMES = {"image": np.diag([1.0, -1.0, -1.0])}  # of worlds that are not seen with z up: from the viewing frame
-_FARTHEST = 1e20  # mean spacings from a volume's centre: no number that kernels read overflows
-_ALONG = 16  # times as far as off their rays, points may be moved along them
+_FRAMES = {"image": np.diag([1.0, -1.0, -1.0])}  # from the viewing frame to the world, for worlds not viewed with z up
+_FARTHEST = 1e20  # mean spacings from a volume's centre, so that no number for kernels overflows
+_ALONG = 16  # ratio of the tolerances of points along their rays and off them
 Vector = NDArray[np.float64]
 
 
@@ -63,24 +63,24 @@ class Viewpoint:
     )
 
     def reach(self, volume: Volume, aspect: float) -> float:
-        """How many voxels the positions count that rays through the volume are computed from; at least those of its longest axis.
+        """Largest position, in voxels, used to compute rays through the volume; at least its longest axis.
 
-        They are rounded to float32: the points drawn err by up to 2⁻²² of this, most of it along their rays where the volume is
-        much thinner along the view than across.
+        Positions are rounded to float32, so that the error of points is up to 2⁻²² of this, mostly along their rays if the volume
+        is much thinner along the view than across.
 
         Raises
         ------
         GeometryError
-            Points would err by more than 1/16 of a voxel off their rays, or by more than a voxel along them; or the camera stands
-            too far away for float32.
+            The error of points would exceed 1/16 of a voxel off their rays, or a voxel along them; or the camera is too far
+            away for float32.
         """
         size, inverse, to_center = np.asarray(volume.size), volume.world_to_index_matrix, volume.center - self.eye
         corner = self.half_height * np.hypot(aspect, 1)
         ahead = float(to_center @ self.forward)
-        aside = math.hypot(*(to_center - ahead * self.forward))  # which overflows for no camera
+        aside = math.hypot(*(to_center - ahead * self.forward))  # does not overflow for any camera
         if not math.hypot(ahead, aside) <= _FARTHEST * volume.mean_spacing:
             raise GeometryError(
-                f"the camera must stand within {_FARTHEST:g} mean spacings of the volume's centre, which float32 holds; "
+                f"the camera must be within {_FARTHEST:g} mean spacings of the volume's centre, the range of float32; "
                 f"got {self.eye}"
             )
         if self.orthographic:
@@ -90,24 +90,24 @@ class Viewpoint:
             distance = math.hypot(aside, ahead)
             turn = math.asin(min(1.0, volume.radius / distance)) if distance > 0 else math.pi
             seen = math.atan2(aside, ahead) - turn <= math.atan(corner)
-            spread = max(abs(ahead), volume.radius)  # directions are rounded, too, and followed through the volume
-        own = float(size.max())
+            spread = max(abs(ahead), volume.radius)  # directions are rounded as well, and followed through the volume
+        longest = float(size.max())
         if not seen:
-            return own
+            return longest
         across = [inverse @ (self.half_height * (a * aspect * self.right + self.up)) for a in (-1, 1)]
         middle = inverse @ (to_center - ahead * self.forward)
         reach = float(np.linalg.norm(middle)) + spread * max(float(np.linalg.norm(v)) for v in across)
-        # Each coordinate is rounded by itself, which moves a point off its ray as far as the ray turns from that axis.
+        # Each coordinate is rounded separately, which moves a point off its ray by the sine of its angle to that axis.
         off = self._turns(inverse, aspect)
         astray = float(np.linalg.norm(off * middle)) + spread * max(float(np.linalg.norm(off * v)) for v in across)
         span = max(astray, reach / _ALONG)
         if not span <= REACH:
             raise GeometryError(
-                f"a picture must span no more than {REACH} voxels from the volume's centre to its own corners, or float32 errs by "
-                f"more than 1/16 of a voxel (by a voxel along rays, where 1/{_ALONG} counts); fov and zoom, the camera's place and "
+                f"a picture must span at most {REACH} voxels from the volume's centre to its corners, or the error of float32 "
+                f"exceeds 1/16 of a voxel (a voxel along rays, which count 1/{_ALONG}); fov and zoom, the camera's position and "
                 f"the spacings {volume.spacing} give {span:.3g}"
             )
-        return max(own, reach)
+        return max(longest, reach)
 
     def _turns(self, inverse: Vector, aspect: float) -> Vector:
         """The sine of the largest angle between any ray and each axis, in index space; (3,)."""
@@ -116,25 +116,26 @@ class Viewpoint:
             [inverse @ (self.forward + corner * (a * aspect * self.right + b * self.up)) for a in (-1, 1) for b in (-1, 1)]
         )
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        # on one side of an axis, the ray that turns farthest from it is one of the corners'
+        # on one side of an axis, the ray with the largest angle to it is that of a corner
         one_side = (rays > 0).all(0) | (rays < 0).all(0)
         return np.where(one_side, np.linalg.norm(rays[:, [[1, 2], [2, 0], [0, 1]]], axis=-1).max(0), 1.0)
 
     def eye_in(self, volume: Volume) -> NDArray[np.float32]:
-        """The eye in samples, as kernels know it: for what they and the host have to decide in the same way."""
+        """The eye in samples, rounded as in kernels, for decisions that must agree on host and device."""
         return volume.world_to_index(self.eye).astype(np.float32)
 
     def block(self, volume: Volume, width: int, height: int, aspect: float | None = None) -> Values:
-        """What kernels read: rays in index space as linear functions of the pixel, (0, 0) top left.
+        """The block for kernels: rays in index space as linear functions of the pixel, (0, 0) top left.
 
-        Pixels are square unless a picture's ``width / height = aspect`` is given, which a smaller one of it may have by rounding.
+        Pixels are square unless `aspect` is given: the ``width / height`` of a full picture, from which a smaller one may
+        differ by rounding.
 
-        They start on the plane through the volume's centre that faces the camera, where float32 is most precise. World units
-        are mean spacings, so that none is too large or too small for float32.
+        Rays start on the plane through the volume's centre that faces the camera, where float32 is most precise. Lengths are
+        in mean spacings, so that none is too large or too small for float32.
         """
         aspect = width / height if aspect is None else aspect
         inverse, origin = volume.world_to_index_matrix, np.asarray(volume.origin)
-        # picture coordinates: from -1 to 1 along `right` and along `up`
+        # picture coordinates: -1 to 1 along `right` and along `up`
         across, down = self.right * self.half_height * aspect, -self.up * self.half_height
         corner, per_x, per_y = -across - down, 2 * across / width, 2 * down / height
         unit = volume.mean_spacing
@@ -157,38 +158,38 @@ class Viewpoint:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera; whatever is None is fitted to the volume when a picture is made.
+    """A camera; fields that are None are fitted to the volume on rendering.
 
     Parameters
     ----------
     position : sequence of float, optional
         World position (x, y, z). None: far enough back along `direction` to see a sphere of `radius` around the target.
     target : sequence of float, optional
-        World point that it looks at; None: the middle of what it is fitted to, or the volume's centre where `position`,
-        `distance` or `radius` are given.
+        World point that the camera looks at; None: the centre of the fit, or the volume's centre if `position`,
+        `distance` or `radius` is given.
     up : sequence of float
         Direction that points up in the picture.
     direction : sequence of float
-        Direction of view where `position` is None.
+        Direction of view if `position` is None.
     projection : {"perspective", "orthographic"}
     fov : float
         Vertical field of view of a perspective camera, degrees.
     distance : float, optional
-        World distance from the target where `position` is None.
+        World distance from the target if `position` is None.
     zoom : float
         Magnification of the picture about its centre.
     radius : float, optional
-        World radius of the sphere around the target that just fits into the picture; None: as `fit` says where `position`,
-        `target` and `distance` are None too, else that of the volume.
+        World radius of the sphere around the target that just fits into the picture; None: chosen by `fit` if `position`,
+        `target` and `distance` are None as well, else that of the volume.
     fit : {"matter", "volume"}
-        What a camera whose place is left open is fitted to. "matter": all that the mode and the transfer function of the
-        picture show of the volume, within the clip box, and what it sweeps when it is turned about the vertical
+        What a camera without a position is fitted to. "matter": all that the mode and the transfer function of the
+        picture show of the volume, within the clip box, rotated about the vertical
         (`clvol.scene.fit`).
-        "volume": the sphere around the whole volume. Pictures stay steady while a camera goes around.
+        "volume": the sphere around the whole volume. With both, the scale stays constant while a camera orbits.
     upright : bool
-        Whether `direction` and `up` are relative to how the volume is looked at, not to its world: that of a stack of images
-        (`Volume.space` is "image") is turned by 180° about x, so that what is up in its pictures is -z and seen from above rows
-        run down. All others are looked at with z up, and then it does not matter.
+        Whether `direction` and `up` are in the viewing frame of the volume, not in its world. The frame of a stack of images
+        (`Volume.space` is "image") is rotated by 180° about x, so that -z is up in its pictures, and from above rows
+        run down. All others have z up in both, so that it makes no difference.
     """
 
     position: tuple[float, float, float] | None = None
@@ -236,19 +237,19 @@ class Camera:
         radius: float | None = None,
         fit: Literal["matter", "volume"] = "matter",
     ) -> Camera:
-        """A camera on a sphere around the target, upright.
+        """An upright camera on a sphere around the target.
 
         Parameters
         ----------
         azimuth : float
-            Degrees about the z axis; 0 looks along +y, and 90 from +x along -x. A patient (`Volume.space` is "LPS") is seen
-            from the front at 0, the right side on the viewer's left.
+            Degrees about the z axis; 0 looks along +y, and 90 from +x along -x. At 0 a patient (`Volume.space` is "LPS") is
+            seen from the front, with the right side on the viewer's left.
         elevation : float
-            Degrees above the xy plane; 90 looks straight down. A stack of images (`Volume.space` is "image") is then seen as
-            Fiji and napari show it: slice 0 nearest to the viewer, x to the right, rows running down. Other elevations and
-            azimuths turn that picture as they turn others; z runs down in it, and azimuth 0 looks along -y.
+            Degrees above the xy plane; 90 looks straight down. A stack of images (`Volume.space` is "image") then looks as
+            in Fiji and napari: slice 0 nearest to the viewer, x to the right, y down. Other elevations and
+            azimuths rotate it as they rotate others; its z points down, and azimuth 0 looks along -y.
         distance, zoom, target, projection, fov, radius, fit
-            As for `Camera`.
+            See `Camera`.
         """
         a, e = math.radians(number("azimuth", azimuth)), math.radians(number("elevation", elevation))
         return cls(
@@ -307,37 +308,37 @@ class Camera:
             zoom=zoom,
         )
         if camera.position == camera.target:
-            raise GeometryError(f"position and target must differ, or there is no direction of view; got {position} twice")
+            raise GeometryError(f"position and target must differ, to define a direction of view; got {position} twice")
         return camera
 
     def zoomed(self, factor: float) -> Camera:
-        """The same camera, magnified by a further factor."""
+        """A copy with the zoom multiplied by `factor`."""
         return replace(self, zoom=self.zoom * number("factor", factor, above=0))
 
     def view(self, volume: Volume, aspect: float = 1.0) -> Viewpoint:
         """The camera fitted to a volume and a picture of ``width / height = aspect``.
 
-        A camera that is to be fitted sees the volume's bounding sphere: only a picture knows what can be seen (`clvol.scene.fit`).
+        A camera without a position sees the volume's bounding sphere; only a picture knows what is visible (`clvol.scene.fit`).
 
         Raises
         ------
         GeometryError
-            The camera stands on its target.
+            The camera is at its target.
         """
         target = volume.center if self.target is None else np.asarray(self.target)
         radius = volume.radius if self.radius is None else self.radius
         upright = _FRAMES.get(volume.space, _WORLD) if self.upright else _WORLD
         if self.position is None:
-            forward = upright @ np.asarray(self.direction) / math.hypot(*self.direction)  # hypot does not underflow
+            forward = upright @ np.asarray(self.direction) / math.hypot(*self.direction)  # hypot avoids underflow
         else:
             with np.errstate(over="ignore"):
                 forward = target - np.asarray(self.position)
             if not np.isfinite(forward).all():
-                raise GeometryError(f"position must lie within 1.8e308 of its target, which float64 holds; got {self.position}")
-            forward = np.ldexp(forward, -math.frexp(float(np.abs(forward).max()))[1])  # so that no square overflows
+                raise GeometryError(f"position must be within 1.8e308 of its target, the range of float64; got {self.position}")
+            forward = np.ldexp(forward, -math.frexp(float(np.abs(forward).max()))[1])  # avoids overflow of squares
             length = float(np.linalg.norm(forward))
             if not length:
-                raise GeometryError(f"position and target must differ, or there is no direction of view; got {self.position} twice")
+                raise GeometryError(f"position and target must differ, to define a direction of view; got {self.position} twice")
             forward = forward / length
         right = np.cross(forward, upright @ np.asarray(self.up) / math.hypot(*self.up))
         if np.linalg.norm(right) < 1e-9:  # looking straight along `up`

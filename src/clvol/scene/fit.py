@@ -1,9 +1,9 @@
-"""What a picture shows of a volume: the sphere around it, and what it sweeps as the camera orbits, to which that is fitted.
+"""Fit a camera to the visible part of a volume: its bounding sphere, and the space it sweeps as the camera orbits.
 
-The sphere follows from the volume, the mode, the transfer function and the clip box alone, and not from the view. At most 64
-samples along each axis are read. It is a little larger than what was found, and never larger than the volume's own; that is
-also the answer where nothing is to be seen. What is found is turned about the vertical through the sphere's centre: a camera
-that orbits keeps its distance, and what it sees stays about the middle.
+The sphere depends only on the volume, the mode, the transfer function and the clip box, not on the view. At most 64
+samples along each axis are read. The sphere is slightly larger than the visible samples, and never larger than that of the
+volume, which is used if nothing is visible. The visible samples are rotated about the vertical through the sphere's centre, so
+that an orbiting camera keeps its distance, and they stay near the middle.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ __all__ = ["Sphere", "fitted", "sphere_of_matter"]
 
 Bools: TypeAlias = NDArray[np.bool_]
 
-_SAMPLES = 64  # along each axis
-_FAINT = 0.02  # of the largest opacity: what has less shows hardly
-_DARK = 0.05  # of the brightest colour, likewise
-_BESIDE = 1e-6  # of the range of a transfer function's points
-_BLOCK = 8  # samples along each edge
-_SPECKS = 4, 16  # in a block, of matter and of surfaces: fewer are noise
+_SAMPLES = 64  # samples read along each axis
+_FAINT = 0.02  # relative to the largest opacity: less is barely visible
+_DARK = 0.05  # relative to the brightest colour: less is barely visible
+_BESIDE = 1e-6  # offset around a transfer function's points, relative to their range
+_BLOCK = 8  # samples along each edge of a block
+_SPECKS = 4, 16  # visible samples in a block, of matter and of surfaces: fewer are noise
 _MARGIN = 1.04
-_DIRECTIONS = 128  # in which the outermost samples are found
-_STEPS = 256  # towards the middle of the smallest sphere around these
-_KEPT = 64  # spheres of a volume
-_TURNS = 24  # about the vertical, of the outermost samples
+_DIRECTIONS = 128  # directions in which the outermost samples are found
+_STEPS = 256  # iterations for the smallest sphere around these
+_KEPT = 64  # cached spheres per volume
+_TURNS = 24  # rotations of the outermost samples about the vertical
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """In the world.
+    """A sphere in the world.
 
     Attributes
     ----------
     center : tuple of three floats
     radius : float
     outer : ndarray, shape (number, 3), optional
-        From the centre to the outermost of what it holds, in world units; None where the sphere is the volume's own.
+        Vectors from the centre to the outermost visible samples, in world units; None for the sphere of the volume.
     """
 
     center: tuple[float, float, float]
@@ -57,7 +57,7 @@ class Sphere:
 
 
 def spread(volume: Volume, most: int) -> tuple[NDArray[Any], list[int], list[int]]:
-    """Samples at equal distances, a view, at most so many along each axis and about the middle; the first, and the distances."""
+    """A view of evenly spaced samples, centred, at most `most` along each axis; also the first indices and the steps."""
     steps = [-(-n // most) for n in volume.size]
     firsts = [(n - 1) % step // 2 for n, step in zip(volume.size, steps, strict=True)]
     some = tuple(slice(first, None, step) for first, step in zip(firsts[::-1], steps[::-1], strict=True))
@@ -67,9 +67,9 @@ def spread(volume: Volume, most: int) -> tuple[NDArray[Any], list[int], list[int
 def fitted(
     camera: Camera, volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None, aspect: float = 1.0
 ) -> Camera:
-    """The camera with target and radius, if it is to be fitted to what can be seen: see `Camera`. Modes must be settled.
+    """The camera with target and radius, if it must be fitted to visible matter: see `Camera`. Modes must be settled.
 
-    `aspect` is the picture's width by its height.
+    `aspect` is the picture's width over its height.
     """
     given = (camera.position, camera.target, camera.distance, camera.radius)
     if camera.fit != "matter" or any(value is not None for value in given):
@@ -80,7 +80,7 @@ def fitted(
         view = camera.view(volume, aspect)
         axis = np.array([0.0, 0.0, 1.0]) if camera.upright else np.asarray(camera.up) / math.hypot(*camera.up)
         swept = _swept(sphere.outer, axis)
-        # how far from the centre the planes through the eye and the picture's edges lie, at each turn
+        # distance from the centre to the planes through the eye and the picture's edges, for each rotation
         half = 0.0 if view.orthographic else math.atan(math.tan(math.radians(camera.fov) / 2) * min(1.0, aspect))
         depth = math.sin(half) * (swept @ view.forward)
         right, up = (math.cos(half) * (swept @ way) for way in (view.right, view.up))
@@ -90,14 +90,14 @@ def fitted(
         shift = np.clip((above - below).mean() / 2, above.max() - reach, reach - below.max())
         center = center + shift / math.cos(half) * view.up
         furthest = float(np.linalg.norm(sphere.outer, axis=1).max())
-        if furthest > 0:  # a single sample is seen as far as its voxel reaches
+        if furthest > 0:  # a single sample shows as its whole voxel
             radius *= min(1.0, reach / furthest)
     x, y, z = (float(v) for v in center)
     return replace(camera, target=(x, y, z), radius=radius)
 
 
 def _swept(points: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The points, turned all around an axis; shape (turns, number, 3)."""
+    """The points, rotated around an axis; shape (turns, number, 3)."""
     along = np.outer(points @ axis, axis)
     off = points - along
     across = np.cross(axis, off)
@@ -106,21 +106,21 @@ def _swept(points: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np
 
 
 def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None) -> Sphere:
-    """The sphere around what a picture shows.
+    """The sphere around the visible part of a volume.
 
-    Surfaces are where neighbouring samples lie on both sides of the isovalue. Of matter those samples count whose opacity is
-    more than 2 % of the largest of the transfer function; in projections those whose colour, times the opacity, is brighter than
-    5 % of the brightest. A handful of samples alone among many that are not seen are noise, and do not count.
+    Surfaces are where neighbouring samples are on both sides of the isovalue. Matter is visible where its opacity is
+    more than 2 % of the transfer function's largest; in projections, where colour times opacity is more than
+    5 % of the brightest. A few isolated visible samples are noise, and do not count.
 
     Parameters
     ----------
     volume : Volume
-        With 3 axes.
+        A volume with 3 axes.
     mode : Mode
         Settled.
     transfer : TransferFunction
     clip : (low, high), optional
-        Nothing outside counts.
+        Samples outside do not count.
     """
     known = _known.setdefault(volume, {})
     box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)
@@ -128,7 +128,7 @@ def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, cli
     found = known.get(key)
     if found is None:
         found = _sphere(volume, mode, transfer, clip)
-        if len(known) >= _KEPT:  # other threads may clear it too
+        if len(known) >= _KEPT:  # other threads may clear it as well
             known.clear()
         known[key] = found
     return found
@@ -144,7 +144,7 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     surface = mode.surface is not None
     seen = _shown(some, mode, transfer) if mode.surface is None else _crossed(some >= np.float64(mode.surface))
 
-    unit = volume.mean_spacing  # about the volume's centre: no square overflows
+    unit = volume.mean_spacing  # relative to the volume's centre, so that no square overflows
     matrix = volume.index_to_world_matrix / unit
     start = matrix @ (np.array(firsts) - (np.asarray(volume.size) - 1) / 2)
     matrix = matrix * np.array(steps)
@@ -156,13 +156,13 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
         return whole
     z, y = np.nonzero(rows)
     lines = seen[z, y]
-    ends = lines.argmax(1), lines.shape[1] - 1 - lines[:, ::-1].argmax(1)  # what lies between is inside any sphere around them
+    ends = lines.argmax(1), lines.shape[1] - 1 - lines[:, ::-1].argmax(1)  # samples between them are inside any sphere around them
     points = np.concatenate([np.stack([x, y, z], 1) for x in ends]) @ matrix.T + start
     outer = points[np.unique((points @ _sphere_directions()).argmax(0))]
     center = outer.mean(0)
     for i in range(1, _STEPS):  # Badoiu and Clarkson, 2003
         center += (outer[((outer - center) ** 2).sum(1).argmax()] - center) / (i + 1)
-    beyond = 0.0 if surface else float(np.linalg.norm(matrix, axis=0).max()) / 2  # surfaces lie within the samples on both sides
+    beyond = 0.0 if surface else float(np.linalg.norm(matrix, axis=0).max()) / 2  # surfaces are between the samples on both sides
     radius = _MARGIN * unit * (math.sqrt(float(((points - center) ** 2).sum(1).max())) + beyond)
     if not radius < volume.radius:
         return whole
@@ -171,7 +171,7 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
 
 
 def _crossed(above: Bools) -> Bools:
-    """The samples next to one on the other side."""
+    """Samples with a neighbour on the other side."""
     crossed = np.zeros_like(above)
     for axis in range(3):
         one, other = np.moveaxis(above, axis, 0), np.moveaxis(crossed, axis, 0)
@@ -182,7 +182,7 @@ def _crossed(above: Bools) -> Bools:
 
 
 def _shown(values: NDArray[Any], mode: Mode, transfer: TransferFunction) -> Bools:
-    """The values that a mode shows by a transfer function, taken as linear between all its points."""
+    """Which values a mode shows with a transfer function, which is linear between all its points."""
     points = np.unique([point[0] for point in (*transfer.colors, *transfer.opacities)])
     beside = max(_BESIDE * (points[-1] / 2 - points[0] / 2), 4 * float(np.spacing(np.abs(points).max())))  # it may jump at a point
     at = np.unique([points - beside, points, points + beside])
@@ -206,7 +206,7 @@ def _shown(values: NDArray[Any], mode: Mode, transfer: TransferFunction) -> Bool
 def _inside(
     shape: tuple[int, ...], matrix: NDArray[np.float64], start: NDArray[np.float64], box: list[NDArray[np.float64]]
 ) -> Bools:
-    """Which samples lie in a box."""
+    """Which samples are in a box."""
     z, y, x = (np.arange(n, dtype=np.float64) for n in shape)
     inside = np.ones(shape, np.bool_)
     for row, first, low, high in zip(matrix, start, *box, strict=True):
@@ -216,7 +216,7 @@ def _inside(
 
 
 def _without_specks(seen: Bools, least: int) -> Bools:
-    """Without what is seen in blocks that hold less, unless that is all."""
+    """Remove visible samples in blocks with fewer than `least`, unless nothing would remain."""
     padded = np.pad(seen, [(0, -n % _BLOCK) for n in seen.shape])
     z, y, x = (n // _BLOCK for n in padded.shape)
     blocks = padded.reshape(z, _BLOCK, y, _BLOCK, x, _BLOCK)
@@ -226,7 +226,7 @@ def _without_specks(seen: Bools, least: int) -> Bools:
 
 
 def _sphere_directions() -> NDArray[np.float64]:
-    """Directions all around, in a spiral of the golden angle; shape (3, number)."""
+    """Directions over the sphere, in a golden-angle spiral; shape (3, number)."""
     z = 1 - (2 * np.arange(_DIRECTIONS) + 1) / _DIRECTIONS
     turn = np.arange(_DIRECTIONS) * math.pi * (3 - math.sqrt(5))
     return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])

@@ -1,4 +1,4 @@
-"""Lights, and how a surface answers them (Blinn-Phong)."""
+"""Lights, and how surfaces reflect them (Blinn-Phong)."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ __all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_
 
 MAX_LIGHTS = 4
 _FRAMES = ("world", "camera")
-LIGHTS = Block("lights_block", each=(FLOAT, 8 * MAX_LIGHTS), count=INT)  # a direction, 1 for a headlight; a colour, nothing
+LIGHTS = Block("lights_block", each=(FLOAT, 8 * MAX_LIGHTS), count=INT)  # direction, 1 for a headlight; colour, unused
 
 
 @dataclass(frozen=True)
 class Light:
-    """A light so far away that it comes from one direction.
+    """A directional light.
 
     Parameters
     ----------
     direction : sequence of float, optional
-        Direction *towards* the light. None: a headlight, which shines along each ray.
+        Direction *towards* the light. None: a headlight, along each ray.
     color : sequence of float
-        Red, green, blue of the light; 1 is full.
+        Red, green, blue of the light; 1 is full intensity.
     frame : {"world", "camera"}
-        Of the direction: (x, y, z) of the world; or to the right, up and towards the viewer in the picture, for a light that
+        Frame of the direction: (x, y, z) of the world; or right, up and towards the viewer in the picture, for a light that
         moves with the camera.
     """
 
@@ -65,9 +65,9 @@ class Light:
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface answers light: shares of ambient, diffuse and specular light, and shininess.
+    """How a surface reflects light: ambient, diffuse and specular coefficients, and shininess.
 
-    Surfaces are two-sided: the normal is the one that faces the viewer.
+    Surfaces are two-sided: the normal faces the viewer.
     """
 
     ambient: float = 0.25
@@ -84,7 +84,7 @@ class Material:
             object.__setattr__(self, what, number(what, getattr(self, what), minimum=0))
 
     def block(self) -> Values:
-        """What kernels read: the exponent also as a whole number, if it is one, and the smallest cosine whose power counts."""
+        """The block for kernels: the exponent also as an integer, if it is one, and the smallest cosine whose power counts."""
         exponent = self.shininess
         whole = int(exponent) if float(exponent).is_integer() and exponent < 1 << 20 else 0
         return self.BLOCK(
@@ -93,7 +93,7 @@ class Material:
             specular=self.specular,
             shininess=exponent,
             whole_shininess=whole,
-            min_shine=2.0 ** (-60 / max(exponent, 1e-3)),  # powers below 2**-60 are as good as 0
+            min_shine=2.0 ** (-60 / max(exponent, 1e-3)),  # powers below 2**-60 count as 0
         )
 
 
@@ -122,6 +122,6 @@ KIT = (
     Light((0.6, -0.6, 0.5), (0.25, 0.25, 0.25), "camera"),
     Light(None, (0.35, 0.35, 0.35)),
 )
-"""The lights of pictures where none are given, after photographers' and `vtkLightKit`'s: the key from above the viewer's left
-shoulder models the form, the weaker fill from below on the right opens its shadows, and the headlight leaves nothing black.
-No normal gets more light than a headlight of full strength gives."""
+"""Default lights of pictures, as in photography and `vtkLightKit`: the key light from above the viewer's left
+shoulder models the form, the weaker fill light from below on the right softens its shadows, and the headlight keeps all of it
+visible. No normal receives more light than from one headlight of full intensity."""

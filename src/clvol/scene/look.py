@@ -1,4 +1,4 @@
-"""What a volume's values look like in a mode: its default, or what is asked for instead, put together in one place."""
+"""The look of a volume's values in a mode: combines the default with the given options, in one place."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def look(
     cmap: str | None = None,
     opacity: float | Sequence[tuple[float, float]] | None = None,
 ) -> TransferFunction:
-    """The transfer function of a volume in a mode; where nothing is given, the mode's own.
+    """The transfer function of a volume in a mode; the default is that of the mode.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ def look(
         The value in the middle of what is told apart, and how wide that is, in units of the data, as radiologists say it: from
         transparent to the brightest, from black to white. It replaces `Volume.clim`, the two ends.
     cmap : str, optional
-        Colours by the name of a map of the `cmap` package, instead of the others; opacities stay.
+        Replaces the colours by a colour map of the `cmap` package; opacities stay.
     opacity : float, or sequence of (value, opacity), optional
-        A number, 0 or more, scales the opacities, as far as 1; points replace them. Colours stay.
+        A number, 0 or more, scales the opacities, clipped to 1; points replace them. Colours stay.
 
     Raises
     ------
     OptionError
-        An unknown name, or a value that is not allowed.
+        A name is unknown, or a value is not allowed.
 
     Warns
     -----
@@ -74,10 +74,10 @@ def look(
         transfer = replace(transfer, colors=colored.colors)
     if opacity is None:
         return transfer
-    if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or nothing that is a sequence
+    if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or not a sequence
         factor = number("opacity", opacity, minimum=0)
         return transfer.with_opacity([(value, min(1.0, factor * share)) for value, share in transfer.opacities])
-    return transfer.with_opacity(opacity)  # type: ignore[arg-type]  # __post_init__ refuses what is none
+    return transfer.with_opacity(opacity)  # type: ignore[arg-type]  # __post_init__ checks it
 
 
 def _ends(window: object) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """Render modes: a class here, a file in ``cl/modes/``, a function in `clvol.reference.march`.
 
-A mode's options are its fields: `Renderer.render` takes them as keywords, the command line as flags, and an option that is
-not the mode's is refused by name.
+A mode's options are its fields: `Renderer.render` takes them as keywords, the command line as flags. An option of another
+mode raises an error that names it.
 """
 
 from __future__ import annotations
@@ -49,38 +49,38 @@ DEFAULT_MODE = "composite"
 _WORD = re.compile("[a-z][a-z0-9_]{0,63}")
 _FILE = re.compile(f"modes/{_WORD.pattern}[.]cl")
 _FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
-_MOST_FIELDS = 64  # of a ray's state
+_MOST_FIELDS = 64  # largest number of fields in a ray's state
 _SHOWN = ("matter", "surface", "max", "min", "mean")
 _SOUGHT = ("largest", "smallest", "any")
 
 
 @dataclass(frozen=True)
 class Mode:
-    """One way to make a pixel of what a ray meets.
+    """A way to compute a pixel from the samples along its ray.
 
     Attributes
     ----------
     name : str
-        By which it is looked up; its kernel file is ``modes/<name>.cl``.
+        Its name in the table; its kernel file is ``modes/<name>.cl``.
     description : str
         What it shows, for listings.
     state_fields : int
-        Numbers that the kernels carry along each ray.
+        Numbers of state that kernels carry along each ray.
     endpoints : bool
-        Whether its rays reach from where they enter the volume to where they leave it: modes that take samples then take two
-        more, a thousandth of a step inside.
+        Whether its rays include the points where they enter and leave the volume: sampling modes then take two
+        more samples, a thousandth of a step inside.
     skips : bool
-        Whether values can be irrelevant to it, so that space is skipped.
+        Whether some values can be irrelevant to it, so that space is skipped.
     finished_there : bool
-        Whether its kernel computes the colour where a ray ends from coefficients at that place.
+        Whether its kernel computes the colour at the end of a ray from the coefficients there.
     picture_filter : str
-        The filter of its pictures where none is given. Noise is smoothed, but not where extremes are shown: smoothing lowers
+        Default filter of its pictures. It smooths noise, except in modes that show extremes: smoothing lowers
         those of thin vessels.
     shows : {"matter", "surface", "max", "min", "mean"}
-        What of a ray's samples makes a pixel: all, by their opacities; the first crossing of a value, `surface`; or a projection,
-        which the default transfer function shows from black to white.
+        What a pixel shows of a ray's samples: all of them, by opacity; the first crossing of the isovalue, `surface`; or a
+        projection, which the default transfer function shows from black to white.
     seeks : {"largest", "smallest", "any"}
-        Which values decide its pixels. Bricks that may hold them are visited first; "any": bricks are visited front to back.
+        Which values decide its pixels. Bricks that may contain them come first in the access order; "any": front to back.
     ramp : float
         The share of that range over which it does.
     """
@@ -104,43 +104,43 @@ class Mode:
 
     @property
     def stretches(self) -> bool:
-        """Whether its kernel looks at stretches of rays, not at samples: `step` then does not matter."""
+        """Whether its kernel processes intervals of rays, not samples; `step` then has no effect."""
         return False
 
     @property
     def shaded(self) -> bool:
-        """Whether it lights what it shows by the gradient."""
+        """Whether it uses gradient shading."""
         return bool(getattr(self, "shading", False))
 
     @property
     def surface(self) -> float | None:
-        """The value whose surface it shows, once it is settled; None for modes that show no surface."""
+        """The isovalue of a settled mode; None for modes that show no surface."""
         return None
 
-    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002  # most cannot tell
-        """Whether values from `low` to `high`, in units of the data, can change a picture; bricks of other values are skipped."""
+    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002  # most cannot decide
+        """Whether values from `low` to `high`, in units of the data, can affect a picture; if not, bricks are skipped."""
         return True
 
-    def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002  # most show samples alone
-        """What of its pictures depends on pairs of neighbouring samples, in words; "" if nothing does.
+    def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002  # most modes use single samples
+        """The part of its pictures that depends on pairs of neighbouring samples, in words; "" if none.
 
-        A brick holds only so many samples around its own, which limits the step. `guides`: depth, normals and positions are drawn.
+        The margin of a brick is limited, which limits the step. `guides`: depth, normals and positions are rendered.
         """
         return ""
 
-    def unmergeable(self, *, guides: bool, smooth: bool) -> str:  # noqa: ARG002  # most can be merged
-        """What of its pictures would change if stretches of a ray were drawn apart and merged, and why; "" if nothing would.
+    def unmergeable(self, *, guides: bool, smooth: bool) -> str:  # noqa: ARG002  # most modes can merge
+        """The part of its pictures that merging of separately rendered ray intervals would change, and why; "" if none.
 
-        `smooth`: the filter blends neighbouring samples, as all but "nearest" do.
+        `smooth`: the filter blends neighbouring samples; only "nearest" does not.
         """
         return ""
 
-    def settled(self, volume: Volume) -> Self:  # noqa: ARG002  # most modes leave nothing open
-        """The same with every option that was left open decided for this volume."""
+    def settled(self, volume: Volume) -> Self:  # noqa: ARG002  # most modes have no automatic option
+        """A copy with all automatic options set for this volume."""
         return self
 
     def transfer(self, volume: Volume) -> TransferFunction:
-        """The transfer function for this volume where none is given.
+        """The default transfer function for this volume.
 
         Labels have a colour each, but where values are blended or fade along the ray. A projection's range is the volume's own
         (`Volume.clim`), or else from the projections of its samples along the axes; a volume's `clim` is not for means.
@@ -163,8 +163,8 @@ class Mode:
             return TransferFunction(((low, color), (high, (0.0, 0.0, 0.0))), ((low, 1.0),))
         return TransferFunction.ramp((low, share_of(low, high, self.ramp)), color)
 
-    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002  # most modes depend on no volume
-        """What its kernel reads, for one volume whose values are stored in this way; of a mode that is settled."""
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002  # most need no volume
+        """The block of a settled mode for its kernel, for one volume with values stored as in `stored`."""
         return self.BLOCK()
 
 
@@ -175,10 +175,10 @@ class Composite(Mode):
     Parameters
     ----------
     shading : bool
-        Light the matter by the gradient.
+        Gradient shading of the matter.
     termination : float
-        A ray ends when no more than this share of light would come through, 0 or more and less than 1: colours err by at
-        most this, times the brightest colour behind.
+        A ray ends when its transmittance falls to this value, at least 0 and less than 1. The error of colours is at
+        most this times the brightest colour behind.
     """
 
     shading: bool = True
@@ -201,7 +201,7 @@ class Composite(Mode):
         return "the depth and normals of matter" if guides else ""
 
     def unmergeable(self, *, guides: bool, smooth: bool) -> str:  # noqa: ARG002
-        return "the depth and normals of matter: they depend on the light that comes through" if guides else ""
+        return "the depth and normals of matter, which depend on transmittance" if guides else ""
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         return self.BLOCK(termination=self.termination)
@@ -209,26 +209,26 @@ class Composite(Mode):
 
 @dataclass(frozen=True)
 class Isosurface(Mode):
-    """The first surface of one value, shaded.
+    """The first isosurface along the ray, shaded.
 
     Parameters
     ----------
     isovalue : float, optional
-        The value of the surface; by default Otsu's threshold, which parts the histogram in two, but never within the step at the
+        The value of the surface; by default Otsu's threshold of the histogram, but never within the step at the
         edge of a mask.
     color : three numbers or a name
-        Of the surface: red, green and blue in 0..1, a name or a hex code.
+        Colour of the surface: red, green and blue in 0..1, a name or a hex code.
     shading : bool
-        Light the surface by the gradient.
+        Gradient shading of the surface.
     method : {"exact", "stepped"}
-        "exact": the first place where the function that is drawn, a polynomial along the ray in every cell, goes from below the
-        isovalue to not below it, or back; `step` does not matter. "stepped": the first two neighbouring samples on both sides of
-        the isovalue, and a root between them; a surface that a ray enters and leaves between two samples is missed. Both take
-        about as long with most filters; with "lanczos" and "sinc", whose pieces are of degree 12, "exact" takes 9 to 19 times as
-        long.
+        "exact": the first crossing of the isovalue by the function, a polynomial along the ray in every cell; `step` has no
+        effect. "stepped": the first two neighbouring samples on both sides of the isovalue, and a root between
+        them; misses a surface that the ray enters and leaves between two samples. Both take
+        about the same time with most filters; with "lanczos" and "sinc", whose pieces have degree 12, "exact" takes 9 to 19 times
+        as long.
     tolerance : float
-        Of "stepped": how near to the isovalue the function is at the surface that is drawn, as a share of the difference
-        between the two samples around it, 0 to 1.
+        For "stepped": tolerance of the function at the surface, relative to the difference between the two samples
+        around it, 0 to 1.
     """
 
     isovalue: float | None = None
@@ -238,7 +238,7 @@ class Isosurface(Mode):
     tolerance: float = 1e-4
 
     name: ClassVar[str] = "isosurface"
-    description: ClassVar[str] = "the first surface of one value, shaded"
+    description: ClassVar[str] = "the first isosurface along the ray, shaded"
     state_fields: ClassVar[int] = 2
     endpoints: ClassVar[bool] = True
     finished_there: ClassVar[bool] = True
@@ -253,7 +253,7 @@ class Isosurface(Mode):
         if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
             raise one_of("method", self.method, ("exact", "stepped"))
         if self.method == "stepped":
-            _set(self, state_fields=4)  # the last sample too
+            _set(self, state_fields=4)  # with the last sample
 
     @property
     def file(self) -> str:
@@ -268,7 +268,7 @@ class Isosurface(Mode):
         return self.isovalue
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
-        assert self.isovalue is not None  # it is settled
+        assert self.isovalue is not None  # settled
         return low <= self.isovalue <= high
 
     def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002
@@ -276,13 +276,13 @@ class Isosurface(Mode):
 
     def unmergeable(self, *, guides: bool, smooth: bool) -> str:  # noqa: ARG002
         between = not (self.stretches and smooth)
-        return "surfaces that are stepped to, or between labels: they lie between two samples" if between else ""
+        return "surfaces of method 'stepped' or between labels, which are between two samples" if between else ""
 
     def settled(self, volume: Volume) -> Self:
         return self if self.isovalue is not None else replace(self, isovalue=isovalue_of(volume)[0])
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
-        assert self.isovalue is not None  # it is settled
+        assert self.isovalue is not None  # settled
         return self.BLOCK(isovalue=stored(self.isovalue), tolerance=self.tolerance, color=self.color)
 
 
@@ -299,13 +299,13 @@ class Mip(Mode):
 
 @dataclass(frozen=True)
 class Attenuated(Mode):
-    """The maximum along the ray of values that fade with depth: what is near stands out.
+    """The maximum along the ray of values that fade with depth, so that near matter stands out.
 
     Parameters
     ----------
     attenuation : float
-        How fast values fade, 0 to 40: a value counts from the smallest value of the transfer function up, times
-        exp(-attenuation d), with d from 0 at the front of the volume's bounding sphere to 1 at its back. 0 is "mip".
+        How fast values fade, 0 to 40: a value above the smallest value of the transfer function is scaled by
+        exp(-attenuation d), where d is 0 at the front of the volume's bounding sphere and 1 at its back. 0 is "mip".
     """
 
     attenuation: float = 2.0
@@ -314,14 +314,14 @@ class Attenuated(Mode):
     picture_filter: ClassVar[str] = DEFAULT_FILTER
     description: ClassVar[str] = "the maximum along the ray, dimmed by depth"
     state_fields: ClassVar[int] = 2
-    ramp: ClassVar[float] = 0.5  # even the nearest values have faded
+    ramp: ClassVar[float] = 0.5  # even the nearest values fade
     BLOCK: ClassVar[Block] = Block("mode_block", fade=FLOAT, front=FLOAT)
 
     def __post_init__(self) -> None:
         _set(self, attenuation=number("attenuation", self.attenuation, minimum=0, maximum=40))
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
-        front = volume.radius / volume.mean_spacing  # before the volume's centre, in the kernels' unit
+        front = volume.radius / volume.mean_spacing  # distance before the volume's centre, in the unit of kernels
         return self.BLOCK(fade=-self.attenuation * math.log2(math.e) / (2 * front), front=front)
 
 
@@ -339,10 +339,10 @@ class Minip(Mode):
 
 @dataclass(frozen=True)
 class Mean(Mode):
-    """The mean along the ray, as an x-ray shows it."""
+    """The mean along the ray, as in an x-ray image."""
 
     name: ClassVar[str] = "mean"
-    description: ClassVar[str] = "the mean along the ray, as an x-ray shows it"
+    description: ClassVar[str] = "the mean along the ray, as in an x-ray image"
     state_fields: ClassVar[int] = 2
     skips: ClassVar[bool] = False
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "mean"
@@ -352,17 +352,17 @@ _TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurf
 
 
 class ModeTable(Named[Mode]):
-    """Every mode by name; shown, it is a table."""
+    """Modes by name, shown as a table."""
 
     HEADER = ("mode", "what it shows", "options")
 
     def rows(self) -> list[tuple[str, ...]]:
-        """One tuple of texts a mode, in the order of `HEADER`."""
+        """One tuple of strings per mode, in the order of `HEADER`."""
         return [(name, mode.description, ", ".join(_option_names(mode))) for name, mode in self.items()]
 
 
 def modes() -> ModeTable:
-    """Every mode by name, with its default options; shown, it says what each shows."""
+    """The modes by name, with default options; their descriptions when shown."""
     return ModeTable({name: mode() for name, mode in _TABLE.items()})
 
 
@@ -372,19 +372,19 @@ def every_option() -> set[str]:
 
 
 def mode_options(mode: Mode | type[Mode]) -> dict[str, str]:
-    """The options of a mode, each with what its class says of it."""
+    """The options of a mode, each with its description."""
     doc = inspect.getdoc(mode if isinstance(mode, type) else type(mode)) or ""
     return {name: _described(doc, name) for name in _option_names(mode)}
 
 
 def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None = None, others: Iterable[str] = ()) -> Mode:
-    """The mode of a name, a class of mode, or a mode itself, with these options; `others` are what else the caller takes.
+    """The mode of a name, a class or an instance, with these options; `others` are further options of the caller.
 
     Raises
     ------
     OptionError
-        No mode has this name, it does not have such an option, the option's value is not allowed, or a class does not say
-        what every mode must.
+        The name is unknown, the mode has no such option, the value of an option is not allowed, or a class lacks an
+        attribute that modes must define.
     """
     if isinstance(choice, type) and issubclass(choice, Mode):
         choice = choice()
@@ -393,13 +393,13 @@ def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None =
             raise one_of("mode", choice, _TABLE)
         choice = _TABLE[choice]()
     _require_sound(choice)
-    own = _option_names(choice)
+    known = _option_names(choice)
     for name in options or {}:
-        if name not in own:
+        if name not in known:
             having = [other for other, mode in _TABLE.items() if name in _option_names(mode)]
-            near = difflib.get_close_matches(name, [*own, *others], 1)
+            near = difflib.get_close_matches(name, [*known, *others], 1)
             hint = f", but of {' and '.join(having)}" if having else f" (did you mean {near[0]}?)" if near else ""
-            raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(own) or 'none'}")
+            raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(known) or 'none'}")
     return replace(choice, **(options or {}))
 
 
@@ -411,7 +411,7 @@ def _option_names(mode: Mode | type[Mode]) -> list[str]:
 
 
 def _require_sound(mode: Mode) -> None:
-    """Refuse a mode made by hand whose class says what none may: some of it becomes text that a compiler reads."""
+    """Check a custom mode, because parts of its class become source code."""
     for name in ("name", "state_fields"):
         if not hasattr(mode, name):
             raise OptionError(f"a mode must have a name and state_fields; {type(mode).__name__} has no {name}")
@@ -434,7 +434,7 @@ def _require_sound(mode: Mode) -> None:
 
 
 def _set(mode: Mode, **values: Any) -> None:
-    """Fields of a frozen mode, in their proper types."""
+    """Set fields of a frozen mode."""
     for name, value in values.items():
         object.__setattr__(mode, name, value)
 
@@ -446,6 +446,6 @@ def _switch(what: str, value: object) -> bool:
 
 
 def _described(doc: str, name: str) -> str:
-    """What a docstring's list of parameters says of one of them, on one line."""
+    """The description of a parameter in a docstring, on one line."""
     match = re.search(rf"^{name} : .*\n((?:    .*\n?)+)", doc, re.MULTILINE)
     return " ".join(match[1].split()) if match else ""

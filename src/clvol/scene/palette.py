@@ -1,4 +1,4 @@
-"""Points of colour and opacity that suit kinds of data: the automatic ones, and those of labels."""
+"""Points of colour and opacity for kinds of data: automatic ones, and those of labels."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _COLD: tuple[Color, ...] = ((0.14, 0.30, 0.82), (0.22, 0.54, 1.0), (0.42, 0.80, 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 _DIMMEST = 0.25
 _RISE = 0.15
-_OPACITIES = (0.0, 0.12, 0.45, 0.88)  # at the foot, where matter begins, at its middle and at its top
-_THIN = (0.0, 0.05, 0.30, 0.80)  # where little of it is much brighter than the rest, and inside it
-_EVEN = 0.15, 0.30  # of the way from where matter begins to its top: where its middle lies then, and otherwise
-_OF_SIGNED = (0.0, 0.12, 0.50, 0.90)  # what there is lies in few places
-_ACROSS = 110  # units of length at least, from corner to corner: as in a cube of 64 samples along each axis
-_GOLDEN = 0.6180339887498949  # of the circle of hues: neighbouring numbers lie far apart, and no two on one place
+_OPACITIES = (0.0, 0.12, 0.45, 0.88)  # at the foot, the start, the middle and the top of matter
+_THIN = (0.0, 0.05, 0.30, 0.80)  # the same, if a small part of matter is much brighter than the rest
+_EVEN = 0.15, 0.30  # the middle of matter, relative to its start and top, in that case and otherwise
+_OF_SIGNED = (0.0, 0.12, 0.50, 0.90)  # for signed data, where matter is sparse
+_ACROSS = 110  # smallest diagonal in units of length, as in a cube of 64 samples along each axis
+_GOLDEN = 0.6180339887498949  # fraction of the hue circle per label: neighbouring numbers get distant hues, and no two the same
 _TONES = ((0.62, 0.98), (0.85, 0.85), (0.42, 0.92))  # saturation and value, in turn
 
 
@@ -57,7 +57,7 @@ def automatic(volume: Volume, clim: tuple[float, float] | None = None) -> tuple[
             elif matter.signed:
                 sides = sides[:1]
             foot, top = ends
-            if matter.ground is not None:  # which stays unseen
+            if matter.ground is not None:  # keep it invisible
                 foot, top = (max(foot, 0.0), top) if top > 0 else (matter.foot, matter.start)
             start, middle = foot + 0.1 * (top - foot), foot + 0.5 * (top - foot)
     elif volume.clim is not None:
@@ -66,14 +66,14 @@ def automatic(volume: Volume, clim: tuple[float, float] | None = None) -> tuple[
     opacities: list[tuple[float, float]] = []
     rise = _OF_SIGNED if matter.signed else _rise(start, middle, top)
     places = (foot, start + _RISE * (middle - start), middle, top)
-    for side, own in sides:
-        colors += [(matter.value(d, side), c) for d, c in zip(places, own, strict=True)]
+    for side, tones in sides:
+        colors += [(matter.value(d, side), c) for d, c in zip(places, tones, strict=True)]
         opacities += [(matter.value(d, side), a) for d, a in zip((foot, start, middle, top), rise, strict=True)]
     return tuple(sorted(colors, key=_by_value)), tuple(sorted(opacities, key=_by_value))
 
 
 def unit_of(volume: Volume) -> float | None:
-    """The world length to which opacities refer: None, the mean spacing, or less where few samples would be too thin to be seen."""
+    """The world length that opacities refer to: None (the mean spacing), or less if few samples would be too transparent."""
     unit = 2 * volume.radius / _ACROSS
     return unit if unit < volume.mean_spacing else None
 
@@ -87,7 +87,7 @@ def diverging(clim: tuple[float, float], middle: float) -> Colors:
 
 
 def shades(color: Sequence[float]) -> tuple[Color, ...]:
-    """Four shades of a colour, from dark to nearly white; pure blue, on which shadows would not be seen, a little paler."""
+    """Four shades of a colour, from dark to nearly white; pure blue, which hides shadows, is slightly paler."""
     rgb = np.asarray(color, dtype=np.float64)
     luminance = float(rgb @ _LUMINANCE)
     rgb = rgb + max(0.0, (_DIMMEST - luminance) / max(1 - luminance, _DIMMEST)) * (1 - rgb)
@@ -96,7 +96,7 @@ def shades(color: Sequence[float]) -> tuple[Color, ...]:
 
 
 def of_labels(volume: Volume) -> tuple[Colors, Opacities]:
-    """Each label in its colour, opaque, as far as half way to the next whole number; nothing for the background."""
+    """Each label in its colour, opaque, up to halfway to the next integer; the background is transparent."""
     background, numbers = label_numbers(volume)
     colors: list[tuple[float, Color]] = []
     opacities: list[tuple[float, float]] = []
@@ -109,7 +109,7 @@ def of_labels(volume: Volume) -> tuple[Colors, Opacities]:
 
 
 def label_color(number: int) -> Color:
-    """The colour of a label, which follows from its number alone: neighbouring numbers differ clearly."""
+    """The colour of a label, from its number only; neighbouring numbers have distinct colours."""
     return colorsys.hsv_to_rgb((0.02 + _GOLDEN * (number - 1)) % 1, *_TONES[number % len(_TONES)])
 
 
@@ -117,13 +117,13 @@ def label_color(number: int) -> Color:
 
 
 def _rise(start: float, middle: float, top: float) -> tuple[float, ...]:
-    """Opacities at the foot, the start, the middle and the top: denser where values are spread evenly."""
+    """Opacities at the foot, the start, the middle and the top; higher if values are spread evenly."""
     share = float(np.interp((middle - start) / (top - start), _EVEN, (0.0, 1.0))) if top > start else 1.0
     return tuple((1 - share) * thin + share * dense for thin, dense in zip(_THIN, _OPACITIES, strict=True))
 
 
 def _spread(matter: Matter) -> tuple[float, float, float]:
-    """The foot, the start and the middle, as shares of the top."""
+    """The foot, the start and the middle, relative to the top."""
     return matter.foot / matter.top, matter.start / matter.top, matter.middle / matter.top
 
 
@@ -135,7 +135,7 @@ def _within(clim: tuple[float, float], matter: Matter) -> tuple[float, float, fl
             low, high = 0.0, max(-low, high)
         start = max(low, matter.start * min(high / matter.top, 1.0)) if low == 0 else low
         foot = matter.foot / matter.start * start
-    elif high <= matter.start or low >= matter.top:  # all of it is elsewhere
+    elif high <= matter.start or low >= matter.top:  # no matter is within the window
         return matter.foot, matter.start, matter.middle, matter.top
     else:
         start, foot = max(low, matter.start), max(low, matter.foot)

@@ -1,7 +1,7 @@
-"""Looks by name, one row each: colours and opacities for a kind of data.
+"""Presets: named looks, one row each, with colours and opacities for a kind of data.
 
-Those of computed tomography are in Hounsfield units, in which air is -1000, water 0, and bone lies from about 200 up. The others
-are in shares of a volume's own matter: 0 is where it begins to show, 1 the brightest of it (`clvol.volume.histogram`).
+CT presets are in Hounsfield units: air is -1000, water 0, and bone about 200 and above. The others are relative to a
+volume's matter: 0 is where it starts to show, 1 its brightest value (`clvol.volume.histogram`).
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _GREEN = (0.25, 0.95, 0.40)
 
 @dataclass(frozen=True)
 class Preset:
-    """A look by name.
+    """A named look.
 
     Parameters
     ----------
     name, description : str
     unit : {"HU", "matter", "labels"}
-        Of the values below: Hounsfield units, shares of the volume's matter, or each of its labels, of which nothing is below.
+        Unit of the values below: Hounsfield units, relative to the volume's matter, or "labels", which has no values.
     colors, opacities : tuple of (value, color), tuple of (value, opacity)
         Without colours they are shades of the volume's own `color`, or of green.
     clim : (float, float)
@@ -54,7 +54,7 @@ class Preset:
         Warns
         -----
         ClvolWarning
-            It is in Hounsfield units, and the data cannot be: then its points are spread over the volume's matter.
+            The preset is in Hounsfield units, but the data cannot be: its points are then spread over the volume's matter.
         """
         if self.unit == "labels":
             if clim is not None:
@@ -91,7 +91,7 @@ class Preset:
             least, most = volume.value_range
             warn(
                 f"preset {self.name!r} is in Hounsfield units, in which air is -1000 and water 0, and samples from {least:g} to "
-                f"{most:g} are not: it was spread over what stands out from their background; window=(center, width) says where"
+                f"{most:g} are not: its points were spread over the matter; window=(center, width) sets the range"
             )
             low, high = 0.0, 1.0
         foot, top = (matter.foot, matter.top) if matter.top > matter.foot else (matter.foot - 0.5, matter.foot + 0.5)
@@ -154,7 +154,7 @@ _ROWS = (
     ),
     Preset(
         "mr-angiography",
-        "MR: the brightest, such as flowing blood; for the mode mip too",
+        "MR: the brightest, such as flowing blood; also for the mode mip",
         "matter",
         ((0.35, (0.60, 0.10, 0.07)), (0.6, (0.95, 0.40, 0.22)), (1.0, (1.0, 0.95, 0.85))),
         ((0.35, 0.0), (0.55, 0.15), (0.75, 0.60), (1.0, 0.95)),
@@ -169,7 +169,7 @@ _ROWS = (
     ),
     Preset(
         "x-ray",
-        "thin everywhere, so that one looks through; for the mode mean too",
+        "transparent throughout; also for the mode mean",
         "matter",
         ((0.0, (0.55, 0.62, 0.70)), (1.0, (1.0, 1.0, 1.0))),
         ((0.0, 0.0), (0.3, 0.01), (1.0, 0.08)),
@@ -180,22 +180,22 @@ _TABLE = {row.name: row for row in _ROWS}
 
 
 class PresetTable(Named[Preset]):
-    """Every preset by name; shown, it is a table."""
+    """Presets by name, shown as a table."""
 
     HEADER = ("preset", "for", "unit")
 
     def rows(self) -> list[tuple[str, ...]]:
-        """One tuple of texts a preset, in the order of `HEADER`."""
+        """One tuple of strings per preset, in the order of `HEADER`."""
         return [(name, row.description, row.unit) for name, row in self.items()]
 
 
 def presets() -> PresetTable:
-    """Every preset by name; shown, it says what each is for."""
+    """The presets by name, with their uses when shown."""
     return PresetTable(_TABLE)
 
 
 def as_preset(name: str) -> Preset:
-    """The row of a name."""
+    """The preset of a name."""
     if not isinstance(name, str) or name not in _TABLE:
         raise one_of("preset", name, _TABLE)
     return _TABLE[name]

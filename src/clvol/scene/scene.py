@@ -1,4 +1,4 @@
-"""What a picture shows: media, the lights on them, what is behind them, and the box that is cut out."""
+"""The content of a picture: media, lights, background and clip box."""
 
 from __future__ import annotations
 
@@ -25,43 +25,43 @@ from clvol.volume.volume import Volume, as_volume
 __all__ = ["CLIP", "ROUNDING", "Medium", "Scene", "as_scene", "clip_block"]
 
 ROUNDING = 2.0**-19
-"""Gradients up to this share of the function's value a voxel are rounding, and give no normal. In constant volumes they reach
-a third of it with every filter written in fractions: the prefilter and the sum over taps round by a few units in the last place.
-Those fitted by polynomials of degree 12 exceed it up to eight times."""
+"""Largest gradient that counts as rounding error and gives no normal, as a fraction of the function's value per voxel. In
+constant volumes, all filters with exact fractions reach a third of it: the prefilter and the sum over taps round by a few units
+in the last place. Filters fitted by polynomials of degree 12 exceed it up to eight times."""
 
 CLIP = Block("clip_block", low=(FLOAT, 3), high=(FLOAT, 3), clipped=INT)
-_MAX_ANISOTROPY = 1e6  # of spacings: what float32 carries
+_MAX_ANISOTROPY = 1e6  # largest ratio of spacings, the limit of float32
 
 Box = tuple[Sequence[float], Sequence[float]]
 
 
 @dataclass(frozen=True, eq=False)
 class Medium:
-    """A volume, how it is reconstructed between its samples, and how its matter looks.
+    """A volume with its reconstruction between samples and the look of its matter.
 
     Parameters
     ----------
     volume : Volume or array-like, 3-D
         The samples.
     transfer : TransferFunction, optional
-        From values to colours and opacities; by default what the mode of the picture shows most volumes with.
+        From values to colours and opacities; default: chosen by the mode of the picture.
     material : Material
-        How its matter answers light.
+        How its matter reflects light.
     filter : str or Filter, optional
-        How it is reconstructed between its samples; by default as suits the mode of the picture: "bspline3(auto)", or "bspline3"
+        Reconstruction filter; the default depends on the mode of the picture: "bspline3(auto)", or "bspline3"
         in modes that show extremes (`Mode.picture_filter`).
     boundary : str or Boundary
-        What lies past its outer samples. The domain is drawn as far as half a voxel past them; under "constant" and "overlap",
-        where another function begins at them, just to them.
+        Boundary rule outside its samples. The domain ends half a voxel outside the outer samples, or at the outer samples
+        for "constant" and "overlap", where the function changes there.
 
     Raises
     ------
     OptionError
-        The volume does not have three axes, or no filter or boundary has this name.
+        The volume does not have three axes, or the filter or boundary is unknown.
     GeometryError
-        Its spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
-        float32 could not tell samples apart. (`clvol.sample` and `Field` count in double where the device can. Whether spacings
-        that differ by less are too unequal for a picture depends on the view: see `Renderer.render`.)
+        Its spacings differ by a factor of more than 10⁶ or are outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
+        float32 cannot distinguish samples. (`clvol.sample` and `Field` use double precision if the device supports it. Whether
+        less unequal spacings are a problem depends on the view: see `Renderer.render`.)
     """
 
     volume: Volume
@@ -99,21 +99,21 @@ class Medium:
             )
         if max(self.volume.size) > REACH:
             raise GeometryError(
-                f"rendering takes axes of up to {REACH} samples, where float32 holds positions within 1/16 of a voxel; got shape "
-                f"{self.volume.shape}: draw parts of it (Volume.crop), or take values by clvol.sample"
+                f"rendering takes axes of up to {REACH} samples, where float32 is accurate to 1/16 of a voxel; got shape "
+                f"{self.volume.shape}: render parts of it (Volume.crop), or use clvol.sample"
             )
 
     def block(self, stored: Stored = AS_THEY_ARE) -> Values:
-        """What kernels read: the domain, its map to the world and back, for gradients, and what these are rounded by."""
+        """The block for kernels: the domain, its map to the world and back for gradients, and the rounding error of gradients."""
         volume = self.volume
         low, high = (float(v) for v in stored(volume.value_range))
         unit, inverse = volume.mean_spacing, volume.world_to_index_matrix
-        # Gradients are in a unit in which float32 holds their squares, from 2¹³ times the largest value a voxel, more than any
-        # filter gives, down to 2⁻¹¹² of it: one voxel may be 1e30 times as bright as all that is to be seen.
+        # The unit of gradients lets float32 hold their squares, from 2¹³ times the largest value per voxel, more than any
+        # filter gives, down to 2⁻¹¹² of it: one voxel may be 1e30 times as bright as all visible matter.
         largest = max(high - low, high, -low)
         gradient = inverse / max(1e-5 * largest / unit, 1e-36 * float(np.abs(inverse).max()))
         steepest = float(np.linalg.norm(gradient, 2))
-        exponent = min(50 - math.log2(steepest * max(largest, 1e-100)), 120 - math.log2(steepest))  # a power of two rounds nothing
+        exponent = min(50 - math.log2(steepest * max(largest, 1e-100)), 120 - math.log2(steepest))  # a power of two is exact
         gradient, steepest = gradient * 2.0 ** math.floor(exponent), steepest * 2.0 ** math.floor(exponent)
         return self.BLOCK(
             index_to_world=volume.index_to_world_matrix.ravel() / unit,
@@ -128,25 +128,26 @@ class Medium:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that a picture shows.
+    """The content of a picture.
 
     Parameters
     ----------
     media : Medium, Volume, array-like, or a sequence of these
-        What there is to see; so far one medium. (A Field goes to a `Renderer` as it is.)
+        The media to render; so far one. (Give a Field directly to a `Renderer`.)
     lights : Light or sequence of Light
-        Up to 4; by default a key, a fill and a headlight, which move with the camera (`clvol.scene.light.KIT`).
+        Up to 4; default: key light, fill light and headlight, which move with the camera (`clvol.scene.light.KIT`).
     background : three numbers, a name, or None
-        Behind the media. None leaves the picture transparent; its colours are then not premultiplied.
+        Colour behind the media. None: transparent, with colours that are not premultiplied.
     clip : (low, high), optional
-        A box of world coordinates (x, y, z) outside which nothing is drawn.
+        Box in world coordinates (x, y, z); matter outside is not rendered.
 
     Raises
     ------
     OptionError
-        No medium or several, something that is no light, more than 4 lights, or a background that is no colour.
+        There is no medium or several, an entry of `lights` is not a light, there are more than 4, or `background` is not a
+        colour.
     GeometryError
-        A box that is none.
+        `clip` is not a box.
     """
 
     media: tuple[Medium, ...]
@@ -157,9 +158,9 @@ class Scene:
     def __post_init__(self) -> None:
         media: Any = self.media
         if not isinstance(media, (list, tuple)) or (media and not any(isinstance(m, (Medium, Volume, np.ndarray)) for m in media)):
-            media = (media,)  # a volume or an array, perhaps as nested lists
+            media = (media,)  # a volume or an array, possibly nested lists
         if len(media) != 1:
-            raise OptionError(f"a scene must have one medium, no more so far; got {len(media)}")
+            raise OptionError(f"a scene must have exactly one medium so far; got {len(media)}")
         media = (as_medium(media[0]),)
         object.__setattr__(self, "media", media)
         object.__setattr__(self, "lights", as_lights(self.lights))
@@ -170,17 +171,17 @@ class Scene:
 
 
 def as_medium(choice: Medium | Volume | ArrayLike) -> Medium:
-    """A medium itself, or one of a volume or an array."""
+    """A medium, or a medium from a volume or an array."""
     return choice if isinstance(choice, Medium) else Medium(choice)  # type: ignore[arg-type]  # __post_init__ converts
 
 
 def as_scene(choice: Scene | Medium | Volume | ArrayLike) -> Scene:
-    """A scene itself, or one of a medium, a volume or an array."""
+    """A scene, or a scene from a medium, a volume or an array."""
     return choice if isinstance(choice, Scene) else Scene((as_medium(choice),))
 
 
 def clip_block(clip: Box | None, volume: Volume) -> Values:
-    """What kernels read of a box: relative to the volume's origin, in mean spacings."""
+    """The block of a clip box for kernels: relative to the volume's origin, in mean spacings."""
     if clip is None:
         return CLIP(low=0.0, high=0.0, clipped=0)
     low, high = ((np.asarray(corner) - np.asarray(volume.origin)) / volume.mean_spacing for corner in clip)

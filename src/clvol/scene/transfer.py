@@ -1,4 +1,4 @@
-"""Transfer functions: from a value to a colour and an opacity."""
+"""Transfer functions: map values to colours and opacities."""
 
 from __future__ import annotations
 
@@ -24,35 +24,35 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["TransferFunction"]
 
-_CELLS = 1024  # of a table of equal nodes at most, and buckets in which pieces are looked up
-_ON_NODE = 1e-5  # of a cell: as near to a node is on it
-_LOOSE = 1e-7  # of the range: what float32 may take from where a table of equal nodes begins
-_NEARLY_OPAQUE = 0.99  # what float32 leaves of 1 - opacity is little from here on
-_FEW = 16  # pieces that are found by comparing a value with all of them ...
-_AT_ONCE = 4  # ... so many at a time
-_FAR = 1.5e38  # of float32: no difference of two values within overflows
+_CELLS = 1024  # largest number of cells in a table of equal nodes, and of buckets for looking up pieces
+_ON_NODE = 1e-5  # tolerance for a point on a node, relative to a cell
+_LOOSE = 1e-7  # tolerance for the float32 start of a table of equal nodes, relative to the range
+_NEARLY_OPAQUE = 0.99  # from this opacity on, 1 - opacity loses float32 digits
+_FEW = 16  # pieces, up to which a value is compared with all of them ...
+_AT_ONCE = 4  # ... this many per step
+_FAR = 1.5e38  # largest float32 value whose differences do not overflow
 _STEEPEST = 3e38
 _CMAP_NODES = 64
 
 
 @dataclass(frozen=True)
 class TransferFunction:
-    """Colour and opacity, each piecewise linear in the value and constant beyond its end points.
+    """Colour and opacity, each piecewise linear in the value and constant outside its end points.
 
     Parameters
     ----------
     colors : sequence of (value, color)
         Colours are three numbers in 0..1 or names ("white", "#ff8800").
     opacities : sequence of (value, opacity)
-        Opacity, 0..1, of matter one `unit_distance` thick.
+        Opacity, 0..1, of matter with a thickness of one `unit_distance`.
     unit_distance : float, optional
-        World length to which opacities refer; None: the mean spacing of the volume.
+        World length that opacities refer to; None: the mean spacing of the volume.
 
     Notes
     -----
-    Two points at one value are a jump; the value itself has the later one's colour or opacity. Devices draw the function
-    exactly, to the rounding of float32: from a table of equal nodes where all points lie on such, else from its pieces, each
-    found by comparing values with the points.
+    Two points at one value make a jump; the value itself has the colour or opacity of the later one. Devices evaluate the function
+    exactly, up to float32 rounding: from a table of equal nodes if all points are on such nodes, else from its pieces, which
+    they find by comparing values with the points.
     """
 
     colors: tuple[tuple[float, tuple[float, float, float]], ...]
@@ -71,14 +71,14 @@ class TransferFunction:
             if not values or values != sorted(values):
                 raise OptionError(f"{what} must be one or more points in ascending order of value; got {values}")
         if not all(0 <= a <= 1 for _, a in opacities):
-            raise OptionError(f"opacities must lie in 0..1; got {[a for _, a in opacities]}")
+            raise OptionError(f"opacities must be in 0..1; got {[a for _, a in opacities]}")
         if self.unit_distance is not None:
             object.__setattr__(self, "unit_distance", number("unit_distance", self.unit_distance, above=0))
         object.__setattr__(self, "colors", colors)
         object.__setattr__(self, "opacities", opacities)
 
     def _repr_html_(self) -> str:
-        """For notebooks: its colours under the curve of its opacity."""
+        """For notebooks: its colours below the opacity curve."""
         from clvol.base import html
 
         return html.strip([v for v, _ in self.colors], [c for _, c in self.colors], self.opacities)
@@ -91,7 +91,7 @@ class TransferFunction:
         opacity: float | Sequence[tuple[float, float]] = 1.0,
         unit_distance: float | None = None,
     ) -> TransferFunction:
-        """Colours of a map of the `cmap` package ("viridis", "bone", ...) spread over a range of values."""
+        """Spread a colour map of the `cmap` package ("viridis", "bone", ...) over a range of values."""
         import cmap
 
         low, high = _range(value_range)
@@ -99,7 +99,7 @@ class TransferFunction:
         try:
             chosen = cmap.Colormap(name)
             shades = [tuple(map(float, chosen(float(u)).rgba[:3])) for u in at]
-        except Exception:  # of many kinds, for what is no name
+        except Exception:  # cmap raises many kinds for an unknown name
             raise OptionError(
                 f"colour map {name!r} is not known to the cmap package; try 'gray', 'viridis', 'bone', 'magma'"
             ) from None
@@ -108,13 +108,13 @@ class TransferFunction:
         places = [unscaled(bottom + (top * u - bottom * u), exponent) for u in at]
         colors = tuple(zip(places, shades, strict=True))
         points: Any = opacity
-        if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or nothing that is a sequence
+        if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or not a sequence
             points = ((low, number("opacity", opacity, minimum=0, maximum=1)),)
         return cls(colors, points, unit_distance)  # type: ignore[arg-type]  # three floats each
 
     @classmethod
     def ramp(cls, value_range: tuple[float, float], color: Sequence[float] | str = "white") -> TransferFunction:
-        """Black at the minimum, white or another colour at the maximum, opaque: for projections. No black where they are one."""
+        """For projections: opaque, black at the minimum, white or another colour at the maximum. No black if they are equal."""
         low, high = _range(value_range)
         ends = ((low, (0.0, 0.0, 0.0)), (high, color_of("color", color)))
         return cls(ends if low < high else ends[1:], ((low, 1.0),))
@@ -123,7 +123,7 @@ class TransferFunction:
     def automatic(cls, volume: Volume | ArrayLike, clim: tuple[float, float] | None = None) -> TransferFunction:
         """One that shows the matter of most volumes, from the histogram.
 
-        Background is not seen: neither an exact value that many samples have, such as that of what was masked out, nor what lies
+        The background is invisible: an exact value shared by many samples, as in masked volumes, and values
         below Otsu's threshold between background and matter, or below the step at a mask's edge. Opacity rises from there to the
         brightest values. Colours run from dark red over bone to white; they are shades of the volume's own `color`, if it has
         one. Where values lie to both sides of the background, as in statistical maps, it rises to both, in red and yellow above
@@ -135,24 +135,24 @@ class TransferFunction:
 
     @classmethod
     def preset(cls, name: str, volume: Volume | ArrayLike) -> TransferFunction:
-        """The look of a name, for a volume: see `clvol.presets`.
+        """The look of a preset for a volume: see `clvol.presets`.
 
         Raises
         ------
         OptionError
-            There is no preset of this name.
+            The name is unknown.
 
         Warns
         -----
         ClvolWarning
-            It is in Hounsfield units, and the data cannot be: then it is spread over what stands out from their background.
+            The preset is in Hounsfield units, but the data cannot be: its points are then spread over the volume's matter.
         """
         volume = as_volume(volume)
         return cls(*as_preset(name).points(volume), unit_of(volume))
 
     @cached_property
     def value_range(self) -> tuple[float, float]:
-        """The smallest and the largest value of any point."""
+        """The smallest and the largest value of all points."""
         values = [p[0] for p in self.colors] + [p[0] for p in self.opacities]
         return min(values), max(values)
 
@@ -165,18 +165,18 @@ class TransferFunction:
         return np.stack([*(np.interp(v, at, rgb[:, i]) for i in range(3)), np.interp(v, where, opacity)], -1)
 
     def table(self, stored: Stored = AS_THEY_ARE) -> NDArray[np.float32]:
-        """What kernels read beside the block, for values that are stored in this way.
+        """The table for kernels, in addition to the block, for values stored as in `stored`.
 
-        Either equal nodes (red, green, blue, opacity) and behind them for each the next one that has some opacity; or, where
-        the block has a number of pieces, the pieces: colours and opacity where one begins, their slopes, and (where it begins,
-        1 - opacity there, the slope of that, up to which value nothing is seen from here on), four numbers each. Behind few
-        pieces lie the starts of all but the first; behind many, the piece at the start of each of equal buckets, or, where no
-        bucket holds two starts, four numbers for each: that piece, its start, the next one's, 0.
+        Either equal nodes (red, green, blue, opacity), then for each the next node with some opacity; or, if
+        the block has a number of pieces, the pieces, in rows of four numbers: colour and opacity at the start, their slopes, and
+        (start, 1 - opacity there, its slope, the value up to which all is transparent from here on). A few pieces are followed
+        by the starts of all but the first; many, by the piece at the start of each of the equal buckets or, if no
+        bucket has two starts, by four numbers per bucket: that piece, its start, the next start, 0.
         """
         return _laid_out(self, stored).table
 
     def block(self, unit: float, stored: Stored = AS_THEY_ARE) -> Values:
-        """What kernels read, given how many world units one of their units of length has (the mean spacing); see `table`."""
+        """The block for kernels; `unit` is their unit of length in world units (the mean spacing). See `table`."""
         layout = _laid_out(self, stored)
         return self.BLOCK(
             low=layout.low,
@@ -194,25 +194,25 @@ class TransferFunction:
         return max([*map(float, np.interp([low, high], at, opacity)), *map(float, inner)])
 
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
-        """The same colours under other opacities."""
+        """A copy with the same colours and other opacities."""
         return replace(self, opacities=opacities)  # type: ignore[arg-type]  # __post_init__ converts
 
 
 class _Layout(NamedTuple):
-    """The function as kernels read it."""
+    """The function in the layout for kernels."""
 
     low: float
-    scale: float  # cells, or buckets, a unit of value
-    last: float  # the number of the last node, or bucket
+    scale: float  # cells or buckets per unit of value
+    last: float  # index of the last node or bucket
     pieces: int  # 0 for equal nodes
-    halvings: int  # of the pieces in question, where a bucket is known; 0 where there are no buckets
+    halvings: int  # steps of binary search within a bucket; 0 without buckets
     table: NDArray[np.float32]
 
 
 @lru_cache(maxsize=64)
 def _laid_out(transfer: TransferFunction, stored: Stored) -> _Layout:
     """See `TransferFunction.table`."""
-    colors, opacities = (  # not as `stored(...)` has them: points may lie beyond what float32 holds
+    colors, opacities = (  # not `stored(...)`, because points may be outside the range of float32
         scaled([p[0] for p in points], stored.exponent) - math.ldexp(stored.offset, -stored.exponent)
         for points in (transfer.colors, transfer.opacities)
     )
@@ -224,7 +224,7 @@ def _laid_out(transfer: TransferFunction, stored: Stored) -> _Layout:
 
 
 def _equal_cells(at: NDArray[np.float64]) -> int:
-    """The largest number of equal cells whose edges all points are, each its own; 0 if none does, or float32 does not hold them."""
+    """The largest number of equal cells whose edges include all points, at distinct edges; 0 if none, or beyond float32."""
     low, high = at[0], at[-1]
     if low == high:
         return _CELLS
@@ -235,7 +235,7 @@ def _equal_cells(at: NDArray[np.float64]) -> int:
     cells = np.arange(_CELLS, 0, -1)
     places = shares[:, None] * cells
     nodes = np.round(places)
-    # where end points lie far away, the cells of few are so wide that points between lie near to one node together
+    # with distant end points, a few cells are so wide that several points between are close to one node
     fits = (np.abs(places - nodes).max(0) <= _ON_NODE) & (np.diff(nodes, axis=0).min(0) >= 1)
     return int(cells[fits.argmax()]) if fits.any() else 0
 
@@ -256,7 +256,7 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
     curves = [*((colors, shade) for shade in shades.T), (opacities, seen), (opacities, 1 - seen)]
     up_to = np.stack([_limit(at, *curve, -1) for curve in curves], -1)  # red, green, blue, opacity, 1 - opacity
     since = np.stack([_limit(at, *curve, 1) for curve in curves], -1)
-    # a piece begins at the first number of float32 that is no smaller than its point
+    # a piece starts at the first float32 number that is not less than its point
     with np.errstate(under="ignore"):
         starts = at.astype(np.float32)
     starts = np.where(starts < at, np.nextafter(starts, np.float32(np.inf)), starts)
@@ -266,8 +266,8 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
     ends = np.concatenate([up_to[1:], since[-1:]])
     bases = np.clip(since + slopes * (starts - at)[:, None], np.minimum(since, ends), np.maximum(since, ends))
     some = np.maximum(since, ends)[:, 3] > 0
-    clear_at = (since[:, 3] == 0) & (starts == at)  # nothing is seen at the start itself
-    # before the first point the function is constant; pieces between two successive numbers of float32 hold no value
+    clear_at = (since[:, 3] == 0) & (starts == at)  # transparent at the start itself
+    # before the first point the function is constant; pieces between two successive float32 numbers have no value
     kept = np.append(starts[1:] > starts[:-1], True)
     starts, slopes, bases, some, clear_at = (
         np.concatenate([first, rest[kept]])
@@ -289,12 +289,12 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
     )
     low = np.float32(starts[0])
     if count <= _FEW:
-        # whatever is compared with NaN is not past it, even the infinities of bounds and of rays that have ended
+        # no comparison with NaN is true, even for the infinities of bounds and of finished rays
         padded = np.append(starts[1:], [math.nan] * (-(count - 1) % _AT_ONCE)).astype(np.float32)
         return _Layout(float(low), 0.0, 0.0, count, 0, np.concatenate([rows.ravel(), padded]))
     last = np.float32(_CELLS - 1)
     scale = np.float32(min(_CELLS / (float(starts[-1]) - float(low)), _STEEPEST / 10))
-    with np.errstate(over="ignore"):  # as kernels compute it, in float32
+    with np.errstate(over="ignore"):  # in float32, like kernels
         buckets = np.minimum((starts[1:] - low) * scale, last).astype(np.int64)
     first = np.searchsorted(buckets, np.arange(_CELLS), side="left")
     halvings = int(np.bincount(buckets).max()).bit_length()
@@ -306,9 +306,9 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
 
 
 def _limit(x: NDArray[np.float64], at: NDArray[np.float64], values: NDArray[np.float64], side: int) -> NDArray[np.float64]:
-    """The piecewise linear function through some points, at x from above (side 1) or from below (-1)."""
+    """The piecewise linear function through points, at x from above (side 1) or from below (-1)."""
     exponent = exponent_of(at[0], at[-1])
-    x, at = scaled(x, exponent), scaled(at, exponent)  # no difference overflows
+    x, at = scaled(x, exponent), scaled(at, exponent)  # avoids overflow of differences
     return np.interp(x, at, values) if side > 0 else np.interp(-x, -at[::-1], values[::-1])
 
 
@@ -324,7 +324,7 @@ def _pairs(what: str, points: Sequence[tuple[float, Any]]) -> list[tuple[float, 
     try:
         return [(v, c) for v, c in points]
     except (TypeError, ValueError):
-        raise OptionError(f"{what} must be pairs of a value and what belongs to it; got {points!r}") from None
+        raise OptionError(f"{what} must be pairs of a value and its color or opacity; got {points!r}") from None
 
 
 def _value(value: object) -> float:

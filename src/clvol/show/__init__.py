@@ -1,4 +1,4 @@
-"""Pictures as arrays, files and movies, and what objects show of themselves in notebooks.
+"""Pictures as arrays, files and movies, and thumbnails for notebooks.
 
-No module here draws a volume.
+No module here renders a volume.
 """

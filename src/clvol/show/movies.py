@@ -24,32 +24,32 @@ __all__ = ["FORMATS", "PER_SECOND", "SUFFIXES", "packed", "rate", "require_encod
 FORMATS = ("gif", "mp4", "webm", "zip")
 SUFFIXES = tuple(f".{form}" for form in FORMATS)
 PER_SECOND = 25
-"""Pictures a second, where nothing else is said: GIF counts in hundredths of seconds."""
-_COLORS = 128  # of a GIF
-_LONGEST = 65_535  # hundredths of a second that it can show a picture
-_STORED_AT = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold, so that its bytes do not tell when it was made
+"""Default frame rate, in pictures per second; GIF counts in hundredths of a second."""
+_COLORS = 128  # colours of a GIF
+_LONGEST = 65_535  # longest time of a GIF frame, in hundredths of a second
+_STORED_AT = (1980, 1, 1, 0, 0, 0)  # earliest date of a zip; a fixed date makes its bytes reproducible
 _ENCODERS = {
     "mp4": ("libx264", ["-crf", "20", "-movflags", "+faststart"]),
     "webm": ("libvpx-vp9", ["-crf", "30", "-b:v", "0", "-deadline", "good", "-cpu-used", "4"]),
 }
-# no version and no date, and threads that do not follow from the machine
+# no version, no date, and a fixed number of threads, so that the bytes are reproducible
 _EXACT = ["-threads", "4", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
 
 
-# what players take large videos for, and small ones only if they are told
+# players assume this colour space for large videos, but need the tags for small ones
 _TAGGED = ["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-color_range", "tv"]
 _TAGGED += ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"]
 
 
 def require_encoder(form: str) -> None:
-    """Raise, before pictures are made, where there is no such format, or nothing that packs it.
+    """Raise, before any rendering, if the format is unknown or its encoder is missing.
 
     Raises
     ------
     OptionError
-        The format is none of `FORMATS`.
+        The format is not one of `FORMATS`.
     MissingDependencyError
-        It is a video, and imageio-ffmpeg is not installed.
+        The format is a video, and imageio-ffmpeg is not installed.
     """
     if form not in FORMATS:
         raise OptionError(f"format must be one of {', '.join(FORMATS)}; got {form!r}")
@@ -58,25 +58,25 @@ def require_encoder(form: str) -> None:
 
 
 def write(pictures: Iterable[ArrayLike], path: Path, form: str, per_second: float = PER_SECOND) -> None:
-    """Write pictures to a file as they come; those of a GIF are kept until the last one is there, a byte a pixel.
+    """Write pictures to a file as they arrive; a GIF keeps all of them in memory, one byte per pixel.
 
     Parameters
     ----------
     pictures : iterable of array-like, shape (height, width, 3 or 4)
-        All of one size. Opacity is kept in a zip; elsewhere what is transparent is black. Videos have an even number of pixels
-        along each axis: of an odd one, the last is left out.
+        All of one size. A zip keeps opacity; the other formats show transparency as black. Videos have an even number of pixels
+        along each axis: an odd last row or column is dropped.
     path : Path
     form : {"gif", "mp4", "webm", "zip"}
         "mp4" is H.264, "webm" VP9; both need imageio-ffmpeg.
     per_second : float
-        Pictures a second; a GIF has the nearest number of hundredths of a second for each, a zip none.
+        Pictures per second. A GIF rounds the time of a picture to hundredths of a second; a zip ignores it.
 
     Raises
     ------
     OptionError
-        There is no such format, or no picture.
+        The format is unknown, or there is no picture.
     MissingDependencyError
-        As of `require_encoder`.
+        See `require_encoder`.
     """
     require_encoder(form)
     coming = iter(pictures)
@@ -95,7 +95,7 @@ def write(pictures: Iterable[ArrayLike], path: Path, form: str, per_second: floa
 
 
 def packed(pictures: Iterable[ArrayLike], form: str, per_second: float = PER_SECOND) -> bytes:
-    """The same as a file in memory."""
+    """The file of `write` in memory."""
     with tempfile.TemporaryDirectory(prefix="clvol-") as folder:
         path = Path(folder) / f"movie.{form}"
         write(pictures, path, form, per_second)
@@ -103,14 +103,14 @@ def packed(pictures: Iterable[ArrayLike], form: str, per_second: float = PER_SEC
 
 
 def rate(form: str, per_second: float) -> float:
-    """Pictures a second that a file of this format shows where so many are wanted."""
+    """Frame rate that this format can store, nearest to `per_second`."""
     if form != "gif":
         return per_second
-    return 100 / min(max(2, round(100 / per_second)), _LONGEST)  # viewers slow down what is faster
+    return 100 / min(max(2, round(100 / per_second)), _LONGEST)  # viewers slow down faster ones
 
 
 def require_room(form: str, count: int, size: tuple[int, int]) -> None:
-    """Raise, before pictures are made, where so many are too many to be kept in memory.
+    """Raise, before any rendering, if the pictures of a GIF do not fit into memory.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def _write_gif(pictures: Iterator[NDArray[np.uint8]], path: Path, per_second: fl
     from PIL import Image
 
     frames = (Image.fromarray(picture).quantize(_COLORS, dither=Image.Dither.NONE) for picture in pictures)
-    stream = io.BytesIO()  # Pillow does not notice where a disk is full
+    stream = io.BytesIO()  # Pillow does not report a full disk
     duration = round(1000 / rate("gif", per_second))
     next(frames).save(stream, "GIF", save_all=True, append_images=frames, duration=duration, loop=0)
     path.write_bytes(stream.getbuffer())
@@ -157,7 +157,7 @@ def _write_video(pictures: Iterator[NDArray[np.uint8]], path: Path, form: str, p
                 encoder.send(None)
             encoder.send(np.ascontiguousarray(picture[:height, :width]))
             sent += 1
-    except OSError as error:  # the encoder ended
+    except OSError as error:  # the encoder exited
         raise FormatError(f"cannot write {path.name}: {error}") from error
     finally:
         if encoder is not None:
@@ -165,7 +165,7 @@ def _write_video(pictures: Iterator[NDArray[np.uint8]], path: Path, form: str, p
                 encoder.close()
     try:
         written = imageio_ffmpeg.count_frames_and_secs(str(path))[0] if path.exists() else 0
-    except RuntimeError:  # of a file that has no end
+    except RuntimeError:  # the file is truncated
         written = 0
-    if written != sent:  # nobody else says so if the encoder fails behind the last picture, as where a disk is full
+    if written != sent:  # a failure after the last picture, such as a full disk, is not reported otherwise
         raise FormatError(f"cannot write {path.name}: its encoder kept {written} of {sent} pictures; is the disk full?")

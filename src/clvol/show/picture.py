@@ -1,4 +1,4 @@
-"""Pictures: arrays that show themselves, pictures as files, and pictures side by side with labels."""
+"""Pictures: arrays that display themselves, picture files, and labelled grids of pictures."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ __all__ = [
 ]
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
-_OPAQUE = (".jpg", ".jpeg", ".bmp")  # these hold no opacity
+_OPAQUE = (".jpg", ".jpeg", ".bmp")  # formats without opacity
 _INK = (235, 235, 235)
 _BAND = (24, 24, 28)
-_AT_ONCE = 1 << 20  # numbers that are converted at a time
-_FARTHEST = 0.25  # the grey of what lies farthest, where depth is shown
+_AT_ONCE = 1 << 20  # numbers converted per pass
+_FARTHEST = 0.25  # grey of the farthest depth
 
 
 class Picture(np.ndarray[Any, np.dtype[Any]]):
-    """The array of a picture, which also shows itself: in notebooks by its name, elsewhere by `show`.
+    """The array of a picture, which displays itself: as the value of a notebook cell, or with `show`.
 
-    It is an `ndarray` in every way. What is computed from it, and parts of it that are no picture, are plain arrays; a part that
+    It is a full `ndarray`. Results computed from it, and parts that are not pictures, are plain arrays; a part that
     is one, such as ``picture[100:200, 50:150]``, is a `Picture`.
 
     Parameters
@@ -53,13 +53,13 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
     array : array-like, shape (height, width) or (height, width, channels)
         Viewed, not copied.
     kind : str
-        What its numbers are, an output of `clvol.render`: "rgba" (colours in 0..1), "depth", "normal", "position", "visited" or
-        "uncertainty". It decides how it is shown, nothing else.
+        Meaning of its numbers, an output of `clvol.render`: "rgba" (colours in 0..1), "depth", "normal", "position", "visited" or
+        "uncertainty". Affects only how it is shown.
 
     Attributes
     ----------
     kind : str
-        The same.
+        Meaning of its numbers.
     """
 
     kind: str
@@ -115,10 +115,10 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
         return self.ndim == 2 or (self.ndim == 3 and self.shape[2] in (1, 3, 4))
 
     def shown(self) -> NDArray[Any]:
-        """Colours that show it, (height, width, 3 or 4): itself where it holds colours.
+        """The colours to display, (height, width, 3 or 4): the array itself if it holds colours.
 
-        Depth is grey, the nearest white; normals and positions are red, green and blue along x, y and z; both have no opacity
-        where nothing was hit. "visited" and "uncertainty" are heat maps, the latter of distances, with its scale.
+        Depth is grey, with the nearest white; normals and positions show x, y and z as red, green and blue. Both are transparent
+        where the ray hits nothing. "visited" and "uncertainty" are heat maps; the latter shows distances, with a scale.
         """
         array = np.asarray(self)
         if not self._shows or self.kind not in _SHOWN:
@@ -127,11 +127,11 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
         return colors
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write it as it is shown, by suffix: see `clvol.save`. (`numpy.save` writes its numbers.)"""
+        """Write the displayed picture, by suffix: see `clvol.save`. (`numpy.save` writes its numbers.)"""
         return save(self, path)
 
     def show(self) -> None:
-        """Show it where the program runs: see `clvol.show`."""
+        """Display it in a notebook or an image viewer: see `clvol.show`."""
         show(self)
 
 
@@ -155,14 +155,14 @@ def _position_shown(position: NDArray[Any]) -> NDArray[Any]:
 
 
 def as_pictures(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Picture]:
-    """Outputs of a picture by name, each as a `Picture` of its kind."""
+    """Outputs of a rendering by name, each as a `Picture` of its kind."""
     return {kind: Picture(array, kind) for kind, array in arrays.items()}
 
 
 def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
-    """A picture with values in 0..1 as eight-bit values, rounded, NaN as 0; an eight-bit picture unchanged.
+    """Convert a picture with values in 0..1 to 8 bits, rounded, NaN as 0; an 8-bit picture is unchanged.
 
-    A `Picture` of another kind than colours is taken as it is shown.
+    A `Picture` of another kind than colours is converted as displayed.
     """
     try:
         picture = picture.shown() if isinstance(picture, Picture) else picture
@@ -175,23 +175,23 @@ def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
         raise OptionError(f"a picture has shape (height, width) or (height, width, 1, 3 or 4); got {array.shape}")
     if array.dtype == np.uint8:
         return array
-    made = np.empty(array.shape, np.uint8)
+    result = np.empty(array.shape, np.uint8)
     rows = max(1, _AT_ONCE // array[0].size)
     for first in range(0, len(array), rows):
         part = np.s_[first : first + rows]
-        made[part] = np.rint(np.clip(np.nan_to_num(array[part]), 0, 1) * 255)
-    return made
+        result[part] = np.rint(np.clip(np.nan_to_num(array[part]), 0, 1) * 255)
+    return result
 
 
 def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
-    """Write a picture with values in 0..1, by suffix: .png, .tif, or .jpg and .bmp, which show transparency as black.
+    """Write a picture with values in 0..1, by suffix: .png, .tif, or .jpg and .bmp, where transparency becomes black.
 
-    The file appears when it is complete. Depth and other outputs of `render` are written as they are shown.
+    The file appears when it is complete. Depth and other outputs of `render` are written as displayed.
 
     Raises
     ------
     FormatError
-        Unknown suffix, or it cannot be written there.
+        The suffix is unknown, or the file cannot be written.
     """
     import imageio.v3 as iio
 
@@ -215,7 +215,7 @@ def to_png(picture: ArrayLike) -> bytes:
 
 
 def _stored(picture: ArrayLike, opaque: bool = False) -> NDArray[np.uint8]:
-    """Eight-bit values as files hold them: no axis of one channel, and no opacity where all is opaque or it cannot be held."""
+    """8-bit values for a file: without a channel axis of length 1, and without opacity if opaque or not supported."""
     data = to_bytes(picture)
     if data.ndim == 3 and data.shape[2] == 1:
         data = data[..., 0]
@@ -225,9 +225,9 @@ def _stored(picture: ArrayLike, opaque: bool = False) -> NDArray[np.uint8]:
 
 
 def show(picture: ArrayLike) -> None:
-    """Show a picture where the program runs: in a notebook below the cell, on a desktop in its image viewer.
+    """Display a picture: below the cell of a notebook, or in the image viewer of a desktop.
 
-    Where there is neither, it is saved to a temporary file, whose name is printed.
+    Without either, save it to a temporary file and print its name.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def show(picture: ArrayLike) -> None:
     Raises
     ------
     OptionError
-        It is no picture.
+        The array is not a picture.
     """
     data = to_png(picture)
     if (display := _notebook()) is not None:
@@ -246,11 +246,11 @@ def show(picture: ArrayLike) -> None:
         handle, name = tempfile.mkstemp(prefix="clvol-", suffix=".png")
         with os.fdopen(handle, "wb") as file:
             file.write(data)
-        print(f"clvol: there is no screen here; the picture is in {name}")
+        print(f"clvol: no display is available; the picture is in {name}")
 
 
 def _notebook() -> Any:
-    """IPython's `display` where the program runs in a notebook, else None."""
+    """IPython's `display` in a notebook, else None."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is None or not hasattr(shell, "kernel"):  # plain Python, or IPython on a terminal
         return None
@@ -260,16 +260,16 @@ def _notebook() -> Any:
 
 
 def _viewed(png: bytes) -> bool:
-    """Whether a viewer was opened."""
+    """Open a picture in a viewer; returns whether that worked."""
     from PIL import Image, ImageShow
 
     if sys.platform not in ("win32", "darwin") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
-        return False  # text viewers would take the terminal
+        return False  # a text viewer would take over the terminal
     return bool(ImageShow.show(Image.open(io.BytesIO(png)), title="clvol"))
 
 
 def heat(share: ArrayLike) -> NDArray[np.float32]:
-    """Shares in 0..1, of shape (height, width), as colours from black over red to pale yellow; NaN is a grey blue."""
+    """Colours for values in 0..1, shape (height, width), from black through red to pale yellow; NaN is grey blue."""
     import cmap
 
     array = np.asarray(share, np.float32)
@@ -279,16 +279,16 @@ def heat(share: ArrayLike) -> NDArray[np.float32]:
 
 
 def heat_with_scale(values: ArrayLike, unit: str = "", title: str = "", top: float | None = None) -> NDArray[np.uint8]:
-    """Values from 0 up as colours, with their scale in a band beneath; (height + band, width, 3) uint8.
+    """Colours for values of at least 0, with a scale in a band below; (height + band, width, 3) uint8.
 
     Parameters
     ----------
     values : array-like, shape (height, width)
-        NaN, where there are none, is a grey blue.
+        NaN, where there is no value, is grey blue.
     unit, title : str
-        What stands behind the numbers of the scale, and beneath it.
+        The text after the largest number of the scale, and below it.
     top : float, optional
-        The value of the brightest colour, which all above it have too; by default the first of 1, 2 or 5 times a power of ten
+        The value of the brightest colour; larger values are clipped. By default the smallest of 1, 2 or 5 times a power of ten
         that 95 % of the values do not exceed.
     """
     from PIL import Image, ImageDraw, ImageFont
@@ -325,7 +325,7 @@ _SHOWN: Mapping[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
 
 
 def _round_up(values: NDArray[np.float64]) -> float:
-    """The first of 1, 2 or 5 times a power of ten which 95 % of the values do not exceed; 1 if they are zero."""
+    """The smallest of 1, 2 or 5 times a power of ten that 95 % of the values do not exceed; 1 if they are zero."""
     most = float(np.quantile(values, 0.95)) if values.size else 0.0
     if not most > 0:
         return 1.0
@@ -334,9 +334,9 @@ def _round_up(values: NDArray[np.float64]) -> float:
 
 
 def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
-    """A picture with a line or lines of text in a band beneath it; (height + band, width, 3) uint8.
+    """A picture with one or more lines of text in a band below; (height + band, width, 3) uint8.
 
-    Transparency is shown as black.
+    Transparency becomes black.
     """
     from PIL import Image, ImageDraw, ImageFont
 
@@ -357,14 +357,14 @@ def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
 
 
 def over_black(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Eight-bit RGBA, not premultiplied, over black; anything else unchanged."""
+    """Composite 8-bit RGBA, not premultiplied, over black; return anything else unchanged."""
     if data.shape[2] != 4:
         return data
     return np.asarray(np.rint(data[..., :3] * (data[..., 3:] / 255)), np.uint8)
 
 
 def grid(pictures: Sequence[ArrayLike], columns: int, gap: int = 4) -> NDArray[np.uint8]:
-    """Pictures of one size in rows of `columns`, the last row filled with black; as eight-bit values."""
+    """Arrange pictures of one size in rows of `columns`, the last row padded with black; 8-bit values."""
     if not isinstance(pictures, Iterable):
         raise OptionError(f"a grid takes one or more pictures of one shape; got {pictures!r}")
     tiles = [to_bytes(p) for p in pictures]

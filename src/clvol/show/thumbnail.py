@@ -1,4 +1,4 @@
-"""The middle slices of a volume as thumbnails, and pictures in the text of a page."""
+"""The middle slices of a volume as thumbnails, and pictures embedded in HTML."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ __all__ = ["image", "normalized", "slices"]
 _SIDE = 160  # Pixels of a thumbnail's longer side.
 _TAILS = (0.5, 99.5)  # Percentiles that become black and white where no `clim` is known.
 _PLANES = {"LPS": ("axial", "coronal", "sagittal"), "": ("xy", "xz", "yz")}
-_DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # Whether rows of a picture run along y, and along z, or against it.
+_DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # sign of y, and of z, down the rows of a picture
 
 
 def image(picture: ArrayLike, caption: str = "") -> str:
-    """A picture and a line beneath it, both in the text of the page."""
+    """A picture with a caption, as HTML."""
     data = base64.b64encode(to_png(picture)).decode("ascii")
     words = html.escape(caption)
     return (
@@ -42,27 +42,27 @@ def slices(
     blended: bool = True,
     all_planes: bool = True,
 ) -> list[tuple[str, NDArray[np.uint8]]]:
-    """The middle slices of a volume across its axes, each with the name of its plane; an image itself.
+    """The middle slices of a volume across its axes, each with the name of its plane; for an image, the image.
 
-    They are turned as `space` says: a patient's as radiologists see them, stacks of images as microscopes show them, else with y
-    and z up. Voxels are as long and wide as `spacing` says.
+    `space` sets their orientation: a patient as radiologists see it, a stack of images as microscopes show it, else with y
+    and z up. `spacing` sets the aspect ratio of voxels.
 
     Parameters
     ----------
     data : ndarray, shape (nz, ny, nx) or (ny, nx)
         Samples.
     spacing, direction
-        As of `Volume`.
+        See `Volume`.
     space : str
         As of `Volume`.
     clim : (float, float), optional
         What is black and what is white; by default what all but a hundredth of the slices' samples lie between.
     color : (float, float, float), optional
-        In place of white.
+        Colour used instead of white.
     blended : bool
-        Whether there is something between samples; not so for labels.
+        Interpolate between samples; False for labels.
     all_planes : bool
-        False: only the first, across z.
+        False: only the first plane, across z.
     """
     if data.ndim == 2:
         return [("", _sized(_shades([data], clim, color)[0], spacing, blended))]
@@ -90,7 +90,7 @@ def normalized(values: ArrayLike, low: float, high: float) -> NDArray[np.float64
 
 
 def _towards_world(direction: NDArray[np.float64]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """For the world's x, y and z: the axis of the samples that runs most along it, and whether with it (1) or against it (-1)."""
+    """For the world's x, y and z: the index axis closest to it, and the sign of its direction."""
     axes = max(itertools.permutations(range(3)), key=lambda p: sum(abs(direction[i, p[i]]) for i in range(3)))
     return axes, tuple(1 if direction[i, axes[i]] >= 0 else -1 for i in range(3))
 
@@ -103,7 +103,7 @@ def _shades(
         values = np.concatenate([part.ravel() for part in parts]).astype(np.float64)
         values = values[np.isfinite(values)]
         low, high = (float(v) for v in np.percentile(values, _TAILS)) if values.size else (0.0, 1.0)
-        if not low < high and values.size:  # few samples are not background
+        if not low < high and values.size:  # nearly all samples are background
             low, high = float(values.min()), float(values.max())
         clim = (low, high) if low < high else (low - 1, low)
     grey = [normalized(part, *clim) for part in parts]
@@ -112,7 +112,7 @@ def _shades(
 
 
 def _sized(picture: NDArray[np.uint8], sides: Sequence[float], blended: bool) -> NDArray[np.uint8]:
-    """A slice whose pixels are square, its longer side of one length; `sides` are those of its voxels, (width, height)."""
+    """Resize a slice to square pixels and a fixed longer side; `sides` are those of its voxels, (width, height)."""
     from PIL import Image
 
     height, width = picture.shape[0] * sides[1], picture.shape[1] * sides[0]

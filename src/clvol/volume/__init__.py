@@ -1,4 +1,4 @@
-"""Samples and where they lie in the world: volumes, series of them, missing samples, noise, transforms.
+"""Samples and their placement in the world: volumes, series, missing samples, smoothing, transforms.
 
-The only wing in which index space and world space meet.
+Only this wing converts between index space and world space.
 """

@@ -1,9 +1,9 @@
-"""What a volume's histogram says: which values are background, where matter begins, and what rays through it may meet.
+"""Derive from a volume's histogram which values are background, where matter starts, and the display window.
 
-A background that was masked out, cut off or never measured is one exact value that many samples have; it stands out from its
-neighbours in the histogram as no peak of measured values does. What differs from it is matter: to one side of it, or, as in
-statistical maps, to both. Where there is no such value, the background is one of the two classes in which Otsu's
-threshold (1979) parts the values: the lower, unless nearly all that lies on the volume's faces is of the upper.
+A background that was masked, clipped or never measured is one exact value shared by many samples; in the histogram it stands
+out from its neighbours more than any peak of measured values. All other values are matter: on one side of it or, as in
+statistical maps, on both. Without such a value, the background is one of the two classes of Otsu's
+threshold (1979): the lower, unless nearly all samples on the volume's faces are in the upper.
 """
 
 from __future__ import annotations
@@ -26,28 +26,31 @@ Array = NDArray[np.float64]
 Made = TypeVar("Made")
 Projection = Literal["max", "min", "mean"]
 
-_SAMPLE = 1 << 21  # voxels that a histogram is made of: enough for its bins, and fast
+_SAMPLE = 1 << 21  # voxels sampled for a histogram: enough for its bins, and fast
 _BINS = 512
-_ENDS = 0.0005  # share of the values at either end that a histogram leaves out
-_NEXT_TO_NOTHING = 1e-12  # of the range: what lies below is one value, and the histogram covers all
-_COMMON = 0.05  # share of the samples from which a value may be a background ...
-_STANDS_OUT = 4.0  # ... if so many times as many have it as have either of the next ones
-_SOME = 0.02  # share of what differs from the background that lies to either side, at least, where data are signed
-_AS_FAR = 0.25  # and the median distance there, over that to the other side
-_OFF = 0.15  # of how far values reach: where their median may be, at most, if they are signed and have no exact background
-_NEAR = 0.4  # share of them that lie within a quarter of that, at least
-_MOST, _NEARLY_ALL = 0.6, 0.95  # shares of all samples and of those on the faces that a bright background without exact value has
-_STEP = 0.05  # of the distance of the brightest: from there on, a gap beside the background is a mask's
-_LEVELS = 4.0  # and so many times the usual distance of neighbouring values
-_EVEN = 0.25  # of the distance from the background: a spread within which an object is one even value
-_TWO_CLASSES = 0.8  # share of the variance between Otsu's classes from which there are two; a bell curve has 0.64
-_FEWEST = 0.05  # share of the smaller of them
-_FOOT = 0.35  # of the way from the threshold back to the background: from there on matter shows faintly
-_AIR = (-1100.0, -900.0)  # of computed tomography, in Hounsfield units
-_NO_MATTER = (-700.0, -500.0)  # between lungs and fat, likewise
-_DIM = 0.05  # share of the columns of samples that a projection shows black ...
-_BRIGHT = 0.98  # ... and of those that are not, share that it shows no more than white
-_LIT = 0.02  # of the way from black to the brightest, but for a thousandth and a few
+_ENDS = 0.0005  # fraction of the values left out at either end of a histogram
+_NEXT_TO_NOTHING = 1e-12  # relative to the range: a narrower histogram is a single value, and is widened to the whole range
+_COMMON = 0.05  # smallest fraction of the samples for a value to be a background ...
+_STANDS_OUT = 4.0  # ... if it is this many times as frequent as either of its neighbours
+_SOME = 0.02  # smallest fraction of non-background samples on either side in signed data
+_AS_FAR = 0.25  # smallest ratio of the median distances on both sides in signed data
+_OFF = 0.15  # largest median, relative to the extent, of signed data without an exact background
+_NEAR = 0.4  # smallest fraction of those within a quarter of the extent
+_MOST, _NEARLY_ALL = (
+    0.6,
+    0.95,
+)  # smallest fractions of all samples, and of those on the faces, in a bright background without exact value
+_STEP = 0.05  # relative to the brightest distance: a wider gap beside the background is the step of a mask ...
+_LEVELS = 4.0  # ... if it is also this many times the usual distance of neighbouring values
+_EVEN = 0.25  # relative to the distance from the background: an object with a smaller spread is uniform
+_TWO_CLASSES = 0.8  # smallest fraction of the variance between two distinct Otsu classes; a normal distribution has 0.64
+_FEWEST = 0.05  # smallest fraction of samples in the smaller class
+_FOOT = 0.35  # fraction of the way from the threshold back to the background where matter starts to show
+_AIR = (-1100.0, -900.0)  # CT numbers of air, in Hounsfield units
+_NO_MATTER = (-700.0, -500.0)  # CT numbers between lung and fat, in Hounsfield units
+_DIM = 0.05  # fraction of the columns of samples that a projection shows black ...
+_BRIGHT = 0.98  # ... and fraction of the others that it shows at most white
+_LIT = 0.02  # fraction of the way from black to the brightest, without a few outliers, above which a column is lit
 _FEW = 8
 _GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
 _DIMMEST = 0.05  # ... while black is no more than this quantile of them ...
@@ -58,26 +61,26 @@ _COLUMNS_OF = 1 << 22  # voxels that projections are made of
 
 @dataclass(frozen=True)
 class Matter:
-    """Where among a volume's values matter is; distances count from `origin`, over ``2**exponent``.
+    """The range of values of a volume's matter; distances are measured from `origin`, in units of ``2**exponent``.
 
     Parameters
     ----------
     exponent : int
     origin : float
-        The background's value where it is exact, else about the smallest; over ``2**exponent``, too.
+        The exact background value, else about the smallest value, in units of ``2**exponent``.
     ground : float or None
         The exact value of the background.
     sign : 1 or -1
-        On which side of the origin matter is.
+        The side of the origin with matter.
     signed : bool
-        Whether it is on both.
+        Whether matter is on both sides.
     foot, start, middle, top : float
-        Distances: up to which nothing should show; at which matter begins; of its median, but not far from the start; of the
-        brightest.
+        Distances: below `foot` nothing shows; matter starts at `start`; `middle` is its median, limited to near the start;
+        `top` is the brightest.
     isovalue : float
-        Of the surface that shows it, in units of the data.
+        Isovalue of the surface that shows it, in units of the data.
     reason : str
-        Why there, for people.
+        Reason for the isovalue, in words.
     """
 
     exponent: int
@@ -93,16 +96,16 @@ class Matter:
     reason: str
 
     def value(self, distance: float, side: int = 1) -> float:
-        """The value at a distance, in units of the data; of signed data to the other side with `side` -1."""
+        """The value at a distance, in units of the data; `side` -1 is the other side of signed data."""
         return unscaled(self.origin + side * self.sign * distance, self.exponent)
 
     def distance(self, value: float) -> float:
-        """The distance of a value, negative on the side where no matter is."""
+        """The distance of a value, negative on the side without matter."""
         return self.sign * (float(scaled(value, self.exponent)) - self.origin)
 
 
 def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike], Made]:
-    """What is derived from a volume's samples, once a volume: they do not change."""
+    """Cache a function of a volume's samples per volume, because they do not change."""
     known: WeakKeyDictionary[Volume, Made] = WeakKeyDictionary()
 
     @wraps(make)
@@ -117,7 +120,7 @@ def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike]
 
 @_remembered
 def matter_of(volume: Volume) -> Matter:
-    """Which of a volume's values are matter, from about two million samples at most."""
+    """The values of a volume's matter, from at most about two million samples."""
     low, high = volume.value_range
     exponent = exponent_of(low, high)
     if not low < high:
@@ -128,7 +131,7 @@ def matter_of(volume: Volume) -> Matter:
     values = scaled(_sorted(_some(volume)), exponent)
     ground = _ground(volume, *_distinct(values), exponent)
     if ground is not None and _of_air(_unscaled_all(values, exponent), unscaled(ground, exponent)):
-        values, ground = values[values > scaled(_AIR[0], exponent)], None  # what lies around a scan's own field
+        values, ground = values[values > scaled(_AIR[0], exponent)], None  # drop the padding outside the scan's field of view
     signed = _both_sides(values, ground) if ground is not None else _about_zero(values)
     origin, sign = (0.0 if ground is None else ground), 1
     if not signed and ground is None:
@@ -136,41 +139,41 @@ def matter_of(volume: Volume) -> Matter:
         origin, sign = (_quantile(values, 1 - _ENDS), -1) if dark else (_quantile(values, _ENDS), 1)
     elif not signed:
         sign = 1 if _quantile(values, 0.995) - origin >= origin - _quantile(values, 0.005) else -1
-    # signed distances fall and then rise: two sorted parts, which are merged
+    # signed distances fall, then rise: merge the two sorted parts
     away = np.sort(np.abs(values - origin), kind="stable") if signed else np.maximum(sign * (values - origin), 0)[::sign]
     return _parted(away, exponent, origin, ground, sign, signed=signed, span=float(scaled(high, exponent) - scaled(low, exponent)))
 
 
 def isovalue_of(volume: Volume | ArrayLike) -> tuple[float, str]:
-    """The value of the surface that shows a volume's matter, and why it lies there, in words for people.
+    """The isovalue of the surface that shows a volume's matter, and the reason in words.
 
-    Otsu's threshold, which parts the values in two; but never within the step at the edge of a mask, which is no surface of what
-    was scanned. Where that threshold lies there it is moved: into the object's own values, by Otsu's threshold of these where
-    they are of two classes, and else half way to their median; to the middle of the step where the object is one even
-    value. Of labels, half a label above the background.
+    This is Otsu's threshold, unless it is within the step at the edge of a mask, which is not a surface of the scanned
+    object. Then it moves into the values of the object: to their Otsu threshold if they form two classes, else halfway to
+    their median; or to the middle of the step if the object is uniform. For labels it is half a label above the
+    background.
 
     Returns
     -------
     (float, str)
-        In units of the data; such as "parts the values in two (Otsu)" or "beyond the mask's step, 0 to 28".
+        In units of the data; "splits the values in two (Otsu)" or "beyond the mask's step, 0 to 28", for example.
     """
     volume = as_volume(volume)
     if volume.is_labels:
         background, numbers = label_numbers(volume)
         above = bool((numbers > background).any()) or len(numbers) == 1
-        return background + (0.5 if above else -0.5), f"between labels and what has none, {background:g}"
+        return background + (0.5 if above else -0.5), f"between labels and the background, {background:g}"
     found = matter_of(volume)
     return found.isovalue, found.reason
 
 
 @_remembered
 def label_numbers(volume: Volume) -> tuple[float, Array]:
-    """The label of the background, 0 where there is one, else the commonest; and all labels, in ascending order."""
+    """The background label, 0 if it occurs, else the most frequent; and all labels in ascending order."""
     whole = volume.data.dtype.kind in "iu"
-    low, high = map(int, volume.limits if whole else (0, 0))  # exact, beyond what float64 holds too
+    low, high = map(int, volume.limits if whole else (0, 0))  # exact, even outside the range of float64
     if whole and high - low < _COUNTED:
         counts = np.zeros(high - low + 1, np.int64)
-        for part in volume.data:  # no copy of all in wide integers; modulo 2⁶⁴
+        for part in volume.data:  # by parts, to avoid a copy of all samples as int64; modulo 2⁶⁴
             above = part.astype(np.uint64) - np.uint64(low % (1 << 64))
             counts += np.bincount(above.astype(np.int64).ravel(), minlength=counts.size)
         numbers = np.flatnonzero(counts).astype(np.float64) + low
@@ -185,7 +188,7 @@ def label_numbers(volume: Volume) -> tuple[float, Array]:
 def clims_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
     """Black and white of each projection: of the dimmest of the columns of samples along the axes, and nearly of the brightest.
 
-    Where minima hardly differ, as of an object in the air, they are told apart as samples are.
+    If minima hardly differ, as for an object in air, the window of the samples is used.
     """
     low, high = volume.value_range
     exponent = exponent_of(low, high)
@@ -199,14 +202,14 @@ def clims_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
         ends = _clim(np.sort(columns), high=name == "max")
         if ends[1] - ends[0] <= _STEP * (usual[1] - usual[0]):
             ends = usual
-        if not ends[0] < ends[1]:  # nearly all is one value
+        if not ends[0] < ends[1]:  # nearly all values are equal
             ends = bottom, float(scaled(high, exponent))
         found[name] = unscaled(ends[0], exponent), unscaled(ends[1], exponent)
     return found
 
 
 def may_be_hounsfield(volume: Volume) -> bool:
-    """Whether values may be in Hounsfield units: fat and air lie below 0, and bone lies well above."""
+    """Whether values may be in Hounsfield units: fat and air below 0, bone well above."""
     low, high = volume.value_range
     return -32768 <= low <= -50 and 50 <= high <= 65535 and not matter_of(volume).signed
 
@@ -215,9 +218,9 @@ def may_be_hounsfield(volume: Volume) -> bool:
 
 
 def _parted(away: Array, exponent: int, origin: float, ground: float | None, sign: int, *, signed: bool, span: float) -> Matter:
-    """Background and matter, from sorted distances."""
+    """Separate background and matter, from sorted distances."""
     rest = away[np.searchsorted(away, 0, side="right") :] if ground is not None else away
-    threshold, reason = _otsu(rest if signed else away)[0], "parts the values in two (Otsu)"
+    threshold, reason = _otsu(rest if signed else away)[0], "splits the values in two (Otsu)"
     step = _step_beside(rest) if ground is not None else 0.0
     median = _quantile(rest, 0.5)
     even = ground is not None and _quantile(rest, 0.95) - _quantile(rest, 0.05) <= _EVEN * median
@@ -228,17 +231,17 @@ def _parted(away: Array, exponent: int, origin: float, ground: float | None, sig
 
     if even and threshold < _quantile(rest, 0.05):
         start = surface = median / 2
-        reason = f"half way between the background, {value(0):.6g}, and the object, {value(median):.6g}"
+        reason = f"halfway between the background, {value(0):.6g}, and the object, {value(median):.6g}"
     elif step > 0 and (signed or threshold <= 1.1 * step):
-        own, share = _otsu(rest)
+        inner, share = _otsu(rest)
         start = step
-        if not signed and share >= _TWO_CLASSES and min((rest < own).mean(), (rest > own).mean()) >= _FEWEST:
-            surface, how = own, "parts the object's own values in two (Otsu)"
+        if not signed and share >= _TWO_CLASSES and min((rest < inner).mean(), (rest > inner).mean()) >= _FEWEST:
+            surface, how = inner, "splits the object's values in two (Otsu)"
         else:
-            surface, how = (step + median) / 2, "where the object's own values begin"
+            surface, how = (step + median) / 2, "at the start of the object's values"
         reason = f"{how}, beyond the mask's step, {value(0):.6g} to {value(step):.6g}"
     if signed:
-        reason += f"; values are of both signs about {value(0):.6g}: this is the surface of the upper ones"
+        reason += f"; values have both signs around {value(0):.6g}: this is the surface of the upper side"
     below = (
         away[np.searchsorted(away, 0, side="right") : np.searchsorted(away, start)] if ground is not None else away[away < start]
     )
@@ -253,9 +256,9 @@ def _parted(away: Array, exponent: int, origin: float, ground: float | None, sig
 
 
 def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent: int) -> float | None:
-    """The exact value of the background, over ``2**exponent``, if there is one.
+    """The exact background value in units of ``2**exponent``, or None.
 
-    Measured values that are cut off at the top are common and exact, too, but seldom lie at the faces of the volume.
+    Measured values clipped at the top are frequent and exact too, but rarely on the faces of the volume.
     """
     if len(distinct) == 2:
         return float(distinct[0])
@@ -274,19 +277,19 @@ def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent
 
 def _faces(volume: Volume, exponent: int) -> Array:
     """Samples on the faces of the volume."""
-    # ndarray.take would copy all of an array that is not in C order
+    # ndarray.take would copy an array that is not in C order
     ends = [np.moveaxis(volume.data, axis, 0)[end].ravel() for axis in range(volume.ndim) for end in (0, -1)]
     return scaled(np.concatenate(ends), exponent)
 
 
 def _dark_in_bright(values: Array, faces: Array) -> bool:
-    """Whether the upper of two classes of sorted values is the background, as of stained matter seen in transmitted light."""
+    """Whether the upper of two classes of sorted values is the background, as for stained matter in transmitted light."""
     threshold = _otsu(values)[0]
     return bool((values > threshold).mean() >= _MOST and (faces > threshold).mean() >= _NEARLY_ALL)
 
 
 def _of_air(values: Array, ground: float) -> bool:
-    """Whether the values are those of computed tomography with air, and the ground lies below air, where nothing was measured."""
+    """Whether the values are CT numbers that include air, and the ground, which was never measured, is below air."""
     air, none = (((values >= a) & (values <= b)).mean() for a, b in (_AIR, _NO_MATTER))
     return bool(ground < _AIR[0] and air >= _COMMON and air > 2 * none)
 
@@ -297,7 +300,7 @@ def _unscaled_all(values: Array, exponent: int) -> Array:
 
 
 def _both_sides(values: Array, ground: float) -> bool:
-    """Whether sorted values lie to both sides of the ground, and nearly as far."""
+    """Whether sorted values are on both sides of the ground, at similar distances."""
     below, above = values[: np.searchsorted(values, ground)], values[np.searchsorted(values, ground, side="right") :]
     if min(below.size, above.size) < max(_SOME * (below.size + above.size), 1):
         return False
@@ -306,7 +309,7 @@ def _both_sides(values: Array, ground: float) -> bool:
 
 
 def _about_zero(values: Array) -> bool:
-    """Whether sorted values lie about 0, the more the nearer, to both sides and nearly as far."""
+    """Whether sorted values peak at 0 and extend to both sides by similar distances."""
     low, high = _quantile(values, 0.005), _quantile(values, 0.995)
     far = max(-low, high)
     if low >= 0 or high <= 0 or min(-low, high) < far / 2 or abs(_quantile(values, 0.5)) > _OFF * far:
@@ -318,7 +321,7 @@ def _about_zero(values: Array) -> bool:
 
 
 def _step_beside(rest: Array) -> float:
-    """The distance from the background of all that differs from it, where that is a mask's step; 0 where there is none."""
+    """The distance of a mask's step, between the background and all other values; 0 if there is none."""
     step = _quantile(rest, 0.005)
     if step < _STEP * _quantile(rest, 0.995):
         return 0.0
@@ -327,7 +330,7 @@ def _step_beside(rest: Array) -> float:
 
 
 def _otsu(distances: Array) -> tuple[float, float]:
-    """What best parts sorted distances in two, and the share of their variance that lies between the classes."""
+    """Otsu's threshold of sorted distances, and the fraction of their variance between the classes."""
     low, high = float(distances[0]), float(distances[-1])
     if not low < high:
         return low, 0.0
@@ -343,7 +346,7 @@ def _otsu(distances: Array) -> tuple[float, float]:
     between[~np.isfinite(between)] = -1
     if between.max() <= 0:
         return (low + high) / 2, 0.0
-    best = np.flatnonzero(between >= between.max() * (1 - 1e-12))  # a gap makes a plateau: take its middle
+    best = np.flatnonzero(between >= between.max() * (1 - 1e-12))  # a gap gives a plateau: use its middle
     total = below[-1] * float(counts @ (middles - moment[-1] / below[-1]) ** 2)
     return low + (high - low) * float(edges[1:][best].mean()), float(between.max()) / total
 
@@ -358,12 +361,12 @@ def _clim(values: Array, *, high: bool = False) -> tuple[float, float]:
     white = _quantile(lit, _BRIGHT)
     if not high:
         return black, white
-    grey = (_quantile(lit, 0.5) - _GREY * white) / (1 - _GREY)  # black, if the median is to be there
+    grey = (_quantile(lit, 0.5) - _GREY * white) / (1 - _GREY)  # the black that puts the median there
     return max(black, min(grey, _quantile(lit, _DIMMEST), black + _HALF * (white - black))), white
 
 
 def _quantile(values: Array, share: float) -> float:
-    """Of sorted values, one of them; 0 of none."""
+    """A quantile of sorted values, one of them; 0 if empty."""
     return float(values[round(share * (values.size - 1))]) if values.size else 0.0
 
 
@@ -373,9 +376,9 @@ def _thinned(volume: Volume, most: int) -> NDArray[np.generic]:
 
 
 def _some(volume: Volume) -> NDArray[np.generic]:
-    """Finite samples, evenly spread, of the volume's own type; all of them where no voxel of a sparse choice is finite."""
+    """Evenly spread finite samples in the volume's dtype; all finite ones if a sparse choice has none."""
     for some in (_thinned(volume, _SAMPLE), volume.data):
-        with np.errstate(over="ignore"):  # longdouble reaches further than float64
+        with np.errstate(over="ignore"):  # longdouble has a larger range than float64
             values = some.astype(np.float64 if some.itemsize > 8 else some.dtype.newbyteorder("=")).ravel()
         values = values[np.isfinite(values)]
         if values.size:
@@ -384,11 +387,11 @@ def _some(volume: Volume) -> NDArray[np.generic]:
 
 
 def _sorted(values: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Sorted before they become float64, which are twice as slow to sort; whole numbers of up to 16 bits by their digits."""
+    """Sort before converting to float64, which is twice as slow to sort; integers of up to 16 bits use radix sort."""
     return np.sort(values, kind="stable" if values.dtype.kind in "biu" and values.itemsize <= 2 else None)
 
 
 def _distinct(values: Array) -> tuple[Array, NDArray[np.int64]]:
-    """The different ones among sorted values, and how many there are of each; `numpy.unique` would sort them again."""
+    """The distinct values of a sorted array and their counts; `numpy.unique` would sort it again."""
     first = np.flatnonzero(np.concatenate([values[:1] == values[:1], values[1:] != values[:-1]]))
     return values[first], np.diff(first, append=values.size)

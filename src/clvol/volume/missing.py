@@ -1,4 +1,4 @@
-"""Missing samples: which they are, what stands in for them, and which results they reach."""
+"""Missing samples: where they are, what replaces them, and which results they affect."""
 
 from __future__ import annotations
 
@@ -21,48 +21,48 @@ __all__ = ["Missing", "NanRule", "as_missing", "filled_smoothly", "touching"]
 
 NanRule: TypeAlias = Literal["error", "propagate", "local"]
 
-_BAND: Final = 4  # samples from a valid one: what lies deeper is 1/200 of what it is at the edge once a cubic's prefilter is past
-_EXACT: Final = 1e-200  # squares of what is left, in units of the largest sample, whose products would be lost
-_EACH: Final = 4  # copies of the samples that are there at a time ...
-_EACH_MISSING: Final = 100  # ... bytes for each missing one ...
-_EACH_UNKNOWN: Final = 900  # ... and for each of those that are solved for
-_STEPS: Final = 20  # of conjugate gradients; the start is near, so that holes of 9 samples are within 2 % of the minimum
+_BAND: Final = 4  # samples from the nearest valid one: deeper ones affect the edge of a hole by 1/200 after a cubic prefilter
+_EXACT: Final = 1e-200  # squared residual, in units of the largest sample, below which its products underflow
+_EACH: Final = 4  # peak number of copies of the samples ...
+_EACH_MISSING: Final = 100  # ... bytes per missing sample ...
+_EACH_UNKNOWN: Final = 900  # ... and bytes per unknown of the linear system
+_STEPS: Final = 20  # steps of conjugate gradients; the start is close: holes of 9 samples are within 2 % of the minimum
 
 
 @dataclass(frozen=True, eq=False)
 class Missing:
-    """What becomes of samples that are NaN or infinite, or that a mask excludes.
+    """How to treat samples that are NaN or infinite, or excluded by a mask.
 
     Parameters
     ----------
     rule : {"error", "propagate", "local"}
-        - "error": such samples are refused.
-        - "propagate": every result that is computed from one is NaN, as in arithmetic, whatever its weight. A prefilter
-          computes each coefficient from all samples: with one, a single missing sample leaves nothing.
-        - "local": missing samples are first replaced by a smooth fill, and only results whose kernel touches one, with a
-          weight other than zero, are NaN. All others are what the filled volume gives, bit for bit.
+        - "error": raise an error.
+        - "propagate": every result computed from one is NaN, as in arithmetic, whatever its weight. A prefilter
+          computes each coefficient from all samples, so that a single missing sample makes every result NaN.
+        - "local": missing samples are first replaced by a smooth fill, and only results whose kernel has a nonzero
+          weight on one are NaN. All others equal those of the filled volume, bit for bit.
     mask : array-like of bool, optional
-        Of the shape of the samples, True where one is missing, as in `numpy.ma`: the way to say so for integers. Samples that
-        are not finite are missing too.
+        Shape of the samples, True where one is missing, as in `numpy.ma`. Integers need a mask; floating samples that
+        are not finite are missing as well.
     most : float
-        For "local": results stay, filled, whose kernel has at most this share on missing samples, from 0 (no result that is
-        touched) to 1 (every result). The share is the mean of the linearly interpolated mask over a box around the point, one
-        sample less wide than the kernel: 1/2 along the edge of a large hole, 1/27 in the middle of a single sample for a cubic.
+        For "local": the largest share of missing samples in a kernel whose result is kept, from the fill; 0 keeps no affected
+        result, 1 every result. The share is the mean of the linearly interpolated mask over a box around the point, one
+        sample narrower than the kernel: 1/2 along the edge of a large hole, 1/27 in the middle of a single sample for a cubic.
 
     Raises
     ------
     OptionError
-        Another rule, or a share outside 0 to 1.
+        The rule is unknown, or the share is outside 0 to 1.
     DataError
-        A mask that is not boolean.
+        The mask is not boolean.
 
     Notes
     -----
-    The fill makes the sum of squared second differences along the axes least, as a smoothing spline does, by 20 steps of
+    The fill minimises the sum of squared second differences along the axes, as a smoothing spline does, by 20 steps of
     conjugate gradients from linearly interpolated means of the valid samples in blocks of 2, 4, 8, ... . Missing samples more than
-    4 from a valid one keep these. Next to holes of 1, 3 and 9 samples a cubic spline then errs, where nothing is missing, by an
-    rms of 3e-7, 3e-6 and 2e-5 of the range of a smooth phantom (the spline itself: 2e-6), and by 1e-4, 3e-4 and 6e-4 for the
-    Marschner-Lobb signal (itself: 2e-3).
+    4 samples from a valid one keep the start. Next to holes of 1, 3 and 9 samples, the rms error of a cubic spline outside the
+    hole is 3e-7, 3e-6 and 2e-5 of the range of a smooth phantom (of the spline itself: 2e-6), and 1e-4, 3e-4 and 6e-4 for the
+    Marschner-Lobb signal (of the spline itself: 2e-3).
     """
 
     rule: NanRule = "local"
@@ -80,12 +80,12 @@ class Missing:
             object.__setattr__(self, "mask", mask)
 
     def of(self, data: NDArray[Any]) -> NDArray[np.bool_] | None:
-        """Where samples are missing; None if none is, or if the rule is to refuse them.
+        """Mask of missing samples; None if there are none, or if the rule is "error".
 
         Raises
         ------
         DataError
-            The mask has another shape than the samples; or it excludes some, and the rule is "error".
+            The shape of the mask differs from that of the samples, or the rule is "error" and the mask excludes some.
         """
         missing = None
         if self.mask is not None:
@@ -94,18 +94,18 @@ class Missing:
                 raise DataError(f"mask must have the shape of the samples, {data.shape}; got {missing.shape}")
         if self.rule == "error":
             if missing is not None and missing.any():
-                raise DataError('the mask excludes samples, which nan="error" refuses; nan may be "propagate" or "local"')
+                raise DataError('the mask excludes samples, which nan="error" does not allow; nan may be "propagate" or "local"')
             return None
         if data.dtype.kind == "f":
             memory.require(2 * data.size, f"which of {data.size} samples are missing")
             kind = np.float64 if data.dtype.itemsize > 8 else data.dtype
-            with np.errstate(over="ignore"):  # longdouble reaches further than float64
+            with np.errstate(over="ignore"):  # longdouble has a larger range than float64
                 lost = ~np.isfinite(data.astype(kind, copy=False))
             missing = lost if missing is None else missing | lost
         return missing if missing is not None and missing.any() else None
 
     def filled(self, data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
-        """Samples to compute with: where they are missing the fill, or any valid one where nothing is seen of it."""
+        """Replace missing samples by the fill, or by any valid sample if no result shows it."""
         if self.rule == "local":
             return filled_smoothly(data, missing)
         valid = data[np.unravel_index(missing.argmin(), data.shape)]
@@ -113,18 +113,18 @@ class Missing:
 
 
 def as_missing(nan: str | Missing) -> Missing:
-    """The treatment for the name of a rule."""
-    return nan if isinstance(nan, Missing) else Missing(nan)  # type: ignore[arg-type]  # it is checked
+    """The treatment of a rule's name."""
+    return nan if isinstance(nan, Missing) else Missing(nan)  # type: ignore[arg-type]  # checked by Missing
 
 
 @lru_cache(maxsize=64)
 def touching(filter: Filter, rule: NanRule) -> Filter:
-    """The filter that gives the share of missing samples when it is applied to 1 where one is missing and 0 elsewhere.
+    """The filter that gives the share of missing samples when applied to a mask, 1 where one is missing.
 
-    It has the support of `filter`. For "local" its weights are those of the mean over a box, one sample less wide, of the linear
-    interpolation, which are positive where a kernel of this support may differ from zero; for "propagate" they are equal.
+    It has the support of `filter`. For "local" it averages the linear interpolation over a box, one sample narrower; its
+    weights are positive wherever a kernel of this support can be nonzero. For "propagate" all weights are equal.
     """
-    from clvol.filter.filter import MAX_TAPS, Filter  # its table takes 0.1 s, which processes that read files can do without
+    from clvol.filter.filter import MAX_TAPS, Filter  # the import takes 0.1 s, which processes that read files can save
 
     by = filter.magnified_by
     taps = filter.support if by is None else min(MAX_TAPS, by.support + -(-filter.support // filter.scale))
@@ -138,14 +138,14 @@ def touching(filter: Filter, rule: NanRule) -> Filter:
 
 
 def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[np.floating[Any]]:
-    """A copy with the fill of `Missing` where samples are missing; 0 where all are.
+    """A copy with missing samples replaced by the fill of `Missing`; 0 if all are missing.
 
     Parameters
     ----------
     data : ndarray
         Of any number of axes.
     missing : ndarray of bool, the shape of `data`
-        True where there is no sample, whatever `data` hold there.
+        True where a sample is missing, whatever value `data` has there.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[n
     result = np.where(missing, 0, data).astype(kind)
     if missing.all():
         return result
-    # powers of two, so that squares stay within float64
+    # scale by powers of two, so that squares fit into float64
     exponent = int(np.frexp(max(float(result.max()), -float(result.min())))[1])
     at = np.nonzero(missing)
     start = _block_means(np.ldexp(result, -exponent), missing, at)
@@ -174,14 +174,14 @@ def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[n
 def _near_valid(missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
     from scipy import ndimage
 
-    if not _in_pairs(np.logical_and, missing).any():  # nothing lies deep
+    if not _in_pairs(np.logical_and, missing).any():  # no hole is deep
         return missing
     deep = ndimage.minimum_filter(missing.view(np.uint8), 2 * _BAND + 1, mode="nearest")
     return np.asarray(missing & (deep == 0))
 
 
 def _in_pairs(combine: np.ufunc, data: NDArray[Any]) -> NDArray[Any]:
-    """Blocks of two along each axis, combined; the last one of an odd axis is a sample by itself."""
+    """Combine blocks of two along each axis; the last block of an odd axis has one sample."""
     for axis in range(data.ndim):
         lines = np.moveaxis(data, axis, 0)
         first = lines[::2].copy()
@@ -194,7 +194,7 @@ def _in_pairs(combine: np.ufunc, data: NDArray[Any]) -> NDArray[Any]:
 def _block_means(
     data: NDArray[np.floating[Any]], missing: NDArray[np.bool_], at: tuple[NDArray[np.intp], ...]
 ) -> NDArray[np.float64]:
-    """At missing samples, which are 0, linearly interpolated means of valid ones in blocks of two, or larger ones without any."""
+    """Replace missing samples, which are 0, by linearly interpolated block means of valid ones; blocks grow until they have one."""
     from scipy import ndimage
 
     counts = _in_pairs(np.add, (~missing).astype(np.uint8))
@@ -207,14 +207,14 @@ def _block_means(
 
 
 def _least_bent(data: NDArray[Any], unknown: NDArray[np.intp], exponent: int, start: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values at flat indices, in units of a power of two, that make the sum of squared second differences least."""
+    """Values at flat indices, in units of a power of two, that minimise the sum of squared second differences."""
     from scipy import sparse
 
     flat, count = data.reshape(-1), unknown.size
     rows, columns, weights, given, total = [], [], [], [], 0
     stride = 1
     for n in data.shape[::-1]:
-        first = np.unique(np.concatenate([unknown - j * stride for j in range(3)]))  # of the three samples of a difference
+        first = np.unique(np.concatenate([unknown - j * stride for j in range(3)]))  # a difference has three samples
         place = first // stride % n
         first = first[(first >= 0) & (place + 2 < n)]
         index = first[:, None] + stride * np.arange(3)

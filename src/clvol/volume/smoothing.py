@@ -1,14 +1,14 @@
-"""How much smoothing pays for a volume: λ of a smoothing spline, from the volume's own spectrum and noise.
+"""Choose λ of a smoothing spline for a volume, from its spectrum and noise.
 
-At the samples a smoothing spline passes the share ``G(ω) = B(ω) / (B(ω) + λ (2 − 2 cos ω)^m)`` of each frequency, B being the
-transform of the B-spline's samples (Unser, Aldroubi and Eden, B-spline signal processing, 1993), in two and three dimensions the
-product over the axes. Of samples with power P(ω), in which there is noise of power N(ω), it leaves the mean square error
+At the samples, the gain of a smoothing spline is ``G(ω) = B(ω) / (B(ω) + λ (2 − 2 cos ω)^m)``, where B is the
+transform of the B-spline's samples (Unser, Aldroubi and Eden, B-spline signal processing, 1993); in two and three dimensions it is
+the product over the axes. For samples of power P(ω) that include noise of power N(ω), its mean square error is
 
     ∫ (P(ω) − N(ω)) (1 − G(ω))² + N(ω) G(ω)² dω  =  ∫ P (1 − G)² + 2 N G − N dω
 
-on the right without what is not known: Stein's unbiased estimate (1981), whose minimum is sought. Generalised cross-validation
-seeks that of the first term over the square of the mean of 1 − G: it needs no N, but takes what it cannot predict for noise, stairs
-and edges too.
+The right-hand side has no unknowns: it is Stein's unbiased estimate (1981), and it is minimised here. Generalised cross-validation
+minimises the first term over the square of the mean of 1 − G: it needs no N, but treats all that it cannot predict as noise,
+including stairs and edges.
 """
 
 from __future__ import annotations
@@ -35,31 +35,31 @@ __all__ = ["Smoothing", "choose", "filter_for", "settled"]
 Array: TypeAlias = NDArray[np.float64]
 
 # Measured with cubic splines on voxelised spheres (radius 5 to 18 voxels), tori (tube 3 to 6) and planes: the RMS distance to the
-# true surface falls from 0.20 voxels at λ = 0 to 0.08-0.12 at λ = 0.5, and then rises; the normals err by 24° and 4.4°.
+# true surface falls from 0.20 voxels at λ = 0 to 0.08-0.12 at λ = 0.5, and then rises; the error of normals is 24° and 4.4°.
 _STAIRS = 0.5
-# Beside an exact background there is an inside worth keeping: 0.10 voxels and 7° at the edge.
+# An object beside an exact background has detail inside that must be kept: 0.10 voxels and 7° at the edge.
 _EDGE = 0.2
-_GRID = 1e-4, 1e3, 176  # λ that are tried: from, to (for cubic splines), how many
-_UNSEEN = 0.01  # of the samples' standard deviation: noise below is not seen (rounding to 8 bits makes half of it)
-_PAYS = 0.98  # of the error of interpolation: what is gained below is not worth a change
-# Of the λ of least error: the error hardly changes about its minimum, while gradients do, and steps between regions, which no
-# spectrum tells from waves, are the better for more.
+_GRID = 1e-4, 1e3, 176  # candidates of λ: from, to (for cubic splines), count
+_UNSEEN = 0.01  # relative to the samples' standard deviation: smaller noise is invisible (8-bit rounding causes half of it)
+_PAYS = 0.98  # relative to the error of interpolation: smoothing must reduce the error to this
+# Factor on the λ of least error: near its minimum the error hardly changes, but gradients improve, and so do steps between
+# regions, which a spectrum cannot distinguish from waves.
 _MORE = 1.2
-_APART = 0.9  # of the error with one λ: what λ along each axis must bring
+_APART = 0.9  # relative to the error with one λ: one λ per axis must reduce the error to this
 
 
 @dataclass(frozen=True)
 class Smoothing:
-    """What was chosen.
+    """The chosen smoothing.
 
     Parameters
     ----------
     values : tuple of float
-        λ along x, y[, z], of three significant digits.
+        λ along x, y[, z], to three significant digits.
     reason : str
-        Why, for people.
+        Reason for the choice, in words.
     sigma : float
-        Standard deviation of the noise that was found, in units of the data.
+        Standard deviation of the estimated noise, in units of the data.
     """
 
     values: tuple[float, ...]
@@ -68,30 +68,30 @@ class Smoothing:
 
 
 def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
-    """λ of the smoothing spline that errs least for a volume, 0 where interpolation does.
+    """λ of the smoothing spline with the least error for a volume; 0 if interpolation is as good.
 
-    The noise decides, as `Volume.noise` tells of it, except where there is more to smooth than noise: surfaces of binary volumes
-    and of labels are stairs, and so are those of objects that were cut out by a mask. There λ is at least what removes the stairs.
+    The noise decides (see `Volume.noise`), except where more than noise needs smoothing: surfaces of binary volumes,
+    of labels and of masked objects are stairs. There λ is at least large enough to remove the stairs.
 
     Parameters
     ----------
     volume : Volume or array-like
     degree : int
-        Of the spline, 2 to 9.
+        Degree of the spline, 2 to 9.
 
     Notes
     -----
-    λ is 1.2 times that of the least predicted error, the same along all axes unless one for each errs less by a tenth; 0 where it
-    would gain less than 2 %, or the noise is less than a hundredth of the samples' own deviation. For stairs it is 0.5, for masks
-    at least 0.2, for cubic splines; for other degrees what halves the same frequency.
+    λ is 1.2 times that of the least predicted error, the same along all axes unless one per axis reduces the error by a tenth; 0
+    if it would gain less than 2 %, or the noise is below a hundredth of the samples' standard deviation. For cubic splines it
+    is 0.5 for stairs, and at least 0.2 for masks; other degrees use the λ that halves the same frequency.
 
-    Modes that show extremes should draw with λ = 0: the peak of a vessel whose profile is a Gaussian of σ = 1 sample keeps 0.99 of
+    Modes that show extremes should use λ = 0: the peak of a vessel whose profile is a Gaussian of σ = 1 sample keeps 0.99 of
     its height with λ = 0, 0.92 with 0.02, 0.79 with 0.1, 0.58 with 0.5.
 
     Raises
     ------
     DataError
-        Samples that were looked at are NaN or infinite.
+        An inspected sample is NaN or infinite.
     """
     volume = as_volume(volume)
     degree = whole("degree", degree, 2, 9)
@@ -122,17 +122,17 @@ def _choice(volume: Volume, degree: int) -> Smoothing:
 
 
 def filter_for(volume: Volume, filter: str | Filter | None, otherwise: str) -> Filter:
-    """The filter that is given; where none is, "nearest" for labels, which are never blended, and `otherwise` for all else."""
+    """The given filter; if None, "nearest" for labels, which are never blended, else `otherwise`."""
     return as_filter(filter if filter is not None else "nearest" if volume.is_labels else otherwise)
 
 
 def settled(filter: str | Filter, volume: Volume) -> Filter:
-    """A row as it is for a volume: one whose smoothing is "auto" or a length has numbers instead, and its name says them.
+    """The filter for a volume: smoothing of "auto" or a length becomes numbers, which its name states.
 
     Raises
     ------
     OptionError
-        Its smoothing has another number of axes than the volume, or its length is too much for float32.
+        The number of axes of its smoothing differs from the volume's, or its length is too large for float32.
     """
     row = as_filter(filter)
     if row.magnified_by is not None and not row.magnified_by.settled:
@@ -168,7 +168,7 @@ _KINDS = {
 
 
 class _Risk:
-    """The mean square error at the samples with λ along each axis of the array, predicted; the range of the values is 1."""
+    """Predicted mean square error at the samples, with λ along each axis of the array; the range of the values is 1."""
 
     def __init__(self, spectrum: Spectrum, degree: int) -> None:
         self.spectrum = spectrum
@@ -178,10 +178,10 @@ class _Risk:
         return float(self.along(0, smoothing, smoothing[:1])[0])
 
     def along(self, axis: int, smoothing: Sequence[float], values: ArrayLike) -> Array:
-        """With each of some values along one axis, and what `smoothing` says along the others."""
+        """The error for each of `values` along one axis, and `smoothing` along the others."""
         passed = squared = self.spectrum.power
-        through = every = 1.0  # noise that passes, and all of it
-        for i in reversed(range(len(smoothing))):  # the last first, so that the places of those before stay
+        through = every = 1.0  # noise after the filter, and before
+        for i in reversed(range(len(smoothing))):  # the last first, so that earlier axes keep their positions
             if i != axis:
                 g, noise = self._passes(i, smoothing[i]), self.spectrum.noise[i]
                 passed, squared = np.tensordot(passed, g, (i, 0)), np.tensordot(squared, g**2, (i, 0))
@@ -191,13 +191,13 @@ class _Risk:
         return np.asarray(total - 2 * g @ passed + g**2 @ squared + 2 * through * (g @ noise))
 
     def _passes(self, axis: int, values: ArrayLike) -> Array:
-        """The share of each frequency that passes along an axis, for each λ."""
+        """The gain of each frequency along an axis, for each λ."""
         sampled, penalty = self.axes[axis]
         return np.asarray(sampled / (sampled + np.multiply.outer(values, penalty)))
 
 
 def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
-    """λ along x, y[, z] of the least predicted error; 0 where interpolation does nearly as well."""
+    """λ along x, y[, z] of the least predicted error; 0 if interpolation is nearly as good."""
     d = len(spectrum.frequencies)
     if math.prod(float(share.sum()) for share in spectrum.noise) < _UNSEEN**2 * float(spectrum.power.sum()):
         return (0.0,) * d
@@ -206,7 +206,7 @@ def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
 
     rough = 4 * int(np.argmin([risk((value,) * d) for value in grid[::4]]))
     least, one = min((risk((value,) * d), value) for value in grid[max(rough - 3, 0) : rough + 4].tolist())
-    several, apart = [one] * d, least  # near 0, the estimate may be below
+    several, apart = [one] * d, least  # the estimate may be below 0 near 0
     for axis in [axis for axis in range(d) if len(spectrum.frequencies[axis]) > 1] * 2:
         errors = risk.along(axis, several, grid)
         several[axis], apart = float(grid[errors.argmin()]), float(errors.min())
@@ -224,7 +224,7 @@ def _passing(degree: int, omega: Array) -> tuple[Array, Array]:
 
 
 def _equivalent(value: float, degree: int) -> float:
-    """λ for a degree that halves the same frequency as `value` does for cubic splines."""
+    """λ of a degree that halves the same frequency as `value` for cubic splines."""
     if degree == 3:
         return value
     omega = np.linspace(1e-3, np.pi, 4096)

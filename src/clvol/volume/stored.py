@@ -1,7 +1,7 @@
-"""How values are stored on a device: in float32, less an offset and a power of two where float32 would lose them.
+"""How values are stored on a device: in float32, shifted by an offset and scaled by a power of two where they need it.
 
-Filters are linear and, where their weights sum to one, give a constant back. So the function of samples less a constant is
-the function less that constant, which is added again in float64; a power of two rounds nothing.
+Filters are linear and, if their weights sum to one, reproduce constants. So subtracting a constant from the samples
+subtracts it from the function; it is added back in float64. Scaling by a power of two is exact.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from clvol.volume.volume import Volume
 
 __all__ = ["AS_THEY_ARE", "RENUMBER", "Stored", "differences", "names_beyond", "wide_enough"]
 
-_FAR = 8  # times their range from zero samples lie that are stored less an offset: float32 then errs by 1e-6 of the range
-_EXPONENTS = 90  # samples of 2**-90 to 2**90 are stored unscaled: their 24 digits end above 2**-126, and sums fit below 2**128
-_ROOM = 120  # of the exponents that float32 has, what a prefilter may use: filters and derivatives gain a little more
-_PROBES = 8  # along each axis, at least, where an axis has them
-_LARGEST = 3e38  # in stored units: about what float32 holds
+_FAR = 8  # distance from zero, in ranges of the samples, that needs an offset: the float32 error is then 1e-6 of the range
+_EXPONENTS = 90  # samples of 2**-90 to 2**90 are stored unscaled: their 24 digits stay above 2**-126, and sums below 2**128
+_ROOM = 120  # float32 exponents that a prefilter may use; the rest is for filters and derivatives
+_PROBES = 8  # samples inspected along each axis, at least
+_LARGEST = 3e38  # in stored units: about the largest float32
 
 RENUMBER = "renumber them, as numpy.unique(data, return_inverse=True) does"
 
@@ -32,14 +32,14 @@ Reals = NDArray[np.float32] | NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Stored:
-    """The map between values and what stands for them: ``(value - offset) * 2**-exponent``, in float32.
+    """The map between values and stored values: ``(value - offset) * 2**-exponent``, in float32.
 
     Parameters
     ----------
     offset : float
-        What is taken off; 0 for most data.
+        Subtracted from values; 0 for most data.
     exponent : int
-        Of the power of two; 0 for most data.
+        Exponent of the power of two; 0 for most data.
     """
 
     offset: float = 0.0
@@ -47,16 +47,16 @@ class Stored:
 
     @classmethod
     def of(cls, volume: Volume, filter: Filter, boundary: Boundary) -> Stored:
-        """What suits a volume's samples, which are finite.
+        """The map for a volume of finite samples.
 
-        An offset, about the middle of the range, is taken off samples that lie further than 8 times their range from zero, if
-        the filter's weights sum to one and the boundary rule puts no values of its own outside. Samples that float32 holds and
-        that are all the same need none. An exponent brings the largest magnitude that is left to 1/2..1 if it is beyond
-        2**-90..2**90, or if a filter's prefilter gains so much that it would overflow.
+        Samples further from zero than 8 times their range get an offset near the middle of the range, if
+        the filter's weights sum to one and the boundary rule has no constant outside. Equal samples that float32 can hold
+        need none. If the largest magnitude is then outside 2**-90..2**90, or the gain of the prefilter would
+        overflow, an exponent scales it to 1/2..1.
         """
         movable = filter.sums_to_one and boundary.period is not None and boundary.outside != "grid-constant"
         if volume.data.dtype.kind in "biu":
-            # the type bounds their magnitude; so samples are looked at only where an offset may come out
+            # the type bounds their magnitude, so inspect the samples only if they may need an offset
             if not movable or not _may_be_far(volume.data):
                 return AS_THEY_ARE
             least, most = (int(v) for v in volume.limits)
@@ -70,26 +70,26 @@ class Stored:
 
     @property
     def identity(self) -> bool:
-        """Whether values are stored as they are."""
+        """Whether values are stored unchanged."""
         return self == AS_THEY_ARE
 
     def alters(self, derivative: int) -> bool:
-        """Whether values, or derivatives of this order, differ from what kernels make of stored ones."""
+        """Whether values, or derivatives of this order, differ from those that kernels compute from stored values."""
         return not self.identity if derivative == 0 else self.exponent != 0
 
     # -- values of the data's units -> stored ones -----------------------------------------------------------------
 
     def held(self, values: ArrayLike) -> NDArray[np.float64]:
-        """`values`, or the nearest that float32 holds once they are stored: no sample comes near those."""
+        """`values`, clipped to what float32 can store; no sample comes near these limits."""
         low, high = (self.values(np.array(end, np.float32)) for end in (-_LARGEST, _LARGEST))
         return np.clip(np.asarray(values, dtype=np.float64), low, high)
 
     def __call__(self, values: ArrayLike) -> NDArray[np.float64]:
-        """`values` in stored units, in float64; those beyond what float32 holds as `held` gives them."""
+        """`values` in stored units, in float64, clipped as in `held`."""
         return np.asarray(np.ldexp(self.held(values), -self.exponent) - math.ldexp(self.offset, -self.exponent))
 
     def samples(self, data: NDArray[Any]) -> NDArray[Any]:
-        """Samples of a volume in stored units, still to be rounded to float32; integers are subtracted as integers."""
+        """Samples of a volume in stored units, not yet rounded to float32; integers are subtracted exactly."""
         if self.identity:
             return data
         if data.dtype.kind in "biu":
@@ -100,7 +100,7 @@ class Stored:
     # -- and back --------------------------------------------------------------------------------------------------
 
     def values(self, stored: NDArray[np.float32], gain: float = 1.0) -> Reals:
-        """The values that stored ones stand for, in float64 unless they are the same; `gain`: what becomes of a 1 in them."""
+        """Convert stored values back, in float64 unless unchanged; `gain` is the factor on a constant."""
         if self.identity:
             return stored
         with np.errstate(over="ignore"):
@@ -109,7 +109,7 @@ class Stored:
             return values
 
     def derivatives(self, stored: NDArray[np.float32]) -> Reals:
-        """Derivatives of the values, given those of stored ones: in float64 unless they are the same."""
+        """Convert derivatives of stored values back, in float64 unless unchanged."""
         return self._scaled(stored) if self.alters(1) else stored
 
     def _scaled(self, stored: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -124,12 +124,12 @@ AS_THEY_ARE = Stored()
 
 
 def differences(data: NDArray[Any], whole: int) -> NDArray[np.int64]:
-    """Integers less a whole number, exactly, as int64; they must fit, but the integers themselves need not."""
+    """Integers minus an integer, exactly, as int64. The differences must fit into int64, the integers need not."""
     return np.asarray(data.astype(np.int64) - np.array([whole % (1 << 64)], np.uint64).view(np.int64))  # modulo 2⁶⁴
 
 
 def _gain_exponent(filter: Filter) -> int:
-    """Of a power of two that no number exceeds on the way from samples within ±1 to coefficients, along three axes."""
+    """Exponent of a power of two that bounds all values between samples within ±1 and coefficients, along three axes."""
     if not filter.prefilter:
         return 0
     rows = [filter.along(axis) for axis in range(len(filter.smoothing) if isinstance(filter.smoothing, tuple) else 1)]
@@ -138,14 +138,14 @@ def _gain_exponent(filter: Filter) -> int:
 
 
 def _may_be_far(data: NDArray[Any]) -> bool:
-    """Whether integers could lie far from zero: some of them, and then all, lie more than ``_FAR - 1`` ranges away."""
+    """Whether integers may be far from zero: some of them, and therefore all, are more than ``_FAR - 1`` ranges away."""
     some = data[tuple(slice(None, None, max(1, n // _PROBES)) for n in data.shape)]
     low, high = int(some.min()), int(some.max())
     return (low > 0 or high < 0) and min(abs(low), abs(high)) > (_FAR - 1) * (high - low)
 
 
 def _whole_offset(low: int, high: int) -> int:
-    """An offset for integers from `low` to `high`, which float64 holds, or 0."""
+    """An offset for integers from `low` to `high`, exact in float64, or 0."""
     span, middle = high - low, (low + high) // 2
     if max(-low, high) <= _FAR * span or (low == high and int(np.float32(low)) == low):
         return 0
@@ -156,8 +156,8 @@ def _whole_offset(low: int, high: int) -> int:
 def _offset(low: float, high: float) -> float:
     """An offset for samples from `low` to `high`, or 0.
 
-    It has no digits below the largest power of two in the range, so that the differences of short numbers are short: data in
-    tenths or whole numbers stay so. Differences are exact in float64, for the offset is near to all samples (Sterbenz).
+    It has no digits below the largest power of two in the range, so that short numbers have short differences: tenths
+    or integers stay so. Differences are exact in float64, because the offset is close to all samples (Sterbenz).
     """
     if low <= 0 <= high:
         return 0.0
@@ -175,12 +175,12 @@ def _offset(low: float, high: float) -> float:
 
 
 def wide_enough(kind: type[np.generic], volume: Volume, filter: Filter, boundary: Boundary) -> type[np.generic]:
-    """`kind`, or float64 where a Field of float32 would take an offset or a power of two off the samples."""
+    """`kind`, or float64 where a float32 Field would store the samples with an offset or a power of two."""
     return kind if Stored.of(volume, filter, boundary).identity else np.float64
 
 
 def names_beyond(bits: int, volume: Volume, row: Filter) -> bool:
-    """Whether labels, which this filter leaves as they are, need more than `bits` bits: 24 in float32, 53 in float64."""
+    """Whether labels, which this filter does not change, need more than `bits` bits: 24 in float32, 53 in float64."""
     if row.support > 1 or volume.data.dtype.kind not in "iu" or volume.data.dtype.itemsize <= bits // 8 or not volume.is_labels:
         return False
     return max(abs(int(v)) for v in volume.limits) > 1 << bits

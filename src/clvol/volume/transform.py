@@ -1,7 +1,7 @@
-"""Spatial transforms, as registration gives them: affine maps, displacement fields and B-spline grids, in ITK's conventions.
+"""Spatial transforms from registration: affine maps, displacement fields and B-spline grids, in ITK's conventions.
 
-A transform maps points of the *fixed* world to points of the *moving* one: the direction in which an image is resampled, and that
-of the transforms that ITK, SimpleITK, elastix and ANTs write. Worlds are ITK's (LPS in medicine), as those of a `Volume` are.
+A transform maps points of the *fixed* world to points of the *moving* one: the direction that resampling needs, and that
+ITK, SimpleITK, elastix and ANTs write. Worlds are ITK's (LPS in medicine), as for `Volume`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ __all__ = [
     "split_at_grids",
 ]
 
-_SINGULAR = 1e-12  # of the determinant of a matrix whose columns have length 1
+_SINGULAR = 1e-12  # smallest determinant of a matrix whose columns have length 1
 _MOST_TAPS = 6
-_FAR = 2.0**20  # along an axis: so far out that differences of positions lose no digits
+_FAR = 2.0**20  # index along an axis, far outside but small enough that differences of positions lose no digits
 
 
 class AffineTransform:
@@ -42,20 +42,20 @@ class AffineTransform:
     Parameters
     ----------
     matrix : array-like, shape (d, d)
-        For d = 2 or 3; not singular.
+        d = 2 or 3; not singular.
     translation, center : array-like, shape (d,), optional
-        In world units; 0.
+        In world units; default 0.
 
     Attributes
     ----------
     matrix : ndarray of float64, shape (d, d)
     offset : ndarray of float64, shape (d,)
-        The same map is ``y = matrix x + offset``.
+        The map is ``y = matrix x + offset``.
 
     Raises
     ------
     GeometryError
-        `matrix` is no matrix of 2 × 2 or 3 × 3 finite numbers, or is singular; `translation` or `center` are not d finite
+        `matrix` is not 2 × 2 or 3 × 3 finite numbers, or is singular; `translation` or `center` is not d finite
         numbers.
     """
 
@@ -77,7 +77,7 @@ class AffineTransform:
         Raises
         ------
         GeometryError
-            `matrix` is no such matrix of finite numbers, or is singular.
+            `matrix` is not such a matrix of finite numbers, or is singular.
         """
         whole = reals("an affine matrix", matrix, "3 × 3 numbers in 2-D or 4 × 4 in 3-D", GeometryError)
         if whole.shape not in ((3, 3), (4, 4)) or not np.array_equal(whole[-1], np.eye(len(whole))[-1]):
@@ -89,10 +89,10 @@ class AffineTransform:
 
     @classmethod
     def unchecked(cls, matrix: NDArray[np.float64], offset: NDArray[np.float64]) -> AffineTransform:
-        """``y = matrix x + offset`` of numbers that are known to be sound."""
-        made = cls.__new__(cls)
-        made.matrix, made.offset = matrix, offset
-        return made
+        """``y = matrix x + offset``, without checks of the numbers."""
+        result = cls.__new__(cls)
+        result.matrix, result.offset = matrix, offset
+        return result
 
     def __repr__(self) -> str:
         return f"AffineTransform({self.matrix.tolist()}, {self.offset.tolist()})"
@@ -103,7 +103,7 @@ class AffineTransform:
         return len(self.matrix)
 
     def after(self, first: AffineTransform) -> AffineTransform:
-        """The map that applies `first`, and then this one."""
+        """The map that applies `first`, then this one."""
         return AffineTransform.unchecked(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
 
 
@@ -113,10 +113,10 @@ class _GridTransform:
     Parameters
     ----------
     what : str
-        The name of the values, for messages.
+        Name of the values in messages.
     values : ndarray, shape (nz, ny, nx, 3) or (ny, nx, 2)
     spacing, origin, direction
-        As of a `Volume`.
+        See `Volume`.
     filter : Filter
     """
 
@@ -131,7 +131,7 @@ class _GridTransform:
         self._values = array.view()
         self._values.flags.writeable = False
         self.filter = filter
-        # a volume checks the grid, and knows where it lies
+        # Volume checks the grid and converts its indices
         self.grid = Volume(np.broadcast_to(np.float32(0), array.shape[:-1]), spacing, origin, direction)
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             first = np.unravel_index(int(np.argmax(~np.isfinite(array))), array.shape)
@@ -148,34 +148,34 @@ class _GridTransform:
 
     @property
     def domain(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Between which indices (x, y[, z]) of the grid points are displaced."""
+        """Lowest and highest grid indices (x, y[, z]) of the domain in which points are displaced."""
         raise NotImplementedError
 
 
 class DisplacementField(_GridTransform):
     """Displacements on a grid: ``y = x + u(x)``, as ITK's DisplacementFieldTransform.
 
-    A point is displaced if it lies in the domain of the field, up to half a voxel past its outer samples, and stays where it is
-    outside (ITK's rule).
+    A point is displaced inside the domain of the field, which ends half a voxel outside the outer samples, and unchanged
+    elsewhere (ITK's rule).
 
     Parameters
     ----------
     displacements : array-like, shape (nz, ny, nx, 3) or (ny, nx, 2)
         Along (x, y[, z]) of the *world*, in world units, whatever the grid's direction is.
     spacing, origin, direction : optional
-        Of the grid, as those of a `Volume`.
+        Placement of the grid, as for `Volume`.
     filter : str or Filter
-        Between samples: "linear" as in ITK, where the outer half voxel has the outer sample's value; or a filter of 2 to 6 taps
-        such as "bspline3", which passes through the samples and makes the Jacobian smooth.
+        Interpolation: "linear" as in ITK, which clamps to the outer sample in the outer half voxel; or a filter of 2 to 6
+        taps such as "bspline3", which interpolates the samples and gives a smooth Jacobian.
 
     Raises
     ------
     DataError
-        The displacements are no finite real numbers of such a shape, or there are none.
+        The displacements are empty, or not finite real numbers of such a shape.
     GeometryError
-        The grid is none.
+        The grid is not valid.
     OptionError
-        `filter` is unknown, or is no filter of 2 to 6 taps with a matrix of its own.
+        `filter` is unknown, smooths or magnifies, or does not have 2 to 6 taps.
     """
 
     def __init__(
@@ -207,25 +207,25 @@ class DisplacementField(_GridTransform):
 class BSplineTransform(_GridTransform):
     """A free-form deformation, ``y = x + u(x)`` with a B-spline ``u`` given by its coefficients, as ITK's BSplineTransform.
 
-    Rueckert et al., IEEE Trans. Med. Imaging 18(8), 1999. A point is displaced where all coefficients that it depends on are in
-    the grid, which is from index (order - 1) / 2 to n - 1 - (order - 1) / 2 along each axis, and stays where it is elsewhere
+    Rueckert et al., IEEE Trans. Med. Imaging 18(8), 1999. A point is displaced where the grid has all coefficients of its
+    support, from index (order - 1) / 2 to n - 1 - (order - 1) / 2 along each axis, and unchanged elsewhere
     (ITK's rule).
 
     Parameters
     ----------
     coefficients : array-like, shape (nz, ny, nx, 3) or (ny, nx, 2)
-        Displacements along (x, y[, z]) of the world: ITK's coefficient images, one for each component.
+        Displacements along (x, y[, z]) of the world: ITK's coefficient images, one per component.
     spacing, origin, direction : optional
-        Of the coefficient images: the origin is where the first coefficient lies, outside the domain.
+        Placement of the coefficient images; the origin is the position of the first coefficient, outside the domain.
     order : {1, 2, 3}
-        Of the B-spline.
+        Order of the B-spline.
 
     Raises
     ------
     DataError
-        The coefficients are no finite real numbers of such a shape.
+        The coefficients are not finite real numbers of such a shape.
     GeometryError
-        The grid is none, or has fewer than order + 1 coefficients along an axis.
+        The grid is not valid, or has fewer than order + 1 coefficients along an axis.
     OptionError
         `order` is not 1, 2 or 3.
     """
@@ -261,7 +261,7 @@ Transform: TypeAlias = AffineTransform | DisplacementField | BSplineTransform
 """One transform."""
 
 Transforms: TypeAlias = "Transform | NDArray[Any] | Any | Sequence[Transform | NDArray[Any] | Any]"
-"""What `transform=` takes: a transform, a homogeneous matrix, one of SimpleITK's, or a list of these."""
+"""Values of `transform=`: a transform, a homogeneous matrix, a SimpleITK transform, or a list of these."""
 
 
 def as_chain(transform: Transforms | None, ndim: int) -> list[Transform]:
@@ -270,17 +270,17 @@ def as_chain(transform: Transforms | None, ndim: int) -> list[Transform]:
     Parameters
     ----------
     transform : transform, array, SimpleITK transform, or a list of these
-        An array of (d + 1) × (d + 1) numbers is the affine map of homogeneous coordinates. None and an empty list leave points
-        where they are.
+        An array of (d + 1) × (d + 1) numbers is an affine map in homogeneous coordinates. None and an empty list leave points
+        unchanged.
     ndim : int
-        Of the images: 2 or 3.
+        Number of dimensions of the images, 2 or 3.
 
     Raises
     ------
     OptionError
-        Something is no transform, or one of SimpleITK's that is not known.
+        An entry is not a transform, or an unsupported SimpleITK transform.
     GeometryError
-        A transform is of another number of dimensions; a matrix is singular.
+        A transform has another number of dimensions, or a matrix is singular.
     """
     if transform is None:
         return []
@@ -306,7 +306,7 @@ def as_chain(transform: Transforms | None, ndim: int) -> list[Transform]:
 def split_at_grids(
     chain: Sequence[Transform], ndim: int
 ) -> tuple[list[AffineTransform], list[DisplacementField | BSplineTransform]]:
-    """The n grids of a chain in the order in which points meet them, and the n + 1 affine maps before, between and after them."""
+    """The n grids of a chain in order of application, and the n + 1 affine maps before, between and after them."""
     still = AffineTransform.unchecked(np.eye(ndim), np.zeros(ndim))
     affine, grids = [still], []
     for one in reversed(chain):
@@ -319,7 +319,7 @@ def split_at_grids(
 
 
 def from_simpleitk(transform: Any) -> list[Transform]:
-    """A transform of SimpleITK as a chain.
+    """Convert a SimpleITK transform to a chain.
 
     Parameters
     ----------
@@ -330,12 +330,12 @@ def from_simpleitk(transform: Any) -> list[Transform]:
     Returns
     -------
     list of transforms
-        In ITK's order, as `transform=` of `clvol.resample` takes it.
+        In ITK's order, as `transform=` of `clvol.resample` expects.
 
     Raises
     ------
     OptionError
-        The transform is of another kind.
+        The transform has another type.
     MissingDependencyError
         SimpleITK is not installed.
     """
@@ -352,7 +352,7 @@ def from_simpleitk(transform: Any) -> list[Transform]:
         images = one.GetCoefficientImages()
         values = np.stack([sitk.GetArrayFromImage(image) for image in images], axis=-1)
         return [BSplineTransform(values, *_geometry(images[0]), order=one.GetOrder())]
-    if one.IsLinear():  # whatever its parameters are, it is known by where it maps the origin and the axes
+    if one.IsLinear():  # the images of the origin and the axes define it, whatever its parameters
         d = one.GetDimension()
         offset = np.array(one.TransformPoint((0.0,) * d))
         ends = np.array([one.TransformPoint(tuple(end)) for end in _FAR * np.eye(d)])
@@ -369,7 +369,7 @@ def displacements_of(image: Any) -> DisplacementField:
     Raises
     ------
     DataError
-        The image is not one of as many components as it has axes, or is not of 2 or 3 axes.
+        The image does not have 2 or 3 axes and the same number of components.
     """
     return DisplacementField(simpleitk().GetArrayFromImage(image), *_geometry(image))
 

@@ -1,4 +1,4 @@
-"""A volume (or image): samples on a regular grid, and where that grid lies in the world."""
+"""A volume (or image): samples on a regular grid, and the placement of that grid in the world."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from clvol.volume.pictured import Pictured
 __all__ = ["SPACES", "Volume", "array_of", "as_volume", "clim_of"]
 
 SPACES = {
-    "LPS": "a patient: x runs to the left, y to the back, z to the head",
-    "image": "a stack of images: rows run down, and slices away from the viewer, as microscopists' programs show them",
-    "": "none in particular: z is up",
+    "LPS": "a patient: x points to the left, y to the back, z to the head",
+    "image": "a stack of images: y points down, and z away from the viewer, as in microscopy programs",
+    "": "unspecified: z points up",
 }
-"""What the world of a volume is. It decides how pictures are turned, no number."""
+"""Kinds of world. They set the orientation of pictures, and change no number."""
 
-_CACHED = 1 << 18  # samples
-_LOOKED_AT = 1 << 16  # samples, by which most data are known to be no labels
-_SAME = 0.8  # share of neighbours, among labels, that are the same, at least
+_CACHED = 1 << 18  # samples of a part that fits into the CPU cache
+_PREVIEW = 1 << 16  # samples that suffice to see that most data are not labels
+_SAME = 0.8  # smallest fraction of equal neighbours in labels
 _TINY_DETERMINANT = 1e-12
 
 
@@ -44,8 +44,8 @@ _TINY_DETERMINANT = 1e-12
 class Volume(Pictured):
     """Samples on a regular grid in world space.
 
-    Arrays are indexed ``[z, y, x]`` (images ``[y, x]``); everything geometric is
-    ``(x, y, z)`` in world units, as in ITK. Voxel centres sit at integer indices and
+    Arrays are indexed ``[z, y, x]`` (images ``[y, x]``); all geometry is
+    ``(x, y, z)`` in world units, as in ITK. Voxel centres are at integer indices, and
     voxel ``i`` covers ``[i - 1/2, i + 1/2]``.
 
     Parameters
@@ -68,38 +68,38 @@ class Volume(Pictured):
         Column ``j`` is the world direction of index axis ``j`` (x first); columns must be
         independent unit vectors. Default identity.
     units : str, optional
-        Name of the world unit, such as ``"mm"``.
+        Name of the world unit, ``"mm"`` for example.
     space : {"LPS", "image", ""}, optional
-        What the world is: a patient's (medical files), that of a stack of images (microscopy), or none in particular. Pictures
-        are turned by it: see `Camera.orbit`.
+        Kind of world: a patient (medical files), a stack of images (microscopy), or unspecified. It sets the
+        orientation of pictures: see `Camera.orbit`.
     name : str, optional
-        Of the samples, such as that of a channel.
+        Name of the samples, for example of a channel.
     color : color, optional
         In which the source shows it, as microscopes give one to each channel.
     clim : (float, float), optional
         The values that the source shows as black and as white (NIfTI's cal_min and cal_max, DICOM's window).
     labels : bool or mapping of int to str, optional
-        Whether samples are names of regions, between which there is nothing, or what the names stand for. None: it is recognised
+        Whether samples are labels, which are never blended, or a name per label. None: detect it
         (`is_labels`).
     header : mapping, optional
-        What else its file says, for writing the same kind of file.
+        Other metadata of its file, for writing the same format.
 
     Raises
     ------
     DataError
-        Rank other than 2 or 3, an empty axis, masked elements, or a dtype that holds no real numbers.
+        The rank is not 2 or 3, an axis is empty, elements are masked, or the dtype has no real numbers.
     GeometryError
-        Spacing not finite and positive, origin not finite, direction singular.
+        Spacing is not finite and positive, origin is not finite, or direction is singular.
     OptionError
         `space` is none of these, `color` is no colour, `clim` no pair of finite numbers in ascending order, `labels` no
         mapping from whole numbers to names, `header` no mapping.
 
     Notes
     -----
-    A volume may contain NaN and infinite samples, but nothing is computed from them: the spline
-    prefilter is recursive, so one NaN would spoil all coefficients. Rendering, sampling
-    and prefiltering raise `DataError` that says where the first one is; `filled` replaces them, and sampling
-    can leave out what they reach (`Missing`).
+    A volume may contain NaN and infinite samples, but they enter no computation: the spline
+    prefilter is recursive, so that one NaN would spoil all coefficients. Rendering, sampling
+    and prefiltering raise `DataError` with the index of the first one; `filled` replaces them, and sampling
+    can leave out the results that they affect (`Missing`).
     """
 
     data: NDArray[Any]
@@ -114,7 +114,7 @@ class Volume(Pictured):
     labels: bool | Mapping[int, str] | None = None
     header: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
-    # what a LazyVolume has too: here all samples are in memory, in one size
+    # shared with LazyVolume; here all samples are in memory, at one level
     levels: ClassVar[tuple[()]] = ()
     bounds: ClassVar[None] = None
     estimated: ClassVar[bool] = False
@@ -161,7 +161,7 @@ class Volume(Pictured):
             raise GeometryError(f"spacing must be positive along every axis; got {self.spacing}")
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        """Of a pickle or a copy: its samples may only be read, as those of any volume, or what is known of them would go stale."""
+        """Restore a pickle or a copy. Its samples are read-only, like those of any volume, to keep cached properties valid."""
         self.__dict__.update(state)
         object.__setattr__(self, "data", self.data.view())
         for array in (self.data, self.direction):
@@ -175,7 +175,7 @@ class Volume(Pictured):
         )
 
     def _repr_html_(self) -> str:
-        """For notebooks: three slices through the middle, what is known of it, and its histogram. No device is asked."""
+        """For notebooks: three middle slices, facts and the histogram. Uses no device."""
         from clvol.base import html
         from clvol.show import thumbnail
 
@@ -207,10 +207,10 @@ class Volume(Pictured):
         missing = "" if all(np.isfinite(v) for v in self.limits) else ", some not finite"
         return f"{low:.6g} to {high:.6g}{missing}"
 
-    # -- as other libraries have it ------------------------------------------------------------
+    # -- conversions to other libraries --------------------------------------------------------
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """The samples, ``np.asarray(volume)``: not copied, and read-only, unless another dtype or a copy is asked for."""
+        """The samples, ``np.asarray(volume)``: a read-only view, unless another dtype or a copy is requested."""
         return array_of(self.data, dtype, copy)
 
     def __dlpack__(
@@ -221,41 +221,39 @@ class Volume(Pictured):
         dl_device: tuple[Any, int] | None = None,
         copy: bool | None = None,
     ) -> Any:
-        """The samples, as ``torch.from_dlpack(volume)`` takes them.
+        """The samples, for ``torch.from_dlpack(volume)``.
 
-        Libraries that know of read-only memory (DLPack 1.0) share that of the volume, and must not write into it; the others,
-        and all where NumPy is older than 2.1, get a copy.
+        Libraries that support read-only memory (DLPack 1.0) share the volume's memory, and must not write to it; others,
+        and all of them with NumPy older than 2.1, get a copy.
 
         Raises
         ------
         BufferError
-            Only a copy would do, and ``copy=False`` asks for none; or samples of a type that DLPack does not have.
+            A copy is necessary but ``copy=False``, or DLPack does not support the dtype.
         """
-        asked = {"stream": stream, "max_version": max_version, "dl_device": dl_device, "copy": copy}
-        options = {name: value for name, value in asked.items() if value is not None}
+        requested = {"stream": stream, "max_version": max_version, "dl_device": dl_device, "copy": copy}
+        options = {name: value for name, value in requested.items() if value is not None}
         try:
             return self.data.__dlpack__(**options)
-        except (BufferError, TypeError) as error:  # TypeError: NumPy 1 takes none of the newer options
+        except (BufferError, TypeError) as error:  # TypeError: NumPy 1 lacks the newer options
             if copy is False:
-                raise BufferError(
-                    f"samples of a volume may only be read, and cannot be shared here without a copy: {error}"
-                ) from None
+                raise BufferError(f"samples of a volume are read-only and cannot be shared here without a copy: {error}") from None
         options = {name: options[name] for name in ("stream",) if name in options}
         return self.data.astype(self.data.dtype.newbyteorder("=")).__dlpack__(**options)
 
     def __dlpack_device__(self) -> tuple[Any, int]:
-        """The host's memory."""
+        """Host memory."""
         return self.data.__dlpack_device__()
 
     def to_sitk(self) -> Any:
-        """A SimpleITK image of a copy of the samples, in mm (``pip install clvol[medical]``).
+        """A SimpleITK image with a copy of the samples, in mm (``pip install clvol[medical]``).
 
         Raises
         ------
         DataError
-            A dtype that ITK does not have; bool becomes uint8 and float16 float32.
+            ITK does not support the dtype; bool becomes uint8, and float16 float32.
         GeometryError
-            `units` is no length; none is taken for mm.
+            `units` is not a length; no units means mm.
         MissingDependencyError
             SimpleITK is not installed.
         """
@@ -264,21 +262,21 @@ class Volume(Pictured):
     def to_nibabel(self) -> Any:
         """A nibabel image (NIfTI) in RAS and mm, with what `header` keeps of a NIfTI file, and `clim` as cal_min and cal_max.
 
-        Its samples are [x, y, z] and a view of those of the volume (``pip install clvol[medical]``).
+        Its samples are [x, y, z], a view of the volume's (``pip install clvol[medical]``).
 
         Raises
         ------
         DataError
-            A dtype that NIfTI does not have; bool becomes uint8 and float16 float32.
+            NIfTI does not support the dtype; bool becomes uint8, and float16 float32.
         GeometryError
-            `units` is no length; none is taken for mm. Or float32 cannot hold the geometry.
+            `units` is not a length (no units means mm), or float32 cannot hold the geometry.
         MissingDependencyError
             nibabel is not installed.
         """
         return to_nibabel(self.data, self)
 
     def to_xarray(self) -> Any:
-        """A DataArray with dimensions z, y, x; it has coordinates in world units where the axes run along the world's.
+        """A DataArray with dimensions z, y, x. It has coordinates in world units if its axes are parallel to the world's.
 
         Its attributes are "size", "spacing", "origin" and "direction", (x, y, z), "world_units", "space", and "clim" if there
         is one. ``Volume(array)`` comes back, also of a part with coordinates (``pip install clvol[xarray]``).
@@ -297,40 +295,40 @@ class Volume(Pictured):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Samples along each axis, as the array is indexed: (nz, ny, nx) or (ny, nx)."""
+        """Samples along each axis, in array order: (nz, ny, nx) or (ny, nx)."""
         return tuple(int(n) for n in self.data.shape)
 
     @property
     def size(self) -> tuple[int, ...]:
-        """Samples along x, y(, z): `shape` reversed, in the order of the geometry."""
+        """Samples along x, y(, z), in the order of the geometry: `shape` reversed."""
         return self.shape[::-1]
 
     @property
     def grid(self) -> Volume:
-        """Where the samples lie: the volume itself."""
+        """The grid of the samples: the volume itself."""
         return self
 
     @property
     def nbytes(self) -> int:
-        """Of all samples."""
+        """Bytes of all samples."""
         return self.data.nbytes
 
     def preview(self) -> Volume:
-        """Samples from which looks are decided: all of them."""
+        """Samples that default looks are derived from: all of them."""
         return self
 
     def part(self) -> Volume:
-        """Neighbouring samples from which noise is estimated: all of them."""
+        """Contiguous samples for estimating noise: all of them."""
         return self
 
     def for_tasks(self) -> Volume:
-        """The volume as tasks of a cluster take it: as it is."""
+        """The volume as sent to tasks of a cluster: unchanged."""
         return self
 
     @cached_property
     def limits(self) -> tuple[Any, Any]:
-        """Smallest and largest sample in the type of the samples, NaN if there is one."""
-        # each part is read for both while it is in the cache
+        """Smallest and largest sample in their own dtype; NaN if a sample is NaN."""
+        # both in one pass, while each part is in the CPU cache
         ends = [(part.min(), part.max()) for part in _parts(self.data)]
         return np.min([low for low, _ in ends]), np.max([high for _, high in ends])
 
@@ -348,11 +346,11 @@ class Volume(Pictured):
             return low, high
         ends: list[float] = []
         for part in _parts(self.data):
-            low, high = float(part.min()), float(part.max())  # far faster than a choice of samples, which few parts need
+            low, high = float(part.min()), float(part.max())  # far faster than selecting finite samples, which few parts need
             if math.isfinite(low) and math.isfinite(high):
                 ends += [low, high]
                 continue
-            with np.errstate(over="ignore"):  # longdouble reaches further than float64
+            with np.errstate(over="ignore"):  # longdouble has a larger range than float64
                 finite = part[np.isfinite(part.astype(np.float64, copy=False))]
             if finite.size:
                 ends += [float(finite.min()), float(finite.max())]
@@ -366,10 +364,10 @@ class Volume(Pictured):
             return
         low, high = self.limits
         if np.isfinite(low) and np.isfinite(high):
-            with np.errstate(over="ignore"):  # longdouble reaches further
+            with np.errstate(over="ignore"):  # longdouble has a larger range
                 held = np.isfinite([float(low), float(high)]).all()
             if not held:
-                raise DataError(f"samples must lie within ±1.8e308, which float64 holds; got {low!s} to {high!s}")
+                raise DataError(f"samples must be within ±1.8e308, the range of float64; got {low!s} to {high!s}")
             return
         missing, infinite, first = 0, 0, None
         for part, start in zip(_parts(self.data), _starts(self.data), strict=True):
@@ -385,7 +383,7 @@ class Volume(Pictured):
         )
 
     def filled(self, value: float | None = None) -> Volume:
-        """A copy whose NaN and infinite samples are `value`; by default what is least bent between the others: see `Missing`."""
+        """A copy with NaN and infinite samples replaced by `value`; by default by the smooth fill of `Missing`."""
         new = None if value is None else number("value", value)
         if self.data.dtype.kind != "f":
             return self
@@ -396,10 +394,12 @@ class Volume(Pictured):
         with np.errstate(over="ignore"):
             stored = self.data.dtype.type(new)
         if not np.isfinite(stored):
-            raise OptionError(f"value must be one that {self.data.dtype} holds, ±{np.finfo(self.data.dtype).max!s}; got {value!r}")
+            raise OptionError(
+                f"value must be within the range of {self.data.dtype}, ±{np.finfo(self.data.dtype).max!s}; got {value!r}"
+            )
         return self._with(np.where(np.isfinite(self.data), self.data, stored))
 
-    # -- geometry: the one place where index space and world space meet --------------------
+    # -- geometry: the only conversion between index space and world space -----------------
 
     @cached_property
     def index_to_world_matrix(self) -> NDArray[np.float64]:
@@ -413,7 +413,7 @@ class Volume(Pictured):
 
     def index_to_world(self, index: ArrayLike, frame: str = "LPS") -> NDArray[np.float64]:
         """World positions of index positions; shape (..., d), both in (x, y, z), the world's in a `frame` of `FRAMES`."""
-        with np.errstate(over="ignore", invalid="ignore"):  # infinite positions
+        with np.errstate(over="ignore", invalid="ignore"):  # positions may be infinite
             world = self._points("index", index) @ self.index_to_world_matrix.T + np.asarray(self.origin)
         return in_frame(world, frame, self.space)
 
@@ -425,7 +425,7 @@ class Volume(Pictured):
 
     @property
     def mean_spacing(self) -> float:
-        """The mean of the spacings, in world units: what one unit of length is to the kernels."""
+        """The mean spacing in world units: the unit of length in kernels."""
         return float(np.mean(self.spacing))
 
     @cached_property
@@ -442,40 +442,40 @@ class Volume(Pictured):
 
     @cached_property
     def radius(self) -> float:
-        """Of the sphere around the domain, in world units."""
+        """Radius of the sphere around the domain, in world units."""
         return float(np.linalg.norm(self.corners - self.center, axis=1).max())
 
     @cached_property
     def is_labels(self) -> bool:
-        """Whether samples are names of regions: as `labels` says, else whether they are few whole numbers that fill regions.
+        """Whether samples are labels of regions: `labels` if set, else whether they are few integers that fill regions.
 
-        Labels are never blended: what is reconstructed from them is by default the nearest sample. Masks of two values are not
-        counted among them, unless `labels` says so: their edge is a surface, that may be smoothed.
+        Labels are never blended: by default the nearest sample is used. Masks with two values do not count as labels
+        unless `labels` is set, because their edge is a surface that may be smoothed.
         """
         if self.labels is not None:
             return self.labels is not False
         if self.data.dtype.kind not in "iu" or self.data.size == 0:
             return False
-        some = self.data[len(self.data) // 2].ravel()[:_LOOKED_AT]  # a run of neighbours
+        some = self.data[len(self.data) // 2].ravel()[:_PREVIEW]  # contiguous samples
         if some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME:
             return False
         return self.noise.kind == "labels" or _many_labels(self.data)
 
     @cached_property
     def noise(self) -> Noise:
-        """What the samples tell of their noise, from about a million of them at most; see `clvol.noise.estimate`.
+        """The estimated noise of the samples, from at most about a million of them; see `clvol.noise.estimate`.
 
         Raises
         ------
         DataError
-            Samples that were looked at are NaN or infinite.
+            An inspected sample is NaN or infinite.
         """
         return estimate(self.data)
 
-    # -- making other volumes ----------------------------------------------------------------
+    # -- derived volumes ---------------------------------------------------------------------
 
     def indicator(self, *labels: float) -> Volume:
-        """1 where a sample has one of these values and 0 elsewhere, as float32: a region of labels, whose surface is at 1/2."""
+        """Indicator of a region of labels: 1 where a sample has one of these values, else 0, in float32. Its surface is at 1/2."""
         if not labels:
             raise OptionError("indicator needs at least one value; got none")
         for label in labels:
@@ -487,7 +487,7 @@ class Volume(Pictured):
         return self._with(inside, labels=None, clim=None)
 
     def crop(self, low: Sequence[int], high: Sequence[int]) -> Volume:
-        """The samples with index ``low <= index < high``, (x, y, z), at their place in the world."""
+        """The samples with index ``low <= index < high``, (x, y, z), at the same place in the world."""
         lo, hi = _whole("low", low, self.ndim), _whole("high", high, self.ndim)
         for a, b, n in zip(lo, hi, self.size, strict=True):
             if not 0 <= a < b <= n:
@@ -496,10 +496,10 @@ class Volume(Pictured):
         return self._with(self.data[part], origin=tuple(self.index_to_world(lo)))
 
     def gaussian(self, sigma: float | Sequence[float]) -> Volume:
-        """Low-pass by a Gaussian of standard deviation `sigma` in world units (section 3 of the paper).
+        """Low-pass with a Gaussian of standard deviation `sigma` in world units (section 3 of the paper).
 
-        The kernel is cut at four standard deviations; edges are mirrored. The result is float32; float64 for samples
-        that float32 does not hold: float64, longdouble, and integers beyond 2²⁴.
+        The kernel is truncated at four standard deviations; edges are mirrored. The result is float32, or float64 for
+        float64, longdouble, and integers beyond 2²⁴.
         """
         from scipy import ndimage
 
@@ -508,7 +508,7 @@ class Volume(Pictured):
         widths = _vector("sigma", values, self.ndim)
         if min(widths) < 0:
             raise OptionError(f"sigma must not be negative; got {sigma!r}")
-        memory.require(4 * 2 * self.data.size, f"the low-pass of {self.data.size} samples")  # before they are looked at
+        memory.require(4 * 2 * self.data.size, f"the low-pass of {self.data.size} samples")  # before the samples are read
         self.require_finite()
         voxels = [w / s for w, s in zip(widths, self.spacing, strict=True)][::-1]
         wide = self.data.dtype.itemsize > 4 if self.data.dtype.kind == "f" else self._beyond_float32()
@@ -522,11 +522,11 @@ class Volume(Pictured):
         return self._with(self.data[(slice(None, None, n),) * self.ndim], spacing=tuple(s * n for s in self.spacing))
 
     def _beyond_float32(self) -> bool:
-        """Whether there are integers that float32 does not hold."""
+        """Whether there are integers that float32 cannot hold."""
         return self.data.dtype.itemsize > 2 and max(abs(int(v)) for v in self.limits) > 1 << 24
 
     def placed(self, data: NDArray[Any], grid: Volume) -> Volume:
-        """`data` on another grid, with all that this volume says of itself but where it lies; what that lacks, this one gives."""
+        """`data` on another grid, with the metadata of this volume; metadata that `grid` lacks come from this volume too."""
         place = {"spacing": grid.spacing, "origin": grid.origin, "direction": grid.direction}
         return self._with(data, **place, units=grid.units or self.units, space=grid.space or self.space)
 
@@ -541,10 +541,10 @@ class Volume(Pictured):
 
 
 def array_of(data: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any]:
-    """What ``__array__(dtype, copy)`` of an object with these samples returns, in NumPy 1 and 2."""
+    """Implementation of ``__array__(dtype, copy)`` for these samples, in NumPy 1 and 2."""
     same = dtype is None or np.dtype(dtype) == data.dtype
     if copy is False and not same:
-        raise ValueError(f"an array of {np.dtype(dtype)} cannot be made of {data.dtype} without a copy")
+        raise ValueError(f"{data.dtype} cannot become an array of {np.dtype(dtype)} without a copy")
     return data if same and not copy else np.array(data, dtype)
 
 
@@ -554,7 +554,7 @@ def as_volume(data: Volume | ArrayLike) -> Volume:
 
 
 def _places(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
-    """Where the parts of an array lie that fit into a cache."""
+    """Slices of the parts of an array that fit into the CPU cache."""
     row = math.prod(shape[1:])
     if len(shape) > 1 and row > _CACHED:
         for i in range(shape[0]):
@@ -566,12 +566,12 @@ def _places(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
 
 
 def _parts(data: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    """Parts of an array, in its order, that fit into a cache."""
+    """Parts of an array, in order, that fit into the CPU cache."""
     return (data[place] for place in _places(data.shape))
 
 
 def _starts(data: NDArray[Any]) -> Iterator[tuple[int, ...]]:
-    """The index of the first sample of each of these."""
+    """The index of the first sample of each part."""
     return (tuple(along.start for along in place) for place in _places(data.shape))
 
 
@@ -589,10 +589,10 @@ def _vector(what: str, value: Any, d: int) -> tuple[float, ...]:
 
 
 def _many_labels(data: NDArray[Any]) -> bool:
-    """Whether there are more values than `clvol.noise` takes for labels, and they fill regions beside others of any number."""
+    """Whether there are more values than `clvol.noise` accepts as labels, but they fill regions with arbitrary neighbours."""
     shape = data.shape[:-1]
     chosen = np.unravel_index(np.arange(0, math.prod(shape), max(1, data.size >> 20)), shape)
-    lines = data[chosen]  # a reshape would copy all of an array that is not in C order
+    lines = data[chosen]  # reshape would copy an array that is not in C order
     values, counts = np.unique(lines, return_counts=True)
     if len(values) <= MOST_LABELS:
         return False
@@ -633,7 +633,7 @@ def _whole(what: str, value: Sequence[int], d: int) -> tuple[int, ...]:
 def _direction(value: Any, d: int) -> NDArray[np.float64]:
     matrix = reals("direction", value, f"a {d}×{d} matrix of numbers", GeometryError).copy()
     if matrix.size == d * d:
-        matrix = matrix.reshape(d, d)  # ITK gives it flat
+        matrix = matrix.reshape(d, d)  # ITK returns it flat
     if matrix.shape != (d, d):
         raise GeometryError(f"direction must be a {d}×{d} matrix; got shape {matrix.shape}")
     if not np.isfinite(matrix).all():

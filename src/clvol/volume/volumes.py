@@ -25,10 +25,10 @@ from clvol.volume.volume import SPACES, Volume, array_of, as_volume, clim_of
 __all__ = ["COMPUTED", "Leading", "Volumes", "as_grid"]
 
 COMPUTED = ("magnitude", "luminance")
-"""Channels that are computed from all: of vectors, and of red, green and blue."""
+"""Channels computed from all others: of vectors, and of red, green and blue."""
 
-_DIGITS = 18  # of a number in words, at most
-_SHOWN = 4  # volumes of which notebooks show a slice
+_DIGITS = 18  # longest number given as text
+_SHOWN = 4  # volumes with a slice in notebooks
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _COLORS = (("red", (1.0, 0.0, 0.0)), ("green", (0.0, 1.0, 0.0)), ("blue", (0.0, 0.0, 1.0)), ("alpha", None))
 _ABOUT = ("spacing", "origin", "direction", "units", "space", "color", "clim", "labels", "header")
@@ -37,24 +37,24 @@ _OFF = 1e-3  # of a sample's spacing, by which volumes of one grid may lie apart
 
 @dataclass(frozen=True)
 class Leading:
-    """The axes before z, y and x: what they count, and what their source says of each volume.
+    """The axes before z, y and x: their meanings, and metadata of each volume from the source.
 
     Parameters
     ----------
     axes : tuple of str
         Each one of `AXES`, slowest first.
     counts : tuple of int
-        Volumes along each.
+        Number of volumes along each axis.
     names : mapping of str to tuple of str
-        For some of the axes, a name for each place along it, such as those of channels.
+        Per axis, if known, a name for each place along it, such as channel names.
     colors : tuple of colours or None
         Of the channels; empty: none has one.
     clims : tuple of pairs or None
         Of the channels, likewise.
     vector : bool
-        Whether the channels are the components of one vector: then "magnitude" is one of them, and they are named x, y and z.
+        Whether the channels are the components of a vector: they are named x, y and z, and there is a channel "magnitude".
     rgb : bool
-        Whether they are red, green, blue (and alpha) of one picture: then "luminance" is one, and they have names and colours.
+        Whether they are red, green, blue (and alpha) of a picture: they have names and colours, and there is a channel "luminance".
     """
 
     axes: tuple[str, ...] = ()
@@ -88,11 +88,11 @@ class Leading:
 
     @classmethod
     def of_rgb(cls, channels: int, axes: tuple[str, ...] = (), counts: tuple[int, ...] = ()) -> Leading:
-        """Three or four channels of a picture in colour, the last of these axes."""
+        """Three or four channels of a colour picture, as the last of these axes."""
         return cls((*axes, "channel"), (*counts, channels), rgb=True)
 
     def _name_channels(self, count: int) -> None:
-        """Those of colours, and of vectors of up to three components, have names of their own."""
+        """Name the channels of colours, and of vectors of up to three components."""
         if self.rgb and count <= len(_COLORS):
             names, colors = zip(*_COLORS[:count], strict=True)
             object.__setattr__(self, "colors", self.colors or colors)
@@ -102,36 +102,36 @@ class Leading:
 
     @property
     def total(self) -> int:
-        """How many volumes there are."""
+        """Number of volumes."""
         return math.prod(self.counts)
 
     @property
     def computed(self) -> str:
-        """The channel that is computed from all: "magnitude", "luminance", or none, ""."""
+        """The computed channel: "magnitude", "luminance", or "" if there is none."""
         return "magnitude" if self.vector else "luminance" if self.rgb else ""
 
     def first(self, axis: str) -> int | str:
-        """The place along an axis that is meant where none is given: 0, or the computed channel."""
+        """The default place along an axis: 0, or the computed channel."""
         return (self.computed if axis == "channel" else "") or 0
 
     def place(self, axis: str, choice: int | str, source: str = "the volume") -> int:
-        """The place along an axis of a number or a name; `OptionError` says how many there are, and their names."""
+        """The place of a number or a name along an axis; `OptionError` states their count and names."""
         count, names = self.counts[self.axes.index(axis)], self.names.get(axis, ())
         if isinstance(choice, str):
             if choice in names:
                 return names.index(choice)
-            if not choice.isdecimal() or len(choice) > _DIGITS:  # a number from a command line is one
+            if not choice.isdecimal() or len(choice) > _DIGITS:  # the command line gives numbers as text
                 raise OptionError(f"{axis} must be {self._choices(axis)}; got {choice!r}")
             choice = int(choice)
         number = whole(axis, choice)
         if not 0 <= number < count:
             plural = "place" if axis == "position" else axis
             plural += "s" * (count > 1)
-            raise OptionError(f"{axis} must be {self._choices(axis)}, for {source} holds {count} {plural}; got {number}")
+            raise OptionError(f"{axis} must be {self._choices(axis)}, because {source} has {count} {plural}; got {number}")
         return number
 
     def about(self, place: Sequence[int]) -> dict[str, Any]:
-        """Those arguments of `Volume` that are known of the volume at a place along each axis."""
+        """The known arguments of `Volume` for the volume at `place`, one index per axis."""
         known: dict[str, Any] = {}
         parts = [self.names[axis][i] for axis, i in zip(self.axes, place, strict=True) if axis in self.names]
         if any(parts):
@@ -144,7 +144,7 @@ class Leading:
         return known
 
     def without(self, *dropped: str) -> Leading:
-        """The same without these axes."""
+        """A copy without these axes."""
         kept = [i for i, axis in enumerate(self.axes) if axis not in dropped]
         gone = "channel" in dropped
         return Leading(
@@ -158,32 +158,32 @@ class Leading:
         )
 
     def combined(self, data: NDArray[Any], axis: int) -> NDArray[Any]:
-        """The computed channel of samples whose channels lie along `axis`: a vector's length, or the luminance (Rec. 709).
+        """Compute the combined channel of samples whose channels are along `axis`: vector magnitude, or luminance (Rec. 709).
 
-        Luminance keeps the dtype of integers, rounded; lengths are float32, or float64 where the samples are wider than 16 bits.
+        Luminance keeps an integer dtype, rounded; magnitudes are float32, or float64 for samples wider than 16 bits.
         """
         kind = np.float64 if wide(data.dtype) else np.float32
         channels = np.moveaxis(data, axis, 0)
         memory.require(3 * np.dtype(kind).itemsize * channels[0].size, f"the {self.computed or 'sum'} of {len(channels)} channels")
         total = np.zeros(channels.shape[1:], kind)
         if self.vector:
-            for channel in channels:  # one at a time: no copy of all in floating point
+            for channel in channels:  # one at a time, to avoid a floating-point copy of all
                 total += np.square(channel, dtype=kind)
             return np.sqrt(total, out=total)
-        for weight, channel in zip(_LUMINANCE, channels, strict=False):  # alpha is none of it
+        for weight, channel in zip(_LUMINANCE, channels, strict=False):  # without alpha
             total += channel.astype(kind) * kind(weight)
         return np.rint(total).astype(data.dtype) if data.dtype.kind in "iu" else total
 
     def _choices(self, axis: str) -> str:
         count, names = self.counts[self.axes.index(axis)], self.names.get(axis, ())
-        own = [f"{n} ({name})" if name else str(n) for n, name in enumerate(names)]
+        choices = [f"{n} ({name})" if name else str(n) for n, name in enumerate(names)]
         if axis == "channel" and self.computed:
-            own.append(self.computed)
+            choices.append(self.computed)
         span = f"0 to {count - 1}" if count > 1 else "0"
-        return f"{span}, of {', '.join(own)}" if own and len(own) <= 16 else span
+        return f"{span}, of {', '.join(choices)}" if choices and len(choices) <= 16 else span
 
     def __str__(self) -> str:
-        """As people read it: "100 times × 2 channels (DAPI, GFP)"."""
+        """In words: "100 times × 2 channels (DAPI, GFP)"."""
         parts = []
         for axis, n in zip(self.axes, self.counts, strict=True):
             names = ", ".join(name for name in self.names.get(axis, ()) if name)
@@ -192,11 +192,11 @@ class Leading:
 
 
 class Volumes(Sequence[Volume]):
-    """Several volumes on one grid, in one array: frames, channels, components.
+    """Volumes on one grid, in one array: frames, channels, components.
 
     A sequence of `Volume`: ``volumes[3]``, ``volumes["DAPI"]``, ``volumes.pick(time=0, channel=1)``, ``for frame in volumes``;
-    ``np.asarray(volumes)`` is the array, with the axes `axes` before z, y and x. `clvol.read_all` gives one,
-    `clvol.resample_series` and `clvol.write` take one.
+    ``np.asarray(volumes)`` is the array, with the axes `axes` before z, y and x. `clvol.read_all` returns one;
+    `clvol.resample_series` and `clvol.write` accept one.
 
     Parameters
     ----------
@@ -207,16 +207,16 @@ class Volumes(Sequence[Volume]):
     spacing, origin, direction, units, space, clim, labels, header : optional
         As of `Volume`.
     leading : Leading, optional
-        What the leading axes count; by default there is one, "volume".
+        Meaning of the leading axes; default: one axis, "volume".
 
     Raises
     ------
     DataError
-        There is no volume, or too few axes, or the volumes differ in shape.
+        There is no volume, there are too few axes, or the shapes of the volumes differ.
     GeometryError
-        The volumes lie on different grids.
+        The volumes are on different grids.
     OptionError
-        `leading` does not fit the samples, or a geometry is given beside volumes, which have theirs.
+        `leading` does not match the samples, or a geometry is given in addition to that of the volumes.
     """
 
     def __init__(self, data: ArrayLike | Sequence[Volume], *, leading: Leading | None = None, **about: Any) -> None:
@@ -224,7 +224,7 @@ class Volumes(Sequence[Volume]):
             raise DataError("data must hold at least one volume; got none")
         if isinstance(data, (list, tuple)) and any(isinstance(volume, Volume) or is_image(volume) for volume in data):
             if about:
-                raise OptionError(f"volumes have a geometry; got {', '.join(about)} too")
+                raise OptionError(f"volumes already have a geometry; got {', '.join(about)} as well")
             volumes = [as_volume(volume) for volume in data]
             first = volumes[0]
             for volume in volumes[1:]:
@@ -234,7 +234,7 @@ class Volumes(Sequence[Volume]):
             about = {name: getattr(first, name) for name in _ABOUT}
             for name in ("color", "clim"):
                 if len({getattr(volume, name) for volume in volumes}) > 1:
-                    del about[name]  # one for all would be wrong
+                    del about[name]  # it differs between volumes
             if leading is None:
                 names = tuple(volume.name for volume in volumes)
                 leading = Leading(("volume",), (len(volumes),), {"volume": names} if any(names) else {})
@@ -243,7 +243,7 @@ class Volumes(Sequence[Volume]):
             counted = known.pop("leading", None)
             if counted is not None:
                 leading = leading or Leading(**counted)
-            elif known and leading is None:  # an image of one volume, whose first axis is no leading one
+            elif known and leading is None:  # an image of one volume: its first axis is not a leading axis
                 array = array[None]
             about = known | about
         if leading is None:
@@ -260,7 +260,7 @@ class Volumes(Sequence[Volume]):
         self._first = Volume(self._array[(0,) * n], **about)
 
     def __getstate__(self) -> dict[str, Any]:
-        """For pickles and copies: the samples once, and what is said of the grid."""
+        """For pickles and copies: the samples once, and the metadata of the grid."""
         about = {one.name: getattr(self._first, one.name) for one in fields(Volume) if one.name != "data"}
         return {"leading": self.leading, "array": self._array, "about": about}
 
@@ -272,27 +272,27 @@ class Volumes(Sequence[Volume]):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """What the leading axes count, slowest first: of "volume", "time", "position", "channel"."""
+        """Meanings of the leading axes, slowest first: "volume", "time", "position" or "channel"."""
         return self.leading.axes
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the array: the counts of the leading axes, then (nz, ny, nx) or (ny, nx)."""
+        """Shape of the array: the counts of the leading axes, then (nz, ny, nx) or (ny, nx)."""
         return self._array.shape
 
     @property
     def grid(self) -> Volume:
-        """The first volume, on whose grid all are."""
+        """The first volume, whose grid all others share."""
         return self[0]
 
     @property
     def first(self) -> Volume:
-        """The one that `clvol.read` gives of such a file: at place 0 of each axis, or of the channel that is computed."""
+        """The volume that `clvol.read` returns for such a file: place 0 of each axis, or the computed channel."""
         return self.pick(**{axis: self.leading.first(axis) for axis in self.axes})
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the volumes, "" where there is none."""
+        """Names of the volumes, "" if unknown."""
         return tuple(self._about(i).get("name", "") for i in range(len(self)))
 
     def __len__(self) -> int:
@@ -308,10 +308,10 @@ class Volumes(Sequence[Volume]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         if isinstance(index, str):
-            if index not in self.names or self.names.count(index) > 1:  # pick says what there is, or what else must be given
+            if index not in self.names or self.names.count(index) > 1:  # the error of `pick` lists the choices, or the missing axes
                 return self.pick(channel=index) if "channel" in self.axes else self.pick(**{self.axes[-1]: index})
             index = self.names.index(index)
-        number = range(len(self))[index]  # raises IndexError, as sequences do
+        number = range(len(self))[index]  # raises IndexError, as for sequences
         place = np.unravel_index(number, self.leading.counts)
         return self._volume(self._array[place], self._about(number))
 
@@ -319,20 +319,20 @@ class Volumes(Sequence[Volume]):
         return (self[i] for i in range(len(self)))
 
     def pick(self, **places: int | str) -> Volume:
-        """The volume at one place along each axis, ``volumes.pick(time=0, channel="DAPI")``; an axis of one needs no place.
+        """The volume at one place along each axis, ``volumes.pick(time=0, channel="DAPI")``; axes of length 1 are optional.
 
-        ``channel="magnitude"`` of vectors and ``channel="luminance"`` of colours are computed.
+        ``channel="magnitude"`` for vectors and ``channel="luminance"`` for colours are computed.
 
         Raises
         ------
         OptionError
-            An axis that there is not, a place out of range, or none for an axis of several.
+            An axis is unknown, a place is out of range, or an axis with several places is missing.
         """
         index: list[Any] = []
         for axis, count in zip(self.axes, self.leading.counts, strict=True):
             choice = places.pop(axis, 0 if count == 1 else None)
             if choice is None:
-                raise OptionError(f"{axis} must be given, for there are {self.leading}")
+                raise OptionError(f"{axis} must be given, because there are {self.leading}")
             if axis == "channel" and choice and choice == self.leading.computed:
                 index.append(slice(None))
             else:
@@ -350,7 +350,7 @@ class Volumes(Sequence[Volume]):
         return array_of(self._array, dtype, copy)
 
     def to_sitk(self) -> Any:
-        """A SimpleITK image: channels are the values of each voxel, and another axis is its fourth.
+        """A SimpleITK image: channels become the components of voxels, and another axis becomes the fourth.
 
         Raises
         ------
@@ -360,7 +360,7 @@ class Volumes(Sequence[Volume]):
         return to_simpleitk(self._array, self._first, self.leading)
 
     def to_nibabel(self) -> Any:
-        """A nibabel image (NIfTI): its fourth axis is time (or volumes), its fifth channels; colours of bytes stay colours.
+        """A nibabel image (NIfTI): the fourth axis is time (or volumes), the fifth channels; 8-bit colours stay colours.
 
         Raises
         ------
@@ -370,7 +370,7 @@ class Volumes(Sequence[Volume]):
         return to_nibabel(self._array, self._first, self.leading)
 
     def to_xarray(self) -> Any:
-        """A DataArray whose first dimensions are `axes`, with the names of channels as coordinates; see `Volume.to_xarray`.
+        """A DataArray whose first dimensions are `axes`, with channel names as coordinates; see `Volume.to_xarray`.
 
         Raises
         ------
@@ -383,7 +383,7 @@ class Volumes(Sequence[Volume]):
         return f"Volumes({self.leading}, of {self.grid!r})"
 
     def _repr_html_(self) -> str:
-        """For notebooks: the middle slices of the first few, and what is known of all."""
+        """For notebooks: the middle slices of the first few volumes, and facts about all."""
         from clvol.base import html
         from clvol.show import thumbnail
 
@@ -417,7 +417,7 @@ class Volumes(Sequence[Volume]):
 
 
 def as_grid(like: Volume | Volumes | ArrayLike) -> Volume:
-    """A volume that lies where `like` does: that itself, or the grid of several volumes, or of an image that holds several."""
+    """A volume with the grid of `like`: the volume itself, or the shared grid of several volumes or of an image of several."""
     if isinstance(like, Volumes):
         return like.grid
     if isinstance(like, Volume):
@@ -432,5 +432,5 @@ def _require_same_grid(first: Volume, other: Volume) -> None:
     apart = np.abs(first.corners - other.corners).max()
     if len({first.units, other.units} - {""}) > 1 or not apart <= _OFF * min(first.spacing):
         raise GeometryError(
-            f"volumes must lie on one grid; got {first!r} and {other!r}: clvol.resample(..., like=) brings them there"
+            f"volumes must be on one grid; got {first!r} and {other!r}: clvol.resample(..., like=) puts them on one grid"
         )
