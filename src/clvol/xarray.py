@@ -25,6 +25,7 @@ from clvol.base.checks import number, one_of, whole
 from clvol.base.errors import DataError, GeometryError, MissingDependencyError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
+from clvol.filter.margin import reach
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.ndimage.arguments import Spline
 from clvol.ndimage.engine import Axes, Points, evaluate
@@ -46,7 +47,6 @@ _ORDERS = {"nearest": 0, "linear": 1, "bspline2": 2, "bspline3": 3, "bspline4": 
 _MODES = {"mirror": "mirror", "reflect": "reflect", "wrap": "grid-wrap", "nearest": "nearest"}  # SciPy's names
 _UNIFORM = 1e-3  # of a step, by which coordinates may be off: float32 ones are off by less
 _AT_ONCE = 3  # axes of a kernel
-_LEFT_OUT = {"single": 2e-7, "double": 2e-14}  # weight beyond a block's margin, which is 12 and 24 samples for cubic splines
 
 
 class _Accessor(Generic[Labelled]):
@@ -458,9 +458,7 @@ class _Spline:
             return 0, n
         if not inside.size:
             return 0, 1
-        pole = float(np.abs(self._filter.poles).max(initial=0.0))
-        finest = _LEFT_OUT[self.precision or "double"]
-        margin = self._filter.support // 2 + 1 + (math.ceil(math.log(finest) / math.log(pole)) if pole else 0)
+        margin = self._filter.support // 2 + 1 + reach(self._filter, self.precision or "double")
         low, high = math.floor(inside.min()) - margin, math.ceil(inside.max()) + margin + 1
         if self._boundary.fold is None and (low < 0 or high > n):
             return 0, n  # the axis is periodic

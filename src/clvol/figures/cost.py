@@ -9,6 +9,7 @@ import numpy as np
 
 from clvol import analysis, phantoms
 from clvol.analysis.timing import FULL, Effort, times_per_sample
+from clvol.base.progress import part_of
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
@@ -57,7 +58,6 @@ def draw(
     """
     rows, on = as_filters(_normalized() if filters is None else filters), as_device(device)
     on.require_usable()
-    advance = progress or (lambda _: None)
     table = analysis.compare(
         phantoms.marschner_lobb_function,
         rows,
@@ -65,11 +65,10 @@ def draw(
         size=samples,
         points=points,
         timing=False,
-        progress=lambda done: advance(_SHARE * done),
+        progress=part_of(progress, 0, _SHARE),
     )
-    times = times_per_sample(
-        table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: advance(_SHARE + (1 - _SHARE) * done), effort=effort
-    )
+    timing = part_of(progress, _SHARE, 1)
+    times = times_per_sample(table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, timing, effort=effort)
     numbers: list[dict[str, Any]] = [
         {
             "filter": row.filter,

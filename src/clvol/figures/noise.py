@@ -13,6 +13,7 @@ from clvol import phantoms
 from clvol.analysis import frequency_response, impulse_response, variance_gain
 from clvol.analysis.angle import mean_angle
 from clvol.base.checks import whole
+from clvol.base.progress import part_of
 from clvol.device import Device
 from clvol.figures.panels import ISOVALUE
 from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
@@ -158,8 +159,7 @@ def draw(
     known = cases(samples, points)
     numbers: list[dict[str, Any]] = []
     for i, case in enumerate(known):
-        report = None if progress is None else lambda done, i=i: progress((i + done) / len(known))
-        numbers += measure(case, rows, LEVELS, device, report)
+        numbers += measure(case, rows, LEVELS, device, part_of(progress, i / len(known), (i + 1) / len(known)))
     with styled():
         figure = new_figure(13.2, 7.6)
         panels = figure.subplots(2, 3, width_ratios=(1, 1, 0.9))

@@ -18,6 +18,7 @@ from clvol.analysis.comparison import as_compared
 from clvol.base.checks import as_path, whole
 from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.base.files import require_folder, staged
+from clvol.base.progress import part_of
 from clvol.device import Device, as_device
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
@@ -158,7 +159,7 @@ def report(
         points=_POINTS,
         timing_device=on,
         max_samples=_COMPARED,
-        progress=lambda done: advance(_ADVISED + (_COMPARING - _ADVISED) * done),
+        progress=part_of(progress, _ADVISED, _COMPARING),
     )
     left_out = analysis.leave_out(_middle(middle, _COMPARED // 2), chosen, rule)
     try:
@@ -178,7 +179,7 @@ def report(
             rule,
             _FACTOR,
             on,
-            lambda done: advance(_SHARE + (0.97 - _SHARE) * done),
+            part_of(progress, _SHARE, 0.97),
             {**options},
         )
     made = Report(file, table, advice, left_out, turned)

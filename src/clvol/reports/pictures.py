@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.figures.panels import fixed, settled
 from clvol.filter.boundary import Boundary
@@ -68,7 +69,7 @@ def cards(
     boundary: Boundary,
     factor: int,
     device: Device,
-    progress: Callable[[float], Any],
+    progress: Progress | None,
     options: dict[str, Any],
 ) -> Cards:
     """Draw everything; `options` are those of `Renderer.render`."""
@@ -88,7 +89,8 @@ def cards(
                 for view in views
             ]
         done += 1
-        progress(min(1.0, done / total))
+        if progress is not None:
+            progress(min(1.0, done / total))
         return drawn
 
     drawn = {row.name: draw(volume, row, [camera], step) for row in (best, linear)}
