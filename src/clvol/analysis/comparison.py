@@ -56,9 +56,9 @@ _Angles: TypeAlias = tuple[float | None, float | None, float | None]
 _CHUNK = 1 << 20  # positions at a time
 _MAX_FACTOR = 1024  # of the decimation
 _SINC_PRODUCTS = 1 << 34  # samples × points of the exact sinc, at most
-_SHARE = 0.9  # of the progress, for the errors, if times are measured too
+_SHARE = 0.9  # share of the progress for the errors, if times are measured too
 _NUMPY = "NumPy, float64"
-_LARGEST = 1e305  # of the samples: coefficients of splines through them, and gradients, are up to some hundred times as large
+_LARGEST = 1e305  # largest sample; spline coefficients and gradients are up to some hundred times as large
 
 
 EXACT_SINC: Final = "exact-sinc"
