@@ -21,7 +21,7 @@ __all__ = ["draw", "frontier", "plot"]
 
 _LETTER = 8.5  # points
 _GAP = 0.85  # of an em, from a dot's centre to the label beside it
-_SHARE = 0.8  # of the progress: errors
+_SHARE = 0.8  # share of the progress for the errors
 _PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1.4), (1, 2.2), (1, -2.2), (-1, 2.2), (-1, -2.2))
 
 
@@ -94,7 +94,7 @@ def draw(
 
 
 def _normalized() -> list[Filter]:
-    """The table but for what nobody would use: the sinc and its windows without the division by their sum."""
+    """The table's filters whose weights sum to one: all except the sinc and its windows without normalization."""
     return [row for row in all_filters().values() if row.sums_to_one]
 
 
@@ -109,7 +109,7 @@ def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
         figure.suptitle(note, fontsize=9.5, color=GREY)
         both = [(left, "rms", heading), (right, "angle_mean", "mean angle of the gradient, degrees")]
         shown = [_scatter(axes, numbers, key, text) for axes, key, text in both]
-        figure.draw_without_rendering()  # from here on the axes stay in place
+        figure.draw_without_rendering()  # fixes the axes' positions
         quartiles = {n["filter"]: n["quartiles"] for n in numbers if "quartiles" in n}
         for (axes, *_), points in zip(both, shown, strict=True):
             _label(axes, points, quartiles)
@@ -117,7 +117,7 @@ def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
 
 
 def frontier(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float]]:
-    """Those of (name, time, error) that no other beats in both time and error, fastest first."""
+    """The Pareto front of (name, time, error): rows that no other beats in both, fastest first."""
     kept: list[tuple[str, float, float]] = []
     for row in sorted(rows, key=lambda r: (r[1], r[2])):
         if not kept or row[2] < kept[-1][2]:

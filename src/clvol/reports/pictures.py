@@ -1,4 +1,4 @@
-"""The pictures of a report: a view by each filter, a close-up where filters differ, and the same from every second sample."""
+"""The pictures of a report: a view by each filter, a close-up where filters differ, and both from every second sample."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Card", "Cards", "cards"]
 
 Picture: TypeAlias = NDArray[np.float32]
 _CLOSER = 4.0
-_STEEP = 1.5  # depth over width: surfaces seen at more than about 56° are grazing
+_STEEP = 1.5  # depth over width; surfaces at more than about 56° are grazing
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def cards(
 
 
 def _closer(camera: Camera, volume: Volume, a: Any, b: Any) -> Camera:
-    """Four times as near, where two filters draw most differently, seen from above: at its edges everything differs."""
+    """A camera four times as near, where two filters differ most on surfaces that face it; at silhouettes all filters differ."""
     from scipy import ndimage
 
     position = a["position"]
@@ -123,7 +123,7 @@ def _closer(camera: Camera, volume: Volume, a: Any, b: Any) -> Camera:
 
 
 def _slope(position: Picture, camera: Camera, volume: Volume) -> Picture:
-    """How far what is seen recedes from pixel to pixel, over how far it goes across; infinite beside nothing."""
+    """Depth over width of the visible surface from pixel to pixel; infinite next to the background."""
     view = camera.view(volume)
     away = position.astype(np.float64) - view.eye
     depth, across, up = away @ view.forward, away @ view.right, away @ view.up
