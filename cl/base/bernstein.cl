@@ -1,8 +1,8 @@
 // The first root of LANES polynomials on 0..1, in Bernstein form: sum over j of q[j] C(n, j) u^j (1 - u)^(n - j).
 //
-// A number is below (negative) or not; a root is where a polynomial goes from one to the other. It has no more roots than its
-// coefficients have such changes, and as many but for an even number (Descartes' rule in this basis): none, or just one, is
-// known from the coefficients; several are parted by halving the interval from the left, so that none before is passed over.
+// A number is below (negative) or not; a root is where a polynomial changes from one to the other. It has at most as many roots as
+// its coefficients have such changes, and differs from that by an even number (Descartes' rule in this basis): none, or just one,
+// is certain from the coefficients; several are separated by halving the interval from the left, so that no earlier one is missed.
 //
 // Set before: BERNSTEIN_DEGREE, n; BERNSTEIN_CHOOSE, the n + 1 binomials C(n, j).
 

@@ -1,4 +1,4 @@
-// Roots, powers and logarithms of LANES numbers at once, without a call for each.
+// Vectorized roots, powers and logarithms of LANES numbers.
 
 #include "base/lanes.cl"
 

@@ -1,4 +1,4 @@
-// What every kernel file needs first: what compilers and devices differ in, and the types of numbers: `scalar`, of
+// Included first by every kernel file: differences between compilers and devices, and the types of numbers: `scalar`, of
 // coefficients, weights and results, and `coord`, of positions.
 //
 // Set by the host: COORD_DOUBLE, whether positions are doubles; SCALAR_DOUBLE, if coefficients are.

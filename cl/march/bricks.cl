@@ -1,8 +1,8 @@
-// Kernels: a picture of a volume that is at hand brick by brick (window.cl). Rays go through one brick after the other, front to
-// back, and carry their states on; what reads coefficients where a ray ends is found out while these are at hand.
+// Kernels: a picture of a volume whose bricks are resident one at a time (window.cl). Rays traverse the bricks front to back and
+// carry their states on; results that need coefficients where a ray ends are computed while the brick is resident.
 //
-// States lie in a buffer as planes of pixels, as in split.cl; so does what was found: the colour, if FINISHED_THERE, then
-// the normal, if GUIDES.
+// States are in a buffer, as planes of pixels, as in split.cl; so are these results: the colour, if FINISHED_THERE, then the
+// normal, if GUIDES.
 
 #include "march/march.cl"
 #include "march/picture.cl"

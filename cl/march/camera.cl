@@ -1,4 +1,4 @@
-// The ray through a pixel, where it meets the volume, and which samples it takes.
+// The ray through a pixel, its intersection with the volume, and its samples.
 
 #include "base/math.cl"
 #include "base/vector.cl"

@@ -1,4 +1,4 @@
-// Blinn-Phong from the gradient, two-sided: the normal is the one that faces the viewer.
+// Two-sided Blinn-Phong from the gradient: the normal faces the viewer.
 
 #include "base/math.cl"
 #include "base/vector.cl"

@@ -5,21 +5,21 @@
 // large, are sampled one by one.
 //
 // A mode (modes/*.cl, spliced in place of "mode.cl") supplies
-//   state_t                       what it carries along a ray: STATE_FIELDS numbers of LANES rays each
+//   state_t                       the state of LANES rays: STATE_FIELDS numbers for each
 //   begin(state)                  before the first sample
 //   gather(state, coefficients, sample, t, value, active)
-//                                 one sample of the active lanes; gives the lanes that need no more
+//                                 one sample of the active lanes; returns the lanes that need no more
 //   matters(state, frame, table, low, high, t, active)
-//                                 whether a value from low to high, at t or past it, could change what any active lane shows
-//   finished(state, frame)        the lanes that need no more samples, whichever come: for states that are carried on
+//                                 whether a value from low to high, at t or past it, could change the result of any active lane
+//   finished(state, frame)        the lanes that need no more samples, whatever these are: for states that are carried on
 //   merge(front, back)            two stretches of the same rays, `back` behind `front`, into `front`
-//   place_of(state)               at which t that lies which is shown, or NOWHERE
+//   place_of(state)               the t of the result, or NOWHERE
 //   finish(state, coefficients, sample)
 //                                 the colour, not premultiplied
-//   REACH                         how many samples away others may depend on a sample: a surface lies between two
+//   REACH                         samples between dependent samples, at most: a surface is between two
 //   ANY_ORDER                     whether samples may be gathered in any order: then the segments where
 //                                 PROMISE(low, high) is largest come first
-//   STRETCHES                     1: instead of samples, which `gather` would take, all that lies between them is looked at (walk.cl)
+//   STRETCHES                     1: instead of samples, which `gather` takes, the intervals between them are searched (walk.cl)
 //
 // Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED,
 // FINISHED_THERE (whether a mode's `finish` reads coefficients, at place_of), and what is included.

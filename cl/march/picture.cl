@@ -1,6 +1,6 @@
-// The end of rays: colours and guides into the picture.
+// The end of rays: writes colours and guides to the picture.
 //
-// Set by the host: GUIDES, whether depths, normals, positions and shares of samples are wanted too.
+// Set by the host: GUIDES, whether depths, normals, positions and shares of samples are written too.
 
 #include "march/march.cl"
 

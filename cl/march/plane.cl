@@ -1,4 +1,4 @@
-// The blended plane under a tile of rays: what makes marching fast on processors.
+// The blended plane under a tile of rays: makes marching fast on CPUs.
 //
 // All rays of a tile cross the same planes of samples, and the weights along the axis across a plane are the same for every
 // sample on it. So the slices of coefficients under the tile are blended once a plane, and a sample takes TAPS × TAPS taps of

@@ -1,8 +1,8 @@
-// The function along a ray: what a mode may query at one sample, for LANES rays at a time.
+// The function along a ray: what a mode can query at a sample, for LANES rays at a time.
 //
 // Set by the host: PLANES (whether the rays of a tile share blended planes), CENTRAL (gradients by central differences), LABELS
 // (whether values are labels, and what of them is solid: 1 what the transfer function shows, 2 what the isovalue bounds),
-// WINDOWED (whether a part of the volume's coefficients is at hand, a brick: window.cl).
+// WINDOWED (whether only a brick of the volume's coefficients is resident: window.cl).
 
 #include "base/lanes.cl"
 #include "base/math.cl"

@@ -1,8 +1,8 @@
-// Where it is worth looking: an iterator over the segments of a tile's rays in which some value could matter.
+// Empty-space skipping: an iterator over the segments of a tile's rays in which some value could matter.
 //
-// A segment is a slab: the samples of a few successive numbers, over all rays of the tile. The pyramid of minima and maxima
-// (minmax.cl) is queried for the boxes of positions that they span, coarse segments first; what lies where no value matters
-// is skipped. The picture is the same to the last bit, since every sample that is gathered is evaluated as it would be without.
+// A segment is a slab: samples with a few successive numbers, over all rays of the tile. The pyramid of minima and maxima
+// (minmax.cl) is queried for the boxes of their positions, coarse segments first; segments in which no value matters are
+// skipped. The picture is the same to the last bit, since skipping does not change how gathered samples are evaluated.
 //
 // Set by the host: BLOCK, cells along an edge of the finest blocks. Set before: PACKETS, and what the mode defines.
 

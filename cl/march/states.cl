@@ -1,5 +1,5 @@
-// What rays carry, in a buffer: planes of pixels, STATE_FIELDS numbers of the mode, and how many samples were gathered. They are those
-// of all pixels, or of an area of whole tiles (kept).
+// The states of rays in a buffer, as planes of pixels: STATE_FIELDS numbers of the mode, and the number of gathered samples; of all
+// pixels, or of an area of whole tiles (kept).
 
 #include "march/march.cl"
 #include "march/picture.cl"

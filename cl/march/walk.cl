@@ -1,15 +1,15 @@
-// Rays from cell to cell: where the function first is on the other side of a value, exactly.
+// Rays from cell to cell: the exact first crossing of an isovalue.
 //
 // Within a cell the function along a ray is one polynomial (along.cl), whose first root is found without a step (bernstein.cl).
-// Between cells it may jump. A ray crosses the planes between cells at distances that follow from their numbers alone, so a cell
-// gives the same answer wherever a walk begins: however rays are cut into segments, and whatever is skipped.
+// Between cells it may jump. A ray crosses the planes between cells at distances that depend only on their numbers, so a cell
+// gives the same result wherever a walk begins: however rays are divided into segments, and whatever is skipped.
 //
-// The rays of a tile go on, packet by packet, until each is in a cell whose block may hold the value. Few are at a time, so
-// these cells are then gathered from the whole tile, and looked at LANES by LANES; so are the roots that were found.
+// The rays of a tile advance, packet by packet, until each is in a cell whose block may contain the isovalue. These are few, so
+// the cells are then gathered from the whole tile, and searched LANES at a time; so are the roots that were found.
 //
-// A mode that asks for this (STRETCHES) supplies SOUGHT(frame), the value, and a state_t with
-//   hit    where the function first is on the other side, or NOWHERE
-//   side   of what was looked at so far: 1 not below the value, -1 below; 0 if that was nothing
+// A mode with STRETCHES supplies SOUGHT(frame), the isovalue, and a state_t with
+//   hit    the first crossing, or NOWHERE
+//   side   of the part that was searched so far: 1 not below the isovalue, -1 below; 0 if there is none
 //
 // Set by the host: BLOCK, cells along an edge of the finest blocks; JUMPS, whether the function may jump between cells.
 

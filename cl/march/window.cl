@@ -1,11 +1,11 @@
-// The part of a volume whose coefficients are at hand: a brick.
+// The part of a volume whose coefficients are resident: a brick.
 //
-// All that has a number keeps the one that it has in the whole volume: stored coefficients, cells, samples of rays. So whatever
-// follows from a number or a position is the same to the last bit, whichever part is at hand. The pointer to the coefficients lies
-// as far before them as the whole volume's first would lie (`whole_pointer`). A sample belongs to the window in which it lies, a
-// cell to that which has its number.
+// Stored coefficients, cells and samples of rays keep their numbers in the whole volume. So everything that depends on a number or
+// a position is the same to the last bit, whichever part is resident. The pointer to the coefficients is offset to where the
+// whole volume's first one would be (`whole_pointer`). A sample belongs to the window that contains it, a cell to the window that
+// contains its number.
 //
-// Set by the host: WINDOWED; without it the whole volume is at hand.
+// Set by the host: WINDOWED; without it the whole volume is resident.
 
 #if WINDOWED
 

@@ -1,4 +1,4 @@
-// Emission and absorption, front to back; a sample's opacity is that of the stretch of the ray that it stands for.
+// Emission and absorption, front to back; a sample's opacity is that of the stretch of the ray that it represents.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"

@@ -1,4 +1,4 @@
-// The first surface of one value: the first root of the function along the ray, whatever the step.
+// The first isosurface: the first root of the function along the ray, for any step.
 
 #include "march/surface.cl"
 

@@ -1,5 +1,5 @@
-// The surface of one value: the first crossing between two samples, refined on the continuous function. A pair of crossings
-// between the same two samples is not seen.
+// The isosurface at the first crossing between two samples, refined on the continuous function. A pair of crossings between the
+// same two samples is missed.
 
 #include "march/surface.cl"
 

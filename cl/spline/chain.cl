@@ -1,8 +1,8 @@
 // A chain of transforms: from a point of the fixed world to one of the moving world, and its derivatives.
 //
-// A stage is an affine map, and then a displacement: a spline with coefficients on a grid, a vector each, within the grid's domain
-// and nothing outside of it. The host joins affine maps, and takes the last one, which has no grid after it, into the transform
-// from positions to indices. One kernel serves chains of any length and order: stages are rows of tables.
+// A stage is an affine map followed by a displacement: a spline with vector coefficients on a grid, and 0 outside the grid's domain.
+// The host joins affine maps, and merges the last one, which has no grid after it, into the transform from positions to indices.
+// One kernel handles chains of any length and order: stages are rows of tables.
 //
 // Set by the host: CHAIN_TAPS, whose bit n is set if some grid's filter has n taps, from 2 to 6; DIMENSIONS.
 
