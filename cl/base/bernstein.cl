@@ -28,7 +28,7 @@ INLINE changes_t changes_of(const real q[COEFFICIENT_COUNT])
     return changes;
 }
 
-// Parts the interval at `c` (de Casteljau): `left` becomes its first part, and q what is left.
+// Divides the interval at `c` (de Casteljau): `left` becomes its first part, and q the rest.
 INLINE void split_at(real q[COEFFICIENT_COUNT], const real c, real left[COEFFICIENT_COUNT])
 {
     left[0] = q[0];
@@ -48,8 +48,8 @@ INLINE void copy_polynomial(real to[COEFFICIENT_COUNT], const real from[COEFFICI
         to[j] = choose(wanted, from[j], to[j]);
 }
 
-// Where the first root is, for the active lanes: q becomes the polynomial on a part of the interval, from `start` on and `width`
-// long, in which it changes sides once. Gives the lanes that have a root.
+// Isolates the first root of the active lanes: q becomes the polynomial on a part of the interval, from `start` on and `width`
+// long, in which it changes sides once. Returns the lanes that have a root.
 OUT_OF_LINE mask first_change(real q[COEFFICIENT_COUNT], mask active, real *start, real *width)
 {
     real rest[COEFFICIENT_COUNT], tail[COEFFICIENT_COUNT], left[COEFFICIENT_COUNT];

@@ -20,7 +20,7 @@ INLINE void begin(state_t *s)
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return NONE; }
 
-// Of equal ranks the first counts, in whichever order they come.
+// Of equal ranks the first along the ray counts, whatever the order of gathering.
 INLINE mask replaces(const state_t *s, real rank, real t)
 {
     return BEYOND(rank, s->best) | ((rank == s->best) & (t < s->t)) | (s->t == NOWHERE);

@@ -14,7 +14,7 @@
 
 #include "base/coords.cl"
 
-// Where a point lies among the stored coefficients: the first tap, and the fraction past it.
+// The position of a point among the stored coefficients: the first tap, and the fraction past it.
 typedef struct { int x, y, z; scalar tx, ty, tz; } cell_t;
 
 // The position u, of any type, that counts from `origin` coefficients before the volume's first; see cell_origin.

@@ -119,7 +119,7 @@ INLINE void grid_sums(const int taps, const int slopes, constant coord *m, globa
     }
 }
 
-// Where stage n brings a point. If `slopes` is set, the columns, derivatives of the point, become those of the result.
+// Maps a point by stage n. If `slopes` is set, the columns, derivatives of the point, become those of the result.
 INLINE place_t through_stage(chain_t chain, int n, place_t p, const int slopes, place_t columns[DIMENSIONS])
 {
     constant place_t *m = chain.maps + n * STAGE;
@@ -186,7 +186,7 @@ INLINE place_t through_stage(chain_t chain, int n, place_t p, const int slopes, 
     return p + sums[0];
 }
 
-// Where the chain brings a point.
+// Maps a point by the whole chain.
 INLINE place_t through_chain(chain_t chain, place_t p)
 {
     place_t none[DIMENSIONS];

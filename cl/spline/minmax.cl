@@ -218,7 +218,7 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
     bounds[((size_t)bz * blocks.y + by) * blocks.x + bx] = (float2)(low, high);
 }
 
-// No better than whole blocks.
+// No tighter than whole blocks.
 kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
                        global const float2 *bounds, const float value, global ulong2 *sides)
 {

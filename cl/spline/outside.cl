@@ -15,7 +15,7 @@
 #define COMPONENTS (DIMENSIONS * DIMENSIONS)
 #endif
 
-// What a point outside is: a point to be sampled, where it was brought to; or one that has its value already.
+// A point outside: either moved inside, to be sampled there, or with a fixed value.
 #define SAMPLED 0
 #define FILLED 1
 #define VALUED 2

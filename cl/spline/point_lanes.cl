@@ -34,7 +34,7 @@ INLINE mask4 within_axis(coord4 x, int size)
 
 typedef union { coords_t all; coord each[LANES]; } lane_coords_u;
 
-// Whether all points outside have one value, which takes no look at each: FILL 2 has that of the rule (outside.cl).
+// Whether all points outside have the same value, so that they need no tests: with FILL 2 that of the rule (outside.cl).
 #define ONE_VALUE (BOUNDARY == CONSTANT && FILL == 2 && !DERIVATIVE)
 
 #if ONE_VALUE
