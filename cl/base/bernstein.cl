@@ -1,8 +1,8 @@
 // The first root of LANES polynomials on 0..1, in Bernstein form: sum over j of q[j] C(n, j) u^j (1 - u)^(n - j).
 //
-// A number is below (negative) or not; a root is where a polynomial goes from one to the other. It has no more roots than its
-// coefficients have such changes, and as many but for an even number (Descartes' rule in this basis): none, or just one, is
-// known from the coefficients; several are parted by halving the interval from the left, so that none before is passed over.
+// A number is below (negative) or not; a root is where a polynomial changes from one to the other. It has at most as many roots as
+// its coefficients have such changes, and differs from that by an even number (Descartes' rule in this basis): none, or just one,
+// is certain from the coefficients; several are separated by halving the interval from the left, so that no earlier one is missed.
 //
 // Set before: BERNSTEIN_DEGREE, n; BERNSTEIN_CHOOSE, the n + 1 binomials C(n, j).
 
@@ -28,7 +28,7 @@ INLINE changes_t changes_of(const real q[COEFFICIENT_COUNT])
     return changes;
 }
 
-// Parts the interval at `c` (de Casteljau): `left` becomes its first part, and q what is left.
+// Divides the interval at `c` (de Casteljau): `left` becomes its first part, and q the rest.
 INLINE void split_at(real q[COEFFICIENT_COUNT], const real c, real left[COEFFICIENT_COUNT])
 {
     left[0] = q[0];
@@ -48,8 +48,8 @@ INLINE void copy_polynomial(real to[COEFFICIENT_COUNT], const real from[COEFFICI
         to[j] = choose(wanted, from[j], to[j]);
 }
 
-// Where the first root is, for the active lanes: q becomes the polynomial on a part of the interval, from `start` on and `width`
-// long, in which it changes sides once. Gives the lanes that have a root.
+// Isolates the first root of the active lanes: q becomes the polynomial on a part of the interval, from `start` on and `width`
+// long, in which it changes sides once. Returns the lanes that have a root.
 OUT_OF_LINE mask first_change(real q[COEFFICIENT_COUNT], mask active, real *start, real *width)
 {
     real rest[COEFFICIENT_COUNT], tail[COEFFICIENT_COUNT], left[COEFFICIENT_COUNT];

@@ -1,5 +1,5 @@
-// LANES positions along an axis, of the type of positions, which may be double: two halves, of lanes 0 to 3 and of lanes 4 to
-// 7, for eight doubles are wider than most registers.
+// LANES positions along an axis, of the type of positions, which may be double: two halves, lanes 0 to 3 and lanes 4 to 7, since
+// eight doubles are wider than most registers.
 
 #include "base/lanes.cl"
 

@@ -1,6 +1,6 @@
 // Code that is written once and runs for one ray or point, or for LANES of them at a time: `real` is a scalar or a vector.
 //
-// Set by the host: LANES: 1, 8, or 16 where registers hold as many numbers (march.cl).
+// Set by the host: LANES: 1, 8, or 16 if registers are that wide (march.cl).
 
 #include "base/platform.cl"
 

@@ -1,4 +1,4 @@
-// Roots, powers and logarithms of LANES numbers at once, without a call for each.
+// Vectorized roots, powers and logarithms of LANES numbers.
 
 #include "base/lanes.cl"
 
@@ -80,7 +80,7 @@ INLINE real one_less_exp_2(real y)
     return (1.0f - scale.f) - scale.f * less;
 }
 
-// x > 0 to a power, given whether that is a whole number. `floor` is x whose power is nothing that anyone sees.
+// x > 0 to a power, given whether that is a whole number. `floor` is the x whose power is invisibly small.
 INLINE real power(real x, float exponent, int whole, float floor)
 {
     x = MAX(x, (real)(floor));

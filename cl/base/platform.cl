@@ -1,4 +1,4 @@
-// What every kernel file needs first: what compilers and devices differ in, and the types of numbers: `scalar`, of
+// Included first by every kernel file: differences between compilers and devices, and the types of numbers: `scalar`, of
 // coefficients, weights and results, and `coord`, of positions.
 //
 // Set by the host: COORD_DOUBLE, whether positions are doubles; SCALAR_DOUBLE, if coefficients are.
@@ -10,8 +10,8 @@
 #define PASTE_(a, b) a##b
 #define PASTE(a, b) PASTE_(a, b)
 
-// What runs once a sample or once a tap is inlined and calls no built-in function: where PoCL does not know the processor
-// (3.0 on AMD's Zen 4, say) it leaves every vload, floor and select a call. What is rarely needed stays out of the loops.
+// Code that runs for every sample or tap is inlined and calls no built-in function: if PoCL does not know the CPU (3.0 on
+// AMD's Zen 4, say) every vload, floor and select remains a call. Rarely needed code stays out of the loops.
 #define INLINE static inline __attribute__((always_inline))
 #define OUT_OF_LINE static __attribute__((noinline))
 
@@ -51,8 +51,8 @@ typedef scalar8 scalar8_at AT_ANY_ADDRESS;
 #define CONVERT(v, type) PASTE(convert_, type)(v)
 #endif
 
-// Asks memory for the line of a global address, even if it lies past what is stored. (Clang takes private pointers only; on
-// these processors all are alike.)
+// Prefetches the cache line of a global address, even one outside the allocation. (Clang takes only private pointers; on these
+// CPUs all address spaces are the same.)
 #if defined(__clang__) && defined(__x86_64__)
 #define PREFETCH(address) __builtin_prefetch((const void *)(size_t)(address))
 #else

@@ -1,4 +1,4 @@
-// Kernel: how exactly the device's linear sampler interpolates between two texels.
+// Kernel: the accuracy with which the device's linear sampler interpolates between two texels.
 
 #include "base/platform.cl"
 

@@ -1,6 +1,6 @@
 // Rows to columns: of rows of four taps, one row for each of LANES samples; and of blocks of eight rows of a volume.
 //
-// Both exchange elements within quarters of a register only: what crosses them takes three times as long.
+// Both exchange elements only within quarters of a register: exchanges between quarters take three times as long.
 
 #include "base/lanes.cl"
 

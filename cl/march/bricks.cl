@@ -1,8 +1,8 @@
-// Kernels: a picture of a volume that is at hand brick by brick (window.cl). Rays go through one brick after the other, front to
-// back, and carry their states on; what reads coefficients where a ray ends is found out while these are at hand.
+// Kernels: a picture of a volume whose bricks are resident one at a time (window.cl). Rays traverse the bricks front to back and
+// carry their states on; results that need coefficients where a ray ends are computed while the brick is resident.
 //
-// States lie in a buffer as planes of pixels, as in split.cl; so does what was found: the colour, if FINISHED_THERE, then
-// the normal, if GUIDES.
+// States are in a buffer, as planes of pixels, as in split.cl; so are these results: the colour, if FINISHED_THERE, then the
+// normal, if GUIDES.
 
 #include "march/march.cl"
 #include "march/picture.cl"
@@ -19,12 +19,12 @@ INLINE int number_of_tile(constant frame_t *frame, const int left, const int top
     return (top - frame->picture.kept_from[1]) / TILE_HEIGHT * across + (left - frame->picture.kept_from[0]) / TILE_WIDTH;
 }
 
-// Whether rays of this work-item's tile want more samples: areas are boxes of tiles, and to begin a tile's rays takes long.
+// Whether rays of this work-item's tile are unfinished: areas are boxes of tiles, and starting a tile's rays takes long.
 #define TILE_IS_GOING                                                                                                   \
     ((int)get_global_id(0) * TILE_WIDTH < frame->picture.width && (int)get_global_id(1) * TILE_HEIGHT < frame->picture.height && \
      going[number_of_tile(frame, (int)get_global_id(0) * TILE_WIDTH, (int)get_global_id(1) * TILE_HEIGHT)])
 
-// Before the first brick. `going`: for each tile whether rays of it want more samples.
+// Before the first brick. `going`: for each tile whether some of its rays are unfinished.
 kernel void begin_states(constant frame_t *frame, global const float2 *places, global float *states, global uchar *going)
 {
     TILE_OF_THIS_ITEM(places);
@@ -35,7 +35,7 @@ kernel void begin_states(constant frame_t *frame, global const float2 *places, g
     going[number_of_tile(frame, left, top)] = some;
 }
 
-// Before a brick, of rays that have been through others: as `begin_states`, for states that are there.
+// Before a brick, for rays after other bricks: as `begin_states`, with given states.
 kernel void resume_states(constant frame_t *frame, global const float2 *places, global const float *states, global uchar *going)
 {
     TILE_OF_THIS_ITEM(places);
@@ -46,7 +46,7 @@ kernel void resume_states(constant frame_t *frame, global const float2 *places, 
     going[number_of_tile(frame, left, top)] = some;
 }
 
-// Rays that have been through bricks apart: `back`, which lie behind, into `states`; what is shown is that of where they end.
+// Rays that traversed bricks separately: merges `back`, which is behind, into `states`; results are those where rays end.
 kernel void merge_bricks(constant frame_t *frame, global const float2 *places, global float *states, global float *shown,
                          global const float *back, global const float *shown_back)
 {
@@ -69,7 +69,7 @@ kernel void merge_bricks(constant frame_t *frame, global const float2 *places, g
     }
 }
 
-// Between which t rays may have samples in the window; nowhere if `enter` is past `leave`.
+// The interval of t in which rays may have samples in the window; empty if `enter` is past `leave`.
 INLINE void stretch_in_window(constant frame_t *frame, const ray_t *ray, real *enter, real *leave)
 {
     const float reserve = 2.0f * frame->planes.margin + ASTRAY;
@@ -81,7 +81,7 @@ INLINE void stretch_in_window(constant frame_t *frame, const ray_t *ray, real *e
     clip_axis(ray->origin.z, ray->direction.z, low[2] - reserve, high[2] + reserve, enter, leave);
 }
 
-// Leaves rays of a tile going that may have samples in the window, and of these the numbers that may lie there.
+// Keeps the rays of a tile that may have samples in the window, and of these the sample numbers that may be inside.
 INLINE int enter_window(tile_t *tile, constant frame_t *frame)
 {
     float first = INFINITY, last = -INFINITY;
@@ -106,7 +106,7 @@ INLINE int enter_window(tile_t *tile, constant frame_t *frame)
     return some;
 }
 
-// Before the brick in the window is read: whether values from low to high there could change what any ray of these tiles shows.
+// Before the brick in the window is read: whether values from low to high there could change the result of any ray of these tiles.
 kernel void ask_brick(constant frame_t *frame, global const float4 *table, global const float2 *places,
                       global const float *states, global const uchar *going, const float low, const float high, global int *wanted)
 {
@@ -125,7 +125,7 @@ kernel void ask_brick(constant frame_t *frame, global const float4 *table, globa
         *wanted = 1;   // all that write it write the same
 }
 
-// What is shown of the rays of a packet that have just got to where they end, for as far as is known.
+// The results of the rays of a packet that have just ended, as far as they are known.
 INLINE void show(COEFFICIENTS coefficients, const sample_t *sample, const state_t *state, mask changed, const int x, const int y,
                  global float *shown)
 {
@@ -153,7 +153,7 @@ INLINE void show(COEFFICIENTS coefficients, const sample_t *sample, const state_
     }
 }
 
-// Rays through the brick in the window.
+// Marches rays through the brick in the window.
 kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,
                         constant frame_t *frame, global const float4 *table, global const float2 *places, global float *states,
                         global float *shown, global uchar *going)
@@ -188,7 +188,7 @@ kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global con
     going[number_of_tile(frame, left, top)] = some;
 }
 
-// After the last brick: the picture. No coefficients are at hand.
+// After the last brick: the picture. No coefficients are resident.
 kernel void finish_bricks(COEFFICIENTS nothing, const int4 extent, constant frame_t *frame, global const float4 *table,
                           global const float2 *places, global const float *states, global const float *shown, global float4 *rgba,
                           global float *depth, global float *normals, global float *positions, global float *visited)

@@ -1,10 +1,10 @@
-// The ray through a pixel, where it meets the volume, and which samples it takes.
+// The ray through a pixel, its intersection with the volume, and its samples.
 
 #include "base/math.cl"
 #include "base/vector.cl"
 #include "frame.cl"
 
-// The rays of a packet lie side by side, sixteen in two rows of eight.
+// The rays of a packet are side by side, sixteen in two rows of eight.
 #if LANES == 1
 #define LANES_ACROSS 1
 #define LANE_X 0.0f
@@ -96,8 +96,8 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
     return ray;
 }
 
-// How far the stretch that sample number n, at t, stands for reaches before and behind it: half a step, but from where the ray
-// enters to the first sample, and from the last to where it leaves. True if n is the first or the last of some active ray.
+// The extent of the stretch of sample number n, at t, before and after it: half a step, except from the ray's entry to the first
+// sample, and from the last one to its exit. True if n is the first or the last of some active ray.
 INLINE int stretch_of(const ray_t *ray, float n, real t, mask active, real *before, real *behind)
 {
     *before = *behind = 0.5f * ray->step;

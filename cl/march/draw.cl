@@ -1,4 +1,4 @@
-// Kernel: a picture, from the first sample of its rays to their colours, in one go. The fast path.
+// Kernel: a picture, from the first sample of its rays to their colours, in one launch. The fast path.
 
 #include "march/march.cl"
 #include "march/picture.cl"

@@ -1,11 +1,11 @@
-// Blinn-Phong from the gradient, two-sided: the normal is the one that faces the viewer.
+// Two-sided Blinn-Phong from the gradient: the normal faces the viewer.
 
 #include "base/math.cl"
 #include "base/vector.cl"
 #include "frame.cl"
 
-// The unit normal of a gradient, towards the viewer, that is against the ray. Gives the lanes whose gradient is no longer than
-// what the function's values there, of the size of `value`, are rounded by: it has no direction, and `normal` is not one.
+// The unit normal of a gradient, towards the viewer, that is against the ray. Returns the lanes whose gradient is no longer than
+// the rounding error of the function's values, of the size of `value`: it has no direction, and `normal` is meaningless.
 INLINE mask flat_or_normal(constant frame_t *frame, real3 gradient, real value, real3 world, real3 *normal)
 {
     const real squared = dot3(gradient, gradient), rounding = value * frame->geometry.rounding;

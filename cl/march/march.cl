@@ -5,26 +5,26 @@
 // large, are sampled one by one.
 //
 // A mode (modes/*.cl, spliced in place of "mode.cl") supplies
-//   state_t                       what it carries along a ray: STATE_FIELDS numbers of LANES rays each
+//   state_t                       the state of LANES rays: STATE_FIELDS numbers for each
 //   begin(state)                  before the first sample
 //   gather(state, coefficients, sample, t, value, active)
-//                                 one sample of the active lanes; gives the lanes that need no more
+//                                 one sample of the active lanes; returns the lanes that need no more
 //   matters(state, frame, table, low, high, t, active)
-//                                 whether a value from low to high, at t or past it, could change what any active lane shows
-//   finished(state, frame)        the lanes that need no more samples, whichever come: for states that are carried on
+//                                 whether a value from low to high, at t or past it, could change the result of any active lane
+//   finished(state, frame)        the lanes that need no more samples, whatever these are: for states that are carried on
 //   merge(front, back)            two stretches of the same rays, `back` behind `front`, into `front`
-//   place_of(state)               at which t that lies which is shown, or NOWHERE
+//   place_of(state)               the t of the result, or NOWHERE
 //   finish(state, coefficients, sample)
 //                                 the colour, not premultiplied
-//   REACH                         how many samples away others may depend on a sample: a surface lies between two
+//   REACH                         samples between dependent samples, at most: a surface is between two
 //   ANY_ORDER                     whether samples may be gathered in any order: then the segments where
 //                                 PROMISE(low, high) is largest come first
-//   STRETCHES                     1: instead of samples, which `gather` would take, all that lies between them is looked at (walk.cl)
+//   STRETCHES                     1: instead of samples, which `gather` takes, the intervals between them are searched (walk.cl)
 //
 // Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED,
 // FINISHED_THERE (whether a mode's `finish` reads coefficients, at place_of), and what is included.
 
-// Twice as many rays where registers hold sixteen numbers. (Elsewhere PoCL 3.0 aborts on float16 on some processors.)
+// Twice as many rays if registers hold sixteen numbers. (Otherwise PoCL 3.0 aborts on float16 on some CPUs.)
 #if LANES == 8 && TILE_HEIGHT % 2 == 0 && defined(__clang__) && defined(__AVX512F__)
 #undef LANES
 #define LANES 16
@@ -50,7 +50,7 @@
 #define PACKET_X(left, g) ((left) + (g) % PACKETS_ACROSS * LANES_ACROSS)
 #define PACKET_Y(top, g) ((top) + (g) / PACKETS_ACROSS * LANES_DOWN)
 
-// Where rays of a packet cross the picture, if that is listed: near the pixels' own order, but anywhere.
+// Where rays of a packet cross the picture, if that is listed: anywhere, roughly in the order of pixels.
 INLINE void listed_places(constant frame_t *frame, const int x, const int y, global const float2 *places, real *px, real *py)
 {
     lanes_u across, down;
@@ -65,8 +65,8 @@ INLINE void listed_places(constant frame_t *frame, const int x, const int y, glo
     *py = down.all;
 }
 
-// The rays of the tile whose first pixel is (left, top), before their first sample. Where the frame says so, the picture is a
-// list of rays, one a pixel, and they cross the real one at `places`.
+// The rays of the tile whose first pixel is (left, top), before their first sample. If the frame is listed, the picture is a
+// list of rays, one for each pixel, which cross the real picture at `places`.
 INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, const int top, global const float2 *places)
 {
     tile->left = left;
@@ -110,7 +110,7 @@ OUT_OF_LINE void make_plane(plane_t *plane, COEFFICIENTS coefficients, const int
 }
 #endif
 
-// Where sample number n of a packet lies: by multiplication, never accumulated.
+// The position of sample number n of a packet: by multiplication, never accumulated.
 INLINE real sample_t_of(const ray_t *ray, float n)
 {
     const real t = madd(n, ray->step, ray->first);
@@ -119,7 +119,7 @@ INLINE real sample_t_of(const ray_t *ray, float n)
     return ENDPOINTS ? MIN(MAX(t, ray->enter + inset), ray->leave - inset) : t;
 }
 
-// The value of a sample. Ends of rays lie on no plane, nor does the one sample of a ray between two planes.
+// The value of a sample. Ends of rays are not on a plane, nor is the single sample of a ray between two planes.
 INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
 {
     const ray_t *ray = sample->ray;
@@ -135,7 +135,7 @@ INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, r
 
 #if !STRETCHES
 
-// Takes samples number start to stop of the rays that want them.
+// Gathers samples number start to stop of the unfinished rays.
 INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame,
                          global const float4 *table, const mask wanted[PACKETS], const float start, const float stop)
 {
@@ -179,7 +179,7 @@ INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 ext
 
 #endif
 
-// Takes the rays of a tile through their samples.
+// Marches the rays of a tile through their samples.
 INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
                        global const ulong2 *sides, constant frame_t *frame, global const float4 *table)
 {

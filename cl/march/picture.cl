@@ -1,13 +1,13 @@
-// The end of rays: colours and guides into the picture.
+// The end of rays: writes colours and guides to the picture.
 //
-// Set by the host: GUIDES, whether depths, normals, positions and shares of samples are wanted too.
+// Set by the host: GUIDES, whether depths, normals, positions and shares of samples are written too.
 
 #include "march/march.cl"
 
-// Where pictures go; those that nobody wants are never written. Positions count from the volume's centre: the host adds it.
+// The output pictures; unrequested ones are never written. Positions are relative to the volume's centre, which the host adds.
 typedef struct { global float4 *rgba; global float *depth, *normals, *positions, *visited; } pictures_t;
 
-// The lanes of the packet at pixel (x, y) that lie in the picture.
+// The lanes of the packet at pixel (x, y) that are in the picture.
 #define EACH_PIXEL(x, y)             \
     for (int i = 0; i < LANES; ++i)  \
         if ((x) + i % LANES_ACROSS < frame->picture.width && (y) + i / LANES_ACROSS < frame->picture.height)
@@ -56,7 +56,7 @@ INLINE real3 places_at(constant frame_t *frame, const ray_t *ray, real t)
     return scale3(matrix3(frame->geometry.index_to_world, at3(origin, ray->direction, t)), (real)(frame->geometry.unit));
 }
 
-// The rays of a packet into the picture: their colours, at t, and normals.
+// Writes the rays of a packet to the picture: their colours, t and normals.
 INLINE void store_packet(constant frame_t *frame, const ray_t *ray, const color_t color, real t, const real3 normal, real gathered,
                          const int x, const int y, const pictures_t *pictures)
 {

@@ -1,4 +1,4 @@
-// The blended plane under a tile of rays: what makes marching fast on processors.
+// The blended plane under a tile of rays: makes marching fast on CPUs.
 //
 // All rays of a tile cross the same planes of samples, and the weights along the axis across a plane are the same for every
 // sample on it. So the slices of coefficients under the tile are blended once a plane, and a sample takes TAPS × TAPS taps of
@@ -71,7 +71,7 @@ OUT_OF_LINE void plane_blend(const plane_t *plane, global const float *coefficie
     }
 }
 
-// Asks memory for the coefficients that the planes after this one will need.
+// Prefetches the coefficients for the planes after this one.
 INLINE void plane_ahead(const plane_t *plane, global const float *coefficients, const int4 extent, constant frame_t *frame, float way)
 {
     const int slice = plane->slice + (way > 0.0f ? TAPS + 1 : -2), axis = frame->planes.axis;
@@ -85,7 +85,7 @@ INLINE void plane_ahead(const plane_t *plane, global const float *coefficients, 
 }
 
 // Moves to the plane at `across`, for rays that go up (way > 0) or down its axis, under positions from (low_u, low_v) to
-// (high_u, high_v), all in samples, which may be off by the planes' margin. Of a window those that are at hand are blended.
+// (high_u, high_v), all in samples, with errors up to the planes' margin. Of a window only resident coefficients are blended.
 INLINE void plane_move(plane_t *plane, global const float *coefficients, const int4 extent, constant frame_t *frame, float way,
                        float across, float low_u, float high_u, float low_v, float high_v)
 {
@@ -178,7 +178,7 @@ INLINE void plane_columns(const float *blend, const plane_cell_t *c, const real 
 #endif
 }
 
-// LANES samples on a plane: what their value leaves for the gradient.
+// LANES samples on a plane: what the value keeps for the gradient.
 typedef struct { plane_cell_t cell; real wu[TAPS], wv[TAPS], columns[TAPS]; } plane_sample_t;
 
 INLINE real plane_value(const plane_t *plane, plane_sample_t *s, real u, real v)

@@ -1,8 +1,8 @@
-// The function along a ray: what a mode may query at one sample, for LANES rays at a time.
+// The function along a ray: what a mode can query at a sample, for LANES rays at a time.
 //
 // Set by the host: PLANES (whether the rays of a tile share blended planes), CENTRAL (gradients by central differences), LABELS
 // (whether values are labels, and what of them is solid: 1 what the transfer function shows, 2 what the isovalue bounds),
-// WINDOWED (whether a part of the volume's coefficients is at hand, a brick: window.cl).
+// WINDOWED (whether only a brick of the volume's coefficients is resident: window.cl).
 
 #include "base/lanes.cl"
 #include "base/math.cl"
@@ -26,7 +26,7 @@ typedef struct { int made, usable; } plane_t;
 typedef struct { int nothing; } plane_sample_t;
 #endif
 
-// What there is to know about the samples that are gathered. (An image may be no member: coefficients are passed beside it.)
+// The samples that are being gathered. (An image cannot be a member: coefficients are passed separately.)
 typedef struct {
     constant frame_t *frame;
     global const float4 *table;     // of the transfer function
@@ -40,8 +40,8 @@ typedef struct {
 
 // -- one ray ---------------------------------------------------------------------------------------------------
 
-// The cell of a position on a ray. However a ray was rounded, no tap of it, nor of the cells a sample away, lies
-// past what is stored.
+// The cell of a position on a ray. Whatever the rounding, all its taps, and those of the cells a sample away, are
+// stored.
 INLINE int stored_cell(int i, int first, int last) { return i < first ? first : i > last ? last : i; }
 
 INLINE cell_t locate_stored(const sample_t *sample, float x, float y, float z)
@@ -76,9 +76,9 @@ RARE float value_beside(COEFFICIENTS coefficients, const int4 extent, cell_t c, 
 #define SOLID(sample, value) (!transparent((sample)->frame, (sample)->table, value, value))
 #endif
 
-// Labels are names, and their differences mean nothing: what is solid has a surface, and regions that touch have none between
-// them. Differences are averaged over the neighbours across, 1 : 2 : 1, for voxels' own faces have few directions; they
-// are in units of the value, as its rounding is.
+// Labels are names, and their differences are meaningless: solid regions have a surface, and regions that touch have none between
+// them. Differences are averaged over the neighbours across, 1 : 2 : 1, since the faces of voxels have few directions; they
+// are in units of the value, like its rounding error.
 RARE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
 {
     gradient_t g = { 0.0f, 0.0f, 0.0f };
@@ -98,8 +98,8 @@ RARE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, 
 
 #else
 
-// Per sample, not per stored coefficient. Central differences step from coefficient to coefficient: on the hybrid's
-// magnified grid half a sample, as programs do that are given magnified volumes.
+// Per sample, not per stored coefficient. Central differences step by one coefficient: half a sample on the hybrid's
+// magnified grid, as in programs that load magnified volumes.
 RARE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
 {
     gradient_t g;

@@ -1,8 +1,8 @@
-// Where it is worth looking: an iterator over the segments of a tile's rays in which some value could matter.
+// Empty-space skipping: an iterator over the segments of a tile's rays in which some value could matter.
 //
-// A segment is a slab: the samples of a few successive numbers, over all rays of the tile. The pyramid of minima and maxima
-// (minmax.cl) is queried for the boxes of positions that they span, coarse segments first; what lies where no value matters
-// is skipped. The picture is the same to the last bit, since every sample that is gathered is evaluated as it would be without.
+// A segment is a slab: samples with a few successive numbers, over all rays of the tile. The pyramid of minima and maxima
+// (minmax.cl) is queried for the boxes of their positions, coarse segments first; segments in which no value matters are
+// skipped. The picture is the same to the last bit, since skipping does not change how gathered samples are evaluated.
 //
 // Set by the host: BLOCK, cells along an edge of the finest blocks. Set before: PACKETS, and what the mode defines.
 
@@ -48,7 +48,7 @@ INLINE int block_of(float x, int halo, int origin, int blocks)
     return (int)(cell > 0.0f ? MIN(cell, last) : 0.0f) / BLOCK;   // infinite where no lane is active
 }
 
-// The smallest and the largest value in the lanes' boxes. The margin covers what positions are rounded by.
+// The smallest and the largest value in the lanes' boxes. The margin covers rounding errors of positions.
 INLINE float2 values_in(global const float2 *minmax, constant frame_t *frame, const int halo, const boxes_t *box)
 {
     constant minmax_block *block = &frame->minmax;
@@ -78,7 +78,7 @@ INLINE float2 values_in(global const float2 *minmax, constant frame_t *frame, co
 
 // -- the rays of a tile ----------------------------------------------------------------------------------------
 
-// PACKETS times LANES rays, what each has gathered, and which go on.
+// PACKETS times LANES rays, their states, and which are unfinished.
 typedef struct {
     ray_t rays[PACKETS];
     state_t states[PACKETS];
@@ -125,7 +125,7 @@ typedef struct {
     float promise[MAX_PARTS];   // of each part, at most
 } segments_t;
 
-// Where the order is free, the part that promises most comes first; its turn comes once.
+// If the order is free, the most promising part is first, and only once.
 INLINE int next_part(segments_t *s)
 {
     int part = 0;
@@ -162,7 +162,7 @@ INLINE segments_t segments_of(const tile_t *tile, global const float2 *minmax, c
     return s;
 }
 
-// Moves to the next segment in which a value could matter to some ray; false if there is none left.
+// Advances to the next segment in which a value could matter to some ray; false at the end.
 INLINE int next_segment(segments_t *s, const tile_t *tile, global const float2 *minmax, constant frame_t *frame,
                         global const float4 *table, const int halo)
 {

@@ -1,4 +1,4 @@
-// Kernels: the same picture in parts. Stretches of the rays are marched apart, merged, and finished last.
+// Kernels: the same picture in parts. Stretches of the rays are marched separately, merged, and finished last.
 
 #include "march/march.cl"
 #include "march/picture.cl"

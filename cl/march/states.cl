@@ -1,5 +1,5 @@
-// What rays carry, in a buffer: planes of pixels, STATE_FIELDS numbers of the mode, and how many samples were gathered. They are those
-// of all pixels, or of an area of whole tiles (kept).
+// The states of rays in a buffer, as planes of pixels: STATE_FIELDS numbers of the mode, and the number of gathered samples; of all
+// pixels, or of an area of whole tiles (kept).
 
 #include "march/march.cl"
 #include "march/picture.cl"
@@ -7,7 +7,7 @@
 typedef union { state_t state; lanes_u fields[STATE_FIELDS]; } state_u;
 typedef char state_has_its_fields[sizeof(state_t) == STATE_FIELDS * sizeof(real) ? 1 : -1];
 
-// Where the number of a field lies for the pixel i of a packet that begins at (x, y).
+// The index of a field's number for pixel i of a packet that begins at (x, y).
 #define KEPT_AT(field)                                                                                              \
     (((size_t)(field) * frame->picture.kept[1] + y - frame->picture.kept_from[1] + i / LANES_ACROSS) * frame->picture.kept[0] + \
      x - frame->picture.kept_from[0] + i % LANES_ACROSS)
@@ -43,7 +43,7 @@ INLINE void load_states(tile_t *tile, constant frame_t *frame, global const floa
     }
 }
 
-// `behind`, a stretch of the same rays, goes into `tile`: but for rays that have got to where they end.
+// Merges `behind`, a stretch of the same rays, into `tile`, except for rays that have ended.
 INLINE void merge_tiles(tile_t *tile, const tile_t *behind, constant frame_t *frame)
 {
     for (int g = 0; g < PACKETS; ++g) {

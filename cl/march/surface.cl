@@ -1,4 +1,4 @@
-// How a surface looks where rays hit it.
+// The shading of a surface where rays hit it.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"

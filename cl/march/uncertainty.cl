@@ -1,12 +1,12 @@
-// Kernel: within what of a surface that is drawn the true one lies, and its normal.
+// Kernel: bounds of the distance from a rendered surface to the true one, and of the angle to its normal.
 //
-// The host (uncertainty.py) says what a filter does to waves, as three stencils for each axis: the mean error of the value over
-// all places between two samples, and how much the errors of the value and of the slope vary about their means. Here they run
-// over the eight samples around a point.
+// The host (uncertainty.py) computes the filter's error for waves, as stencils for each axis: the mean error of the value over
+// all positions between two samples, and the deviations of the value and of the slope from their means. Here they are applied at
+// the eight samples around a point.
 //
-// Set by the host: STORED, weights of a stencil; REACH, samples to either side that have some; VALUE_IS_ODD, whether those of VALUE
-// have another sign on the other side, as those of ODD; PLACES between two samples, for which it tabulates what noise becomes; the
-// block uncertainty_t.
+// Set by the host: STORED, weights of a stencil; REACH, samples to each side with weights that are not 0; VALUE_IS_ODD, whether those
+// of VALUE are odd, as those of ODD are; PLACES, positions between two samples at which the variance of noise is tabulated; the block
+// uncertainty_t.
 
 #include "base/platform.cl"
 #include "spline/filter.cl"

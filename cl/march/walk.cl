@@ -1,15 +1,15 @@
-// Rays from cell to cell: where the function first is on the other side of a value, exactly.
+// Rays from cell to cell: the exact first crossing of an isovalue.
 //
 // Within a cell the function along a ray is one polynomial (along.cl), whose first root is found without a step (bernstein.cl).
-// Between cells it may jump. A ray crosses the planes between cells at distances that follow from their numbers alone, so a cell
-// gives the same answer wherever a walk begins: however rays are cut into segments, and whatever is skipped.
+// Between cells it may jump. A ray crosses the planes between cells at distances that depend only on their numbers, so a cell
+// gives the same result wherever a walk begins: however rays are divided into segments, and whatever is skipped.
 //
-// The rays of a tile go on, packet by packet, until each is in a cell whose block may hold the value. Few are at a time, so
-// these cells are then gathered from the whole tile, and looked at LANES by LANES; so are the roots that were found.
+// The rays of a tile advance, packet by packet, until each is in a cell whose block may contain the isovalue. These are few, so
+// the cells are then gathered from the whole tile, and searched LANES at a time; so are the roots that were found.
 //
-// A mode that asks for this (STRETCHES) supplies SOUGHT(frame), the value, and a state_t with
-//   hit    where the function first is on the other side, or NOWHERE
-//   side   of what was looked at so far: 1 not below the value, -1 below; 0 if that was nothing
+// A mode with STRETCHES supplies SOUGHT(frame), the isovalue, and a state_t with
+//   hit    the first crossing, or NOWHERE
+//   side   of the part that was searched so far: 1 not below the isovalue, -1 below; 0 if there is none
 //
 // Set by the host: BLOCK, cells along an edge of the finest blocks; JUMPS, whether the function may jump between cells.
 
@@ -21,8 +21,8 @@
 
 // -- one axis ---------------------------------------------------------------------------------------------------
 
-// Rays along an axis, in cells. Plane number n lies before cell n. Past the domain's faces there are no cells: rays go on in the
-// outer ones, wherever they enter and leave.
+// Rays along an axis, in cells. Plane number n is before cell n. There are no cells outside the domain: rays stay in the outer
+// ones, wherever they enter and leave.
 typedef struct {
     real origin, direction, per_direction;   // at t = 0; cells a unit of t; units of t a cell
     mask up, ahead, step;   // whether towards larger numbers; 1 and 1 if so, else 0 and -1
@@ -71,7 +71,7 @@ INLINE real brick_exit_of(const axis_t *a, const mask cell)
     return choose(outer, NOWHERE, plane_t_of(a, plane));
 }
 
-// The cell in which a ray is at t: that between whose planes t lies, however the position is rounded.
+// The cell of a ray at t: the cell whose planes enclose t, whatever the rounding of the position.
 INLINE mask cell_at(const axis_t *a, const real t)
 {
     const mask bottom = choose_whole(a->up, a->from, a->to), top = choose_whole(a->up, a->to, a->from) - 1;
@@ -89,9 +89,9 @@ INLINE real fraction_at(const axis_t *a, const mask cell, const real t)
 
 #if WINDOWED
 
-// Where rays enter the cells of a window along an axis, if that is past `begin`, and leave them, if that is before `out`. Their
-// faces are crossed where the planes between cells are, so that each cell of a ray is walked through in one window. A ray along the
-// faces is in one all the way.
+// Where rays enter the cells of a window along an axis, if that is past `begin`, and leave them, if that is before `out`. The
+// window's faces are planes between cells, so that each cell of a ray is traversed in exactly one window. A ray along the faces
+// stays in one.
 INLINE void keep_in_window(const axis_t *a, const ray_t *ray, const real direction, const int cells_from, const int cells_to,
                            real *begin, real *out, mask *active)
 {
@@ -121,8 +121,8 @@ INLINE axes_t axes_along(const ray_t *ray, constant geometry_block *geometry, co
     return axes;
 }
 
-// What is known of LANES cells: whether they may hold the value; whether the function is above it there; whether that is so in the
-// whole brick.
+// The bounds of LANES cells: whether they may contain the isovalue; whether the function is above it there; whether that holds for
+// the whole brick.
 typedef struct { mask held, above, uniform; } sides_t;
 
 // Numbers from 0 to `last`: lanes that are not active may be anywhere.
@@ -164,7 +164,7 @@ typedef struct {
     lane_masks_u found;   // whether it holds a root
 } walker_t;
 
-// Sets rays out on a stretch, and says how long it is.
+// Starts rays on a stretch, and returns its length.
 OUT_OF_LINE real set_out(walker_t *w, const ray_t *ray, const state_t *state, constant frame_t *frame, const int halo,
                     const real from, const real to, const mask active)
 {
@@ -193,8 +193,8 @@ OUT_OF_LINE real set_out(walker_t *w, const ray_t *ray, const state_t *state, co
     return choose(w->active, w->end - begin, (real)(0.0f));
 }
 
-// The first place past a jump at which a sample of the function is on its far side, so that every pixel is lit from there; the jump
-// itself if none is near.
+// The first place past a jump at which a sample of the function is on the far side, so that every pixel is lit from there; the jump
+// itself if there is none nearby.
 INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const float value, const real jump, const real end,
                         const real side, mask active)
 {
@@ -214,7 +214,7 @@ INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const
 #endif
 }
 
-// Takes rays to cells that may hold the value, and on past those that do not. `looked`: at the cells in which they are.
+// Advances rays to cells that may contain the isovalue. `looked`: whether their present cells were searched.
 OUT_OF_LINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const sample_t *sample, global const ulong2 *sides,
                   const float value, int looked)
 {
@@ -281,7 +281,7 @@ OUT_OF_LINE void refine_roots(roots_t *roots, state_t *states)
     roots->count = 0;
 }
 
-// Looks at the cells of some rays.
+// Searches the cells of some rays.
 OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, COEFFICIENTS coefficients, const int4 extent,
                            const float value, roots_t *roots, state_t *states)
 {
@@ -330,8 +330,7 @@ OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, 
     }
 }
 
-// Walks the rays of a tile through samples number start to stop, and all between them, to the first place where the function
-// changes sides.
+// Walks the rays of a tile from sample number start to stop, and all between them, to the first crossing of the isovalue.
 OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const ulong2 *sides,
                               constant frame_t *frame, global const float4 *table, const mask wanted[PACKETS], const float start,
                               const float stop)

@@ -1,15 +1,15 @@
-// The part of a volume whose coefficients are at hand: a brick.
+// The part of a volume whose coefficients are resident: a brick.
 //
-// All that has a number keeps the one that it has in the whole volume: stored coefficients, cells, samples of rays. So whatever
-// follows from a number or a position is the same to the last bit, whichever part is at hand. The pointer to the coefficients lies
-// as far before them as the whole volume's first would lie (`whole_pointer`). A sample belongs to the window in which it lies, a
-// cell to that which has its number.
+// Stored coefficients, cells and samples of rays keep their numbers in the whole volume. So everything that depends on a number or
+// a position is the same to the last bit, whichever part is resident. The pointer to the coefficients is offset to where the
+// whole volume's first one would be (`whole_pointer`). A sample belongs to the window that contains it, a cell to the window that
+// contains its number.
 //
-// Set by the host: WINDOWED; without it the whole volume is at hand.
+// Set by the host: WINDOWED; without it the whole volume is resident.
 
 #if WINDOWED
 
-// Stored coefficients along an axis, in the numbers of the whole volume: the first at hand, past the last, and past the last of all.
+// Stored coefficients along an axis, numbered in the whole volume: the first resident one, past the last, and past the volume's last.
 #define STORED_FROM(frame, axis) (frame)->window.stored_from[axis]
 #define STORED_TO(frame, extent, axis) (frame)->window.stored_to[axis]
 #define WHOLE(frame, extent, axis) (frame)->window.whole[axis]
@@ -26,12 +26,12 @@ INLINE global const float *whole_pointer(global const float *coefficients, const
 // How far, in samples, a ray along the faces of windows may stray.
 #define ASTRAY 0.1f
 
-// Rays that hardly change along an axis. One of them that has a face between two windows in it crosses that where rounding has it,
-// and not always as windows follow: such rays belong, along this axis, to the window in which they enter.
+// Rays that hardly change along an axis. Where such a ray crosses a face between two windows depends on rounding, and may not match
+// the order of windows: along this axis it belongs to the window in which it enters.
 INLINE mask along_faces(const ray_t *ray, const real direction) { return magnitude(direction) * (ray->leave - ray->enter) < ASTRAY; }
 
-// Where samples at t lie along an axis, for the windows: never behind the eye, though rounding may have it so beside a face, for
-// windows follow outwards from the one in which the eye is.
+// Positions of samples at t along an axis, for windows: never behind the eye, as rounding near a face could place them, since
+// windows are ordered outwards from the one that contains the eye.
 INLINE real place_in_windows(constant frame_t *frame, const ray_t *ray, const real origin, const real direction, const float eye,
                              const real t)
 {
@@ -39,7 +39,7 @@ INLINE real place_in_windows(constant frame_t *frame, const ray_t *ray, const re
     return frame->camera.orthographic ? place : choose(direction > 0.0f, MAX(place, (real)(eye)), MIN(place, (real)(eye)));
 }
 
-// Whether samples at t lie in the window: the same question to two windows has one answer, for a position is what it is.
+// Whether samples at t are in the window: in exactly one window, since positions do not depend on it.
 INLINE mask in_window(constant frame_t *frame, const ray_t *ray, const real t)
 {
     constant float *eye = frame->camera.eye;

@@ -1,4 +1,4 @@
-// The maximum along the ray of values that fade with depth: what is near stands out, as in a projection through fog.
+// The maximum along the ray of values that fade with depth: near structures stand out, as in fog.
 //
 // A value counts from the smallest value of the transfer function up, times exp(-attenuation d), with d from 0 at the front of the
 // volume's bounding sphere to 1 at its back.

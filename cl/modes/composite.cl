@@ -1,10 +1,10 @@
-// Emission and absorption, front to back; a sample's opacity is that of the stretch of the ray that it stands for.
+// Emission and absorption, front to back; a sample's opacity is that of the stretch of the ray that it represents.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
 #include "march/light.cl"
 
-// Opacity is summed with the part that its last bit could not take (Kahan): thousands of thin samples add up to what they are.
+// Opacity is accumulated with its rounding error (Kahan), so that sums of thousands of thin samples are exact.
 typedef struct { real red, green, blue, opacity, rest, depth; } state_t;
 
 #define REACH 0.0f
@@ -59,7 +59,7 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     return finished(s, frame);
 }
 
-// The depth is exact if one stretch stops half of the light by itself; the other's light is not known where it is marched.
+// The depth is exact if one stretch alone stops half of the light; a stretch does not know the transmittance in front of it.
 INLINE void merge(state_t *front, const state_t *back)
 {
     const real light = transmittance(front);

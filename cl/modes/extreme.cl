@@ -1,8 +1,8 @@
 // The sample of the highest rank on a ray, coloured by the transfer function.
 //
-// Set by the including mode: RANK(frame, value, t), what samples are compared by; BEYOND(a, b), whether rank a beats b;
+// Set by the including mode: RANK(frame, value, t), the rank of a sample; BEYOND(a, b), whether rank a beats b;
 // FURTHEST(frame, low, high, t), a rank that no value from low to high beats at t or past it; SHOWN(frame, rank), the value
-// that is coloured; PROMISE.
+// for the transfer function; PROMISE.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
@@ -20,7 +20,7 @@ INLINE void begin(state_t *s)
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return NONE; }
 
-// Of equal ranks the first counts, in whichever order they come.
+// Of equal ranks the first along the ray counts, whatever the order of gathering.
 INLINE mask replaces(const state_t *s, real rank, real t)
 {
     return BEYOND(rank, s->best) | ((rank == s->best) & (t < s->t)) | (s->t == NOWHERE);

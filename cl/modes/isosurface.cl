@@ -1,4 +1,4 @@
-// The first surface of one value: the first root of the function along the ray, whatever the step.
+// The first isosurface: the first root of the function along the ray, for any step.
 
 #include "march/surface.cl"
 
@@ -23,7 +23,7 @@ INLINE int matters(const state_t *s, constant frame_t *frame, global const float
     return !(low > frame->mode.isovalue || high < frame->mode.isovalue);
 }
 
-// Both stretches look at the whole of the cell between them.
+// Both stretches search the whole cell between them.
 INLINE void merge(state_t *front, const state_t *back)
 {
     front->hit = choose(front->hit < NOWHERE, front->hit, back->hit);

@@ -1,5 +1,5 @@
-// The mean along the ray, coloured by the transfer function: of samples, by the lengths of the stretches that they stand for. It
-// lies nowhere in depth.
+// The mean along the ray, coloured by the transfer function: samples are weighted by the lengths of their stretches. It has no
+// depth.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"

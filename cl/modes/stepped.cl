@@ -1,5 +1,5 @@
-// The surface of one value: the first crossing between two samples, refined on the continuous function. A pair of crossings
-// between the same two samples is not seen.
+// The isosurface at the first crossing between two samples, refined on the continuous function. A pair of crossings between the
+// same two samples is missed.
 
 #include "march/surface.cl"
 
@@ -66,7 +66,7 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     return crossed;
 }
 
-// A stretch begins with the last sample of the one before (REACH), so that each crossing lies within one.
+// A stretch begins with the last sample of the one before (REACH), so that each crossing is within one.
 INLINE void merge(state_t *front, const state_t *back)
 {
     front->hit = choose(front->hit < NOWHERE, front->hit, back->hit);

@@ -1,8 +1,8 @@
-// What lies past the edge: a position anywhere is brought to one whose taps are all stored (Boundary in boundary.py).
+// The boundary rule: moves any position to one whose taps are all stored (Boundary in boundary.py).
 //
 // Set by the host (build.py, boundary_defines): BOUNDARY, one of the numbers below; BOUNDARY_FOLDED and BOUNDARY_FOLD, whether
-// index i equals -FOLD - i; BOUNDARY_PAD, samples that were put around the volume's before it was filtered; BOUNDARY_REACH,
-// samples past these at which no tap differs from the next one.
+// index i equals -FOLD - i; BOUNDARY_PAD, samples of padding around the volume before the prefilter; BOUNDARY_REACH, samples past
+// these from which on taps are constant.
 
 #include "base/platform.cl"
 

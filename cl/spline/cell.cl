@@ -1,5 +1,5 @@
-// From a position in samples to its cell: the first tap's coefficient on each axis, and the fraction past it. This is the only
-// place in the kernels that knows the index rule, as Filter.cell is on the host:
+// From a position in samples to its cell: the first tap's coefficient on each axis, and the fraction past it. The index rule is
+// only here in the kernels, and only in Filter.cell on the host:
 //
 //     u = x * GRID_SCALE - LEFT,   base = floor(u),   t = u - base
 //
@@ -8,13 +8,13 @@
 // | for                                    | positions       | counted from               | rounding down |
 // |----------------------------------------|-----------------|----------------------------|---------------|
 // | locate, locate_axis                    | any             | the volume's first         | by comparing  |
-// | locate_inner, locate_inner_axis        | in the domain   | the first stored           | by cutting off, for nothing is negative |
+// | locate_inner, locate_inner_axis        | in the domain   | the first stored           | by truncation, since nothing is negative |
 // | locate_inner_lanes                     | LANES of these  | the first stored           | likewise      |
 // | GRID_POSITION, then locate_lanes       | LANES in float  | any stored, and limited in between | likewise |
 
 #include "base/coords.cl"
 
-// Where a point lies among the stored coefficients: the first tap, and the fraction past it.
+// The position of a point among the stored coefficients: the first tap, and the fraction past it.
 typedef struct { int x, y, z; scalar tx, ty, tz; } cell_t;
 
 // The position u, of any type, that counts from `origin` coefficients before the volume's first; see cell_origin.

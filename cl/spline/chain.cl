@@ -1,8 +1,8 @@
 // A chain of transforms: from a point of the fixed world to one of the moving world, and its derivatives.
 //
-// A stage is an affine map, and then a displacement: a spline with coefficients on a grid, a vector each, within the grid's domain
-// and nothing outside of it. The host joins affine maps, and takes the last one, which has no grid after it, into the transform
-// from positions to indices. One kernel serves chains of any length and order: stages are rows of tables.
+// A stage is an affine map followed by a displacement: a spline with vector coefficients on a grid, and 0 outside the grid's domain.
+// The host joins affine maps, and merges the last one, which has no grid after it, into the transform from positions to indices.
+// One kernel handles chains of any length and order: stages are rows of tables.
 //
 // Set by the host: CHAIN_TAPS, whose bit n is set if some grid's filter has n taps, from 2 to 6; DIMENSIONS.
 
@@ -119,7 +119,7 @@ INLINE void grid_sums(const int taps, const int slopes, constant coord *m, globa
     }
 }
 
-// Where stage n brings a point. If `slopes` is set, the columns, derivatives of the point, become those of the result.
+// Maps a point by stage n. If `slopes` is set, the columns, derivatives of the point, become those of the result.
 INLINE place_t through_stage(chain_t chain, int n, place_t p, const int slopes, place_t columns[DIMENSIONS])
 {
     constant place_t *m = chain.maps + n * STAGE;
@@ -186,7 +186,7 @@ INLINE place_t through_stage(chain_t chain, int n, place_t p, const int slopes, 
     return p + sums[0];
 }
 
-// Where the chain brings a point.
+// Maps a point by the whole chain.
 INLINE place_t through_chain(chain_t chain, place_t p)
 {
     place_t none[DIMENSIONS];

@@ -1,7 +1,6 @@
-// Kernels: samples of any type to where their coefficients will be; and the halo around coefficients.
+// Kernels: copy samples of any type to where their coefficients will be, and fill the halo around coefficients.
 //
-// The halo holds what the boundary rule says lies past the edge, so that sampling inside the volume's domain never needs
-// the rule.
+// The halo is filled by the boundary rule, so that sampling inside the volume's domain never needs the rule.
 //
 // Set by the host: SAMPLE, the type of samples.
 

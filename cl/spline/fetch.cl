@@ -1,11 +1,11 @@
 // One coefficient, one row of taps, or one trilinear fetch, from a buffer or from an image.
 //
-// Coefficients are stored with a halo on every side, filled by the boundary rule (coefficients.cl), so that nothing in the
-// volume's domain ever reads past the edge. Coordinates count from the first stored coefficient.
+// Coefficients are stored with a halo on every side, filled by the boundary rule (coefficients.cl), so that no sample in the
+// volume's domain reads outside. Coordinates count from the first stored coefficient.
 // extent = (row pitch, rows, slices, halo).
 //
-// Functions that read coefficients take (COEFFICIENTS coefficients, const int4 extent, ...): an image may not be the member
-// of a struct. Images hold float alone.
+// Functions that read coefficients take (COEFFICIENTS coefficients, const int4 extent, ...): an image cannot be the member
+// of a struct. Images hold only float.
 //
 // Set by the host: FETCH_IMAGE, whether coefficients are an image.
 

@@ -1,5 +1,5 @@
-// Weights of the taps of the current filter, and their first and second derivatives, at a fraction t past the first tap's
-// place: for one sample, a row of taps at a time; or for LANES samples, a tap at a time.
+// Weights of the taps of the current filter, and their first and second derivatives, at a fraction t past the cell's start: for
+// one sample, a row of taps at a time; or for LANES samples, a tap at a time.
 //
 // A row is a vector of ROW taps, so that one load fetches it and one multiply-add weighs it. LANES samples take a vector of
 // LANES weights for each tap; `lane_taps` brings their rows to that form.

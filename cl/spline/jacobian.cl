@@ -1,7 +1,7 @@
-// Kernel: the Jacobian of a chain of transforms at the points of a grid: its determinants; or gradients with respect to the moving
-// world, each behind a value, become those with respect to the fixed one, in place.
+// Kernel: the Jacobian of a chain of transforms at the points of a grid: writes its determinants, or converts gradients, each after
+// a value, from the moving to the fixed world, in place.
 //
-// Set by the host: PULL_BACK, whether it is gradients that are wanted; RUN, points of a work-item.
+// Set by the host: PULL_BACK, whether to convert gradients; RUN, points of a work-item.
 
 #include "base/platform.cl"
 #include "spline/chain.cl"

@@ -10,7 +10,7 @@
 // and the largest sums of weights; CONTROLS, control points along an axis of a cell; SHARED, whether the last is the next
 // cell's first; BERNSTEIN, a row of weights for each; SUM_LOW and SUM_HIGH, of a point's weights; LEBESGUE, the sum of their
 // magnitudes; PAD_SIZE, relative to the largest magnitude of a tap, PAD_SPREAD, relative to the range of the taps, and PAD_TINY,
-// what is lost where numbers are too small to be rounded to so many digits (zeros lose nothing).
+// the error from subnormal numbers (zeros are exact).
 
 #include "base/platform.cl"
 #include "spline/sides.cl"
@@ -218,7 +218,7 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
     bounds[((size_t)bz * blocks.y + by) * blocks.x + bx] = (float2)(low, high);
 }
 
-// No better than whole blocks.
+// No tighter than whole blocks.
 kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
                        global const float2 *bounds, const float value, global ulong2 *sides)
 {

@@ -1,8 +1,8 @@
-// Points outside the volume's domain: brought to where the function is the same, or given a value of their own.
+// Points outside the volume's domain: moved to where the function is the same, or assigned a value.
 //
-// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE, whether each value comes before its gradient, of points on a grid; EDGE, how
-// far from the outer samples the domain ends; FILL: 0, the boundary rule goes on outside; 1, the result there is `fill`, NaN at
-// positions that are not finite; 2, it is `fill` at these alone, which is then the value of rules that have one.
+// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE, whether each gradient follows its value, for points on a grid; EDGE, the
+// distance from the outer samples to the domain's edge; FILL: 0, the boundary rule applies outside; 1, the result there is `fill`,
+// NaN at positions that are not finite; 2, `fill` applies only to these, and is then also the constant of rules that have one.
 
 #include "spline/boundary.cl"
 #include "spline/position.cl"
@@ -15,7 +15,7 @@
 #define COMPONENTS (DIMENSIONS * DIMENSIONS)
 #endif
 
-// What a point outside is: a point to be sampled, where it was brought to; or one that has its value already.
+// A point outside: either moved inside, to be sampled there, or with a fixed value.
 #define SAMPLED 0
 #define FILLED 1
 #define VALUED 2

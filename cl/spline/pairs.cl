@@ -1,10 +1,10 @@
 // Value and gradient at one point by paired fetches: one linear fetch serves two taps along each axis (Sigg and Hadwiger, GPU
 // Gems 2, chapter 20). Four taps an axis take 8 fetches in 3-D and 4 in 2-D, six taps take 27 and 9.
 //
-// This needs weights that never differ in sign within a pair, so each of value and gradient falls back to direct taps.
+// Weights must have the same sign within each pair; otherwise the value, or the gradient, falls back to direct taps.
 //
 // Set by the host: PAIRED_VALUE and PAIRED_GRADIENT, whether pairs of weights, and of their derivatives, share their sign
-// (Filter.pairable) and are wanted.
+// (Filter.pairable) and are requested.
 
 #include "spline/taps.cl"
 

@@ -1,4 +1,4 @@
-// Kernel: where the stages of a chain of transforms bring the points of a block of a grid.
+// Kernel: maps the points of a block of a grid by the stages of a chain of transforms.
 
 #include "base/platform.cl"
 #include "spline/chain.cl"

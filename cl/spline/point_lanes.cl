@@ -1,7 +1,7 @@
-// LANES points at once: positions, cells and weights of all are computed in vectors, rows of taps are summed point by point,
-// and what is left along x is summed in vectors again.
+// LANES points at once: positions, cells and weights are computed in vectors, rows of taps are summed point by point, and the
+// remaining sum along x is in vectors again.
 //
-// A point is always computed with LANES - 1 others, even if they are itself again: its result does not depend on its neighbours.
+// A point is always computed with LANES - 1 others, even if these are copies of it: its result does not depend on its neighbours.
 // AHEAD vectors of points are located before any of them is sampled, so that sampling does not wait for it.
 
 #define AHEAD 4
@@ -34,7 +34,7 @@ INLINE mask4 within_axis(coord4 x, int size)
 
 typedef union { coords_t all; coord each[LANES]; } lane_coords_u;
 
-// Whether all points outside have one value, which takes no look at each: FILL 2 has that of the rule (outside.cl).
+// Whether all points outside have the same value, so that they need no tests: with FILL 2 that of the rule (outside.cl).
 #define ONE_VALUE (BOUNDARY == CONSTANT && FILL == 2 && !DERIVATIVE)
 
 #if ONE_VALUE

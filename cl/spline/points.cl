@@ -1,14 +1,14 @@
 // Kernels: the function or its derivatives at given points, or on a grid of points.
 //
-// What makes them fast on a processor, where a work-item takes RUN points, LANES at a time (point_lanes.cl):
+// What makes them fast on a CPU, where a work-item takes RUN points, LANES at a time (point_lanes.cl):
 //
 // | what                                                   | where          |
 // |--------------------------------------------------------|----------------|
 // | positions, cells and weights of LANES points in vectors | point_lanes.cl |
 // | rows of four taps of two points side by side (SIDE 2)   | taps.cl        |
 // | the boundary rule is not needed inside the domain       | coefficients.cl |
-// | points outside are brought inside, and sampled as others | outside.cl     |
-// | points in no order are sorted first                     | sort.cl        |
+// | points outside are moved inside, and sampled as others  | outside.cl     |
+// | unordered points are sorted first                       | sort.cl        |
 //
 // Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE (outside.cl); LANES, points that are computed at once, 1 or 8; FEW, whether an
 // int can count the coefficients; RUN, points of a work-item; and what is included.

@@ -1,9 +1,9 @@
-// Where points come from, where their results belong, and where in the volume they lie.
+// The source of points, the destination of their results, and their positions in the volume.
 //
-// Set by the host: ON_GRID, whether points are those of a grid and not read; POINT, the type of those that are read, and
-// POINT_BITS, its size; PLANAR, whether all coordinates along an axis follow each other, the last axis (x) last; SORTED, whether
-// each point is followed by its place in the list that it came from (sort.cl); INDICES, whether positions are indices already;
-// CHAIN, whether transforms bring points to other places first (chain.cl).
+// Set by the host: ON_GRID, whether points are on a grid instead of read; POINT, the type of points that are read, and POINT_BITS,
+// its size; PLANAR, whether all coordinates along an axis are contiguous, the last axis (x) last; SORTED, whether each point is
+// followed by its place in the original list (sort.cl); INDICES, whether positions are already indices; CHAIN, whether transforms
+// map the points first (chain.cl).
 
 #include "base/platform.cl"
 

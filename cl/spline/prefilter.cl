@@ -3,9 +3,9 @@
 // The poles are undone in stages of ORDER, 1 or 2: a causal recursion y[i] = x[i] + a1 y[i-1] + a2 y[i-2] and an anticausal one,
 // c[i] = y[i] + a1 c[i+1] + a2 c[i+2] (Unser, Aldroubi and Eden, 1991 and 1993). A single pole z has c[i] = z (c[i+1] - y[i])
 // instead. Complex poles, which smoothing brings, come in conjugate pairs, so that a stage of two is real. Each recursion needs
-// its first ORDER values, which the host gives as weighted sums of samples near the two ends. They follow from the matrix of
-// eq. (11) that belongs to the boundary rule (prefilter.py, _plan), in one way for every rule and length. Rows, which come first,
-// are multiplied by the gains of all axes.
+// its first ORDER values, for which the host passes weights of samples near the two ends. They follow from the matrix of eq. (11)
+// for the boundary rule (prefilter.py, _plan), in the same way for every rule and length. Rows, which are first, are multiplied by
+// the gains of all axes.
 //
 // | what makes it fast                                                | where             |
 // |-------------------------------------------------------------------|-------------------|
@@ -16,8 +16,8 @@
 // | a slice stays in a processor's cache from x to y                   | prefilter_slices  |
 // | first values at one end take no sample near the other, if SPLIT    | add_to_starts     |
 //
-// Set by the host: ORDER; STAGES, how many; CHAINS, vectors side by side; SPLIT, whether the sums for causal recursions need
-// samples near the first one alone, and those for anticausal ones near the last one: lines are long and do not wrap.
+// Set by the host: ORDER; STAGES, their number; CHAINS, vectors side by side; SPLIT, whether the sums for causal recursions need
+// only samples near the first one, and those for anticausal ones near the last one: lines are long and do not wrap.
 
 #include "base/platform.cl"
 #include "base/transpose.cl"

@@ -1,4 +1,4 @@
-// Kernel: sums of weighted samples along one axis of an array, each sum with samples and weights of its own.
+// Kernel: weighted sums of samples along one axis of an array; each sum has its own samples and weights.
 //
 // | what makes it fast                                                       | where       |
 // |--------------------------------------------------------------------------|-------------|
@@ -6,8 +6,8 @@
 // | they are first brought together, however far apart they lie in the array: | bring_lines |
 // | neighbouring sums take much the same samples, which are then in the cache |             |
 //
-// Set by the host: ALONG, whether lines run along the last axis; WIDTH, a multiple of 8. The host also computes which samples make
-// a sum, and with what weights (reduce.py).
+// Set by the host: ALONG, whether lines run along the last axis; WIDTH, a multiple of 8. The host also computes the samples of each
+// sum, and their weights (reduce.py).
 
 #include "base/platform.cl"
 

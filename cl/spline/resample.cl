@@ -6,8 +6,8 @@
 // | along x eight rows at once, a column of them in a vector        | resample_rows   |
 // | BLOCK rows share what was summed along z                        | resample_axes   |
 //
-// Set by the host: TAPS; DIMENSIONS; BLOCK, rows made at once, a multiple of 8. The host also computes which coefficients make
-// a column, a row and a slice of the grid, and with what weights (resample.py, _axis_taps).
+// Set by the host: TAPS; DIMENSIONS; BLOCK, rows computed at once, a multiple of 8. The host also computes the coefficients of each
+// column, row and slice of the grid, and their weights (resample.py, _axis_taps).
 
 #include "base/platform.cl"
 #include "base/transpose.cl"

@@ -1,9 +1,9 @@
-// The adjoint of sampling: every point adds to the coefficients of its taps what the taps' weights would take from them.
+// The adjoint of sampling: every point adds its value times the weights of its taps to their coefficients.
 //
 // The result is the same to the last bit on every run, without atomic additions. Coefficients lie in bricks at least as long
-// as a row of taps, and points belong to the brick of their first tap, so that a brick's points touch no brick but it and the
-// next ones along each axis. Bricks of one colour (2^d of them, by the parity of their places) share no coefficient: they are
-// computed side by side, one a work-item, which takes its points in the order in which they came.
+// as a row of taps, and points belong to the brick of their first tap, so that a brick's points only touch it and the next ones
+// along each axis. Bricks of one colour (2^d of them, by the parity of their indices) share no coefficient: they are computed in
+// parallel, one in each work-item, which takes its points in their original order.
 //
 // | kernel         | a work-item                                                                      |
 // |----------------|----------------------------------------------------------------------------------|

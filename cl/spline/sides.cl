@@ -1,6 +1,6 @@
-// How it is kept on which side of a value the function is in each cell: two bits, SIDES_EDGE cubed cells to a brick.
+// The format of the side of a value on which the function is in each cell: two bits, SIDES_EDGE cubed cells for each brick.
 //
-// Cells are named by their first tap among the stored coefficients, as in minmax.cl.
+// Cells are numbered by their first tap among the stored coefficients, as in minmax.cl.
 //
 // Set by the host: BLOCK, cells along an edge of the finest blocks of the pyramid, a multiple of SIDES_EDGE.
 

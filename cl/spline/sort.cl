@@ -1,7 +1,7 @@
-// Kernels: points sorted by the brick of the volume that they lie in, by counting, so that what is read for one of them is in
-// a cache for the next. A work-item takes a stretch of the points.
+// Kernels: counting sort of points by the brick of the volume that contains them, so that successive points share cache lines. A
+// work-item takes a stretch of the points.
 //
-// Set by the host: DIMENSIONS; BRICKS, how many at most; LANES, 8; and what is included.
+// Set by the host: DIMENSIONS; BRICKS, their largest number; LANES, 8; and the defines of the included files.
 
 #include "base/platform.cl"
 #include "base/math.cl"

@@ -1,7 +1,7 @@
-// Kernel: results to an array of any type and layout.
+// Kernel: copies results to an array of any type and layout.
 //
-// Set by the host: RESULT, the type of the array; WHOLE: 0 if it holds fractions; 1, whole numbers, to which halves are rounded
-// away from zero; 2, booleans, to which numbers are cut off. So does scipy.ndimage.
+// Set by the host: RESULT, the type of the array; WHOLE: 0 for floating point; 1 for integers, with halves rounded away from zero; 2
+// for booleans, by truncation. scipy.ndimage does the same.
 
 #include "base/platform.cl"
 

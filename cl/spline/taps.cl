@@ -1,7 +1,7 @@
-// Value, gradient and Hessian by direct taps: rows of taps are summed along y and z, and what is left is dotted with the
+// Value, gradient and Hessian by direct taps: rows of taps are summed along y and z, and the resulting row is dotted with the
 // weights along x.
 //
-// SIDE, set before this file is included, is how many points are summed at once. With 2, for rows of four taps, the rows of
+// SIDE, set before this file is included, is the number of points summed at once. With 2, for rows of four taps, the rows of
 // two points lie side by side in a vector of eight: point_lanes.cl. It is 1 if it was not set.
 //
 // Set by the host: DIMENSIONS, 1, 2 or 3, besides what is included.

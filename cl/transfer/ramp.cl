@@ -1,8 +1,8 @@
 // From a value to a colour and an opacity: a function that is linear between its points, and constant beyond them.
 //
-// Where all points lie on equal nodes the table holds those, and transfer.pieces is 0. Else it holds the pieces, three rows of
-// four numbers each: colour and opacity where the piece begins; their slopes; and where it begins, 1 - opacity there, the slope of
-// that, and up to which value nothing is seen from this piece on. Piece 0 lies before the first point.
+// If all points are on equally spaced nodes the table holds the nodes, and transfer.pieces is 0. Otherwise it holds the pieces, three
+// rows of four numbers each: colour and opacity at the piece's start; their slopes; and its start, 1 - opacity there, the slope of
+// that, and the value up to which nothing is visible from this piece on. Piece 0 is before the first point.
 
 #include "base/math.cl"
 #include "base/transpose.cl"

@@ -25,6 +25,7 @@ from clvol.base.checks import number, one_of, whole
 from clvol.base.errors import DataError, GeometryError, MissingDependencyError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
+from clvol.filter.margin import reach
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.ndimage.arguments import Spline
 from clvol.ndimage.engine import Axes, Points, evaluate
@@ -458,9 +459,7 @@ class _Spline:
             return 0, n
         if not inside.size:
             return 0, 1
-        pole = float(np.abs(self._filter.poles).max(initial=0.0))
-        finest = _LEFT_OUT[self.precision or "double"]
-        margin = self._filter.support // 2 + 1 + (math.ceil(math.log(finest) / math.log(pole)) if pole else 0)
+        margin = self._filter.support // 2 + 1 + reach(self._filter, self.precision or "double")
         low, high = math.floor(inside.min()) - margin, math.ceil(inside.max()) + margin + 1
         if self._boundary.fold is None and (low < 0 or high > n):
             return 0, n  # the axis is periodic

@@ -1,4 +1,4 @@
-"""What reconstruction filters do to data: frequency responses, published metrics, approximation theory, measured errors.
+"""Analysis of reconstruction filters: frequency responses, published metrics, approximation theory, measured errors.
 
 NumPy and SciPy in float64; a device is used only on request, and to measure times.
 

@@ -1,4 +1,4 @@
-"""The impulse response of a whole reconstruction, prefilter and magnification included, as polynomials piece by piece."""
+"""The impulse response of a whole reconstruction, prefilter and magnification included, as piecewise polynomials."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from clvol.filter.table import as_filter
 __all__ = ["Pieces", "even_filter", "impulse_response", "pieces"]
 
 Array: TypeAlias = NDArray[np.float64]
-_TAIL = 1e-18  # of the prefilter's impulse response, which decays like the powers of its largest pole
+_TAIL = 1e-18  # of the prefilter's impulse response, which decays like powers of its largest pole
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """A function made of polynomials, zero outside them.
+    """A piecewise polynomial, zero outside.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) ->
 
     For a filter without a prefilter this is its kernel, eq. (10) for the cubic; with one, the cardinal
     spline ``sum of s_k beta(x - k)``, where s is the impulse response of eq. (16); for a hybrid, the
-    cardinal spline at multiples of half a sample, drawn through the second kernel (section 4.3).
+    cardinal spline at multiples of half a sample, reconstructed by the second kernel (section 4.3).
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) ->
 
 
 def even_filter(filter: str | Filter) -> Filter:
-    """The filter, if its impulse response is even, so that its frequency response is real; else `OptionError`."""
+    """The filter, if its impulse response is even and so its frequency response real; else `OptionError`."""
     chosen = as_filter(filter)
     drawn = pieces(chosen)
     x = np.random.default_rng(0).uniform(0, -drawn.start, 1000)
@@ -113,7 +113,7 @@ def even_filter(filter: str | Filter) -> Filter:
 @lru_cache(maxsize=64)
 def pieces(filter: Filter) -> Pieces:
     """The impulse response of a filter along one axis."""
-    kernel = filter.matrix[::-1]  # tap i lies at t + TAPS/2 - 1 - i: the last tap is the leftmost piece
+    kernel = filter.matrix[::-1]  # tap i is at t + TAPS/2 - 1 - i: the last tap is the leftmost piece
     if filter.magnified_by is not None:
         coarse = pieces(filter.magnified_by)
         s = filter.scale
@@ -127,7 +127,7 @@ def pieces(filter: Filter) -> Pieces:
 
 
 def _blend(values: Array, kernel: Array) -> Array:
-    """Pieces of the sum of the values times copies of the kernel, each one piece further."""
+    """Pieces of the sum of the values times copies of the kernel, each shifted by one piece."""
     return np.stack([np.convolve(values, column) for column in kernel.T], -1)
 
 

@@ -1,7 +1,7 @@
-"""How far reconstructions are from the truth: filters measured against a known function, or from every n-th sample of a volume.
+"""Errors of reconstructions: filters measured against a known function, or from every n-th sample of a volume.
 
-A volume is low-passed before it is decimated, and most of the difference from the original is then the low-pass, not the filter's
-fault. So results are compared with what was sampled, the low-passed volume, and what the low-pass removed is reported separately.
+A volume is low-passed before it is decimated, and most of the difference from the original is then due to the low-pass, not the
+filter. So results are compared with the low-passed volume, and the loss from the low-pass is reported separately.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from clvol.analysis.trial import (
 )
 from clvol.base.checks import enough_memory, number, one_of, whole
 from clvol.base.errors import DataError, DeviceError, OptionError
+from clvol.base.progress import part_of
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
@@ -55,15 +56,15 @@ _Angles: TypeAlias = tuple[float | None, float | None, float | None]
 _CHUNK = 1 << 20  # positions at a time
 _MAX_FACTOR = 1024  # of the decimation
 _SINC_PRODUCTS = 1 << 34  # samples × points of the exact sinc, at most
-_SHARE = 0.9  # of the progress, for the errors, if times are measured too
+_SHARE = 0.9  # share of the progress for the errors, if times are measured too
 _NUMPY = "NumPy, float64"
-_LARGEST = 1e305  # of the samples: coefficients of splines through them, and gradients, are up to some hundred times as large
+_LARGEST = 1e305  # largest sample; spline coefficients and gradients are up to some hundred times as large
 
 
 EXACT_SINC: Final = "exact-sinc"
 """The name of the exact sinc (`clvol.analysis.dirichlet_sample`) wherever filters are compared.
 
-Each of its values takes all samples, so for more than 85 000 samples fewer random points are measured.
+Each value takes all samples, so for more than 85 000 samples fewer random points are measured.
 """
 
 COMPARED: Final = (
@@ -95,7 +96,7 @@ class ErrorRow:
         Root mean square and largest error of the values, in the data's units; for a volume without its truth, against the
         low-passed volume.
     original : float or None
-        RMS difference from the original samples: `rms` and what the low-pass removed, together. None for a function.
+        RMS difference from the original samples: `rms` and the loss from the low-pass together. None for a function.
     psnr : float or None
         ``20 log10(range / rms)`` in decibels, with the range of the samples; None for constant data or no error.
     ssim : float or None
@@ -107,8 +108,8 @@ class ErrorRow:
         Angle between the gradient and the true one in degrees: mean, median, 95th percentile, where there is a true
         gradient that is more than noise: see `clvol.analysis.mean_angle`.
     overshoot : float
-        How far the values leave the range of the samples, in the data's units; 0 if they do not. For a volume without its
-        truth it is that of all samples of the original, evaluated half-way between them, where it is likeliest.
+        Largest excess of values over the range of the samples, in the data's units; 0 if they stay within it. For a volume
+        without its truth it is for all samples of the original, half-way between them, where it is likeliest.
     seconds : float or None
         Time per million samples on a device, without the prefilter; None for the exact sinc, without a device, or
         without `timing`.
@@ -135,17 +136,17 @@ class ErrorTable(Table[ErrorRow]):
     Attributes
     ----------
     samples : Volume
-        What the filters reconstructed from: samples of the function, or the decimated volume.
+        The input of the filters: samples of the function, or the decimated volume.
     against : str
-        The truth, in words, and how it was low-passed.
+        The truth in words, and its low-pass.
     lost : float
-        RMS of what the low-pass removed from the compared original samples, which no filter can restore; 0 without a low-pass.
+        RMS loss of the compared original samples from the low-pass, which no filter can restore; 0 without a low-pass.
     shifts : int
         Number of shifts of the decimated grid.
     points : int
         Number of compared positions.
     value_range : (float, float)
-        Smallest and largest sample: what `psnr`, `ssim` and `overshoot` refer to.
+        Smallest and largest sample, for `psnr`, `ssim` and `overshoot`.
     boundary : str
         The boundary rule.
     evaluated_on : str
@@ -173,7 +174,7 @@ class ErrorTable(Table[ErrorRow]):
         return self.samples.value_range
 
     def filter(self, name: str) -> Filter:
-        """The filter that a row of this table names."""
+        """The filter of a row of this table."""
         return next((row for row in self.filters if row.name == name), None) or as_filter(name)
 
     def best(self, key: str = "rms") -> ErrorRow:
@@ -182,7 +183,7 @@ class ErrorTable(Table[ErrorRow]):
         Raises
         ------
         OptionError
-            `key` is none of the numbers of a row, or no row has it.
+            `key` is not a number of a row, or no row has it.
         """
         names = [f.name for f in self._columns()][1:]
         if key not in names:
@@ -218,22 +219,22 @@ def compare(
     progress: Callable[[float], Any] | None = None,
     max_samples: int = 1 << 25,
 ) -> ErrorTable:
-    """Measure the error of each filter on data whose truth is known.
+    """Measure the error of each filter on data with a known truth.
 
     A function, or a volume with its `truth`, is compared at uniform random points of the world. A volume alone is its own
     truth: it is low-passed, as in Figure 4 of the paper, every `factor`-th sample is kept, and the reconstruction from these is
-    compared with the low-passed volume at the places of the original samples. The true gradient is that of the quintic spline
-    through the low-passed volume.
+    compared with the low-passed volume at the original samples. The true gradient is that of the quintic spline through the
+    low-passed volume.
 
-    The decimated grid is shifted: it begins at each of the first `factor` samples along every axis in turn, and at places between
-    samples, where the low-passed volume is that of its quintic spline. So all distances from a kept sample occur, and no error
-    depends on where edges happen to lie. Without a low-pass nothing is known between samples, and only whole shifts are made; then
-    "nearest" has two equally near samples half-way, and the hybrid equals the spline by which it magnifies there.
+    The decimated grid is shifted: it begins at each of the first `factor` samples along every axis in turn, and at positions
+    between samples, with values of the low-passed volume's quintic spline. So all distances from a kept sample occur, and no error
+    depends on the positions of edges. Without a low-pass the truth between samples is unknown, and only whole shifts are used; then
+    "nearest" has two equally near samples half-way, and the hybrid equals there the spline that magnifies.
 
     Parameters
     ----------
     source : callable, Volume or array-like
-        A function of positions (N, d), x first, that gives (N,) values; or 2-D or 3-D samples.
+        A function of positions (N, d), x first, that returns (N,) values; or 2-D or 3-D samples.
     filters : sequence of str or Filter
         One row each; "exact-sinc" is the exact sinc (not under boundary "zero").
     truth : callable, optional
@@ -241,7 +242,7 @@ def compare(
     gradient : callable, optional
         Its gradient, (N, d) at (N, d); by default taken from the function by sixth-order differences.
     size, domain, dimensions
-        For a function: samples along each axis (or (nz, ny, nx)), of which the outer ones lie on the faces of
+        For a function: samples along each axis (or (nz, ny, nx)); the outer ones are on the faces of
         ``[low, high]**dimensions``.
     boundary : str or Boundary
         As for `clvol.sample`.
@@ -252,9 +253,9 @@ def compare(
     fractional : int
         Number of shifts of a low-passed volume that lie between samples.
     sigma : float, optional
-        Standard deviation of the noise of a volume's samples, to tell where its gradients exceed noise; estimated by default.
+        Standard deviation of the noise of a volume's samples, to select gradients above the noise; estimated by default.
     margin : float
-        Number of kept samples along each face that are left out, because the boundary rule decides there; fewer on axes
+        Number of kept samples along each face that are not compared, since the boundary rule affects them; fewer on axes
         shorter than four times the margin.
     points : int
         Number of random positions, or of random gradients of a decimated volume.
@@ -278,9 +279,9 @@ def compare(
     Raises
     ------
     OptionError
-        An unknown name, a number outside its bounds, or a function that fails or does not give finite numbers.
+        An unknown name, a number outside its bounds, or a function that fails or returns numbers that are not finite.
     DataError
-        NaN or infinite samples, or some beyond ±10³⁰⁵, whose splines have coefficients that float64 does not hold.
+        NaN or infinite samples, or some beyond ±10³⁰⁵, whose spline coefficients may overflow.
     OutOfMemoryError
         More samples or points than fit into memory.
     """
@@ -319,7 +320,7 @@ def compare(
         report(share * done / len(chosen))
     ours = [row for row in chosen if isinstance(row, Filter)]
     if clock is not None:
-        seconds = iter(seconds_per_sample(trial.samples, ours, rule, clock, lambda done: report(share + (1 - share) * done)))
+        seconds = iter(seconds_per_sample(trial.samples, ours, rule, clock, part_of(report, share, 1)))
         for i, row in enumerate(chosen):
             if isinstance(row, Filter):
                 rows[i] = replace(rows[i], seconds=1e6 * next(seconds))
@@ -339,7 +340,7 @@ def compare(
 
 
 def _clock(named: Device | str | int | None, on: Device | None) -> Device | None:
-    """The device to time; None if there is none and none was named."""
+    """The device to time; None if none is usable and none was named."""
     try:
         device = on if named is None and on is not None else as_device(named)
         device.require_usable()
@@ -351,13 +352,13 @@ def _clock(named: Device | str | int | None, on: Device | None) -> Device | None
 
 
 def as_compared(filters: Sequence[str | Filter], maximum: int | None = None) -> list[str | Filter]:
-    """One or more filters, at most `maximum`; the exact sinc, which is no `Filter`, stays a name."""
+    """One or more filters, at most `maximum`; the exact sinc, which is not a `Filter`, remains a name."""
     chosen = several_names(filters, maximum)
     return [EXACT_SINC if isinstance(f, str) and f.strip().lower() == EXACT_SINC else as_filter(f) for f in chosen]
 
 
 def settled_compared(chosen: Sequence[str | Filter], volume: Volume) -> list[str | Filter]:
-    """The filters of `as_compared`, with their smoothing settled for a volume."""
+    """The filters of `as_compared`, with smoothing settled for a volume."""
     return [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
 
 
@@ -422,7 +423,7 @@ def _middle_of(lattice: Array) -> Array:
 
 
 def overshoot(volume: Volume, row: str | Filter, rule: Boundary) -> float:
-    """How far a reconstruction leaves the range of its samples, in their units; 0 if it does not.
+    """The largest excess of a reconstruction over the range of its samples, in their units; 0 if it stays within it.
 
     It is evaluated half-way between samples along one axis, two or three, where filters ring most.
 
@@ -454,9 +455,9 @@ def overshoot(volume: Volume, row: str | Filter, rule: Boundary) -> float:
 
 
 def keeps_range(row: Filter) -> bool:
-    """Whether values can never leave the range of the samples.
+    """Whether values always stay within the range of the samples.
 
-    They cannot if every value is a mean of samples: weights of the samples themselves, none negative, that sum to one.
+    They do if every value is a mean of samples: weights of the samples, none negative, that sum to one.
     """
     if row.magnified_by is not None and not keeps_range(row.magnified_by):
         return False

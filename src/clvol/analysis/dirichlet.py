@@ -1,7 +1,7 @@
-"""The exact sinc: of samples that repeat with a period it is a finite sum, the Dirichlet kernel, and the FFT gives it.
+"""The exact sinc: for periodic samples it is a finite sum, the Dirichlet kernel, and the FFT computes it.
 
-Samples are continued by the boundary rule to one period, and the trigonometric polynomial of lowest degree is taken. The
-Nyquist term of an even period is split between ±π, which keeps results real: ``cos(pi x)`` there.
+Samples are extended by the boundary rule to one period, and interpolated by the trigonometric polynomial of lowest degree. The
+Nyquist term of an even period is split between ±π, which keeps results real: it is ``cos(pi x)``.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ __all__ = [
 
 Array: TypeAlias = NDArray[np.float64]
 _CHUNK = 1 << 22  # numbers in memory at a time
-_NEAR = 0.1  # of a sample
-_LONGEST = 1 << 31  # period
+_NEAR = 0.1  # samples
+_LONGEST = 1 << 31  # samples; the longest period
 _SEED = 1999
 
 
@@ -45,7 +45,7 @@ class SincVolume:
     Attributes
     ----------
     volume : Volume
-        float64; give it to `clvol.render` or `clvol.sample` with `filter` and `boundary`.
+        float64; pass it to `clvol.render` or `clvol.sample` with `filter` and `boundary`.
     filter, boundary : str
         Those with which the residual was measured.
     rms, maximum : float
@@ -92,7 +92,7 @@ def dirichlet_kernel(x: ArrayLike, n: int, derivative: int = 0) -> Array:
 
 
 def _cosines(x: Array, n: int, derivative: int) -> Array:
-    """The same as the sum that it is, where the quotient loses digits: all frequencies alike, Nyquist's halved."""
+    """The same as an explicit sum, where the quotient loses digits: all frequencies with equal weight, Nyquist's halved."""
     k = np.arange(1, (n - 1) // 2 + 1)
     frequencies = 2 * np.pi / n * np.append(k, n / 2)
     heights = np.append(np.full(k.size, 2 / n), (n % 2 == 0) / n)
@@ -110,7 +110,7 @@ def dirichlet_weights(positions: ArrayLike, n: int, boundary: str | Boundary = D
     period = rule.length(n)
     every = dirichlet_kernel(np.asarray(positions, dtype=np.float64)[:, None] - np.arange(period), period, derivative)
     weights = every[:, :n].copy()
-    weights[:, rule.index(np.arange(n, period), n)] += every[:, n:]  # none of these indices comes twice
+    weights[:, rule.index(np.arange(n, period), n)] += every[:, n:]  # no index occurs twice here
     return weights
 
 
@@ -164,7 +164,7 @@ def dirichlet_magnify(data: ArrayLike, factor: int = 2, boundary: str | Boundary
 def dirichlet_sample(
     volume: Volume | ArrayLike, points: ArrayLike, boundary: str | Boundary = DEFAULT_BOUNDARY, derivative: int = 0
 ) -> Array:
-    """The exact sinc, or its gradient, at any points: for reference, since each takes all samples.
+    """The exact sinc, or its gradient, at any points: a slow reference, since each point takes all samples.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def dirichlet_sample(
     OptionError
         Points of another shape or not finite, a boundary without a period, or another derivative.
     OutOfMemoryError
-        What is sampled does not fit into memory.
+        The result does not fit into memory.
     """
     rule, derivative = periodic(boundary), whole("derivative", derivative, 0, 1)
     if isinstance(volume, Volume) or np.ndim(volume) > 1:
@@ -239,9 +239,9 @@ def sinc_volume(
     factor : int
         Of the magnification: at least 1; memory grows with its cube.
     filter, boundary : str, Filter, Boundary
-        As the result will be rendered.
+        For rendering the result.
     points : int
-        At how many random points of the domain the residual is measured.
+        Number of random points of the domain at which the residual is measured.
 
     Raises
     ------
@@ -267,7 +267,7 @@ def sinc_volume(
 
 
 def periodic(boundary: str | Boundary) -> Boundary:
-    """The boundary rule, if it has a period: without one there is no exact sinc."""
+    """The boundary rule, if it has a period, which the exact sinc needs."""
     rule = as_boundary(boundary)
     if not rule.repeats:
         raise OptionError(f"boundary must be mirror, reflect or wrap, which have a period; got {rule.name!r}")

@@ -15,7 +15,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def maximum(function: Callable[[Array], Array], low: float, high: float, count: int) -> float:
-    """The maximum on [low, high]: the best of `count` places, refined between its neighbours."""
+    """The maximum on [low, high]: the best of `count` positions, refined between its neighbours."""
     x = np.linspace(low, high, count)
     y = function(x)
     best = int(y.argmax())

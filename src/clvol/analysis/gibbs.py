@@ -1,4 +1,4 @@
-"""Overshoot and ringing at a step: of a sharp low-pass against a Gaussian one, and of every filter (section 3 of the paper)."""
+"""Overshoot and ringing at a step, of a sharp and a Gaussian low-pass, and of every filter (section 3 of the paper)."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ __all__ = ["WILBRAHAM_GIBBS", "StepResponse", "lowpass_step", "step_response"]
 Array: TypeAlias = NDArray[np.float64]
 
 WILBRAHAM_GIBBS: Final = float(special.sici(np.pi)[0] / np.pi - 0.5)
-"""How far a Fourier series overshoots a step of 1, on each side: 0.0895 (Si(π)/π - 1/2), the paper's 8.949 %."""
+"""Overshoot of a Fourier series at a step of 1, on each side: 0.0895 (Si(π)/π - 1/2), the paper's 8.949 %."""
 
 _PERIOD = 1 << 16  # samples of the square wave whose steps are low-passed
-_FINE = 64  # positions per sample at which a step is drawn
+_FINE = 64  # positions per sample at which a step is evaluated
 _REACH = 16  # samples on either side of the step
 
 
@@ -36,13 +36,13 @@ class StepResponse:
     name : str
         Of the filter or low-pass.
     overshoot, undershoot : float
-        How far it goes above 1 and below 0, relative to the step.
+        The largest excess above 1 and below 0, relative to the step.
     ringing : float
-        Total variation less that of a monotone curve, 1: 0 if nothing rings.
+        Total variation minus that of a monotone curve, 1: 0 without ringing.
     rise : float
-        Distance in samples over which it goes from 10 % to 90 %.
+        Distance in samples from 10 % to 90 %.
     x : ndarray of float64, shape (N,)
-        Positions in samples; the step lies at 0.
+        Positions in samples; the step is at 0.
     values : ndarray of float64, shape (N,)
     """
 
@@ -56,7 +56,7 @@ class StepResponse:
 
 
 def step_response(filter: str | Filter) -> StepResponse:
-    """A step of the samples, 0 up to and 1 after position 0 half-way between two of them, as the filter draws it.
+    """The filter's reconstruction of a step at position 0, half-way between two samples: 0 before, 1 after.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def step_response(filter: str | Filter) -> StepResponse:
 def lowpass_step(
     kind: Literal["ideal", "gaussian"] = "ideal", cutoff: float = np.pi / 128, sigma: float | None = None
 ) -> StepResponse:
-    """A finely sampled step after a low-pass, measured.
+    """The response to a finely sampled step after a low-pass.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Leave every second sample along an axis out, and predict it from the others: what is lost between slices."""
+"""Omit every second sample along an axis and predict it from the others: the loss between slices."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FEWEST = 8  # samples along an axis
 
 @dataclass(frozen=True)
 class LeftOutRow:
-    """How far one filter is from the samples left out along each axis: RMS in the data's units, noise apart.
+    """A filter's RMS error at the samples omitted along each axis, in the data's units, without the noise.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class LeftOutTable(Table[LeftOutRow]):
     Attributes
     ----------
     sigma : float
-        Standard deviation of the noise that was taken off, the mean over all samples.
+        Standard deviation of the subtracted noise, the mean over all samples.
     spacing : tuple of float
-        Of all samples along x, y[, z]; of the kept ones it was twice as much along one axis.
+        Of all samples along x, y[, z]; for the kept samples it was doubled along one axis.
     """
 
     rows: InitVar[Iterable[LeftOutRow]]
@@ -69,12 +69,12 @@ def leave_out(
     margin: float = 4.0,
     progress: Callable[[float], Any] | None = None,
 ) -> LeftOutTable:
-    """Predict every second sample along each axis from the others, and these from those.
+    """Predict every second sample along each axis from the others, and vice versa.
 
-    This is the paper's own question, of slices that lie too far apart, and nothing is blurred for it. The kept samples know
-    nothing of white noise in those left out: the squared difference is the squared error plus the variance of the noise,
-    the same for every filter, and the order of filters is that of their errors. The variance is taken off. (Of noise that is
-    correlated neighbours do know; then nothing is.) Detail finer than the kept samples can hold is lost, so errors are larger than
+    This is the paper's question of slices that are too far apart, and nothing is blurred for it. White noise in the omitted
+    samples is independent of the kept ones: the squared difference is the squared error plus the variance of the noise, which is
+    the same for every filter, so that filters rank by their errors. The variance is subtracted. (Correlated noise is not
+    independent; then nothing is subtracted.) Detail finer than the kept samples can represent is lost, so errors are larger than
     those of a reconstruction from all samples.
 
     Parameters
@@ -82,14 +82,14 @@ def leave_out(
     volume : Volume or array-like
         2-D or 3-D samples.
     filters : sequence of str or Filter
-        One row each; they act along all axes, as when a slice between two others is drawn.
+        One row each; they act along all axes, as for a slice between two others.
     boundary : str or Boundary
         As for `clvol.sample`.
     sigma : float, optional
-        Standard deviation of white noise, the root of the mean variance of all samples; default: that of `Volume.noise`, in
-        which a background has none, and 0 where noise is correlated.
+        Standard deviation of white noise, the root of the mean variance of all samples; default: from `Volume.noise`, with none
+        in the background, and 0 for correlated noise.
     margin : float
-        How many kept samples at each end are not compared.
+        Kept samples at each end that are not compared.
     progress : callable, optional
         Called with the fraction done.
 
@@ -113,7 +113,7 @@ def leave_out(
         known = 0.0 if max(noise.colour, default=1.0) > 1 else noise.sigma * math.sqrt(share)
     else:
         known = number("sigma", sigma, minimum=0)
-    unit = max(abs(v) for v in volume.value_range) or 1.0  # so that no square over- or underflows
+    unit = max(abs(v) for v in volume.value_range) or 1.0  # so that no square overflows or underflows
     data = volume.data.astype(np.float64) / unit
     report = progress or (lambda _: None)
     found: list[dict[str, float | None]] = []
@@ -133,7 +133,7 @@ def leave_out(
 
 
 def _left_out(data: Array, axis: int, row: str | Filter, rule: Boundary, margin: float) -> float:
-    """Mean squared difference between samples of each parity and what the others predict."""
+    """Mean squared difference between samples of each parity and the prediction from the others."""
     total = count = 0.0
     for kept in (0, 1):
         take = [slice(None)] * data.ndim

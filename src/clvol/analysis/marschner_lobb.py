@@ -33,22 +33,22 @@ __all__ = ["Metrics", "metrics"]
 
 Array: TypeAlias = NDArray[np.float64]
 _PANELS = 64  # of width π, to which the transform of a response is taken
-_NODES = 48  # per panel: exact to float64 for what oscillates 8 times along it
-_REACH = 8.0  # samples from the step within which the overshoot is sought
+_NODES = 48  # for each panel; exact to float64 for 8 oscillations along it
+_REACH = 8.0  # samples on each side of the step that are searched for the overshoot
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """Marschner and Lobb's metrics, along one axis and of the separable filter in 3-D; 0 is ideal for all but overshoot.
+    """Marschner and Lobb's metrics, along one axis and of the separable filter in 3-D; 0 is ideal, except for overshoot.
 
     Attributes
     ----------
     filter : str
         Name of the filter.
     smoothing, postaliasing : float
-        In 1-D. Smoothing is negative where a filter amplifies more than it attenuates.
+        In 1-D. Smoothing is negative if a filter amplifies more than it attenuates.
     overshoot : float
-        In 1-D, relative to the step; the separable filter overshoots a step along an axis as much.
+        In 1-D, relative to the step; the same for the separable filter at a step along an axis.
     smoothing_3d, postaliasing_3d : float
         Of the product of three: ``1 - (1 - S)³`` and ``(1 - S + P)³ - (1 - S)³``.
     """
@@ -62,13 +62,13 @@ class Metrics:
 
 
 def metrics(filter: str | Filter | Callable[[Array], Array]) -> Metrics:
-    """Smoothing, postaliasing and overshoot of a filter, the prefilter and the magnification included.
+    """Smoothing, postaliasing and overshoot of a filter, including prefilter and magnification.
 
     Parameters
     ----------
     filter : str, Filter or callable
         Any filter of the table; or an even, real frequency response, called with frequencies in radians per sample up to
-        64 pi, such as ``lambda w: (abs(w) <= numpy.pi) * 1.0`` for the ideal filter: the rest is left out.
+        64 pi and ignored beyond, such as ``lambda w: (abs(w) <= numpy.pi) * 1.0`` for the ideal filter.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The expected error of a filter, from the spectrum of the samples and their noise; no sample is blurred or left out.
+"""The expected error of a filter, from the spectrum of the samples and their noise; no sample is blurred or omitted.
 
 A separable filter with frequency response H reconstructs f from samples with white noise. Averaged over all positions and all
 shifts of the grid, its error is ::
@@ -9,7 +9,7 @@ shifts of the grid, its error is ::
 
 where S is the spectrum of f, and H and A of a volume are products over its axes (Blu and Unser, *Quantitative Fourier analysis of
 approximation techniques*, 1999, in several dimensions and with noise). The spectrum of the samples is S plus sigma², and the error
-is linear in it, so each block of the volume gives an estimate, and their spread tells how certain an order of filters is. (This is
+is linear in it, so each block of the volume gives an estimate, and their spread shows how certain a ranking of filters is. (This is
 Mallows' C_p, Stein's unbiased estimate of risk, at all positions instead of the samples.)
 
 The samples show S below the Nyquist frequency. Beyond it f is assumed to be band-limited, except at jumps: steps from one sample to
@@ -42,17 +42,17 @@ from clvol.volume.volume import Volume, as_volume
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
 
 Array: TypeAlias = NDArray[np.float64]
-_BLOCK = 16, 32  # fewest and most samples along each axis of a block, which is else half as long as the axis
+_BLOCK = 16, 32  # fewest and most samples along each axis of a block, otherwise half the axis
 _TAPERED = 8  # samples of the shortest axis that is tapered
-_LEVEL = 0.05  # of a jump: what its neighbours may differ by,
-_QUIET = 3.0  # and as many standard deviations of the noise
+_LEVEL = 0.05  # of a jump; largest difference of its neighbours,
+_QUIET = 3.0  # plus this many standard deviations of the noise
 _STANDS_OUT = 30.0  # standard deviations: the least height of a jump
 _NODES = 256  # frequencies in (0, pi), for quantities that are periodic and smooth
 _SLOW = 1e-3  # frequency at which a wave is a plane
-_ALIASES = 4  # on either side: those of a jump fall at least with the cube of the frequency
+_ALIASES = 4  # on each side; those of a jump decrease at least with the cube of the frequency
 _UNSURE = 0.1  # relative error of the estimated variance of the noise
-_ROUNDING = 1e-12  # of the squared half of the range: differences of float32 from a plane are as large
-_FEWEST = 6  # blocks: fewer agree by chance more often than once in forty
+_ROUNDING = 1e-12  # of the squared half range; float32's squared rounding errors about a plane
+_FEWEST = 6  # blocks; fewer agree by chance more often than once in forty
 _RESAMPLES = 2000
 _SURE = 0.975  # share of the resampled volumes
 
@@ -68,11 +68,11 @@ class PredictedRow:
     bias : float
         Blur and aliases.
     noise : float
-        What is left of the samples' noise.
+        The remaining noise of the samples.
     rms : float
-        Both together, the root of the sum of their squares.
+        The root of the sum of both squares.
     gradient_rms : float or None
-        That of the gradient, per world unit; None if the filter has none.
+        The same for the gradient, per world unit; None if the filter has no gradient.
     """
 
     filter: str = column("filter")
@@ -93,7 +93,7 @@ class PredictedTable(Table[PredictedRow]):
     blocks : ndarray of float64, shape (filters, blocks)
         Expected squared errors by block, in squared units of the data; the row has their mean.
     slopes : ndarray of float64, shape (filters, blocks)
-        Those of gradients; NaN for filters that have none.
+        The same for gradients; NaN for filters without one.
     variance : float
         Mean square, without the noise, of the samples less a plane fitted to each block.
     steepness : float
@@ -127,7 +127,7 @@ class PredictedTable(Table[PredictedRow]):
 
     @property
     def enough(self) -> bool:
-        """Whether there are enough blocks to tell an order from chance: six."""
+        """Whether there are enough blocks, six, to distinguish a ranking from chance."""
         return int(self.blocks.shape[1]) >= _FEWEST
 
     def surely_less(self, filter: str, than: str, times: float = 1.0, key: str = "rms") -> bool:
@@ -147,7 +147,7 @@ class PredictedTable(Table[PredictedRow]):
         Raises
         ------
         OptionError
-            A filter that has no row, or another key.
+            A filter without a row, or an unknown key.
         """
         if key not in ("rms", "gradient_rms"):
             raise OptionError(f"key must be one of rms, gradient_rms; got {key!r}")
@@ -166,7 +166,7 @@ class PredictedTable(Table[PredictedRow]):
 
 @lru_cache(maxsize=4)
 def _draws(count: int, apart: int, seed: int) -> Array:
-    """How often each of `count` blocks is among the `apart` drawn ones, for each resampled volume; (volumes, blocks)."""
+    """How often each of `count` blocks is among `apart` draws, for each resampled volume; (volumes, blocks)."""
     return np.random.default_rng(seed).multinomial(apart, np.full(count, 1 / count), _RESAMPLES).astype(np.float64)
 
 
@@ -188,10 +188,10 @@ def predict(
     filters : sequence of str or Filter
         One row each; "exact-sinc" is the ideal filter.
     noise : Noise or float, optional
-        The samples' noise, or the standard deviation of white noise; default: `Volume.noise`. Samples of a background that was
-        masked out or cut off have none.
+        The samples' noise, or the standard deviation of white noise; default: `Volume.noise`. Samples of a masked or clipped
+        background have none.
     blocks : int
-        Number of blocks of 16 to 32 samples along each axis, which overlap by half; of more, a random choice.
+        Most blocks of 16 to 32 samples along each axis, which overlap by half; if there are more, a random choice.
     seed : int
         Of this choice and of the resampling.
 
@@ -215,7 +215,7 @@ def predict(
     given = volume.noise if noise is None else noise
     known = given if isinstance(given, Noise) else Noise(number("noise", given, minimum=0), "white", colour=(1.0,) * volume.ndim)
     low, high = volume.value_range
-    unit = high / 2 - low / 2 or 1.0  # scaled so that no square over- or underflows
+    unit = high / 2 - low / 2 or 1.0  # so that no square overflows or underflows
     samples = _blocks(volume, count, seed)
     parts = (samples - (low / 2 + high / 2)) / unit
     shape = parts.shape[1:]
@@ -230,7 +230,7 @@ def predict(
         variance *= _refined(power, np.multiply.outer(variance, white), omega)
     power -= np.multiply.outer(variance, white)
     steps = _steps(parts, np.sqrt(variance))
-    # the variance between blocks, and that of the planes in them
+    # the variance between blocks, and of the planes in them
     seen = float(power.mean(0).sum()) + float(variance.mean() * white.sum())
     slower = max(0.0, float(parts.var()) - seen)
     sloping = tilts @ np.array([1 / s**2 for s in volume.spacing[::-1]])
@@ -291,7 +291,7 @@ def variance_gain(filter: str | Filter) -> float:
 
 
 def jump_error(filter: str | Filter) -> float:
-    """The squared error beside a jump of height 1, integrated along one axis and averaged over where it lies between samples.
+    """The squared error beside a jump of height 1, integrated along one axis and averaged over its position between samples.
 
     ``1/(2 pi) integral of E(w) / w²``, per sample: 1/4 for nearest, 1/6 for linear interpolation, the least possible with two
     samples, and 2/pi² for the sinc.
@@ -307,7 +307,7 @@ def jump_error(filter: str | Filter) -> float:
 
 
 def _one(filter: str | Filter) -> str | Filter:
-    """The filter, or "exact-sinc". `Filter.undone` refuses a smoothing that differs from axis to axis."""
+    """The filter, or "exact-sinc". `Filter.undone` refuses smoothing that differs between axes."""
     return as_compared([filter])[0]
 
 
@@ -315,7 +315,7 @@ def _one(filter: str | Filter) -> str | Filter:
 
 
 def _blocks(volume: Volume, count: int, seed: int) -> Array:
-    """Blocks that overlap by half, at most `count` of them; (blocks, *shape)."""
+    """Blocks that overlap by half, at most `count`; (blocks, *shape)."""
     sizes = [min(n, max(_BLOCK[0], min(_BLOCK[1], n // 2))) for n in volume.shape]
     starts = [sorted({*range(0, n - m, max(1, m // 2)), n - m}) for n, m in zip(volume.shape, sizes, strict=True)]
     places = list(itertools.product(*starts))
@@ -335,7 +335,7 @@ def _taper(shape: Sequence[int]) -> Array:
 def _unsmeared(kernel: Array, shape: Sequence[int]) -> Array:
     """Weights of tapered blocks' power that give the sum of `kernel` times their spectrum.
 
-    Hann's window smears each frequency over its neighbours, 1/6, 2/3, 1/6, which matters to a spline that smooths much. The kernel
+    Hann's window smears each frequency over its neighbours, 1/6, 2/3, 1/6, which matters for strong smoothing. The kernel
     is multiplied by the inverse: along each axis a division by ``2/3 + 1/3 cos(2 pi lag / n)``.
     """
     smear = _product([2 / 3 + np.cos(2 * np.pi * np.arange(n) / n) / 3 if n >= _TAPERED else np.ones(n) for n in shape]).reshape(
@@ -373,7 +373,7 @@ def _spectra(parts: Array) -> tuple[Array, Array, Array]:
 
 
 def _noisy(samples: Array, noise: Noise) -> Array:
-    """The share of each block that has noise: all but the background."""
+    """The share of each block that has noise: all except the background."""
     if noise.background is None:
         return np.ones(len(samples))
     weights = _taper(samples.shape[1:]) ** 2
@@ -400,8 +400,8 @@ def _steps(parts: Array, sigma: Array) -> Array:
 def _refined(power: Array, noise: Array, omega: Sequence[Array]) -> float:
     """The correction, a factor, of the variance of the noise.
 
-    Noise shows best where all frequencies are high. If it explains the power there to within a tenth, it is taken as all of that
-    power: this mean is more exact than the estimate.
+    Noise is clearest where all frequencies are high. If it explains the power there to within a tenth, all of that power is taken
+    as noise: this mean is more accurate than the estimate.
     """
     corner = _product([np.where((np.abs(w) > np.pi / 2) | (w.size < _TAPERED), 1.0, 0.0) for w in omega]) > 0
     expected = float(noise[:, corner].sum())
@@ -473,7 +473,7 @@ def _slope_kernel(
 def _flattened(along: Sequence[str | Filter], shape: Sequence[int]) -> float:
     """The squared error of the slowest wave in a volume, half a period; 0 without smoothing.
 
-    A spline with a large λ flattens waves that are longer than a block, which blocks do not show.
+    A spline with a large λ flattens waves longer than a block, which blocks do not contain.
     """
     if not any(isinstance(row, Filter) and row.smoothing for row in along):
         return 0.0

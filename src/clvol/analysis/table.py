@@ -26,11 +26,11 @@ Row = TypeVar("Row")
 SUFFIXES = (".csv", ".json", ".md")
 
 UNLISTED: Final = {"listed": False}
-"""Metadata of a field that tables leave out, such as an array."""
+"""Metadata of a field that tables omit, such as an array."""
 
 
 def column(heading: str, form: str = "") -> Any:
-    """A field of a row: its heading, and the format specification of its numbers where people read them."""
+    """A field of a row: its heading, and the format of its numbers in readable tables."""
     return field(metadata={"heading": heading, "form": form})
 
 
@@ -51,16 +51,16 @@ class Table(list[Row]):
         return [dict(zip(names, self._values(row), strict=True)) for row in self]
 
     def texts(self) -> list[list[str]]:
-        """Headings, then each row as people read it."""
+        """Headings, then each row, with readable numbers."""
         return [[f.metadata.get("heading", f.name) for f in self._columns()], *self._texts()]
 
     def write(self, path: str | os.PathLike[str]) -> Path:
-        """Write it by suffix: .csv, .json or .md, beside `path` and then renamed.
+        """Write the table by suffix: .csv, .json or .md, atomically, by renaming a temporary file.
 
         Raises
         ------
         FormatError
-            Unknown suffix, or it cannot be written there.
+            Unknown suffix, or the file cannot be written.
         """
         path, suffix = as_path(path), require_suffix(path, SUFFIXES, "tables")
         text = {".csv": self.to_csv, ".json": self.to_json, ".md": self.to_markdown}[suffix]()
@@ -69,7 +69,7 @@ class Table(list[Row]):
         return path
 
     def to_csv(self) -> str:
-        """Comma-separated, a line of field names first; numbers in full, what does not exist empty."""
+        """Comma-separated values with a header of field names; numbers in full, missing ones empty."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([f.name for f in self._columns()])
@@ -77,12 +77,12 @@ class Table(list[Row]):
         return text.getvalue()
 
     def to_json(self) -> str:
-        """A list of objects by field name; numbers in full, what does not exist null.
+        """A list of objects by field name; numbers in full, missing ones null.
 
         Raises
         ------
         DataError
-            A number is NaN or infinite, which JSON has not.
+            A number is NaN or infinite, which JSON cannot represent.
         """
         records = self.records()
         for record, (key, value) in ((r, item) for r in records for item in r.items()):
@@ -91,7 +91,7 @@ class Table(list[Row]):
         return json.dumps(records, indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_markdown(self) -> str:
-        """A pipe table with headings, numbers rounded for reading, what does not exist a dash."""
+        """A pipe table with headings; numbers rounded, missing ones a dash."""
         head, *rows = self.texts()
         rule = ["---", *("--:" for _ in head[1:])]
         cells = [[cell.replace("|", "\\|") for cell in line] for line in (head, rule, *rows)]

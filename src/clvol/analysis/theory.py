@@ -1,4 +1,4 @@
-"""How fast the error falls as the sampling gets finer, and how large it is: approximation theory of the filters.
+"""Approximation theory of the filters: how fast the error falls with finer sampling, and how large it is.
 
 T. Blu and M. Unser, *Quantitative Fourier analysis of approximation techniques: Part I*, IEEE Trans. Signal
 Processing 47 (1999); T. Möller, R. Machiraju, K. Mueller and R. Yagel, *Evaluation and design of filters using a
@@ -28,7 +28,7 @@ from clvol.filter.table import as_filter
 __all__ = ["Approximation", "approximation", "error_kernel", "taylor_coefficients"]
 
 Array: TypeAlias = NDArray[np.float64]
-_MAX_TERMS = 12  # Taylor coefficients: more than the order of any B-spline that `bspline` makes
+_MAX_TERMS = 12  # Taylor coefficients; more than the order of any filter of `bspline`
 _MAX_OMEGA = 2000
 _CHUNK = 1 << 20  # complex numbers in memory at a time
 
@@ -44,8 +44,8 @@ class Approximation:
     derivative : int
         0 for values, 1 for the derivative along an axis (gradients).
     order : int
-        Power of the sample spacing with which the root mean square error falls; 0 where it does not fall, -1 for
-        gradients of filters whose weights do not sum to one: they get worse.
+        Power of the sample spacing with which the root mean square error falls; 0 if it does not fall, -1 for
+        gradients of filters whose weights do not sum to one, which get worse.
     constant : float
         Root mean square over all positions between the samples.
     """
@@ -66,7 +66,7 @@ def approximation(filter: str | Filter, derivative: int = 0) -> Approximation:
     filter : str or Filter
         Any filter of the table.
     derivative : {0, 1}
-        0: of the values; 1: of the gradient that the filter's own derivative gives.
+        0: of the values; 1: of the gradient by the filter's derivative.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def error_kernel(filter: str | Filter, omega: ArrayLike, derivative: int = 0) ->
 
 
 def taylor_coefficients(filter: str | Filter, t: ArrayLike, count: int = 6, derivative: int = 0) -> Array:
-    """Möller's Taylor coefficients a_n(t): what is reconstructed is ``sum of a_n(t) f^(n)(x) T**n``, x = t between samples 0 and 1.
+    """Möller's Taylor coefficients a_n(t): the reconstruction is ``sum of a_n(t) f^(n)(x) T**n``, x = t between samples 0 and 1.
 
     An interpolating value filter should have a_0 = 1 and the others 0, a derivative filter a_1 = 1 and the others 0.
 
@@ -144,7 +144,7 @@ def taylor_coefficients(filter: str | Filter, t: ArrayLike, count: int = 6, deri
     t : array-like
         Positions within a sample, in [0, 1).
     count : int
-        How many coefficients, 1 to 12: n = 0, ..., count - 1.
+        Number of coefficients, 1 to 12: n = 0, ..., count - 1.
     derivative : {0, 1}
         1: of the filter's derivative, which reconstructs f'.
 
@@ -170,7 +170,7 @@ def taylor_coefficients(filter: str | Filter, t: ArrayLike, count: int = 6, deri
     return result
 
 
-# -- moments, in exact fractions where the row has them ----------------------------------------------------
+# -- moments, in exact fractions if the filter has them ----------------------------------------------------
 
 
 def _exact(filter: Filter) -> bool:
@@ -227,7 +227,7 @@ def _mixed(inverse: list[Number], filter: Filter, n: int) -> list[Number]:
 
 
 def _inverse_moments(filter: Filter, n: int) -> list[Number]:
-    """Moments ``sum of s_k k**m`` of the prefilter: with those of what it undoes they make 1, 0, 0, ..."""
+    """Moments ``sum of s_k k**m`` of the prefilter: combined with those of the sequence that it inverts they are 1, 0, 0, ..."""
     half = Fraction(filter.support, 2)
     undone: dict[int, Number] = {int(half - 1 - i + half % 1): _value(w, half % 1) for i, w in enumerate(filter.taps)}
     if filter.undone is not filter.samples:  # there is smoothing: (2 - 2 cos w)**order, expanded
@@ -275,7 +275,7 @@ def _power(a: list[Fraction], n: int) -> list[Number]:
 
 
 def _of_exponential(filter: Filter, omega: Array, t: Array, phase: int, derivative: int) -> NDArray[np.complex128]:
-    """What samples of ``exp(i w x)`` become at tap position t, or the derivative, over ``exp(i w x)``; shape (omega, t)."""
+    """The reconstruction of ``exp(i w x)`` at tap position t, or its derivative, divided by ``exp(i w x)``; shape (omega, t)."""
     s = filter.scale
     weights = filter.weights(t, derivative) * float(s) ** derivative
     distance = t + filter.support / 2 - 1 - np.arange(filter.support)[:, None]

@@ -1,4 +1,4 @@
-"""What reconstructions are compared with: a known function, or the samples of a volume that was decimated."""
+"""The truth for measured errors: a known function, or the samples of a decimated volume."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ Array: TypeAlias = NDArray[np.float64]
 Function: TypeAlias = Callable[[Array], ArrayLike]
 
 LATTICE = 1 << 22
-"""Positions at which similarity is judged, at most; of more, the middle slices."""
+"""Most positions for the structural similarity; if there are more, only the middle slices."""
 _CHUNK = 1 << 20  # positions of one call of a user's function
-_SHIFTS = 27  # shifts of a decimated grid by whole samples; of more, a random choice
-_DENSE = 512  # samples along an axis, at most, for which the inverse of eq. (11) is computed
+_SHIFTS = 27  # most shifts of a decimated grid by whole samples; if there are more, a random choice
+_DENSE = 512  # most samples along an axis for which the inverse of eq. (11) is computed
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Trial:
-    """What filters are measured by: one part, or one for each shift of the decimated grid."""
+    """The data for measuring filters: one part, or one for each shift of the decimated grid."""
 
     parts: list[Part]
     against: str  # the truth, in words
@@ -99,7 +99,7 @@ def known(
 
 
 def sampled(function: Function, size: int | Sequence[int], domain: tuple[float, float], dimensions: int) -> Volume:
-    """The samples of a function, of which the outer ones lie on the faces of its domain."""
+    """The samples of a function; the outer ones are on the faces of its domain."""
     d = whole("dimensions", dimensions, 2, 3)
     sizes = [size] * d if isinstance(size, (int, np.integer)) and not isinstance(size, bool) else size
     if not isinstance(sizes, (list, tuple)) or len(sizes) != d:
@@ -179,7 +179,7 @@ class Decimation:
 
 
 def decimated(original: Volume, how: Decimation, sigma: float, points: int, rule: Boundary, rng: np.random.Generator) -> Trial:
-    """The decimated volume at each shift of its grid, the samples it was taken from, and `points` random gradients of these."""
+    """The decimated volume at each shift of its grid, the original samples, and `points` random gradients of these."""
     factor, width = how.factor, how.width
     smooth = original.gaussian([width * s for s in original.spacing]) if width else original
     shifts = _shifts(original.size, factor, how.fractional if width else 0, rng)
@@ -218,7 +218,7 @@ def _ordinal(n: int) -> str:
 
 
 def _shifts(size: Sequence[int], factor: int, fractional: int, rng: np.random.Generator) -> list[Array]:
-    """The shifts of the decimated grid in samples, x first: whole ones, that of no shift first, and fractional ones."""
+    """The shifts of the decimated grid in samples, x first: whole ones, starting with 0, and fractional ones."""
     every = [range(min(factor, n)) for n in size]
     count = math.prod(len(e) for e in every)
     chosen: NDArray[Any] = np.arange(count)
@@ -283,7 +283,7 @@ def prefiltered(data: Array, row: Filter, rule: Boundary) -> tuple[Array, Filter
 
 @lru_cache(maxsize=128)
 def _inverse(row: Filter, n: int, rule: Boundary) -> Array:
-    """The inverse of the matrix of eq. (11): one product of matrices is several times as fast as solving line by line."""
+    """The inverse of the matrix of eq. (11): a product of matrices is several times as fast as solving by lines."""
     return np.asarray(np.linalg.inv(rule.matrix(row.undone, n)), np.float64)
 
 
@@ -300,6 +300,6 @@ def middle(positions: NDArray[Any], others: int, room: int) -> NDArray[Any]:
 
 
 def root_mean_square(values: Array) -> float:
-    """The root mean square, also of numbers whose squares over- or underflow."""
+    """The root mean square, also of numbers whose squares overflow or underflow."""
     unit = float(np.abs(values).max()) or 1.0
     return unit * math.sqrt(float(np.mean((values / unit) ** 2)))

@@ -1,4 +1,4 @@
-"""Turn an image again and again until it is upright: what a filter loses adds up, and the truth is known without a low-pass.
+"""Rotate an image repeatedly until it is upright: a filter's losses accumulate, and the truth is known without a low-pass.
 
 P. Thévenaz, T. Blu and M. Unser, *Interpolation revisited*, IEEE Trans. Medical Imaging 19 (2000), section V.
 """
@@ -30,7 +30,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RotationRow:
-    """What is left of an image after all turns, by one filter.
+    """The error of an image after all turns, for one filter.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class RotationRow:
     rms, maximum : float
         Root mean square and largest difference from the image within the disc, in the data's units.
     ssim : float or None
-        Structural similarity (`ssim`) within the square about which the disc lies; None for constant data.
+        Structural similarity (`ssim`) within the square in the disc; None for constant data.
     """
 
     filter: str = column("filter")
@@ -55,9 +55,9 @@ class RotationTable(Table[RotationRow]):
     Attributes
     ----------
     image : Volume
-        What was turned: 2-D.
+        The 2-D image.
     turns : int
-        How often, by ``360 / turns`` degrees each.
+        Number of turns, by ``360 / turns`` degrees each.
     pixels : int
         Number of pixels compared.
     boundary : str
@@ -83,26 +83,26 @@ def rotations(
     max_pixels: int = 1 << 16,
     progress: Callable[[float], Any] | None = None,
 ) -> RotationTable:
-    """Turn an image about its middle until it is upright again, by each filter, and compare it with itself.
+    """Rotate an image about its middle until it is upright again, by each filter, and compare it with itself.
 
-    Every turn draws a whole new image from the last one; nine of 40° come to a full circle. Compared are the pixels of the disc
-    that never leaves the image. Noise counts as part of the image here: a filter that smooths loses by it.
+    Every turn resamples the whole image from the last one; nine of 40° are a full circle. The pixels of the disc that never leaves
+    the image are compared. Noise counts as part of the image: smoothing it is an error.
 
     Parameters
     ----------
     source : Volume or array-like
-        An image, or a volume, of which the middle slice is taken, its first axis across.
+        An image, or a volume, of which the middle slice across its first axis is used.
     filters : sequence of str or Filter
-        One row each; smoothing that is "auto" is that of the volume. The exact sinc takes a time that grows with the square of
-        the pixels.
+        One row each; "auto" smoothing is chosen for the volume. The time of the exact sinc grows with the square of the number
+        of pixels.
     turns : int
         2 to 360.
     boundary : str or Boundary
-        What is drawn where the image ends.
+        How the image continues outside.
     margin : float
-        How many pixels inside the edges the disc ends.
+        Pixels between the disc and the edges.
     max_pixels : int
-        Of a larger image the middle is taken.
+        Only the middle of a larger image is used.
     progress : callable, optional
         Called with the fraction done.
 
@@ -111,7 +111,7 @@ def rotations(
     OptionError
         An unknown name, or a number outside its bounds.
     DataError
-        NaN or infinite samples, or an image that has no such disc.
+        NaN or infinite samples, or an image too small for the disc.
     OutOfMemoryError
         The image does not fit into memory.
     """
@@ -122,7 +122,7 @@ def rotations(
     image.require_finite()
     chosen = settled_compared(chosen, volume)
     low, high = image.value_range
-    unit = max(abs(low), abs(high)) or 1.0  # so that no square over- or underflows
+    unit = max(abs(low), abs(high)) or 1.0  # so that no square overflows or underflows
     start = replace(image, data=image.data.astype(np.float64) / unit)
     height, width = image.shape
     y, x = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
@@ -155,12 +155,12 @@ def rotations(
 
 
 def _in_a_slice(row: Filter) -> Filter:
-    """What a filter of a volume does in a slice of it: of λ along each axis, those along x and y."""
+    """A volume's filter for a slice of it: from λ by axis, those along x and y."""
     return row.smoothed(row.smoothing[:2]) if isinstance(row.smoothing, tuple) else row
 
 
 def _middle(volume: Volume, max_pixels: int) -> Volume:
-    """The middle slice of a volume, and of a large image the middle."""
+    """The middle slice of a volume, and the middle of a large image."""
     if volume.ndim == 3:
         volume = Volume(volume.data[volume.shape[0] // 2], volume.spacing[:2], units=volume.units)
     share = min(1.0, (max_pixels / volume.data.size) ** 0.5)

@@ -1,4 +1,4 @@
-"""The paper's figures and some more: what each filter does, drawn and measured.
+"""The paper's figures and some more: the effects of each filter, drawn and measured.
 
 >>> from clvol import figures
 >>> figures.draw("2").save("figure2.png")
@@ -21,7 +21,7 @@ __all__ = ["FIGURES", "FIGURE_6", "SIX", "Drawing", "Kind", "Panel", "compare", 
 
 @dataclass(frozen=True)
 class Kind:
-    """A figure: the module whose `draw` makes it, what it shows, and whether matplotlib draws it."""
+    """A figure: the module whose `draw` makes it, its subject, and whether matplotlib draws it."""
 
     module: str
     what: str

@@ -1,4 +1,4 @@
-"""Error against sampling rate: on log-log axes a line whose slope is the order of approximation, and the theory's beside it."""
+"""Error against sampling rate: on log-log axes a line with the order of approximation as slope, beside the theory's."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _SHOWN = (
     "bspline5",
 )
 _SIZES = (25, 37, 55, 81, 121, 181, 271)
-_WAVES = 2.0  # periods of the test function along each axis of [-1, 1]; whole, so that the function is even about the faces
+_WAVES = 2.0  # periods of the test function along each axis of [-1, 1]; an integer, so that it is even about the faces
 _OMEGA = np.pi * _WAVES
-_FITTED = 3  # finest grids from which a slope is measured
+_FITTED = 3  # finest grids, from which a slope is measured
 
 
 def _waves(points: Array) -> Array:
@@ -55,7 +55,7 @@ def draw(
 ) -> Drawing:
     """RMS error of values (left) and of gradients (right) of a smooth function on ever finer grids.
 
-    Beside each measured curve, dashed, is what `clvol.analysis.approximation` says of it.
+    A dashed line beside each measured curve shows the theory, `clvol.analysis.approximation`.
 
     Parameters
     ----------

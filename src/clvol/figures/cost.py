@@ -9,6 +9,7 @@ import numpy as np
 
 from clvol import analysis, phantoms
 from clvol.analysis.timing import FULL, Effort, times_per_sample
+from clvol.base.progress import part_of
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
@@ -20,7 +21,7 @@ __all__ = ["draw", "frontier", "plot"]
 
 _LETTER = 8.5  # points
 _GAP = 0.85  # of an em, from a dot's centre to the label beside it
-_SHARE = 0.8  # of the progress: errors
+_SHARE = 0.8  # share of the progress for the errors
 _PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1.4), (1, 2.2), (1, -2.2), (-1, 2.2), (-1, -2.2))
 
 
@@ -57,7 +58,6 @@ def draw(
     """
     rows, on = as_filters(_normalized() if filters is None else filters), as_device(device)
     on.require_usable()
-    advance = progress or (lambda _: None)
     table = analysis.compare(
         phantoms.marschner_lobb_function,
         rows,
@@ -65,11 +65,10 @@ def draw(
         size=samples,
         points=points,
         timing=False,
-        progress=lambda done: advance(_SHARE * done),
+        progress=part_of(progress, 0, _SHARE),
     )
-    times = times_per_sample(
-        table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: advance(_SHARE + (1 - _SHARE) * done), effort=effort
-    )
+    timing = part_of(progress, _SHARE, 1)
+    times = times_per_sample(table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, timing, effort=effort)
     numbers: list[dict[str, Any]] = [
         {
             "filter": row.filter,
@@ -95,7 +94,7 @@ def draw(
 
 
 def _normalized() -> list[Filter]:
-    """The table but for what nobody would use: the sinc and its windows without the division by their sum."""
+    """The table's filters whose weights sum to one: all except the sinc and its windows without normalization."""
     return [row for row in all_filters().values() if row.sums_to_one]
 
 
@@ -110,7 +109,7 @@ def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
         figure.suptitle(note, fontsize=9.5, color=GREY)
         both = [(left, "rms", heading), (right, "angle_mean", "mean angle of the gradient, degrees")]
         shown = [_scatter(axes, numbers, key, text) for axes, key, text in both]
-        figure.draw_without_rendering()  # from here on the axes stay in place
+        figure.draw_without_rendering()  # fixes the axes' positions
         quartiles = {n["filter"]: n["quartiles"] for n in numbers if "quartiles" in n}
         for (axes, *_), points in zip(both, shown, strict=True):
             _label(axes, points, quartiles)
@@ -118,7 +117,7 @@ def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
 
 
 def frontier(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float]]:
-    """Those of (name, time, error) that no other beats in both time and error, fastest first."""
+    """The Pareto front of (name, time, error): rows that no other beats in both, fastest first."""
     kept: list[tuple[str, float, float]] = []
     for row in sorted(rows, key=lambda r: (r[1], r[2])):
         if not kept or row[2] < kept[-1][2]:

@@ -21,13 +21,13 @@ from clvol.volume.volume import Volume
 __all__ = ["CLOUD", "LOWPASSES", "draw", "scanned", "strays"]
 
 LOWPASSES = {"none": "point samples", "ideal": "ideal low-pass", "gaussian": "Gaussian low-pass"}
-"""What is done to the object before it is sampled."""
+"""Low-passes of the object before it is sampled."""
 
 CLOUD = 0.05
-"""Of the edge's height: the surface that shows clouds; as far below 1 is that which shows caves."""
+"""Share of the edge's height: the isovalue that shows clouds; 1 minus it shows caves."""
 
 _HALF = 0.5  # of the cube's side, in the box [-1, 1)³
-# the cube's axes are none of the grid's
+# the cube's axes differ from the grid's
 _TURN = np.linalg.qr(np.array([[1.0, 0.35, 0.2], [-0.3, 1.0, 0.45], [0.15, -0.4, 1.0]])).Q
 _SIGMA = 1.0  # samples
 _LINES, _REACH, _PLACES = 3000, 7, 71  # samples that a line is long, places on it
@@ -38,10 +38,10 @@ _RAYS = 4
 
 
 def scanned(samples: int, lowpass: str) -> Volume:
-    """A turned cube of ones in nothing, low-passed as `LOWPASSES` says and sampled; periodic on [-1, 1)³.
+    """A rotated cube of ones in zeros, low-passed by one of `LOWPASSES` and sampled; periodic on [-1, 1)³.
 
     Its Fourier series is known: the ideal low-pass keeps the frequencies below Nyquist along each axis and nothing else, the
-    Gaussian one takes them by ``exp(-(ω σ)² / 2)`` with a standard deviation of one sample.
+    Gaussian multiplies them by ``exp(-(ω σ)² / 2)`` with a standard deviation of one sample.
     """
     axis = np.arange(samples) * 2 / samples - 1
     spacing, place = (2 / samples,) * 3, (-1.0,) * 3
@@ -54,16 +54,15 @@ def scanned(samples: int, lowpass: str) -> Volume:
     spectrum[np.abs(waves).max(-1) >= samples / 2] = 0
     if lowpass == "gaussian":
         spectrum *= np.exp(-((2 * np.pi / samples * _SIGMA) ** 2) * (waves**2).sum(-1) / 2)
-    centred = spectrum * np.prod(np.where(waves % 2 == 0, 1, -1), -1)  # the first sample lies at -1
+    centred = spectrum * np.prod(np.where(waves % 2 == 0, 1, -1), -1)  # the first sample is at -1
     return Volume(np.fft.ifftn(centred).real * samples**3, spacing, place)
 
 
 def strays(volume: Volume, filter: Filter, device: Device | str | int | None = None) -> dict[str, float]:
-    """How far values rise again on the way out of the cube ("cloud"), and fall again on the way in ("cave"), at most.
+    """The largest renewed rise of values on the way out of the cube ("cloud"), and renewed fall on the way in ("cave").
 
-    On lines across its faces, from random places on them that are no nearer to an edge than a tenth of it, to 7 samples or
-    two thirds of the way to its middle.
-    What is low-passed without ringing falls all the way out, and both are 0.
+    They are measured on lines across its faces, from random places at least a tenth of an edge from the next edge, to 7 samples or
+    two thirds of the way to the middle. Without ringing, values decrease all the way out, and both are 0.
     """
     random = np.random.default_rng(_SEED)
     start, axis = random.uniform(-0.8 * _HALF, 0.8 * _HALF, (_LINES, 3)), random.integers(0, 3, _LINES)
@@ -86,16 +85,16 @@ def draw(
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
-    """A cube with hard edges, sampled in three ways: what is drawn around it (above) and in its faces (below).
+    """A cube with hard edges, sampled in three ways: artefacts around it (above) and in its faces (below).
 
     Parameters
     ----------
     samples : int
-        Along each axis of the box, twice as wide as the cube.
+        Samples along each axis of the box, which is twice as wide as the cube.
     pixels : int
         Width of each picture.
     filters : sequence of str or Filter
-        Those that are measured; the last one is drawn.
+        The measured filters; the last one is drawn.
     device, progress
         As for `clvol.render`.
     """

@@ -24,7 +24,7 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["Case", "draw", "mean_square", "measure"]
 
-_GRADIENTS = 64  # nobody looks at the gradients' errors: a few positions
+_GRADIENTS = 64  # few positions, since the gradients' errors are not shown
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Case:
     errors: dict[str, float]
 
     def numbers(self) -> dict[str, Any]:
-        """What a program would read."""
+        """For programs."""
         return {"input": self.name, "dimensions": self.dimensions, "against": self.how, "mean_square_error": self.errors}
 
 
@@ -61,7 +61,7 @@ def measure(
     samples, filters = whole("samples", samples, 4), as_compared(filters)
     require_room("samples", (12 * samples) ** 3, samples)
     table = partial(compare, filters=filters, boundary=DEFAULT_BOUNDARY, timing=False)
-    held_back = partial(table, points=_GRADIENTS)  # with every choice of the first sample that is kept, and places between
+    held_back = partial(table, points=_GRADIENTS)  # for every first kept sample, and positions between
     photo, what = photograph(max(16, 12 * samples))
     known: list[tuple[str, int, Callable[[], list[ErrorTable]]]] = [
         ("Marschner–Lobb, z = 0", 2, lambda: [table(rings, size=samples, dimensions=2, points=points)]),
@@ -116,8 +116,8 @@ def draw(
         Number of random positions at which functions are compared.
     scan : Volume or array-like, optional
         One more input, and its middle slice. These, the photograph and the box are decimated by two, beginning at each of the
-        first two samples along every axis. All but the box are low-passed before, by a Gaussian of one sample along each
-        axis, and compared with what that left, also from places between samples: see `clvol.analysis.compare`.
+        first two samples along every axis. All except the box are first low-passed by a Gaussian of one sample along each axis,
+        and compared with the result, also from positions between samples: see `clvol.analysis.compare`.
     progress : callable, optional
         Called with the fraction done.
     """
@@ -140,7 +140,7 @@ def draw(
 
 
 def _dots(axes: Any, case: Case, least: float) -> None:
-    """A dot for each filter on a logarithmic axis; an error of nothing lies at its end."""
+    """A dot for each filter on a logarithmic axis; an error of 0 is at its end."""
     names, errors = list(case.errors), np.array(list(case.errors.values()))
     places = np.arange(len(names))[::-1]
     shown = np.maximum(errors, least)

@@ -1,4 +1,4 @@
-"""Gradient errors: the angle between the drawn normals and the true ones, in colour below each picture."""
+"""Gradient errors: the angle between the rendered and the true normals, in colour below each picture."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ __all__ = ["draw"]
 
 _SHOWN = ("linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "bspline5")
 _MAX_ANGLE = 45.0  # degrees that the colours span
-_RAYS = 4  # a pixel
-_RIGHT = 130  # pixels for the scale of colours
-_MARGIN = 50  # this fraction of the height stays around what is visible
+_RAYS = 4  # rays for each pixel
+_RIGHT = 130  # pixels for the colour scale
+_MARGIN = 50  # 1 / 50 of the height is the margin around visible rows
 _WHITE = (1.0, 1.0, 1.0)
 
 
@@ -92,7 +92,7 @@ def draw(
 
 
 def _filled(errors: Sequence[Any]) -> slice:
-    """The rows in which any of the pictures shows something, with a margin; all rows if none does."""
+    """The rows in which some picture is not empty, with a margin; all rows if all pictures are."""
     size = errors[0].shape[0]
     rows = np.flatnonzero(np.isfinite(errors).any((0, 2)))
     if not rows.size:
@@ -101,9 +101,9 @@ def _filled(errors: Sequence[Any]) -> slice:
 
 
 def _angles(normals: Any, positions: Any) -> Any:
-    """Degrees between the drawn normals and the true gradient; NaN where nothing is drawn."""
+    """Degrees between the rendered normals and the true gradient; NaN without a surface."""
     there = np.isfinite(normals).all(-1) & np.isfinite(positions).all(-1)
     between = np.full(there.shape, np.nan)
-    # both faces of a surface are lit alike
+    # lighting is two-sided
     between[there] = angles(normals[there], phantoms.marschner_lobb_gradient(positions[there].astype(np.float64)), faces=True)
     return between

@@ -1,4 +1,4 @@
-"""Figure 3 of the paper: the hybrid, which magnifies twice and then draws by trilinear fetches, against direct evaluation."""
+"""Figure 3 of the paper: the hybrid, which magnifies by two and then samples by trilinear fetches, against direct evaluation."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from clvol.volume.volume import Volume, as_volume
 __all__ = ["draw"]
 
 _GRADIENTS: dict[str, Literal["analytic", "central"]] = {"hybrid": "central", "bspline3": "analytic", "linear": "central"}
-"""What is drawn, and the gradient that shades it: programs that draw by trilinear fetches difference the voxels they are given."""
+"""Each method and the gradient that shades it; programs that sample by trilinear fetches use differences of voxels."""
 
 _HEADINGS = {"hybrid": "a)  hybrid\n8 taps, ×8 memory", "bspline3": "b)  direct\n64 taps", "linear": "trilinear alone\n8 taps"}
 _NAMES = {"hybrid": "hybrid", "bspline3": "direct", "linear": "trilinear"}
-_RAYS = 4  # a pixel, of the pictures; frames that are timed have one
-_ROUNDS = 15  # frames of each that are timed
-_RIGHT = 125  # pixels for the scale of the differences
+_RAYS = 4  # rays for each pixel of the pictures; timed frames have one
+_ROUNDS = 15  # timed frames of each method
+_RIGHT = 125  # pixels for the scale of differences
 _WHITE = (1.0, 1.0, 1.0)
 
 
@@ -41,10 +41,10 @@ def draw(
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
-    """Figure 3: the same surface by the hybrid, direct, and by trilinear interpolation alone; their errors and frame times.
+    """Figure 3: the same surface by the hybrid, by direct evaluation, and by trilinear interpolation; errors and frame times.
 
-    The hybrid and trilinear interpolation are shaded by central differences of the voxels that they are given, direct
-    evaluation by its own derivative.
+    The hybrid and trilinear interpolation are shaded by central differences of their voxels, direct evaluation by its exact
+    derivative.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def draw(
     pixels : int
         Width and height of each picture.
     scan : Volume or array-like, optional
-        An object in place of that function. Its truth is not known: the others are compared with the direct picture.
+        An object in place of that function. Its truth is unknown: the others are compared with the direct picture.
     device, progress
         As for `clvol.render`.
 
@@ -78,7 +78,7 @@ def draw(
         pairs = list(zip(renderers, _GRADIENTS.values(), strict=True))
         pictures = {r.filter.name: r.render(**look, gradient=g, rays=_RAYS)[..., :3].astype(np.float64) for r, g in pairs}
         taken: list[list[float]] = [[] for _ in pairs]
-        for done in range(1, _ROUNDS + 1):  # in turns, so that other load on the machine hits all of them alike
+        for done in range(1, _ROUNDS + 1):  # interleaved, so that other load affects all methods equally
             for mine, (renderer, gradient) in zip(taken, pairs, strict=True):
                 started = time.perf_counter()
                 renderer.render(**look, gradient=gradient, rays=1)

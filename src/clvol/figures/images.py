@@ -22,8 +22,8 @@ from clvol.volume.volume import Volume
 __all__ = ["draw", "finer"]
 
 Array: TypeAlias = NDArray[np.float64]
-_FACTOR, _NEAR = 4, 16  # pixels a sample, of pictures and of their close-ups
-_COLLAR, _CORNER = (0.36, 0.73), (0.06, 0.06)  # where close-ups begin, along x and y of the picture
+_FACTOR, _NEAR = 4, 16  # pixels for each sample, in pictures and in close-ups
+_COLLAR, _CORNER = (0.36, 0.73), (0.06, 0.06)  # start of the close-ups, along x and y of the picture
 
 
 def finer(
@@ -34,9 +34,9 @@ def finer(
     first: tuple[int, int] = (0, 0),
     count: tuple[int, int] | None = None,
 ) -> Array:
-    """An image at every 1 / `factor` of a sample from sample `first` (x, y); "exact-sinc" is the exact sinc.
+    """An image at steps of 1 / `factor` samples from sample `first` (x, y) on; "exact-sinc" is the exact sinc.
 
-    `count` positions along x and y; by default as far as the last sample.
+    `count` positions along x and y; by default up to the last sample.
     """
     (x, y), (width, height) = first, count or tuple(factor * (n - 1 - f) + 1 for n, f in zip(image.size, first, strict=True))
     if filter == EXACT_SINC:
@@ -53,7 +53,7 @@ def draw(
 ) -> Drawing:
     """Figure 5: a photograph and a zone plate of few samples, magnified 4 times by each filter, and parts of them 16 times.
 
-    The photograph is low-passed by a Gaussian before it is decimated, as a camera would. Errors are those to what was decimated.
+    The photograph is low-passed by a Gaussian before it is decimated, as in a camera. Errors are relative to the low-passed one.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def draw(
     require_room("samples", (_NEAR * samples) ** 2, samples)
     size = _FACTOR * (samples - 1) + 1
     photo, what = photograph(2 * size)
-    # as sharp as its pixels, and then as a camera of so few would see it
+    # at full sharpness, then low-passed for fewer pixels
     original = photo.gaussian(1).downsample(2)
     soft, plate = original.gaussian(_FACTOR), Volume(zone_plate(_square(size), samples))
     starts = [(int(x * samples), int(y * samples)) for x, y in (_COLLAR, _CORNER)]
@@ -76,7 +76,7 @@ def draw(
     collar = finer(soft, _NEAR // _FACTOR, "bspline3", device, (_FACTOR * x, _FACTOR * y), (size, size))
     x, y = starts[1]
     corner = np.stack(np.meshgrid(*(2 * (first + np.arange(size) / _NEAR) / (samples - 1) - 1 for first in (x, y))), -1)
-    inputs = [  # name, what was sampled, its samples, where the close-up begins, the truth in it
+    inputs = [  # name, input, its samples, start of the close-up, the truth in it
         (what, soft.data, soft.downsample(_FACTOR), starts[0], collar),
         ("zone plate", plate.data, plate.downsample(_FACTOR), starts[1], zone_plate(corner, samples)),
     ]

@@ -1,4 +1,4 @@
-"""Inputs of the figures: functions that are known everywhere, a photograph, hard edges."""
+"""Inputs of the figures: known functions, a photograph, hard edges."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["photograph", "rings", "zone_plate"]
 
 Array: TypeAlias = NDArray[np.float64]
 _LUMA = (0.299, 0.587, 0.114)
-_REACH = 0.75  # of the Nyquist frequency, at distance 1 of the zone plate's centre
+_REACH = 0.75  # share of the Nyquist frequency at distance 1 from the zone plate's centre
 
 
 def rings(points: Array) -> Array:
@@ -31,9 +31,9 @@ def zone_plate(points: Array, size: int) -> Array:
 
 
 def photograph(size: int = 512) -> tuple[Volume, str]:
-    """A picture in grey, 0 to 1, of `size` pixels each way at most, and what it is.
+    """A grey picture, 0 to 1, of at most `size` pixels along each side, and its name.
 
-    It is the public-domain portrait that comes with matplotlib; without it, disks, bars and a gradient of our own.
+    It is the public-domain portrait that comes with matplotlib; without it, a drawing of disks, bars and a gradient.
     """
     size = whole("size of a photograph", size, 16)
     try:
@@ -41,7 +41,7 @@ def photograph(size: int = 512) -> tuple[Volume, str]:
         from matplotlib.cbook import get_sample_data
 
         grey = np.asarray(iio.imread(get_sample_data("grace_hopper.jpg", asfileobj=False)), np.float64) @ _LUMA / 255
-    except OSError:  # distributions leave the samples out
+    except OSError:  # some distributions omit matplotlib's sample data
         return Volume(_drawn(size)), "generated picture"
     top = (grey.shape[0] - min(grey.shape)) // 8  # the face, not the chest
     square = grey[top : top + min(grey.shape), : min(grey.shape)]
@@ -54,7 +54,7 @@ def _centre(square: Array, size: int) -> Array:
 
 
 def _drawn(size: int) -> Array:
-    """Edges at all angles, thin lines, and smooth shade."""
+    """Edges at all angles, thin lines, and smooth shading."""
     y, x = np.meshgrid(*(np.linspace(-1, 1, size),) * 2, indexing="ij")
     r, angle = np.hypot(x, y), np.arctan2(y, x)
     picture = 0.35 + 0.25 * y

@@ -1,4 +1,4 @@
-"""Noise: errors of values and normals against its level, and what lies between approximation and interpolation."""
+"""Noise: errors of values and normals against its level, from interpolation to approximation."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from clvol import phantoms
 from clvol.analysis import frequency_response, impulse_response, variance_gain
 from clvol.analysis.angle import mean_angle
 from clvol.base.checks import whole
+from clvol.base.progress import part_of
 from clvol.device import Device
 from clvol.figures.panels import ISOVALUE
 from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
@@ -32,11 +33,11 @@ BETWEEN = ("bspline3", "bspline3(0.01)", "bspline3(0.1)", "bspline3(1)", "bsplin
 """Cubic B-splines from interpolation to approximation, and past it."""
 
 FILTERS = ("nearest", "linear", "mitchell", "catmull-rom", "hybrid", *BETWEEN, "bspline3(auto)")
-"""What is compared."""
+"""The compared filters."""
 
-_WITHIN = 0.8  # of the faces' distance from the centre
+_WITHIN = 0.8  # share of the faces' distance from the centre
 _RADIUS = 0.75  # of the sphere
-_SPAN = 1e-4  # of the largest error: none below is shown
+_SPAN = 1e-4  # of the largest error; smaller ones are not shown
 _SURFACE = 8000  # places on the surface at which normals are compared
 _NEWTON = 8
 _SEED = 1993
@@ -66,7 +67,7 @@ class Case:
 
 
 def cases(samples: int = 41, points: int = 20_000) -> list[Case]:
-    """A sphere in a smooth field, and the Marschner-Lobb function: nothing to resolve, and all that so many samples can hold."""
+    """A sphere in a smooth field, and the Marschner-Lobb function: no fine detail, and as much as the samples can represent."""
     random = np.random.default_rng(_SEED)
     within = random.uniform(-_WITHIN, _WITHIN, (points, 3))
     ball = random.normal(size=(_SURFACE, 3))
@@ -97,13 +98,13 @@ def measure(
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> list[dict[str, Any]]:
-    """Errors of each filter at each level of noise, which is the same noise at all of them but for its size.
+    """Errors of each filter at each level of noise, which is the same noise at all levels except for its scale.
 
     Returns
     -------
     list of dict
-        "input", "noise", "filter" and the λ that it had ("smoothing"), "rms" as a share of the data's range, "angle" in
-        degrees: `mean_angle` on the surface.
+        "input", "noise", "filter" and its λ ("smoothing"), "rms" as a share of the data's range, "angle" in degrees:
+        `mean_angle` on the surface.
     """
     low, high = case.volume.value_range
     noise = np.random.default_rng(_SEED + 1).normal(size=case.volume.shape)
@@ -139,9 +140,9 @@ def draw(
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
-    """Errors of values (above) and normals (below) against the noise of two phantoms, and responses of what lies between.
+    """Errors of values (above) and normals (below) against the noise of two phantoms, and responses of the smoothing splines.
 
-    The bar at the foot of each plot has the colour of the filter that errs least.
+    The bar at the bottom of each plot has the colour of the filter with the smallest error.
 
     Parameters
     ----------
@@ -158,8 +159,7 @@ def draw(
     known = cases(samples, points)
     numbers: list[dict[str, Any]] = []
     for i, case in enumerate(known):
-        report = None if progress is None else lambda done, i=i: progress((i + done) / len(known))
-        numbers += measure(case, rows, LEVELS, device, report)
+        numbers += measure(case, rows, LEVELS, device, part_of(progress, i / len(known), (i + 1) / len(known)))
     with styled():
         figure = new_figure(13.2, 7.6)
         panels = figure.subplots(2, 3, width_ratios=(1, 1, 0.9))
@@ -186,7 +186,7 @@ def draw(
 
 
 def _curves(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: str) -> None:
-    """A curve for each filter; levels are equally far apart, the first being none at all."""
+    """A curve for each filter; levels are equally spaced, and the first is no noise."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     names = list(dict.fromkeys(n["filter"] for n in numbers if n[key] is not None))

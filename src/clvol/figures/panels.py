@@ -55,17 +55,17 @@ __all__ = [
 ]
 
 SIX = ("sinc4n", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
-"""The six reconstructions of the paper as filters of the table: the sinc is cut off at four samples, its weights sum to one."""
+"""The six reconstructions of the paper as filters of the table; the sinc is cut at four samples, with weights that sum to one."""
 
 FIGURE_6 = (EXACT_SINC, *SIX[1:])
 """a) to f) of the paper's Figures 4 to 6: the sinc is exact."""
 
 PANELS = (*FIGURE_6, "sinc")
-"""What Figure 6 shows: also the sinc that a program can afford, cut off at four samples, whose weights do not sum to one."""
+"""The panels of Figure 6, with the practical sinc too, cut at four samples, whose weights do not sum to one."""
 
-_FINER = 4  # magnification that stands for the exact sinc
-_WORST = 0.4  # difference of shade that is drawn in the brightest colour
-# a view that shows the Marschner-Lobb function well, in every figure
+_FINER = 4  # magnification for the exact sinc
+_WORST = 0.4  # difference of shade with the brightest colour
+# a good view of the Marschner-Lobb function, in every figure
 ISOVALUE = 0.5
 BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 CAMERA = Camera.orbit(20, 52, zoom=1.27, fit="volume")  # the same for all samplings
@@ -94,11 +94,11 @@ class Panel:
         Mean angle in degrees between the reconstruction's gradient and the true one (`clvol.analysis.mean_angle`), at
         the visible points of the true surface; None if there are none.
     residual : float or None
-        For the exact sinc: the largest difference between it and what is drawn, at 2000 random points.
+        For the exact sinc: its largest difference from the rendered function, at 2000 random points.
     letter : str
         The panel's letter in the figure, or empty.
     error : ndarray or None
-        The difference of its shade to that of the true picture, of shape (height, width), where that is known.
+        Difference of shade from the true picture, shape (height, width), if that is known.
     """
 
     filter: str
@@ -111,7 +111,7 @@ class Panel:
 
     @property
     def label(self) -> str:
-        # Pillow's own font has no Greek letters
+        # Pillow's default font has no Greek letters
         heading = (f"{self.letter})  " if self.letter else "") + title(self.filter).replace("λ", "lambda")
         heading += "" if self.residual is None else f" to about {self.residual:.0e}"
         measured = [] if self.rms is None else [f"RMS error {self.rms:.4f}"]
@@ -119,7 +119,7 @@ class Panel:
         return f"{heading}\n{'   '.join(measured)}"  # always two lines, so that all labels have one height
 
     def numbers(self) -> dict[str, Any]:
-        """What a program would read: everything but pictures and the letter."""
+        """For programs: everything except pictures and the letter."""
         return {key: value for key, value in asdict(self).items() if key not in ("picture", "error", "letter")}
 
 
@@ -180,7 +180,7 @@ def figure6(
                 rays=rays,
                 progress=report,
             )
-            name = row if isinstance(row, str) else renderer.filter.name  # with its smoothing as it was settled
+            name = row if isinstance(row, str) else renderer.filter.name  # with settled smoothing
         values = sample(drawn_volume, points, through, device=device)
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
         angle = mean_angle(shading_gradients(drawn_volume, surface, through, device), normals, faces=True) if surface.size else None
@@ -193,7 +193,7 @@ def figure6(
 
 
 def _key(pixels: int) -> NDArray[np.uint8]:
-    """What the colours of the errors mean, in a panel's room below the true picture."""
+    """The colour scale of the errors, in the space below the true picture."""
     from PIL import Image, ImageDraw, ImageFont
 
     size, bar = max(9, pixels // 24), max(1, pixels // 16)
@@ -271,7 +271,7 @@ def draw(
 
 
 def settled(volume: Volume, options: dict[str, Any]) -> dict[str, Any]:
-    """Options of `Renderer.render` for pictures of a volume and of others made from it, with nothing left to derive from each."""
+    """Options of `Renderer.render` for pictures of a volume and of others derived from it, with all defaults resolved."""
     look = dict(options)
     own = {name: look.pop(name) for name in every_option() & look.keys()}
     mode = look["mode"] = as_mode(look.get("mode", DEFAULT_MODE), own).settled(volume)
@@ -285,7 +285,7 @@ def settled(volume: Volume, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _through(volume: Volume, row: str | Filter, boundary: str | Boundary) -> tuple[Volume, Filter, int, float | None]:
-    """The volume and the filter that draw a filter or the exact sinc, the magnification, and the distance from the exact sinc."""
+    """The volume and the filter to render a filter or the exact sinc, the magnification, and the distance from the exact sinc."""
     if isinstance(row, Filter):
         return volume, row, 1, None
     exact = sinc_volume(volume, _FINER, boundary=boundary)
@@ -293,7 +293,7 @@ def _through(volume: Volume, row: str | Filter, boundary: str | Boundary) -> tup
 
 
 def fixed(camera: Camera, volume: Volume, other: Volume) -> Camera:
-    """A camera that shows of another volume what `camera`, fitted to `volume`, shows of this one."""
+    """A camera that shows the same part of another volume as `camera`, fitted to `volume`, shows of this one."""
     view = camera.view(volume)
     eye = tuple(map(float, view.eye))
     here = Camera.look_at(
@@ -309,7 +309,7 @@ def shading_gradients(
     device: Device | str | int | None = None,
     gradient: Literal["analytic", "central"] = "analytic",
 ) -> NDArray[np.float64]:
-    """The gradient that shades the picture: analytic, or central differences if they are asked for or there is none."""
+    """The gradient for shading: analytic, or central differences if requested or if the filter has no gradient."""
     if gradient == "analytic" and filter.has_gradient:
         return sample(volume, points, filter, derivative=1, device=device).astype(np.float64)
     columns = []

@@ -35,19 +35,19 @@ _TRANSFER = TransferFunction(
 )
 _STEP = 0.5
 _PROFILE = 1201
-_FEWER = 10  # pixels of the picture in one of those that are made from one ray, and from several
-_RAYS, _MANY = (1, 16), 1024  # a pixel; the last stand for all
-_LEAST_WIDTH = 300  # of a picture in the file
+_FEWER = 10  # pixels of the picture for each pixel of the coarse ones
+_RAYS, _MANY = (1, 16), 1024  # rays for each pixel; the last as the truth
+_LEAST_WIDTH = 300  # pixels; width of a picture in the file
 
 
 @dataclass(frozen=True)
 class Ray:
-    """What one ray passes, sample by sample.
+    """One ray, sample by sample.
 
     Attributes
     ----------
     t : ndarray, shape (N,)
-        World distances from where it enters the volume.
+        World distances from the entry into the volume.
     points : ndarray, shape (N, 3)
     values : ndarray, shape (N,)
         Reconstructed.
@@ -58,7 +58,7 @@ class Ray:
     colour, opacity : ndarray, shape (N, 3) and (N,)
         Accumulated up to and with each sample.
     start, direction, length
-        Where it enters, its unit direction, and how far it runs inside.
+        Its entry, its unit direction, and its length inside.
     """
 
     t: Array
@@ -74,7 +74,7 @@ class Ray:
 
 
 def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int, int]) -> Ray:
-    """The ray of a pixel (x, y) of the figure's picture, as `clvol.render` says a picture is made."""
+    """The ray of a pixel (x, y) of the figure's picture, by the documentation of `clvol.render`."""
     view, (width, height) = _CAMERA.view(volume, size[0] / size[1]), size
     rays = camera_rays(volume, view, (width, height))
     i = pixel[1] * width + pixel[0]
@@ -88,7 +88,7 @@ def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int,
     values = reference.sample(volume, points, filter)
     gradient = reference.sample(volume, points, filter, derivative=1)
     classified = _TRANSFER(values)
-    offset = Stored.of(volume, as_filter(filter), as_boundary(DEFAULT_BOUNDARY)).offset  # kernels round what is left without it
+    offset = Stored.of(volume, as_filter(filter), as_boundary(DEFAULT_BOUNDARY)).offset  # kernels round values minus this
     unit = float(np.mean(volume.spacing))
     directions = np.broadcast_to(direction, points.shape)
     lit = shade(gradient, classified[:, :3], directions, Material(), (HEADLIGHT,), flat_below(volume, values - offset))
@@ -111,7 +111,7 @@ def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int,
 
 
 def draw(samples: int = 21, pixels: int = 400, filter: str = "bspline3", device: Device | str | int | None = None) -> Drawing:
-    """Figure 1: a ray through a volume, what is reconstructed along it, how that becomes a pixel, and how rays become a picture.
+    """Figure 1: a ray through a volume, the function along it, how that becomes a pixel, and how rays become a picture.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def draw(samples: int = 21, pixels: int = 400, filter: str = "bspline3", device:
 
 
 def _rays(axes: Any, pixel: tuple[int, ...], count: int) -> None:
-    """Where the rays of a pixel are, and how much each counts under the filter of pixels."""
+    """The positions of a pixel's rays, and their weights under the pixel filter."""
     for (x, y), weight in pixel_rays(count, DEFAULT_PIXEL_FILTER):
         if weight:
             axes.plot(

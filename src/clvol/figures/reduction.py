@@ -1,4 +1,4 @@
-"""Fewer samples: what decimation, a Gaussian before it and the least-squares reduction leave of a volume."""
+"""Fewer samples: a volume after decimation, after a Gaussian and decimation, and after least-squares reduction."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ __all__ = ["FACTORS", "METHODS", "Case", "cases", "draw", "there_and_back"]
 
 Array: TypeAlias = NDArray[np.float64]
 FACTORS = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0)
-"""How many times fewer samples."""
+"""Reduction factors along each axis."""
 
 METHODS: dict[str, AntiAliasing] = {"decimated": None, "Gaussian first": "gaussian", "least squares": "least-squares"}
 """By their names in the figure."""
 
 _COLOURS = dict(zip(METHODS, ("#8a8a8a", "#e9a100", "#1769c2"), strict=True))
-_DRAWN = 2.5  # times fewer pixels of the zone plate in the pictures
+_DRAWN = 2.5  # reduction factor of the zone plate in the pictures
 _ACROSS = 4  # pixels of the plate for each sample of the volumes
 _NOISE = 0.1  # of the range
 _SEED = 1995
-_HIGH, _LEFT, _BETWEEN = 430, 100, 90  # of the plots, in pixels of the file
+_HIGH, _LEFT, _BETWEEN = 430, 100, 90  # pixels of the file: height of the plots, left margin, gap
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is reduced.
+    """An input of the reduction.
 
     Attributes
     ----------
     name : str
     volume : Volume
-        The samples that are given.
+        The samples.
     truth : ndarray
-        What they are samples of, without noise.
+        The samples without noise.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Case:
 
 
 def cases(samples: int) -> list[Case]:
-    """More than fewer samples hold, about as much as half of them hold, and less under noise."""
+    """Inputs with more detail than fewer samples can represent, with as much as half of them can, and with less plus noise."""
     side = _ACROSS * samples
     x = np.linspace(-1, 1, side)
     plate = zone_plate(np.stack(np.meshgrid(x, x), -1), side)
@@ -69,7 +69,7 @@ def cases(samples: int) -> list[Case]:
 
 
 def there_and_back(volume: Volume, factor: float, method: AntiAliasing, device: Device | str | int | None = None) -> Array:
-    """The volume on a grid of `factor` times fewer samples along each axis, and from there on its own again, by cubic splines."""
+    """The volume reduced by `factor` along each axis and resampled back to its grid, by cubic splines."""
     shape = [max(1, round(n / factor)) for n in volume.shape]
     few = resample(volume, shape, boundary="reflect", anti_aliasing=method or False, device=device)
     return resample(few, like=volume, boundary="reflect", device=device).data.astype(np.float64)
@@ -81,12 +81,12 @@ def draw(
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
-    """A zone plate of 2.5 times fewer pixels, enlarged again, by each method; below RMS errors against the factor.
+    """A zone plate reduced by 2.5 and enlarged again, by each method; below, RMS errors against the factor.
 
     Parameters
     ----------
     factors : sequence of float
-        How many times fewer samples along each axis.
+        Reduction factors along each axis.
     samples : int
         Of the volumes along each axis; the zone plate has four times as many.
     device, progress
@@ -112,8 +112,8 @@ def draw(
     for case in known:
         for factor in given:
             mine = {n["method"]: n["rms"] for n in numbers if (n["input"], n["factor"]) == (case.name, factor)}
-            told = ", ".join(f"{name} {rms:.4f}" for name, rms in mine.items())
-            lines.append(f"{case.name}, {factor:g} times fewer samples: RMS error {told}")
+            errors = ", ".join(f"{name} {rms:.4f}" for name, rms in mine.items())
+            lines.append(f"{case.name}, {factor:g} times fewer samples: RMS error {errors}")
     return Drawing(figure, numbers, lines)
 
 

@@ -16,20 +16,20 @@ from clvol.filter.table import as_filters
 
 __all__ = ["draw"]
 
-_BESIDE = ("linear", "mitchell")  # the hybrid is judged against these
+_BESIDE = ("linear", "mitchell")  # for comparison with the hybrid
 _REACH = 4  # multiples of pi
 _FLOOR = -80.0  # decibels
-_NOTHING = 1e-9  # of responses: near the zeros that both have, rounding decides which is the larger
+_NOTHING = 1e-9  # smallest significant difference: near common zeros the sign is rounding
 
 
 def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
-    """Figure 2: the responses of `filters`, beside those of linear and of Mitchell's filter.
+    """Figure 2: the responses of `filters`, and those of linear and of Mitchell's filter.
 
     Parameters
     ----------
     filters : sequence of str or Filter
-        Drawn in bold. Of two, the frequency is marked up to which one, and beyond which the other lets less of the aliases
-        through, if there is one such frequency.
+        Drawn in bold. With two, the frequency is marked at which the one that passes less of the aliases changes, if there is
+        exactly one.
     """
     chosen = as_filters(filters)
     rows = [*(row for row in as_filters(_BESIDE) if row not in chosen), *chosen]
@@ -85,19 +85,19 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
 
 
 def _turn(one: Filter, other: Filter) -> tuple[Filter, Filter, float] | None:
-    """Beyond Nyquist, the filter that passes less, the other, and from where on that one does; None if they do not change once."""
+    """Beyond Nyquist, the filter that passes less at first, the other, and where they change; None unless they change once."""
 
     def excess(omega: float | NDArray[np.float64]) -> NDArray[np.float64]:
-        """How much more `one` lets through."""
+        """How much more `one` passes."""
         return np.abs(analysis.frequency_response(one, omega)) - np.abs(analysis.frequency_response(other, omega))
 
     omega = np.linspace(np.pi, _REACH * np.pi, 4001)
     difference = excess(omega)
-    told = np.flatnonzero(np.abs(difference) > _NOTHING)
-    turns = told[:-1][difference[told[:-1]] * difference[told[1:]] < 0]
+    clear = np.flatnonzero(np.abs(difference) > _NOTHING)
+    turns = clear[:-1][difference[clear[:-1]] * difference[clear[1:]] < 0]
     if turns.size != 1:
         return None
     first = int(turns[0])
-    end = int(told[np.searchsorted(told, first) + 1])
+    end = int(clear[np.searchsorted(clear, first) + 1])
     at = float(optimize.brentq(lambda w: float(excess(w)), omega[first], omega[end], xtol=1e-12))
     return (other, one, at) if difference[first] > 0 else (one, other, at)

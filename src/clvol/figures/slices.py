@@ -1,4 +1,4 @@
-"""Interpolation between slices: what each filter makes of a volume whose slices lie farther apart than its pixels."""
+"""Interpolation between slices that are farther apart than their pixels, by each filter."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ __all__ = ["APART", "draw", "from_function", "from_scan"]
 Array: TypeAlias = NDArray[np.float64]
 _Table: TypeAlias = tuple[str, dict[int, dict[str, float]]]
 APART = (1, 2, 3, 4, 5, 6)
-"""Pixels from slice to slice."""
+"""Distances of slices, in pixels."""
 
 _SHOWN = (*SIX[1:], "hybrid", "bspline5")
-_WAVES = 2.5  # of the Marschner-Lobb function: with slices 3 pixels apart they are just sampled, with 4 they are not
-_DRAWN = 3  # pixels from slice to slice in the pictures
+_WAVES = 2.5  # of the Marschner-Lobb function; slices 3 pixels apart just sample them, 4 pixels do not
+_DRAWN = 3  # pixels; distance of slices in the pictures
 _POINTS = 40_000
 _ZOOM = 3
 _SEED = 1999
@@ -39,7 +39,7 @@ def from_function(
 ) -> dict[int, dict[str, float]]:
     """RMS errors by distance of slices and filter on the Marschner-Lobb function with its waves across the slices.
 
-    The slices have `size`² pixels of [-1, 1]²; errors are those at random points within 0.8 of the centre along each axis.
+    The slices have `size`² pixels on [-1, 1]²; errors are at random points within 0.8 of the centre along each axis.
     """
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
     truth = _function(points)
@@ -53,10 +53,10 @@ def from_function(
 def from_scan(
     volume: Volume, filters: Sequence[Filter], apart: Sequence[int] = APART[1:], device: Device | str | int | None = None
 ) -> dict[int, dict[str, float]]:
-    """RMS errors by distance of slices and filter, at the slices that are left out: every `k`-th is kept, each first one in turn.
+    """RMS errors by distance of slices and filter, at the omitted slices: every `k`-th is kept, from each first one in turn.
 
-    Nothing is low-passed, since scanners that leave slices out do not; so errors hold what was lost by that, and the noise
-    of the slices that were left out.
+    Nothing is low-passed, since scanners with gaps between slices do not; so errors include the lost detail, and the noise of
+    the omitted slices.
     """
     made = {}
     for k in apart:
@@ -65,7 +65,7 @@ def from_scan(
             kept = volume.data[first::k]
             thin = Volume(kept, (*volume.spacing[:2], k * volume.spacing[2]))
             index = np.random.default_rng(_SEED).integers(0, [*volume.size[:2], (len(kept) - 1) * k], (_POINTS, 3))
-            index = index[index[:, 2] % k > 0]  # slices that are left out between those kept
+            index = index[index[:, 2] % k > 0]  # omitted slices between kept ones
             truth = volume.data[first + index[:, 2], index[:, 1], index[:, 0]]
             for row in filters:
                 errors[row.name].append(_rms(sample(thin, index * np.array(volume.spacing), row, device=device) - truth))
@@ -80,7 +80,7 @@ def draw(
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
-    """Errors against the distance of slices, above; below a plane across slices that are 3 pixels apart, by each filter.
+    """Above, errors against the distance of slices; below, a plane across slices 3 pixels apart, by each filter.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def draw(
     samples : int
         Of the function along each axis of a slice; one more than a multiple of 3.
     scan : Volume or array-like, optional
-        A volume of which slices are left out, beside the function.
+        A volume whose slices are omitted, in addition to the function.
     device, progress
         As for `clvol.sample`.
     """
@@ -162,7 +162,7 @@ _CAPTION = f"a plane across slices that are {_DRAWN} pixels apart; they lie leve
 
 
 def _function(points: Array) -> Array:
-    """The Marschner-Lobb function with its axis along y, so that its waves run across slices, too."""
+    """The Marschner-Lobb function with its axis along y, so that its waves also cross slices."""
     return phantoms.marschner_lobb_function(points[:, [0, 2, 1]], f_m=_WAVES)
 
 

@@ -1,4 +1,4 @@
-"""How figures look: one colour and one name for each filter. matplotlib is imported only when it is needed."""
+"""The style of figures: one colour and one name for each filter. matplotlib is imported only when needed."""
 
 from __future__ import annotations
 
@@ -58,17 +58,17 @@ Array: TypeAlias = NDArray[np.float64]
 
 INK, GREY, FAINT = "#222222", "#6f6f6f", "#d9d9d9"
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
-"""Names of the panels, one for each filter: a figure holds no more."""
+"""Names of the panels, one for each filter, and so the most filters of a figure."""
 
 LINE, GAP = 27, 8
-"""Pixels of the file: a line of text; between pictures (`tiles`)."""
+"""Pixels of the file: height of a line of text, and the gap between pictures (`tiles`)."""
 
 LETTERS_A_PIXEL = 0.08
-"""Of a heading above a picture, per pixel of its width."""
+"""Letters of a heading above a picture, per pixel of its width."""
 
 SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
-_LEAST_TILE = 160  # pixels of the file across
+_LEAST_TILE = 160  # pixels of the file; least width of a picture
 _RC: Mapping[str, Any] = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
@@ -148,21 +148,21 @@ _TITLES = {
 
 
 def colour(name: str) -> str:
-    """The colour of a filter in every figure, by whatever name: `lanczos(2)` has that of `lanczos2`.
+    """The colour of a filter in every figure, by any of its names: `lanczos(2)` has that of `lanczos2`.
 
-    A filter without a colour here gets one at the first call, unlike all those before.
+    A filter without a fixed colour gets a new one on the first call, distinct from all others.
     """
     if name in _COLOURS:
         return _COLOURS[name]
     try:
         row = as_filter(name)
-    except OptionError:  # one that no table knows
+    except OptionError:  # not in the table
         return _given(name)
     table = filters()
     for other in _COLOURS:
         if other in table and _same(table[other], row):
             return _COLOURS[other]
-    if isinstance(row.smoothing, float) and row.smoothing > 0:  # greys, the lighter the smoother
+    if isinstance(row.smoothing, float) and row.smoothing > 0:  # grey, lighter for more smoothing
         grey = round(np.interp(math.log10(row.smoothing), (-3, 2), (40, 200)))
         return f"#{grey:02x}{grey:02x}{grey:02x}"
     return _given(row.name)
@@ -173,7 +173,7 @@ def _same(a: Filter, b: Filter) -> bool:
 
 
 def _given(name: str) -> str:
-    """A colour far from all others, if there is one; hues differ by a golden section of the circle, in three depths."""
+    """A colour far from all others, if there is one; hues differ by the golden angle, with three lightnesses."""
     if name not in _GIVEN:
         taken = [_rgb(c) for c in (*_COLOURS.values(), *_GIVEN.values())]
         tried = []
@@ -195,7 +195,7 @@ def folded(text: str, width: int = 26) -> str:
 
 
 def title(name: str) -> str:
-    """A filter's name as people read it."""
+    """A filter's readable name."""
     of_spline = re.fullmatch(r"bspline3\((.*)\)", name)
     if of_spline:
         return "B-spline, λ from the data" if of_spline[1] == "auto" else f"B-spline, λ = {of_spline[1]}"
@@ -230,12 +230,12 @@ class Drawing:
         return stream.getvalue()
 
     def save(self, path: str | os.PathLike[str], dpi: int = _DPI) -> Path:
-        """Write it by suffix, beside `path` and then renamed.
+        """Write the figure by suffix, atomically, by renaming a temporary file.
 
         Raises
         ------
         FormatError
-            Unknown suffix, or it cannot be written there.
+            Unknown suffix, or the file cannot be written.
         """
         if isinstance(self.figure, np.ndarray):
             return picture.save(self.figure, path)
@@ -256,7 +256,7 @@ def require_matplotlib() -> Any:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Within it, matplotlib draws in our style, whatever the user's settings."""
+    """A context with the figures' matplotlib style, independent of the user's settings."""
     mpl = require_matplotlib()
     with mpl.rc_context():
         mpl.rcdefaults()
@@ -265,7 +265,7 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """A figure of that size in inches, without a window."""
+    """A figure of this size in inches, without a window."""
     require_matplotlib()
     from matplotlib.figure import Figure
 
@@ -273,7 +273,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def legend_above(figure: Figure, axes: Axes) -> None:
-    """The names of the curves in `axes` above the figure, which grows by the rows that they need."""
+    """Put the names of the curves in `axes` above the figure, which becomes higher by their rows."""
     handles, labels = axes.get_legend_handles_labels()
     across = min(_ACROSS, len(labels))
     width, height = figure.get_size_inches()
@@ -282,7 +282,7 @@ def legend_above(figure: Figure, axes: Axes) -> None:
 
 
 def placed(figure: Figure, x: int, y: int, width: int, height: int) -> Axes:
-    """Axes of a size in pixels of the file, at a place from its top left corner: a picture that large is shown as it is."""
+    """Axes with a position from the top left corner and a size in pixels of the file, so that pictures are shown pixel by pixel."""
     across, down = (round(inches * _DPI) for inches in figure.get_size_inches())
     return figure.add_axes((x / across, 1 - (y + height) / down, width / across, height / down))
 
@@ -290,13 +290,13 @@ def placed(figure: Figure, x: int, y: int, width: int, height: int) -> Axes:
 def tiles(
     rows: int, columns: int, size: tuple[int, int], *, above: int = 0, below: int = 0, between: int = 0, right: int = 0
 ) -> tuple[Figure, NDArray[Any], int]:
-    """A figure of axes in which pictures of a size (width, height) are shown pixel for pixel.
+    """A figure of axes in which pictures of a size (width, height) are shown pixel by pixel.
 
     Parameters
     ----------
     rows, columns : int
     size : (int, int)
-        Of a picture. One narrower than 160 pixels is shown a whole number of times as large.
+        Of a picture. Pictures narrower than 160 pixels are enlarged by an integer factor.
     above, below, between, right : int
         Lines of text above the first row, below the last one and after each other, and pixels right of the last column.
 
@@ -305,7 +305,7 @@ def tiles(
     figure : Figure
     axes : ndarray of Axes, shape (rows, columns)
     times : int
-        How many times as large as they are pictures are shown.
+        The factor by which pictures are enlarged.
     """
     require_matplotlib()
     from matplotlib.figure import Figure
@@ -325,7 +325,7 @@ def tiles(
 def show(axes: Axes, pixels: ArrayLike, heading: str, note: str = "", **options: Any) -> Any:
     """A picture with a heading above and a note below; arrays with two axes are shown in grey.
 
-    Where the axes have its size (`tiles`) it is drawn pixel for pixel, and filtered wherever a file has fewer pixels.
+    In axes of its size (`tiles`) it is drawn pixel by pixel, and filtered if the file has fewer pixels.
     """
     array = np.asarray(pixels)
     if array.ndim == 2:
@@ -348,11 +348,11 @@ def plain(axes: Axes) -> None:
 
 
 def spread(places: Sequence[float], gap: float) -> list[float]:
-    """Places moved as little as possible so that neighbours are at least `gap` apart, in the same order."""
+    """Move places as little as possible so that neighbours are at least `gap` apart, in the same order."""
     if gap <= 0:
         raise OptionError(f"gap must be greater than 0; got {gap!r}")
     order = np.argsort(places, kind="stable")
-    groups: list[list[float]] = []  # each: sum of wanted starts, and how many
+    groups: list[list[float]] = []  # each: sum of wanted starts, and their number
     for rank, at in enumerate(np.asarray(places, float)[order]):
         groups.append([float(at) - rank * gap, 1.0])
         while len(groups) > 1 and groups[-2][0] / groups[-2][1] > groups[-1][0] / groups[-1][1]:

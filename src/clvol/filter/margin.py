@@ -13,7 +13,7 @@ from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 
-__all__ = ["LEFT_OUT", "reach", "require_settled"]
+__all__ = ["LEFT_OUT", "reach", "reach_within", "require_settled"]
 
 LEFT_OUT = {"single": 1e-8, "double": 1e-14}
 """Fraction of a prefilter's weights outside the margin, by precision."""
@@ -45,11 +45,16 @@ def reach(filter: str | Filter, precision: str = "single") -> int:
     """
     if precision not in LEFT_OUT:
         raise one_of("precision", precision, LEFT_OUT)
+    return reach_within(filter, LEFT_OUT[precision])
+
+
+def reach_within(filter: str | Filter, left_out: float) -> int:
+    """`reach` for a margin that may leave out this share of the sum of the prefilter's weights, at least 1e-17."""
     row = as_filter(filter)
     row = row.magnified_by or row
     require_settled(row)
     axes = len(row.smoothing) if isinstance(row.smoothing, tuple) else 1
-    return max(_reach(row.along(axis), LEFT_OUT[precision]) for axis in range(axes))
+    return max(_reach(row.along(axis), left_out) for axis in range(axes))
 
 
 def require_settled(row: Filter) -> None:

@@ -1,7 +1,7 @@
-"""Pictures of volumes of which one brick after the other is resident: the host side of bricks.cl.
+"""Pictures of volumes whose bricks are resident one at a time: the host side of bricks.cl.
 
-Rays go through the bricks front to back and carry their states on, so a picture by bricks is the picture. Bricks are left out, and
-never read, that no ray reaches which wants more samples, and those in which no value can be seen.
+Rays traverse the bricks front to back and carry their states on, so the picture is the same as without bricks. Bricks are skipped,
+and never read, if no unfinished ray reaches them, or if none of their values is visible.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ __all__ = [
 ]
 
 Area: TypeAlias = tuple[int, int, int, int]
-"""Of pixels: x, y, width and height."""
+"""x, y, width and height in pixels."""
 
 STEPPED_AT_MOST = 3.0
-"""Voxels between two samples of a ray, at most, where a picture depends on what lies between them: the width of a brick's rim."""
-_LOOKED_AHEAD = 32  # bricks, of which the next one is read while rays go through another
-_ANY = 3e38  # of values, where nothing is known of them
+"""Most voxels between two samples of a ray, if a picture depends on the function between them: the width of a brick's rim."""
+_READ_AHEAD = 32  # bricks searched for the next one to read during a march
+_ANY = 3e38  # bound of unknown values
 _SHARE = 8  # of the budget, what states may take at a time
 
 
 class BrickedDrawing(Drawing):
-    """A picture that is being drawn, of a volume that is read by bricks.
+    """A picture in progress, of a volume that is read by bricks.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class BrickedDrawing(Drawing):
     view : Viewpoint
         Of the picture.
     skipping : bool
-        Whether bricks are left out in which nothing can be seen.
+        Whether to skip bricks in which nothing is visible.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class BrickedDrawing(Drawing):
 
     @property
     def _beside(self) -> int:
-        """Pixels that a ray may cross the picture beside its own."""
+        """Most pixels between a ray and its pixel."""
         return math.ceil(max(float(np.abs(offset - 0.5).max()) for offset, _ in self._pattern))
 
     def _make_ready(self) -> None:
@@ -95,7 +95,7 @@ class BrickedDrawing(Drawing):
         self._table = self.frame.device.buffers.upload(self.frame.table)
 
     def cast(self, rays: int, progress: Progress | None = None, until: float = math.inf) -> bool:  # noqa: ARG002  # all or nothing
-        """So many further rays of each pixel, in one sweep over the bricks, or several if their states take much memory."""
+        """Cast `rays` more rays for each pixel, in one sweep over the bricks, or several if their states take much memory."""
         frame, (width, height) = self.frame, self.frame.size
         last = min(self.rays, self.cast_rays + rays)
         each = 4 * width * height * fields_of(frame)
@@ -122,7 +122,7 @@ class BrickedDrawing(Drawing):
         *,
         begun: bool = False,
     ) -> None:
-        """Rays of each of the frames through the bricks, and what they show after the last one, into `arrays`."""
+        """March the rays of each frame through the bricks, and write their results to `arrays`."""
         passes: list[Pass] = []
         try:
             for frame, places in frames:
@@ -140,18 +140,18 @@ class BrickedDrawing(Drawing):
     def _go_through(
         self,
         passes: list[Pass],
-        frames: list[tuple[Frame, NDArray[np.float32] | None]],  # noqa: ARG002  # passes know theirs
+        frames: list[tuple[Frame, NDArray[np.float32] | None]],  # noqa: ARG002  # passes have theirs
         progress: Progress | None,
     ) -> None:
-        """Rays, those of each of the frames, through all bricks."""
+        """March the rays of each frame through all bricks."""
         self.march(passes, front_to_back(self._field, self._view), progress)
 
     def begun(self, frame: Frame, places: NDArray[np.float32] | None, area: Area | None = None) -> Pass:
-        """The rays of one of the picture's frames before the first brick: all of them, or those of an area that begins a tile."""
+        """The rays of a frame of the picture before the first brick: all, or those of an area that begins at a tile."""
         return Pass(frame, places, self._program, self._table, self._beside, self.frame, area)
 
     def march(self, passes: list[Pass], bricks: list[Brick], progress: Progress | None = None) -> None:
-        """Rays through bricks, which lie one behind the other."""
+        """March rays through bricks in front-to-back order."""
         field = self._field
         bricks = self._sorted([brick for brick in bricks if self._may_matter(brick)])
         field.store.expect(bricks)
@@ -159,24 +159,24 @@ class BrickedDrawing(Drawing):
             for number, brick in enumerate(bricks):
                 wanted = self._wanted(passes, brick)
                 if wanted:
-                    with field.store.resident(brick) as own:
-                        for following in bricks[number + 1 : number + 1 + _LOOKED_AHEAD]:
+                    with field.store.resident(brick) as part:
+                        for following in bricks[number + 1 : number + 1 + _READ_AHEAD]:
                             if self._wanted(passes, following):
                                 field.store.read_ahead(following)
                                 break
                         minmax = (
-                            field.bounds.pyramid(own, self.frame.evaluator) if self._skipping and self.frame.mode.skips else None
+                            field.bounds.pyramid(part, self.frame.evaluator) if self._skipping and self.frame.mode.skips else None
                         )
-                        if self._may_matter(brick):  # of what was just read more is known
+                        if self._may_matter(brick):  # again, with the bounds of the brick just read
                             for one, area in wanted:
-                                one.march(own, minmax, brick, field, area)
+                                one.march(part, minmax, brick, field, area)
                 if progress:
                     progress((number + 1) / len(bricks))
         finally:
             field.store.forget_ahead()
 
     def _sorted(self, bricks: list[Brick]) -> list[Brick]:
-        """Bricks as they follow, or those first that may hold the extremes which rays seek: these come in any order."""
+        """Bricks in the same order, or for modes that seek extremes, where the order is free, the most promising first."""
         sought = self.frame.mode.seeks
         if not self._skipping or sought == "any":
             return bricks
@@ -186,9 +186,9 @@ class BrickedDrawing(Drawing):
         return sorted(bricks, key=lambda brick: ends[brick.at][0])
 
     def _wanted(self, passes: list[Pass], brick: Brick) -> list[tuple[Pass, Area]]:
-        """Which rays may want a brick, and pixels where they do.
+        """The passes that may need a brick, each with the pixels that do.
 
-        Before a brick is read, each of them is tested against what is known of its values.
+        Before a brick is read, rays are tested against the known bounds of its values.
         """
         field = self._field
         wanted = [(one, area) for one in passes if (area := one.wanted(brick, self._view, field.volume.grid)) is not None]
@@ -198,7 +198,7 @@ class BrickedDrawing(Drawing):
         return wanted if any(one.asks_for(brick, ends, area) for one, area in wanted) else []
 
     def _may_matter(self, brick: Brick) -> bool:
-        """Whether some value in a brick can be seen, as far as is known."""
+        """Whether some value in a brick may be visible, by its known bounds."""
         mode = self.frame.mode
         if not (self._skipping and mode.skips):
             return True
@@ -208,12 +208,12 @@ class BrickedDrawing(Drawing):
 
 @dataclass(frozen=True)
 class Carried:
-    """What the rays of an area of a picture carry between bricks.
+    """The states of the rays of an area of a picture between bricks.
 
     Attributes
     ----------
     area : tuple of int
-        Which pixels: x, y, width, height; it begins a tile.
+        x, y, width, height in pixels; it begins at a tile.
     states, shown : ndarray of float32, shape (fields, height, width)
         The mode's numbers, and how many samples were gathered; the colour and the normal where rays end, as far as these are kept.
     """
@@ -224,7 +224,7 @@ class Carried:
 
 
 class Pass:
-    """One ray of each pixel of a frame or of an area that begins a tile, or one of each of a list, on its way through the bricks.
+    """One ray for each pixel of a frame, or of an area that begins at a tile, or of a list, on its way through the bricks.
 
     Parameters
     ----------
@@ -233,13 +233,13 @@ class Pass:
     places : ndarray of float32, shape (N, 2), optional
         Where the rays of a list cross the picture.
     program, table
-        What the frame's kernels are, and what they read.
+        The frame's kernels, and the transfer function's table.
     beside : int
-        Pixels that a ray may cross the picture beside its own.
+        Most pixels between a ray and its pixel.
     whole : Frame
-        Of the picture by whose pixels places are counted.
+        The picture whose pixels are the unit of `places`.
     area : (int, int, int, int), optional
-        Its rays alone are begun, and have states.
+        Only the rays of this area are begun, and have states.
     """
 
     def __init__(
@@ -295,7 +295,7 @@ class Pass:
         return x + left, y + top, min(width, right) - left, min(height, bottom) - top
 
     def asks_for(self, brick: Brick, ends: tuple[float, float] | None, area: Area) -> bool:
-        """Whether any ray of an area meets a brick, and values between its `ends`, stored ones, could change what it shows."""
+        """Whether any ray of an area meets a brick, and stored values between its `ends` could change the ray's result."""
         device, values, found = self.frame.device, self.frame.values.copy(), np.zeros(1, np.int32)
         values["window"]["low"], values["window"]["high"] = brick.low, brick.high
         low, high = (-_ANY, _ANY) if ends is None else ends
@@ -307,7 +307,7 @@ class Pass:
         return bool(found[0])
 
     def march(self, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField, area: Area) -> None:
-        """March rays through a brick that is resident."""
+        """March rays through a resident brick."""
         frame, device = self.frame, self.frame.device
         values = frame.values.copy()
         values["window"] = _window(own, minmax, brick, field)
@@ -334,32 +334,32 @@ class Pass:
 
     @property
     def going(self) -> bool:
-        """Whether any ray wants more samples."""
+        """Whether any ray is unfinished."""
         return bool(self._going.any())
 
     def carried(self) -> Carried:
-        """What the rays of the area carry, for another process to resume."""
+        """The states of the area's rays, for another process to resume."""
         planes = []
         for buffer, count in zip((self._memory, self._shown), self._fields, strict=True):
-            with self._planes(buffer, count, write=False) as own:
-                planes.append(own.copy())
+            with self._planes(buffer, count, write=False) as present:
+                planes.append(present.copy())
         return Carried(self.area, planes[0], planes[1])
 
     def take(self, carried: Carried) -> None:
-        """Have rays of the area, or of a part of it, carry what they do behind other bricks."""
+        """Set the states of rays of the area, or of a part of it, after other bricks."""
         for buffer, given in ((self._memory, carried.states), (self._shown, carried.shown)):
-            with self._planes(buffer, len(given), write=True, area=carried.area) as own:
-                own[...] = given
+            with self._planes(buffer, len(given), write=True, area=carried.area) as present:
+                present[...] = given
 
     def resume(self, carried: Carried) -> None:
-        """Resume such rays."""
+        """Resume rays with these states."""
         self.take(carried)
         block = self.frame.device.buffers.upload(self.frame.values[None])
         self._over("resume_states", carried.area, block, self._places, self._memory, self._flags)
         self.frame.device.buffers.download(self._flags, self._going)
 
     def merge(self, back: Pass) -> None:
-        """Rays that have been through bricks behind, apart from these, into these: see `merge_states`."""
+        """Merge the states of rays through the bricks behind into these: see `merge_states`."""
         block = self.frame.device.buffers.upload(self.frame.values[None])
         buffers = self._memory, self._shown, back._memory, back._shown
         self._over("merge_bricks", self.area, block, self._places, *buffers)
@@ -371,11 +371,11 @@ class Pass:
         if not count:
             yield np.empty((0, h, w), np.float32)
             return
-        with self.frame.device.buffers.mapped(buffer, (count, height, width), write=write) as all_of_it:
-            yield all_of_it[:, y - top : y - top + h, x - left : x - left + w]
+        with self.frame.device.buffers.mapped(buffer, (count, height, width), write=write) as whole:
+            yield whole[:, y - top : y - top + h, x - left : x - left + w]
 
     def finish(self, buffers: list[Any]) -> None:
-        """What the rays show, into pictures."""
+        """Write the rays' results to pictures."""
         frame = self.frame
         block, nowhere = frame.device.buffers.upload(frame.values[None]), np.zeros(4, np.int32)
         self._over(
@@ -392,7 +392,7 @@ class Pass:
         )
 
     def _over(self, kernel: str, area: Area, *arguments: Any, share: float = 0.0) -> None:
-        """A kernel over an area; of the rays' samples it takes this share at most."""
+        """Run a kernel over an area; it takes at most this share of the rays' samples."""
         for _ in launched_over(self.frame, self._program.kernel(kernel), area, *arguments, share=share):
             pass
 
@@ -404,9 +404,8 @@ class Pass:
 def front_to_back(field: BrickedField, view: Viewpoint, box: tuple[Index, Index] | None = None) -> list[Brick]:
     """The bricks of a field, or of a box of them, in an order in which none is behind one that comes later.
 
-    Along each axis they follow outwards from where the eye is, or towards where the view goes: boxes between planes that are
-    sorted like this along every axis are sorted, whichever axis comes first: one along which chunks are no longer than bricks, for
-    these are then unpacked for one layer of bricks after the other.
+    Along each axis they are ordered outwards from the eye, or along the view. The axes may then be nested in any order; an axis
+    along which chunks are no longer than bricks is first, so that chunks are decompressed for one layer of bricks at a time.
     """
     grid, inverse = field.volume.grid, field.volume.grid.world_to_index_matrix
     ways = []
@@ -416,8 +415,8 @@ def front_to_back(field: BrickedField, view: Viewpoint, box: tuple[Index, Index]
             ways.append(list(range(first, past)) if forwards else list(range(first, past))[::-1])
             continue
         eye = (float(view.eye_in(grid)[axis]) - field.bricks.offset) / field.edge
-        own = min(max(math.floor(eye), first), past - 1)
-        ways.append([*range(own, past), *range(first, own)[::-1]])  # neighbours, which share chunks, follow each other
+        nearest = min(max(math.floor(eye), first), past - 1)
+        ways.append([*range(nearest, past), *range(first, nearest)[::-1]])  # neighbours, which share chunks, are successive
     x, y, z = ways
     along = np.abs(inverse @ view.forward)
     order = sorted(range(3), key=lambda axis: (field.long_chunks[axis], -along[axis], -axis))
@@ -438,18 +437,18 @@ def nearest_to(volume: LazyVolume, view: Viewpoint) -> float:
 
 
 def level_within(volume: LazyVolume, length: float) -> int:
-    """The coarsest level whose voxels are at most so long."""
+    """The coarsest level whose voxels are at most `length` long."""
     return max((i for i, level in enumerate((volume, *volume.levels)) if max(level.spacing) <= length), default=0)
 
 
 def fields_of(frame: Frame) -> int:
-    """Numbers that are kept for each ray."""
+    """Numbers stored for each ray."""
     mode = frame.mode
     return mode.state_fields + 1 + 3 * mode.finished_there + 3 * frame.guides
 
 
 def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> Values:
-    """What kernels read of the resident part."""
+    """The kernels' parameters of the resident part."""
     stored_from = [first * field.filter.scale for first in brick.first]
     z, y, x = own.coefficients.shape
     cells_from, cells_to = field.bricks.cells(brick)
@@ -467,7 +466,7 @@ def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedFi
 
 
 def boxes_of(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.float32]:
-    """Between which places of a picture the rays of each tile of a list lie: left, top, right and bottom, (rows, columns, 4)."""
+    """The box of a picture in which the rays of each tile of a list are: left, top, right, bottom; (rows, columns, 4)."""
     rows, columns = -(-places.shape[0] // down), -(-places.shape[1] // across)
     boxes = np.empty((rows, columns, 4), np.float32)
     for i in range(rows):

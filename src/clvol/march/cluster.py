@@ -1,9 +1,9 @@
 """Pictures by the workers of a cluster: each reads some of the bricks, and rays are passed from worker to worker, or merged.
 
-The bricks are divided into boxes by halving the volume again and again (a kd-tree), so that they have an order of visibility from
-every view, and the picture into areas. "order": the states of an area's rays go from box to box, front to back, while other boxes
-work on other areas; the picture is that of a single process, to the last bit, and hidden boxes are not read. "tree": rays go
-through all boxes at once, and their states are merged two by two; no box waits for another, but hidden boxes are read.
+A kd-tree divides the bricks into boxes, so that they have a visibility order from every view, and the picture is divided into
+areas. "order": the states of an area's rays go from box to box, front to back, while other boxes work on other areas; the picture
+equals that of a single process to the last bit, and hidden boxes are not read. "tree": rays go through all boxes at once, and
+their states are merged in pairs; no box waits for another, but hidden boxes are read.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _LEAST = 32  # samples along the smallest edge of a brick: margins are as wide a
 _FIELDS = 4  # fields that a worker keeps
 
 
-# -- which bricks go together --------------------------------------------------------------------------------------------------
+# -- groups of bricks ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Group:
 
 @dataclass(frozen=True)
 class _Halves:
-    """A box that is divided along an axis, before brick number `at`."""
+    """A box divided along an axis, before brick number `at`."""
 
     axis: int
     at: int
@@ -150,7 +150,7 @@ def shared_out(field: BrickedField, workers: int) -> BrickedField:
 
 @dataclass(frozen=True)
 class _Recipe:
-    """The arguments of the field that each worker makes, once."""
+    """The arguments of the field that each worker makes once."""
 
     token: str
     volume: LazyVolume
@@ -187,7 +187,7 @@ class _Marched:
 
 
 class Shared:
-    """A field whose bricks are shared out among the workers of a cluster.
+    """A field whose bricks are distributed over the workers of a cluster.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ class Shared:
         self.share()
 
     def share(self) -> None:
-        """Share the bricks out among the present workers, and send these the recipe of the field."""
+        """Distribute the bricks over the present workers, and send them the recipe of the field."""
         field, volume = self.field, self.field.volume.for_tasks()
         recipe = _Recipe(
             self.token,
@@ -238,7 +238,7 @@ class Shared:
 
 
 class ClusterDrawing(BrickedDrawing):
-    """A picture that is being drawn, whose rays the workers of a cluster cast.
+    """A picture in progress, whose rays the workers of a cluster cast.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ class ClusterDrawing(BrickedDrawing):
         As of `BrickedDrawing`.
     shared : Shared
     merge : {"order", "tree"}
-        How rays go through the groups.
+        How rays traverse the groups.
     """
 
     def __init__(
@@ -268,7 +268,7 @@ class ClusterDrawing(BrickedDrawing):
     ) -> None:
         try:
             self._by_workers(passes, frames, progress)
-        except LostError:  # workers may have been killed by somebody else's work
+        except LostError:  # other work may have killed workers
             self._shared.share()
             self._by_workers(passes, frames, progress)
 
@@ -351,7 +351,7 @@ class _Work:
         self._last.append((number, before))
 
     def by_tree(self, number: int, area: Area, groups: Sequence[Group]) -> None:
-        """Submit the rays of an area through all groups at once, and their merging two by two."""
+        """Submit the rays of an area through all groups at once, and the merging in pairs."""
         shared = self._shared
         parts = [self._march(number, area, group, None) for group in groups]
         while len(parts) > 1:
@@ -376,7 +376,7 @@ class _Work:
             raise self._named(error) from error
 
     def _named(self, error: PoisonError) -> ClusterError:
-        """The error that names the brick which kills workers: the last one that a worker announced, if it kills alone as well."""
+        """The error with the name of the brick that kills workers: the last one announced, if it alone kills them too."""
         word = error.key.removeprefix(self._name).split("-")[1:2]
         group = self._groups.get(int(word[0])) if word and word[0].isdigit() else None
         if group is None:
@@ -403,7 +403,7 @@ class _Work:
         )
 
     def _killer(self, bricks: Sequence[Index]) -> Index | None:
-        """The brick at which workers die that read these, one after the other; None if one can read them all."""
+        """The brick at which workers die that read these in order; None if a worker can read them all."""
         cluster, key = self._shared.cluster, f"{self._name}-read-{uuid.uuid4().hex}"
         try:
             for _ in cluster.as_completed([cluster.submit(read_bricks, self._shared.recipe, bricks, key, key=key)]):
@@ -417,12 +417,12 @@ class _Work:
         return None
 
     def cancel(self) -> None:
-        """Cancel what has not finished."""
+        """Cancel unfinished tasks."""
         self._shared.cluster.cancel([future for _, future in self._last if future is not None])
 
 
 def require_merge(merge: str, frame: Frame) -> Merge:
-    """How rays are put together; `OptionError` where a tree would give another picture."""
+    """Check `merge`; `OptionError` if a tree would give another picture."""
     if merge == "order":
         return "order"
     if merge != "tree":
@@ -433,23 +433,23 @@ def require_merge(merge: str, frame: Frame) -> Merge:
 
 
 def _bare(frame: Frame) -> Frame:
-    """A frame without what belongs to a device."""
+    """A frame without device objects."""
     return replace(frame, coefficients=None, minmax=None, sides=None)  # type: ignore[arg-type]  # workers put in their own
 
 
 def _same_job(job: _Job) -> _Job:
-    """A task that gives its argument, which the scheduler keeps and can send again."""
+    """A task that returns its argument, so that the scheduler keeps it and can send it again."""
     return job
 
 
 # -- in a worker -----------------------------------------------------------------------------------------------------------------
 
 _fields: OrderedDict[str, BrickedField] = OrderedDict()
-_lock = WorkerLock()  # kernels use all cores, and there is memory for one field's bricks
+_lock = WorkerLock()  # kernels use all cores, and memory holds one field's bricks
 
 
 def _field_of(recipe: _Recipe) -> BrickedField:
-    """The field of a recipe, for which other fields free their bricks."""
+    """The field of a recipe; other fields free their bricks for it."""
     if recipe.version != version():
         raise ClusterError(f"workers must have clvol {recipe.version}; {worker_address()} has {version()}")
     if recipe.token not in _fields:
@@ -474,7 +474,7 @@ def _field_of(recipe: _Recipe) -> BrickedField:
 
 @contextmanager
 def _locked(recipe: _Recipe) -> Iterator[BrickedField]:
-    """The field of a recipe, for this task alone."""
+    """The field of a recipe, exclusively for this task."""
     with _lock:
         field = _field_of(recipe)
         with field.in_use():
@@ -498,7 +498,7 @@ def _begun(field: BrickedField, job: _Job, number: int, area: Area) -> tuple[Bri
 
 
 def march_group(recipe: _Recipe, job: _Job, number: int, group: Group, area: Area, before: _Marched | None) -> _Marched:
-    """The rays of an area of frame `number` through a group, from their beginning or with the states that other groups left."""
+    """March the rays of an area of frame `number` through a group, from their start or with the states after other groups."""
     with _locked(recipe) as field:
         drawing, rays = _begun(field, job, number, area)
         try:
@@ -517,7 +517,7 @@ def march_group(recipe: _Recipe, job: _Job, number: int, group: Group, area: Are
 
 
 def merge_groups(recipe: _Recipe, job: _Job, number: int, front: _Marched, back: _Marched) -> _Marched:
-    """The states of rays that went through groups separately, `back` behind `front`, as one."""
+    """Merge the states of rays that were marched through groups separately, `back` behind `front`."""
     with _locked(recipe) as field:
         _, rays = _begun(field, job, number, front.carried.area)
         _, behind = _begun(field, job, number, front.carried.area)
@@ -532,7 +532,7 @@ def merge_groups(recipe: _Recipe, job: _Job, number: int, front: _Marched, back:
 
 
 def read_bricks(recipe: _Recipe, bricks: Sequence[Index], key: str) -> None:
-    """Read bricks one after the other, and announce to the scheduler which one is next, so that it outlives this process."""
+    """Read bricks in order, and announce each to the scheduler first, so that its number outlives this process."""
     import distributed
 
     client: Any = distributed.get_client()
@@ -544,7 +544,7 @@ def read_bricks(recipe: _Recipe, bricks: Sequence[Index], key: str) -> None:
 
 
 class OnCluster(ByBricks):
-    """A function whose bricks the workers of a cluster share.
+    """A function whose bricks are distributed over the workers of a cluster.
 
     Parameters
     ----------
@@ -590,7 +590,7 @@ class OnCluster(ByBricks):
         return ClusterDrawing(frame, fine.rays, fine.filter, self._share(field), view, skipping=look.skipping, merge=self._merge)
 
     def _share(self, field: BrickedField) -> Shared:
-        """Which worker has which bricks of a field; they are shared out anew when the workers are others."""
+        """The distribution of a field's bricks over the workers; renewed when the workers change."""
         with self._lock:
             found = self._shared.get(id(field))
             if found is None:
@@ -602,7 +602,7 @@ class OnCluster(ByBricks):
 
 
 def _leave(cluster: Cluster, shared: dict[int, Shared], *, owned: bool) -> None:
-    """Leave a cluster, whose workers then keep nothing."""
+    """Leave a cluster, and free the fields of its workers."""
     for one in shared.values():
         one.forget()
     if owned:

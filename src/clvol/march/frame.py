@@ -1,4 +1,4 @@
-"""One picture made definite: everything that its kernels read, computed in float64."""
+"""The parameters of one picture: everything that its kernels read, computed in float64."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
 
 __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "frame_block", "tile_of"]
 
-BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
-BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
+BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and if coefficients are not read as rows of a buffer
+BY_PLANES = Tile(16, 16, 8, shared=True)  # for CPUs
 
-_STRETCHES = 2.0, 4 * SEGMENT  # step and segments of modes that look at all between samples, in voxels
+_STRETCHES = 2.0, 4 * SEGMENT  # voxels; step and segments of modes that search between samples
 
 PICTURE = Block(
     "picture_block",
@@ -41,7 +41,7 @@ PICTURE = Block(
     weight=FLOAT,
     width=INT,
     height=INT,
-    kept_from=(INT, 2),  # the pixels whose states, and listed places, are in buffers
+    kept_from=(INT, 2),  # the pixels whose states and listed places are in buffers
     kept=(INT, 2),
     opaque=INT,
     listed=INT,
@@ -63,7 +63,7 @@ WINDOW = Block(  # the resident part of a volume that is read by bricks: window.
 
 @lru_cache
 def frame_block(mode: Block) -> tuple[Block, str]:
-    """The parameter block of a picture, the blocks of all that it is made from, and its declaration for the kernels."""
+    """The parameter block of a picture, and its declaration for the kernels."""
     block = Block(
         "frame_t",
         camera=Viewpoint.BLOCK,
@@ -83,16 +83,16 @@ def frame_block(mode: Block) -> tuple[Block, str]:
 
 @dataclass(frozen=True)
 class Frame:
-    """A picture made definite for a device.
+    """The parameters of a picture on a device.
 
     Attributes
     ----------
     coefficients : Coefficients or Whole
         Of the medium.
     minmax : MinMax or None
-        Of the medium, where space is skipped.
+        Of the medium, if empty space is skipped.
     sides : Buffer or None
-        Of the value that the mode seeks, if it looks at stretches, where space is skipped.
+        For the mode's isovalue, if it searches stretches and empty space is skipped.
     mode : Mode
         Settled for the medium's volume.
     transfer : TransferFunction
@@ -101,8 +101,8 @@ class Frame:
     tile : Tile
         The rays of a work-item.
     central, labels, guides : bool
-        Whether gradients are central differences; whether values are labels, whose differences mean nothing; whether more than
-        the picture is wanted.
+        Whether gradients are central differences; whether values are labels, whose differences are meaningless; whether guides
+        are wanted too.
     values : ndarray
         The parameter block.
     table : ndarray of float32
@@ -141,10 +141,10 @@ class Frame:
         aspect: float | None = None,
         progress: Progress | None = None,
     ) -> Frame:
-        """The frame of a scene whose medium's coefficients are resident, by a camera and a mode.
+        """The frame of a scene whose coefficients are resident, for a camera and a mode.
 
-        `aspect` is ``width / height`` of the picture that is shown, if that is not quite this one's. `progress` is called during
-        what takes long, and may raise.
+        `aspect` is ``width / height`` of the displayed picture, if it differs slightly from this one's. `progress` is called
+        during long computations, and may raise.
         """
         (medium,), (width, height) = scene.media, size
         aspect = width / height if aspect is None else aspect
@@ -201,14 +201,14 @@ class Frame:
         return int(picture["width"]), int(picture["height"])
 
     def sampled(self, offset: NDArray[np.float64], weight: float, number: int, passes: int) -> Values:
-        """The parameter block for ray `number` of each pixel's, at `offset` from its corner, which counts `weight`."""
+        """The parameter block for ray `number` of each pixel, at `offset` from its corner, with this weight."""
         values = self.values.copy()
         picture = values["picture"]
         picture["offset"], picture["weight"], picture["pass"], picture["last_pass"] = offset, weight, number, passes - 1
         return values
 
     def of_rays(self, width: int, height: int) -> Frame:
-        """The frame of a list of rays through this picture: one a pixel of another, whose colours stay premultiplied."""
+        """The frame of a list of rays through this picture, one for each pixel of another, with premultiplied colours."""
         values = self.values.copy()
         picture = values["picture"]
         picture["listed"], picture["width"], picture["height"], picture["last_pass"] = True, width, height, 1
@@ -216,14 +216,14 @@ class Frame:
         return replace(self, values=values)
 
     def kept(self, x: int, y: int, width: int, height: int) -> Frame:
-        """The same frame, of which no more is kept than the states of an area of whole tiles."""
+        """The same frame, with states only for an area of whole tiles."""
         values = self.values.copy()
         picture = values["picture"]
         picture["kept_from"], picture["kept"] = (x, y), (width, height)
         return replace(self, values=values)
 
     def program(self, name: str, *, windowed: bool = False) -> Program:
-        """A kernel file of the ray loop, specialised for this frame; `windowed`: for parts of the volume, one after the other."""
+        """A kernel file of the ray loop, specialised for this frame; `windowed`: for one brick of the volume at a time."""
         tile, mode = self.tile, self.mode
         defines: Mapping[str, Any] = {
             **self.coefficients.defines(self.evaluator),
@@ -250,7 +250,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Subject:
-    """A look of a function that is resident: all that a frame takes but size and step."""
+    """A look of a resident function: everything for a frame except size and step."""
 
     look: ResolvedLook
     coefficients: Coefficients | Whole
@@ -271,7 +271,7 @@ class Subject:
         aspect: float | None = None,
         progress: Progress | None = None,
     ) -> Frame:
-        """The frame of a size; `aspect` and `progress` as for `Frame.of`."""
+        """The frame for a size; `aspect` and `progress` as for `Frame.of`."""
         look = self.look.placed(size[0] / size[1] if aspect is None else aspect)
         return Frame.of(
             look.scene,
@@ -290,12 +290,12 @@ class Subject:
         )
 
     def placed(self, aspect: float) -> Subject:
-        """The same by a camera that has its place, if that was left open."""
+        """The same with a fitted camera, if its position was left open."""
         return replace(self, look=self.look.placed(aspect))
 
 
 def tile_of(device: Device, evaluator: Evaluator) -> Tile:
-    """The device's limit, else blended planes for processors that read rows of taps from a buffer."""
+    """The device's limit, else blended planes for CPUs that read rows of taps from a buffer."""
     if device.limits.tile is not None:
         return Tile(*device.limits.tile)
     return BY_PLANES if device.kind == "cpu" and evaluator == DIRECT else BY_RAYS

@@ -1,4 +1,4 @@
-"""Kernels of the ray loop on a device: the fused `draw`, and the same in parts."""
+"""Launches of the ray loop's kernels: the fused `draw`, and the same in parts."""
 
 from __future__ import annotations
 
@@ -36,26 +36,26 @@ __all__ = [
 ]
 
 Picture: TypeAlias = NDArray[np.floating[Any]]
-"""Float32, but for positions, which are float64."""
+"""float32, except positions, which are float64."""
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
 BEFORE_EDGES = 0.75
-"""Of the progress of a picture with more rays on edges, what is before them."""
-_ALONE, _BLENDED = 20, 64  # of so many pixels one has more rays at most; fewer where such rays miss the planes of a tile's others
+"""Share of the progress before the edges, for a picture with more rays on them."""
+_ALONE, _BLENDED = 20, 64  # at most one pixel in n has more rays; fewer with blended planes, which such rays do not share
 _GROUP = 8  # work-items along an edge of a group
 _AREA = 8  # pixels along an edge of the smallest launch
 _STEP = 0.005  # seconds
-_FASTER = 16  # times faster are most rays than the first guess, which is for the slowest
-_DEAF = 0.25  # seconds that a launch may take by the guess, whatever was measured
-_LONG = 0.05  # seconds; a wait for less is not cut into steps
-_FORGOTTEN = 0.8  # what is left of the time of a slow launch behind the next one
-_SCATTERED = 8  # times as long takes a ray whose neighbours are far away, at most guesses
-_FINDING = 0.2  # of the progress of edges, until they are found
-_EDGE_TILE = 16  # pixels along an edge of a part of the picture whose pixels on edges follow each other
+_FASTER = 16  # most rays are this many times faster than the first guess, which is for the slowest
+_DEAF = 0.25  # seconds; longest launch by the guess, whatever was measured
+_LONG = 0.05  # seconds; shorter waits are not divided into steps
+_FORGOTTEN = 0.8  # decay of the time of a slow launch with each further launch
+_SCATTERED = 8  # a guess: a ray without near neighbours takes at most this many times as long
+_FINDING = 0.2  # share of the progress of edges until they are found
+_EDGE_TILE = 16  # pixels along the squares by which pixels on edges are ordered
 _SET_UP = 2.0  # samples that a ray takes as long as to be begun
-_CELLS = 8  # cells on a ray for each that is evaluated, in guesses
-_ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
-_SHADED, _CENTRAL, _SOFTWARE = 3, 12, 8  # times as long with the gradient, with central differences, from images on a processor
+_CELLS = 8  # a guess: cells on a ray for each one that is evaluated
+_ROW_SECONDS = 1.5e-9  # a generous guess of the time of a row of taps on a CPU core; corrected as tiles finish
+_SHADED, _CENTRAL, _SOFTWARE = 3, 12, 8  # times as long with the gradient, with central differences, from images on a CPU
 
 
 def draw(
@@ -65,7 +65,7 @@ def draw(
 
     With "auto" one, and `EDGE_RAYS` in pixels on edges of that picture (`on_edges`).
 
-    Guides are those of the ray through the pixel's middle, which is cast for them if the picture does without it.
+    Guides are those of the ray through the pixel's middle, which is cast for them if the picture does not need it.
     """
     return drawn(Drawing(frame, rays, filter), rays, progress)
 
@@ -80,24 +80,24 @@ def drawn(drawing: Drawing, rays: int | Literal["auto"], progress: Progress | No
 
 
 class Drawing:
-    """A picture that is being drawn: rays are cast in launches, and progress is reported between them.
+    """A picture in progress: rays are cast in launches, and progress is reported between them.
 
-    A callback that raises ends the drawing. Nothing is kept on the device between calls, but for what a frame has there.
+    A callback that raises ends the drawing. Between calls, only the frame's buffers are on the device.
 
     Parameters
     ----------
     frame, rays, filter
         As for `draw`.
     expected : float
-        Seconds that one ray of each pixel may take, if more is known than guesses.
+        Estimated seconds for one ray of each pixel, if known.
 
     Attributes
     ----------
     frame : Frame
     rays, cast_rays : int
-        How many rays a pixel has, and how many of them were cast.
+        Rays for each pixel, and how many of them were cast.
     arrays : dict of ndarray
-        The pictures; without all rays they are sums of what was cast, which `shown` makes a picture of.
+        The pictures; until all rays are cast they are sums, which `shown` converts to a picture.
     """
 
     def __init__(
@@ -108,19 +108,19 @@ class Drawing:
         self._pattern = pixel_rays(1 if rays == "auto" else rays, self._filter, middle=frame.guides)
         self._budget = _Budget(frame)
         self._budget.expect(expected / math.prod(frame.size))
-        self._areas: Iterator[tuple[int, int, int, int]] | None = None  # of the ray that was begun
+        self._areas: Iterator[tuple[int, int, int, int]] | None = None  # of the ray in progress
         self.rays, self.cast_rays = len(self._pattern), 0
         self.arrays = pictures_of(frame)
         self._make_ready()
 
     def _make_ready(self) -> None:
-        """The kernel, and what it reads."""
+        """Build the kernel and upload its inputs."""
         self._kernel, self._inputs = self.frame.program("march/draw.cl").kernel("draw"), _Inputs(self.frame)
 
     def cast(self, rays: int, progress: Progress | None = None, until: float = math.inf) -> bool:
-        """So many further rays of each pixel.
+        """Cast `rays` more rays for each pixel; returns whether it finished.
 
-        Stops behind the launch in which `time.perf_counter` passes `until`, and is then not done: the next call goes on.
+        Stops after the launch in which `time.perf_counter` passes `until`; the next call resumes.
         """
         frame, (width, height), kernel = self.frame, self.frame.size, self._kernel
         last = min(self.rays, self.cast_rays + rays)
@@ -141,7 +141,7 @@ class Drawing:
         return True
 
     def shown(self) -> Picture:
-        """A copy of the picture by the rays that were cast; there must be one."""
+        """A copy of the picture by the rays that were cast; at least one."""
         picture: Picture = self.arrays["rgba"].copy()
         if self.cast_rays == self.rays:
             return picture
@@ -167,7 +167,7 @@ class Drawing:
     def _smooth(self, picture: Picture, pixels: NDArray[np.intp], progress: Progress | None) -> None:
         frame = self.frame
         (_, share), *more = pixel_rays(EDGE_RAYS, self._filter, middle=True)
-        pixels = pixels[np.lexsort((pixels // _EDGE_TILE).T[::-1])]  # neighbours go together: through the same bricks, for one
+        pixels = pixels[np.lexsort((pixels // _EDGE_TILE).T[::-1])]  # neighbours together, which for example cross the same bricks
         offsets, weights = zip(*more, strict=True)
         places = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
         width = frame.tile.width if frame.tile.shared else _GROUP  # so that neighbours share a tile or a group
@@ -189,7 +189,7 @@ class Drawing:
         picture[where] = np.clip(means, 0, 1)
 
     def _cast_listed(self, rays: Frame, places: NDArray[np.float32], progress: Progress | None) -> dict[str, Picture]:
-        """What a list of rays shows, which cross the picture at these places."""
+        """Cast a list of rays that cross the picture at these places."""
         budget, device, (width, height) = self._budget, rays.device, rays.size
         block, listed = device.buffers.upload(rays.values[None]), device.buffers.upload(places)
         arrays = pictures_of(rays)
@@ -206,13 +206,13 @@ class Drawing:
 
 
 class States:
-    """What every ray of a frame carries after some of its samples, on the device.
+    """The states of a frame's rays after some of their samples, on the device.
 
     Attributes
     ----------
     frame : Frame
     buffer : Buffer
-        float32 of shape (fields, height, width): the mode's fields, and how many samples were gathered.
+        float32 of shape (fields, height, width): the mode's fields, and the number of gathered samples.
     """
 
     def __init__(self, frame: Frame) -> None:
@@ -221,7 +221,7 @@ class States:
         self.buffer = frame.device.buffers.allocate(4 * (frame.mode.state_fields + 1) * width * height)
 
     def argument(self, other: Frame) -> Any:
-        """The buffer, for kernels of a frame of the same size, mode and volume; `OptionError` if it is another or released."""
+        """The buffer, for kernels of a frame with the same size, mode and volume; else, or once released, `OptionError`."""
         if self.buffer is None:
             raise OptionError("the states were released; march new ones")
         mine, theirs = ((f.size, f.mode, f.coefficients) for f in (self.frame, other))
@@ -249,10 +249,10 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     ----------
     frame : Frame
     first, last : float
-        Numbers of samples, from 0 at the first plane that a ray of the picture may cross; all by default.
+        Sample numbers, from 0 at the first plane that a ray of the picture may cross; all by default.
     states : States, optional
-        After the samples before `first`; they are carried on, and returned. By default rays begin anew; a mode that looks
-        at neighbouring samples then takes those before `first` too.
+        After the samples before `first`; they are updated and returned. By default rays start fresh; a mode that compares
+        adjacent samples then also takes those before `first`.
     """
     kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), _Inputs(frame)
     carried, states = states is not None, States(frame) if states is None else states
@@ -266,12 +266,12 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
 
 
 def merge_states(front: States, back: States) -> States:
-    """Two stretches of the same rays as one, in the place of the front one.
+    """Merge two stretches of the same rays into the front one.
 
-    The picture is that of one stretch: bit by bit for surfaces and extremes, within 1e-6 where values are added up, and within
-    1e-6 and the mode's `termination` where light is: a stretch does not know how much of it the one before stopped.
-    The depth of "composite" is that at which one stretch stops half of its light by itself; states that are carried on
-    (`march_rays`) give the exact one.
+    The picture is that of one stretch: bit by bit for surfaces and extremes, within 1e-6 for sums of values, and within 1e-6 plus
+    the mode's `termination` for light: a stretch does not know the transmittance of the one in front.
+    The depth of "composite" is that at which one stretch alone stops half of its light; states that are carried on
+    (`march_rays`) give the exact depth.
     """
     frame = front.frame
     buffers = front.argument(frame), back.argument(frame)
@@ -282,7 +282,7 @@ def merge_states(front: States, back: States) -> States:
 
 
 def finish_states(states: States) -> dict[str, Picture]:
-    """The picture that rays in these states make, and its guides, as `draw` gives them."""
+    """The picture of rays in these states, and its guides, as from `draw`."""
     frame, buffer = states.frame, states.argument(states.frame)
     kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), _Inputs(frame)
     block = frame.device.buffers.upload(frame.values[None])
@@ -292,47 +292,47 @@ def finish_states(states: States) -> dict[str, Picture]:
     return _in_world(frame, arrays)
 
 
-# -- inner -------------------------------------------------------------------------------------------------
+# -- launches ----------------------------------------------------------------------------------------------
 
 
 class _Inputs:
-    """What a frame's kernels read, on the device."""
+    """The inputs of a frame's kernels, on the device."""
 
     def __init__(self, frame: Frame) -> None:
-        assert isinstance(frame.coefficients, Coefficients)  # all of them are there
+        assert isinstance(frame.coefficients, Coefficients)  # all are resident
         self.source, self.extent = frame.coefficients.argument(frame.evaluator), frame.coefficients.extent
         self.table = frame.device.buffers.upload(frame.table)
         self.minmax = self.table if frame.minmax is None else frame.minmax.buffer  # any buffer: it is not read
         self.sides = self.table if frame.sides is None else frame.sides
 
     def of_rays(self, block: Any) -> tuple[Any, ...]:
-        """What kernels that take rays through the volume begin with, given the parameter block."""
+        """The first arguments of kernels that march rays, with this parameter block."""
         return self.source, self.extent, self.minmax, self.sides, block, self.table
 
 
 def pictures_of(frame: Frame) -> dict[str, Picture]:
-    """What a frame's pictures are written to."""
+    """Arrays for a frame's pictures."""
     width, height = frame.size
     return {name: np.empty((height, width, *n), np.float32) for name, n in CHANNELS.items() if frame.guides or name == "rgba"}
 
 
 @contextlib.contextmanager
 def lent_pictures(frame: Frame, arrays: dict[str, Picture], *, begun: bool = False) -> Iterator[list[Any]]:
-    """The buffers that kernels write the arrays of a frame's pictures through; `begun` if these hold something already."""
-    unused = [frame.device.buffers.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # nobody wants them: never written
+    """Buffers through which kernels write a frame's pictures; `begun` if these already have content."""
+    unused = [frame.device.buffers.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # never written
     with contextlib.ExitStack() as lent:
         yield [lent.enter_context(frame.device.buffers.lent(array, write=True, begun=begun)) for array in arrays.values()] + unused
 
 
 def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
-    """The pictures, with positions counted from the world's origin: kernels count from the volume's centre, in float32."""
+    """The pictures, with positions relative to the world's origin: kernels write them relative to the volume's centre."""
     if "position" in arrays:
         arrays["position"] = arrays["position"] + frame.coefficients.volume.center
     return arrays
 
 
 def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any, long: bool = False) -> None:
-    """One launch over the pixels of an area (x, y, width, height) that begins a tile, to its end; `long` if it may take long."""
+    """Launch over the pixels of an area (x, y, width, height) that begins at a tile, and wait; `long` if it may take long."""
     (x, y, w, h), tile, device = area, frame.tile, frame.device
     shape = (1, 1) if tile.shared else (_GROUP, _GROUP)
     tiles = (-(-w // tile.width), -(-h // tile.height))
@@ -348,7 +348,7 @@ def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *argumen
 def _launched(
     frame: Frame, kernel: Any, areas: Iterator[tuple[int, int, int, int]], budget: _Budget, *arguments: Any
 ) -> Iterator[tuple[int, int, int, int]]:
-    """Each area, when it was launched and is done."""
+    """Launch over each area, and yield it when done."""
     for area in areas:
         pixels, started = area[2] * area[3], time.perf_counter()
         _launch(frame, kernel, area, *arguments, long=budget.exceeded(pixels))
@@ -359,7 +359,7 @@ def _launched(
 def launched_over(
     frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any, share: float = 1.0
 ) -> Iterator[None]:
-    """A kernel over an area that begins a tile, in launches that are not long; it takes this share of the rays' samples at most."""
+    """Run a kernel over an area that begins at a tile, in short launches; it takes at most this share of the rays' samples."""
     left, top, width, height = area
     budget = _Budget(frame, share)
     areas = ((left + x, top + y, w, h) for x, y, w, h in budget.tiles(width, height))
@@ -368,7 +368,7 @@ def launched_over(
 
 
 def _await(event: Any) -> None:
-    """Wait for a launch in small steps: a signal is heard in between, which a wait of the runtime is deaf to."""
+    """Wait for a launch in small steps, in between which signals are handled; the runtime's wait does not handle them."""
     while event.command_execution_status > 0:  # CL_COMPLETE
         time.sleep(_STEP)
 
@@ -392,7 +392,7 @@ class _Budget:
         count: float = frame.planes.count
         if frame.mode.stretches:
             order = drawn.degree + 1
-            rows = drawn.support**2 * order * (drawn.support + order) / 32 + 40  # a polynomial, and the way to it
+            rows = drawn.support**2 * order * (drawn.support + order) / 32 + 40  # a polynomial, and traversal
             count = float(frame.coefficients.size.sum()) * drawn.scale / _CELLS
         rows *= _CENTRAL if frame.central else _SHADED if frame.mode.shaded else 1
         count = max(_SET_UP, share * count)
@@ -401,10 +401,10 @@ class _Budget:
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds
         self._per_pixel = self._guess = count * rows * _ROW_SECONDS / max(1, cores)
-        self._least = self._guess / _FASTER  # rays that meet nothing say nothing of those that do
+        self._least = self._guess / _FASTER  # rays that meet nothing do not predict others
 
     def exceeded(self, pixels: int) -> bool:
-        """Whether `pixels` may take longer than a launch should: a tile with very many samples cannot be cut."""
+        """Whether `pixels` may take longer than a launch should: a tile with very many samples cannot be divided."""
         return pixels * self._per_pixel > max(self._seconds, _LONG)
 
     def spent(self, pixels: int, seconds: float) -> None:
@@ -412,21 +412,21 @@ class _Budget:
         self._per_pixel = max(self._least, _FORGOTTEN * self._per_pixel, seconds / pixels)
 
     def expect(self, seconds: float) -> None:
-        """A pixel was found to take so long on average, if that is known: some take three times as long."""
+        """Use a measured average time of a pixel, if not 0: some take three times as long."""
         if seconds:
             self._per_pixel = self._least = 3 * seconds
 
     def slow_down(self, times: float) -> None:
-        """Expect the next areas to take `times` as long as those before, at first."""
+        """Expect the next areas to take `times` as long, at first."""
         self._per_pixel *= times
 
     @property
     def _pixels(self) -> float:
-        """Of the next area."""
+        """Pixels of the next area."""
         return min(self._seconds / self._per_pixel, max(self._seconds, _DEAF) / self._guess)
 
     def tiles(self, width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
-        """(x, y, width, height) of each area, each a multiple of a tile, but at the picture's edges."""
+        """(x, y, width, height) of each area, a multiple of a tile except at the picture's edges."""
         y = 0
         while y < height:
             area = self._pixels

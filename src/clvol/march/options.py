@@ -53,18 +53,18 @@ __all__ = [
 
 Merge: TypeAlias = Literal["order", "tree"]
 MERGES: tuple[Merge, ...] = ("order", "tree")
-"""How the workers of a cluster put rays together."""
+"""How the workers of a cluster combine rays."""
 
 Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited", "uncertainty"]
 
 OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
-"""Of every mode."""
+"""Outputs of every mode."""
 _ALL_OUTPUTS = get_args(Output)
 _MAX_SIZE = 1 << 15  # pixels
 _WORDS = ("preset", "window", "cmap", "opacity")
 
 
-# -- what may be asked for: `Renderer.render` documents each option ------------------------------------------------------------
+# -- options, as documented by `Renderer.render` -------------------------------------------------------------------------------
 
 
 class LookOptions(TypedDict, total=False):
@@ -152,7 +152,7 @@ class PictureOptions(RefineOptions, total=False):
 
 
 class FieldOptions(TypedDict, total=False):
-    """Where a renderer's function comes from: see `Renderer`."""
+    """Options of a renderer's function: see `Renderer`."""
 
     filter: str | Filter | None
     boundary: str | Boundary | None
@@ -172,7 +172,7 @@ class RenderOptions(PictureOptions, RendererOptions, total=False):
 
 
 class PanelOptions(RefineOptions, total=False):
-    """Options of pictures by several filters, as figures and reports show them side by side."""
+    """Options of pictures by several filters, side by side in figures and reports."""
 
     camera: Camera | None
     mode: str | Mode
@@ -180,7 +180,7 @@ class PanelOptions(RefineOptions, total=False):
 
 
 class ViewOptions(PanelOptions, total=False):
-    """Options of the picture that a view shows first."""
+    """Options of the first picture of a view."""
 
     filter: str | Filter | None
     boundary: str | Boundary | None
@@ -201,12 +201,12 @@ KEYWORDS = (
 
 
 def chosen_mode(mode: str | Mode, options: Mapping[str, Any]) -> Mode:
-    """The mode with its options, which are all that no picture has; `OptionError` names those that it does not have either."""
+    """The mode with its options, which are all that are not options of a picture; `OptionError` names unknown ones."""
     return as_mode(mode, {name: value for name, value in options.items() if name not in KEYWORDS}, KEYWORDS)
 
 
 def as_outputs(outputs: object) -> tuple[str, ...]:
-    """The names of outputs, of which one may be given alone."""
+    """The names of outputs, from one name or several."""
     if not isinstance(outputs, (str, Sequence)) or not outputs:
         raise one_of("outputs", outputs, _ALL_OUTPUTS)
     wanted = (outputs,) if isinstance(outputs, str) else tuple(outputs)
@@ -270,7 +270,7 @@ def as_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def require_room(size: tuple[int, int], outputs: tuple[str, ...], *, edges: bool) -> None:
-    """Raise `OutOfMemoryError` if there is no room for a picture, its guides, and what its edges are found by."""
+    """Raise `OutOfMemoryError` unless a picture, its guides and the arrays for its edges fit in memory."""
     width, height = size
     each = 16 + 56 * (outputs != ("rgba",)) + 32 * ("uncertainty" in outputs) + 28 * edges
     memory.require(width * height * each, f"a picture of {width} × {height} pixels")
@@ -281,7 +281,7 @@ def require_room(size: tuple[int, int], outputs: tuple[str, ...], *, edges: bool
 
 @dataclass(frozen=True)
 class ResolvedLook:
-    """What a picture shows, with nothing left to decide but how finely.
+    """What a picture shows, with everything resolved except its fineness.
 
     Attributes
     ----------
@@ -308,7 +308,7 @@ class ResolvedLook:
 
     @classmethod
     def of(cls, scene: Scene, preview: Volume, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
-        """The look of a scene; what options leave open follows from the samples of its preview."""
+        """The look of a scene; options left open are chosen from the samples of its preview."""
         camera = Camera.orbit() if camera is None else camera
         instance("camera", camera, Camera)
         skipping, gradient = options.get("skipping", True), options.get("gradient", "analytic")
@@ -320,7 +320,7 @@ class ResolvedLook:
         return cls(camera, mode.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
 
     def placed(self, aspect: float) -> ResolvedLook:
-        """The same by a camera that has its place, if that was left open, in a picture of this width by its height."""
+        """The same with the camera fitted to a picture of this aspect, if its position was left open."""
         camera = fitted(self.camera, self.preview, self.mode, self.transfer, self.scene.clip, aspect)
         return self if camera is self.camera else replace(self, camera=camera)
 
@@ -330,9 +330,9 @@ class ResolvedLook:
         return self.placed(aspect).camera.view(self.scene.media[0].volume, aspect)
 
     def of_level(self, volume: Volume, boundary: Boundary) -> ResolvedLook:
-        """The same look of another level of the volume, of which all show the same matter in the same place.
+        """The same look for another level of the volume, so that all levels show the same matter in the same place.
 
-        The length to which opacities refer and what a camera is fitted to are the whole volume's, where they are not given.
+        The unit length of opacities, and the box that a camera is fitted to, are the finest level's unless given.
         """
         (medium,) = self.scene.media
         finest, camera, transfer = medium.volume, self.camera, self.transfer

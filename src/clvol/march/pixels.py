@@ -1,12 +1,12 @@
-"""Where about a pixel's middle its rays lie and what each counts: a pixel is the picture under a filter of the table.
+"""Positions and weights of a pixel's rays: a pixel is the integral of the picture times a filter of the table.
 
-N rays part the filter, along each axis, into N strips of equal weight (of its magnitude, where it has negative lobes): a ray
-lies in the middle of one strip along x and of one along y, each strip is used once, and a ray counts as much as the filter
-has in both strips. Which strips meet follows from multiples of the golden ratio, counted from the middle, so that the
-pattern is symmetric about the pixel's middle: a picture is not shifted. `reference/march/march.py` has the same rays.
+N rays divide the filter, along each axis, into N strips of equal weight (of its magnitude, if it has negative lobes): a ray
+is in the middle of one strip along x and of one along y, each strip is used once, and the ray's weight is the product of the
+filter's integrals over both. Strips are paired by multiples of the golden ratio, counted from the middle, so that the pattern
+is symmetric about the pixel's middle: the picture is not shifted. `reference/march/march.py` has the same rays.
 
-On a zone plate, "linear" leaves half of the aliasing of "nearest", the pixel's own square, from 16 rays on, two thirds with
-4 or 9, and blurs by 60 % more; "mitchell" is about as good from 16 rays on, and better than "linear" in both from 64 on.
+On a zone plate, "linear" leaves half of the aliasing of "nearest" (a box of one pixel) from 16 rays on, two thirds with 4 or
+9, and blurs by 60 % more; "mitchell" is about as good from 16 rays on, and better than "linear" in both from 64 on.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ __all__ = ["DEFAULT_PIXEL_FILTER", "EDGE_RAYS", "as_pixel_filter", "on_edges", "
 
 DEFAULT_PIXEL_FILTER = "linear"
 EDGE_RAYS = 3
-"""Rays of a pixel on an edge, where their number is "auto"; odd, so that the one through its middle is one of them."""
+"""Rays for each pixel on an edge with "auto"; odd, so that one goes through the middle."""
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722, 0.0], np.float32)
-_CONTRAST = 0.125  # to a neighbour, of a pixel on an edge
-_NEAR = 8  # pixels along an edge of the squares in whose order they are listed
+_CONTRAST = 0.125  # least contrast of a pixel on an edge to a neighbour
+_NEAR = 8  # pixels along the squares by which they are ordered
 _GOLDEN = (5**0.5 - 1) / 2
-_AT_ONCE = 1 << 16  # pixels, whose edges are looked for in a few milliseconds
-_FINE = 4096  # pieces of a pixel in which the filter is summed
+_AT_ONCE = 1 << 16  # pixels that are searched for edges at a time, in a few milliseconds
+_FINE = 4096  # pieces of a pixel, for integrals of the filter
 
 
 def as_pixel_filter(choice: str | Filter) -> Filter:
-    """The filter of a name, if a picture can be filtered by it.
+    """The filter of this name, if it can filter a picture.
 
     Raises
     ------
     OptionError
-        No filter has this name, or it is no kernel that is even and has a positive sum: one with a prefilter is none.
+        The name is unknown, or the filter has a prefilter, is not even, or does not have a positive sum.
     """
     row = as_filter(choice)
     if row.prefilter or row.magnified_by:
@@ -64,16 +64,16 @@ def pixel_rays(count: int, filter: Filter, *, middle: bool) -> list[tuple[NDArra
 
 
 def on_edges(picture: NDArray[np.float32], most: int = 20, progress: Callable[[float], object] | None = None) -> NDArray[np.intp]:
-    """The pixels (row, column) that differ from one beside, above or below them, near ones together; shape (N, 2).
+    """The pixels (row, column) that differ from a horizontal or vertical neighbour, in an order with near pixels together; (N, 2).
 
-    Where these are too many, they are those that differ most.
+    If there are too many, those that differ most.
 
     Parameters
     ----------
     picture : ndarray of float32, shape (height, width, 4)
-        Red, green, blue, not premultiplied, and opacity in 0..1: what differs is luminance or opacity.
+        Red, green, blue, not premultiplied, and opacity in 0..1; luminance and opacity are compared.
     most : int
-        At most one in `most` of the pixels that differ from their neighbours is on an edge.
+        At most one in `most` of the pixels that differ from their neighbours counts as an edge.
     progress : callable, optional
         Called with the fraction done, every few milliseconds.
     """
@@ -83,11 +83,11 @@ def on_edges(picture: NDArray[np.float32], most: int = 20, progress: Callable[[f
     for first in range(0, height, rows):
         some = picture[first : first + rows + 1]  # and the row below them
         seen = ((some.reshape(-1, 4) @ _LUMINANCE + 1) * some[..., 3].reshape(-1)).reshape(some.shape[:2])
-        own = contrast[first : first + len(some)]
+        here = contrast[first : first + len(some)]
         for one, other in (np.s_[1:], np.s_[:-1]), (np.s_[:rows, 1:], np.s_[:rows, :-1]):
             apart = np.abs(seen[one] - seen[other])
             for side in (one, other):
-                np.maximum(own[side], apart, out=own[side])
+                np.maximum(here[side], apart, out=here[side])
         if progress:
             progress(min(1.0, (first + rows) / height))
     least, count = _CONTRAST, -(-int(np.count_nonzero(contrast)) // most)
@@ -113,7 +113,7 @@ def _pattern(count: int, filter: Filter) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def _strips(filter: Filter, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The middle of each of so many strips of a filter, from its own middle, and its sum over each."""
+    """The middle of each of `count` strips of a filter, relative to the filter's middle, and the filter's sum over each."""
     edges, values = _kernel(filter)
     size = np.concatenate([[0.0], np.cumsum(np.abs(values))])
     size /= size[-1]
@@ -124,6 +124,6 @@ def _strips(filter: Filter, count: int) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def _kernel(filter: Filter) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Edges of fine pieces of a kernel's support, and its value in the middle of each."""
+    """Edges of small pieces of a kernel's support, and the kernel's value in the middle of each."""
     edges = np.linspace(-filter.support / 2, filter.support / 2, filter.support * _FINE + 1)
     return edges, filter((edges[1:] + edges[:-1]) / 2)

@@ -1,11 +1,11 @@
-"""On which planes a view is sampled.
+"""The planes on which a view is sampled.
 
 The samples of a ray are where it crosses equally spaced planes perpendicular to one axis of the volume,
 the axis most parallel to the view. In index space an axis of ``n`` samples spans ``[-1/2, n - 1/2]``;
 it holds ``K`` planes at ``-1/2 + (k + 1/2) n / K``, with ``K`` the smallest number such that no ray advances
 more than `step` voxels from one plane to the next. Rays that make an angle of more than 60° with the
-axis would need planes too close: they step `step` voxels along themselves, from half a step past where
-they enter. A ray that meets no plane, or is shorter than half a step, has one sample in its middle.
+axis would need planes too close: they step `step` voxels along themselves, from half a step past their
+entry. A ray that meets no plane, or is shorter than half a step, has one sample in its middle.
 `reference/march/march.py` samples the same planes.
 """
 
@@ -25,10 +25,10 @@ from clvol.volume.volume import Volume
 __all__ = ["OBLIQUE", "SEGMENT", "SLAB", "Planes"]
 
 OBLIQUE = 0.5  # cosine between ray and axis below which a ray steps along itself
-SLAB = 8  # samples of a segment at most: a work-item holds a blended plane for each
-SEGMENT = float(BLOCK)  # voxels that a segment crosses, where samples are not far apart: about one block of the pyramid
+SLAB = 8  # most samples of a segment: a work-item holds a blended plane for each
+SEGMENT = float(BLOCK)  # voxels that a segment crosses with dense samples: about one block of the pyramid
 _MAX_PLANES = 1 << 20
-_MAX_STEP = 1e30  # as good as any longer one
+_MAX_STEP = 1e30  # voxels; longer steps make no difference
 
 
 class Planes:
@@ -43,20 +43,20 @@ class Planes:
     step : float
         The most that a ray advances between samples, in voxels.
     segment : float
-        How long segments of a ray are at most, in voxels.
+        Longest segment of a ray, in voxels.
 
     Attributes
     ----------
     axis : int
         0, 1 or 2 for x, y, z.
     count : int
-        How many.
+        Number of planes.
     spacing : float
         Their distance in voxels.
     oblique : bool
-        Whether some rays are too oblique to them and step along themselves.
+        Whether some rays are too oblique to the planes and step along themselves.
     margin : float
-        More than the positions of samples are rounded by, in voxels.
+        An upper bound of the rounding error of sample positions, in voxels.
 
     Raises
     ------
@@ -91,7 +91,7 @@ class Planes:
             corners = [inverse @ (view.forward + view.half_height * (a * aspect * view.right + b * view.up)) for a, b in sides]
         cosine = min(abs(float(d[self.axis])) / float(np.linalg.norm(d)) for d in corners)
         if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
-            cosine = 0.0  # so wide that some rays run the other way
+            cosine = 0.0  # so wide that some rays run backwards
         self._samples = volume.size[self.axis]
         self.margin = max(0.01, 2.0**-22 * view.reach(volume, aspect))
         self.oblique = cosine < OBLIQUE
@@ -104,7 +104,7 @@ class Planes:
         self.spacing = self._samples / self.count
 
     def block(self) -> Values:
-        """What kernels read: the planes from both ends, and how many samples a segment has."""
+        """The kernels' parameters: the planes from both ends, and the samples of a segment."""
         return self.BLOCK(
             first=-0.5 + self.spacing / 2,
             last=self._samples - 0.5 - self.spacing / 2,

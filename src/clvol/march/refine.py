@@ -28,24 +28,24 @@ from clvol.show.picture import Picture
 
 __all__ = ["Asked", "Rate", "Rates", "Refined", "Wanted", "refined", "refined_by_levels"]
 
-_LAUNCH = 0.008  # seconds of a launch: `cancelled` is called in between
+_LAUNCH = 0.008  # seconds; `cancelled` is called between launches
 _KEPT = 0.75  # share of the budget that is planned for: the rest is for what cannot be known
 _LATE = 0.95  # share of the budget after which a finer picture than the last is given up
 _COARSE = 0.25  # share of the budget that goes into a coarser picture, where it is not known how long one takes
-_WORTH = 2.0  # times as many pixels must a finer picture have
-_SMALLEST = 256  # pixels: those of a tile, which take as long as a single one
-_TRIAL = 1024  # pixels of the first picture of all
+_WORTH = 2.0  # a finer picture must have this many times as many pixels
+_SMALLEST = 256  # pixels of a tile, which take as long as one
+_TRIAL = 1024  # pixels of the very first picture
 _FEW = 96  # pixels along the shorter side, below which steps become longer
-_LONGEST = 2.0  # such steps, in voxels
+_LONGEST = 2.0  # voxels; the longest such step
 _SHORTER = 0.8  # the power of the number of samples on a ray by which its time grows
 _POWERS = 0.4, 1.0
-_APART = 3.0  # times as many pixels have pictures from which the power is measured
-_BETWEEN = 8.0  # times as long as the one before may a picture take; else there is one in between
-_NEAR = 0.1  # share of the way through a picture that its rays move at most, from one view to one that takes about as long
+_APART = 3.0  # least ratio of pixels of two pictures from which the power is measured
+_BETWEEN = 8.0  # largest ratio of the times of successive pictures, without one in between
+_NEAR = 0.1  # largest move of rays, relative to their length, between views that take about as long
 
 
 class Refined(Picture):
-    """One of the pictures of `Renderer.refine`: a `Picture` which knows how far it has come.
+    """A picture of `Renderer.refine`: a `Picture` with its state of refinement.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Refined(Picture):
     step : float
         The most that its rays advanced between samples, in voxels.
     seconds : float
-        How long the iterator worked until it was ready; the time in which nobody asked for the next picture does not count.
+        Working time of the iterator until it was ready; the time between requests for pictures does not count.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Refined(Picture):
 
 @dataclass(frozen=True)
 class Wanted:
-    """A picture as it was asked for."""
+    """A requested picture."""
 
     subject: Subject
     size: tuple[int, int]
@@ -101,16 +101,16 @@ class Wanted:
 
     @property
     def kind(self) -> tuple[Any, ...]:
-        """What pictures whose times may be compared have in common: what they are drawn by."""
+        """A key that pictures with comparable times share: how they are drawn."""
         subject, drawn = self.subject, self.subject.coefficients
         mode, tile = subject.look.mode, drawn.device.limits.tile
         return mode.file, mode.shaded, drawn.filter, subject.evaluator, subject.central, subject.minmax is None, tile
 
     @property
     def shown(self) -> tuple[Any, ...]:
-        """What they also have in common if they take about as long from one view."""
+        """A further key of pictures that take about as long from the same view."""
         look, clip = self.subject.look, self.subject.look.scene.clip
-        box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)  # arrays do not compare as one
+        box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)  # arrays compare by element
         return look.mode, look.transfer, box
 
     @property
@@ -123,7 +123,7 @@ class Wanted:
         return steps
 
     def size_of(self, pixels: float) -> tuple[int, int]:
-        """The size of a picture of about n pixels and about the same shape, no larger than this."""
+        """The size of a picture with about `pixels` pixels and about the same aspect, no larger than this."""
         width, height = self.size
         scale = math.sqrt(min(1.0, max(pixels, min(_SMALLEST, width * height)) / (width * height)))
         return max(1, round(scale * width)), max(1, round(scale * height))
@@ -131,20 +131,20 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Rate:
-    """How long pictures of one kind take, from the last first one.
+    """How long pictures of a kind take, from the last first picture.
 
     Attributes
     ----------
     pixels, step, seconds : float
         Of that picture.
     power : float
-        Of the number of pixels, by which seconds grow.
+        Seconds grow by this power of the number of pixels.
     edges : float
-        How long edges take, as a share of the picture without.
+        Time of edges, relative to the picture without.
     view : ndarray
-        From where it was seen.
+        Its view (`_view_of`).
     shown : tuple
-        `Wanted.shown` of it.
+        Its `Wanted.shown`.
     """
 
     pixels: float
@@ -156,21 +156,21 @@ class Rate:
     edges: float = 1.0
 
     def seconds_of(self, pixels: float, step: float) -> float:
-        """How long a picture of n pixels should take."""
+        """The expected time of a picture with n pixels."""
         return float(self.seconds * (self.step / step) ** _SHORTER * (pixels / self.pixels) ** self.power)
 
     def pixels_in(self, seconds: float, step: float) -> float:
-        """How many pixels a picture may have which should take so long."""
+        """The number of pixels of a picture that takes about `seconds`."""
         share = max(seconds, 0.0) / (self.seconds * (self.step / step) ** _SHORTER)
         return float(min(self.pixels * min(share, 1e6) ** (1 / self.power), 1e12))
 
     def sees(self, view: NDArray[np.float64], shown: tuple[Any, ...]) -> bool:
-        """Whether a picture should take as long as this one took."""
+        """Whether a picture should take about as long as this one."""
         near = bool(np.linalg.norm(view - self.view) <= _NEAR * np.linalg.norm(self.view))
         return near and bool(self.shown == shown)
 
     def grown(self, pixels: float, step: float, seconds: float) -> Rate:
-        """With what a further picture of the same view and step says of the power."""
+        """The rate with its power updated by another picture of the same view and step."""
         if step != self.step or not max(pixels / self.pixels, self.pixels / pixels) > _APART:
             return self
         measured = math.log(seconds / self.seconds) / math.log(pixels / self.pixels)
@@ -179,7 +179,7 @@ class Rate:
 
 
 class Rates:
-    """The rates of a renderer, by kind of picture. Any thread may read and write them: the last one is right."""
+    """The rates of a renderer, by kind of picture. Any thread may read and write them: the last write wins."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[Any, ...], Rate] = {}
@@ -192,23 +192,23 @@ class Rates:
 
 
 class _Cancelled(Exception):
-    """Nobody wants the pictures any more."""
+    """The pictures are no longer wanted."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """How pictures are asked for.
+    """A request for pictures.
 
     Attributes
     ----------
     budget : float
-        Seconds within which the first one is wanted.
+        Seconds until the first one.
     cancelled : callable or None
         Whether they are no longer wanted.
     progress : callable or None
         Called with the fraction of the last picture that is done.
     began : float
-        When they were asked for, by `time.perf_counter`.
+        Time of the request, by `time.perf_counter`.
     """
 
     budget: float
@@ -222,7 +222,7 @@ class Asked:
             raise _Cancelled
 
     def reporting(self, start: float = 0, end: float = 1) -> Progress:
-        """Progress of a part of the last picture, which also asks whether that is still wanted."""
+        """A callback for the progress of a part of the last picture, which raises if it is no longer wanted."""
         part = part_of(self.progress, start, end)
 
         def report(done: float) -> None:
@@ -241,9 +241,9 @@ def refined(wanted: Wanted, asked: Asked, rates: Rates, drawing: Callable[[], Ab
     wanted : Wanted
     asked : Asked
     rates : Rates
-        What is known, and is added to.
+        Known rates, which are updated.
     drawing : callable
-        Gives what is entered whenever something is drawn, and left when a picture is ready.
+        Returns a context that is entered for drawing, and left when a picture is ready.
     """
     return _Refinement(wanted, asked, rates).pictures(drawing)
 
@@ -257,7 +257,7 @@ def refined_by_levels(
 ) -> Iterator[Refined]:
     """The pictures of `Renderer.refine` of a volume that is read by bricks: of its `levels`, the coarsest first.
 
-    `draw` draws a level, and reports to a callback, which may raise; `drawing` is as for `refined`.
+    `draw` draws a level and calls a progress callback, which may raise; `drawing` is as for `refined`.
     """
     for level in levels:
         with drawing():
@@ -270,15 +270,15 @@ def refined_by_levels(
 
 
 class _Refinement:
-    """One call of `refined`: its stages, one after the other, and what they leave to the next."""
+    """One call of `refined`: its stages in order, and the state between them."""
 
     def __init__(self, wanted: Wanted, asked: Asked, rates: Rates) -> None:
         self._wanted, self._asked, self._rates, self._budget = wanted, asked, rates, asked.budget
         width, height = wanted.size
         self._aspect, self._pixels = width / height, width * height
-        self._worked, self._began = time.perf_counter() - asked.began, 0.0  # before this picture; when work on this one began
+        self._worked, self._began = time.perf_counter() - asked.began, 0.0  # time before this picture; its start
         self._shown, self._shown_at = 0.0, 0.0  # pixels of the last picture, and when it was ready
-        self._casting = 0.0  # seconds of the whole picture's first ray
+        self._casting = 0.0  # seconds of the full picture's first ray
 
     def pictures(self, drawing: Callable[[], AbstractContextManager[None]]) -> Iterator[Refined]:
         stages, device = self._stages(), self._wanted.subject.coefficients.device
@@ -297,7 +297,7 @@ class _Refinement:
 
     @property
     def _seconds(self) -> float:
-        """How long all took until now."""
+        """Working time until now."""
         return self._worked + time.perf_counter() - self._began
 
     def _stages(self) -> Iterator[Refined]:
@@ -311,7 +311,7 @@ class _Refinement:
         yield from self._between()
         yield from self._last()
 
-    # -- the first one, unless the whole picture is in time ---------------------------------------------------------
+    # -- the first picture, unless the full one is in time ----------------------------------------------------------
 
     def _first(self) -> Iterator[Refined]:
         coarse = self._coarse()
@@ -323,11 +323,11 @@ class _Refinement:
         elif coarse is None or step != coarse.step or size[0] * size[1] >= _WORTH * coarse[..., 0].size:
             finer = self._small(size, step, until)
             coarse = coarse if finer is None else finer
-        assert coarse is not None  # a picture can only be late if there is another
+        assert coarse is not None  # only a finer picture can be late
         yield self._shows(coarse, coarse.step)
 
     def _coarse(self) -> Refined | None:
-        """A coarse picture, if nothing is known of how long one of this view takes, and the whole one is not as coarse."""
+        """A coarse picture, if the time of this view is unknown and the full picture is finer."""
         wanted, rate = self._wanted, self._rate
         if rate is not None and rate.sees(self._view, wanted.shown):
             return None
@@ -335,7 +335,7 @@ class _Refinement:
         size = wanted.size_of(count)
         if size == wanted.size:
             return None
-        if rate is None:  # the runtime finishes kernels when they are first used, which says nothing
+        if rate is None:  # warm-up: the runtime compiles kernels on first use
             self._small(wanted.size_of(_SMALLEST), wanted.step)
         return self._small(size, wanted.step)
 
@@ -352,12 +352,12 @@ class _Refinement:
                 break
         return size, step
 
-    # -- those between it and the whole one -------------------------------------------------------------------------
+    # -- pictures between it and the full one -----------------------------------------------------------------------
 
     def _between(self) -> Iterator[Refined]:
         rate, step = self._rate, self._wanted.step
         if not self._shown or self._casting or rate is None:
-            return  # the whole one is next, or was begun
+            return  # the full one is next, or has begun
         whole = rate.seconds_of(self._pixels, step)
         times = whole / rate.seconds
         count = math.ceil(math.log(max(times, 1.0), _BETWEEN)) - 1
@@ -368,7 +368,7 @@ class _Refinement:
                 assert picture is not None  # it cannot be late
                 yield self._shows(picture, step)
 
-    # -- the whole one ----------------------------------------------------------------------------------------------
+    # -- the full picture -------------------------------------------------------------------------------------------
 
     def _last(self) -> Iterator[Refined]:
         whole, wanted = self._whole, self._wanted
@@ -392,17 +392,17 @@ class _Refinement:
         yield self._shows(whole.arrays["rgba"], wanted.step, final=True)
 
     def _cast(self, until: float = math.inf) -> bool:
-        """The first ray of the whole picture, or what is left of it; whether it was in time."""
+        """Cast the rest of the full picture's first ray; returns whether it was in time."""
         begun = time.perf_counter()
         progress = self._asked.reporting(0, BEFORE_EDGES if self._wanted.rays == "auto" else 1)
         done = self._whole.cast_rays > 0 or self._whole.cast(1, progress, until)
         self._casting += time.perf_counter() - begun
         return done
 
-    # -- what they all need -----------------------------------------------------------------------------------------
+    # -- shared by all stages ---------------------------------------------------------------------------------------
 
     def _small(self, size: tuple[int, int], step: float, until: float = math.inf) -> Refined | None:
-        """A picture of fewer pixels, from which the rate is learnt; None if it was not in time."""
+        """A picture with fewer pixels, which also updates the rate; None if it was not in time."""
         begun = time.perf_counter()
         frame = self._wanted.subject.frame(size, step, aspect=self._aspect, progress=self._asked.require_wanted)
         drawing = Drawing(frame, 1, self._wanted.filter, self._expected(size[0] * size[1], step))
@@ -412,11 +412,11 @@ class _Refinement:
         return Refined(drawing.arrays["rgba"], step=step)
 
     def _expected(self, pixels: int, step: float) -> float:
-        """How many seconds a picture should take; 0 if nothing is known."""
+        """Expected seconds for a picture; 0 if unknown."""
         return 0.0 if self._rate is None else self._rate.seconds_of(pixels, step)
 
     def _learn(self, pixels: int, step: float, seconds: float, *, first: bool) -> None:
-        """What one picture tells: the first ones, how long those of this view take; further ones, how that grows."""
+        """Update the rate by a picture: first ones give the time of this view, further ones its growth."""
         wanted, rate = self._wanted, self._rate
         if rate is not None and rate.sees(self._view, wanted.shown):
             rate = rate.grown(pixels, step, seconds)
@@ -432,7 +432,7 @@ class _Refinement:
 
 
 def _view_of(frame: Frame) -> NDArray[np.float64]:
-    """From where a picture is seen, in voxels: where its rays start, and where they are when they have crossed the volume."""
+    """The view of a picture, in voxels: where its rays start, and where they are after crossing the volume."""
     camera, (width, height), far = frame.values["camera"], frame.size, max(frame.coefficients.volume.size)
     start, way = (
         np.array([camera[what], width * camera[f"{what}_u"], height * camera[f"{what}_v"]]) for what in ("origin", "direction")

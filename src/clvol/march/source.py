@@ -42,10 +42,10 @@ if TYPE_CHECKING:  # clusters need dask
 __all__ = ["ByBricks", "Drawable", "InMemory", "Source", "row_for", "single", "usual_filter"]
 
 Drawable: TypeAlias = Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike
-"""What a `Renderer` takes."""
+"""Inputs of a `Renderer`."""
 Pictures: TypeAlias = dict[str, launch.Picture]
 
-_BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
+_BITS = 8.0  # least bits of the sampler's fraction for pictures: what texture units have
 _CLOSED = "the renderer was closed, and its coefficients were released; make a new one"
 
 
@@ -57,16 +57,16 @@ class Source(ABC):
     scene : Scene
     field : Field or BrickedField
     preview : Volume
-        Samples from which looks are decided.
+        Samples from which looks are chosen.
     arguments : tuple
-        From which another process makes the source: what a renderer takes, filter and boundary; or no more than a field.
+        From which another process makes the source: a renderer's input, filter and boundary; or just a field.
     """
 
     def __init__(self, scene: Scene, field: Field | BrickedField, preview: Volume, arguments: tuple[Any, ...]) -> None:
         self.scene, self.field, self.preview, self.arguments = scene, field, preview, arguments
         self.shown = field
         self.lease = Lease(_CLOSED)
-        self._lock = threading.RLock()  # a handler of signals may come back here
+        self._lock = threading.RLock()  # a signal handler may re-enter
         self._unsmoothed: Any = None
         self._owned = arguments[0] is not field
         if self._owned:
@@ -74,13 +74,13 @@ class Source(ABC):
 
     @contextmanager
     def in_use(self) -> Iterator[None]:
-        """For the time of a block nothing is freed."""
+        """A context in which nothing is freed."""
         with self.lease.held(), self.field.in_use():
             yield
 
     @property
     def _free(self) -> bool:
-        """Whether each mode may have its own filter: none was given."""
+        """Whether modes choose the filter, since none was given."""
         return self.scene.media[0].filter is None
 
     def filter_of(self, mode: Mode) -> Filter:
@@ -90,16 +90,16 @@ class Source(ABC):
         return filter_for(self.scene.media[0].volume, None, mode.picture_filter)
 
     def levels(self) -> tuple[BrickedField, ...]:
-        """The functions of lower resolutions that pictures were made of."""
+        """The functions of lower resolutions that were drawn."""
         return ()
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
-        """Arguments and keywords from which another process makes the renderer."""
+        """Arguments and keywords with which another process makes the renderer."""
         return (*self.arguments, self.field.device) if self._owned else self.arguments, {}
 
     @abstractmethod
     def function(self, mode: Mode, level: int = 0) -> Field | BrickedField:
-        """The function that pictures of a mode show, of a level of the volume; the finest is 0."""
+        """The function that pictures of a mode show, for a level of the volume; the finest is 0."""
 
     @abstractmethod
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
@@ -111,7 +111,7 @@ class Source(ABC):
 
     @abstractmethod
     def uncertainty(self, mode: Mode) -> Uncertainty:
-        """The errors of surfaces, made for the first picture that shows them."""
+        """The errors of surfaces, computed on first use."""
 
 
 class InMemory(Source):
@@ -176,7 +176,7 @@ class InMemory(Source):
 
 
 class ByBricks(Source):
-    """A function of which one brick after the other is on the device."""
+    """A function whose bricks are on the device one at a time."""
 
     field: BrickedField
 
@@ -208,17 +208,17 @@ class ByBricks(Source):
             return self._levels[key]
 
     def _finest(self, mode: Mode) -> BrickedField:
-        own, row = self.field, self.filter_of(mode)
-        if row == own.filter:
-            return own
+        field, row = self.field, self.filter_of(mode)
+        if row == field.filter:
+            return field
         if self._unsmoothed is None:
-            self._unsmoothed = BrickedField(own.volume, row, own.boundary, own.device, edge=own.edge, beside=own)
+            self._unsmoothed = BrickedField(field.volume, row, field.boundary, field.device, edge=field.edge, beside=field)
             self.lease.frees(self._unsmoothed.close)
         made: BrickedField = self._unsmoothed
         return made
 
     def _shared_out(self, field: BrickedField) -> BrickedField:
-        """The field, with bricks of a size for all who draw."""
+        """The field, with enough bricks for all workers."""
         return field
 
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
@@ -269,7 +269,7 @@ class ByBricks(Source):
 
 
 def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:
-    """The filter of all sizes of a volume in one picture; None: that of its bounds."""
+    """The filter of all levels of a volume in one picture; None: that of its bounds."""
     if filter is not None or volume.bounds is not None:
         return filter
     return filter_for(volume.part(), None, usual)
@@ -281,7 +281,7 @@ def usual_filter(volume: LazyVolume) -> str | None:
 
 
 def single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:
-    """What kernels of pictures read: float32, which must tell labels apart."""
+    """A field in single precision, as kernels of pictures read; float32 must distinguish the labels."""
     if names_beyond(24, volume, row):
         low, high = volume.limits
         raise DataError(

@@ -1,20 +1,20 @@
-"""How far a surface that is drawn may be from the true one, and its normal, place by place: the host side of uncertainty.cl.
+"""The local error of a rendered surface and its normal: the host side of uncertainty.cl.
 
-What is drawn errs for two reasons.
+There are two sources of error.
 
-*Between the samples* the filter's error for a wave ``exp(i w x)`` is known at every place (the error kernel of Blu and Unser, 1999,
-is its mean square). Along an axis it is taken apart into its mean over all places, which adds up with those along the other axes,
-and what varies about the mean: of the value, and of the slope in phase with the wave and out of it. A stencil for each, with the
-response of that error, run over the samples of the function that is drawn, gives the error at every place, without any
-higher-degree spline.
+*Between the samples* the filter's error for a wave ``exp(i w x)`` is known at every position (the error kernel of Blu and Unser,
+1999, is its mean square). Along an axis it is split into its mean over all positions, which adds to those along the other axes,
+and the deviations from the mean: of the value, and of the slope in phase with the wave and out of phase. For each there is a
+stencil whose response is that error; applied to the samples of the rendered function it gives the error at every position, without
+any higher-degree spline.
 
-*Noise* of standard deviation sigma in the samples, if it is white, is in the value noise of variance ``sigma² sum of eta(x - k)²``,
-eta being the impulse response of the whole reconstruction, and likewise in slopes with its derivative; these sums depend on the
-place between samples. They are computed as integrals over frequencies, which are weighted by the power of noise that is not white.
-What noise alone gives in the stencils is taken off their squares.
+*Noise* that is white with standard deviation sigma in the samples has the variance ``sigma² sum of eta(x - k)²`` in values, with
+eta the impulse response of the whole reconstruction, and likewise with its derivative in slopes; these sums depend on the position
+between samples. They are computed as integrals over frequencies, weighted by the power spectrum of the noise. The response of the
+stencils to noise alone is subtracted from their squares.
 
-A surface lies off by the error of its value over the slope (to first order), and its normal is turned by the error of the slope
-across the normal over the slope.
+To first order, the distance to the true surface is the error of the value divided by the slope, and the angle of the normal is the
+error of the slope across the normal divided by the slope.
 """
 
 from __future__ import annotations
@@ -42,33 +42,33 @@ __all__ = ["COVERAGE", "Uncertainty", "in_words", "noise_of"]
 Array: TypeAlias = NDArray[np.float64]
 
 COVERAGE = 0.95
-"""The share of places whose error should lie within what is stated."""
+"""The share of places whose error should be within the stated bound."""
 
-_DEVIATIONS = 1.96  # of a normal distribution hold that share
-_REACH = 6  # of the stencils, in samples
-_TERMS = 4  # of a stencil's polynomial, where they fit
-_PLACES = 64  # between two samples, at which errors are tabulated
+_DEVIATIONS = 1.96  # standard deviations of a normal distribution for that share
+_REACH = 6  # samples on each side of a stencil
+_TERMS = 4  # most terms of a stencil's polynomial
+_PLACES = 64  # positions between two samples at which errors are tabulated
 _OMEGA = np.pi * (np.arange(64) + 0.5) / 64
 _BETWEEN = (np.arange(_PLACES) + 0.5) / _PLACES
-_NOTHING = 1e-12  # of a wave: float64's rounding
-_FITTED = (0.05 * np.pi, 0.9 * np.pi)  # beyond, a wave and its alias are one
+_NOTHING = 1e-12  # share of a wave; float64's rounding error
+_FITTED = (0.05 * np.pi, 0.9 * np.pi)  # beyond, a wave and its alias coincide
 _ROUGH = np.pi * (np.arange(24) + 0.5) / 24  # frequencies along each of three axes
-_KEPT = 1 / 3  # of a wave, at least: what smoothing took away counts as if no more than the rest of it had gone
-_LEAST_SLOPE = 0.1  # of the slope that is drawn, how much is taken to be there at least, whatever noise may have made of it
-_MOST_NOISE = 2.0**40  # in units of the largest magnitude: its square is a float32
-_ROUNDING = 2.0**-20  # of the values around, by which float32 errs
-_PLACED = 2.0**-22  # of the volume's radius, by which positions are rounded
+_KEPT = 1 / 3  # least share of a wave that smoothing is assumed to keep
+_LEAST_SLOPE = 0.1  # least share of the rendered slope that is assumed to be real, whatever the noise
+_MOST_NOISE = 2.0**40  # in units of the largest magnitude: its square fits in float32
+_ROUNDING = 2.0**-20  # error of float32, relative to the values nearby
+_PLACED = 2.0**-22  # rounding error of positions, relative to the volume's radius
 _WHITE = 1.0, 1.0, 1.0
-_ROOM = bspline(9, prefilter=False)  # a filter whose halo has room for the stencils
+_ROOM = bspline(9, prefilter=False)  # a filter whose halo is wide enough for the stencils
 
 
 def in_words(uncertainty: NDArray[np.floating[Any]], units: str = "") -> str:
-    """What a picture's uncertainty comes to, in one line.
+    """A summary of a picture's uncertainty in one line.
 
     Parameters
     ----------
     uncertainty : ndarray, shape (..., 2)
-        As `Renderer.render` gives it.
+        As from `Renderer.render`.
     units : str
         Of the world.
     """
@@ -103,7 +103,7 @@ UNCERTAINTY = Block(
 
 
 def noise_of(volume: Volume, sigma: float | None) -> Noise:
-    """The noise of the samples, white where its standard deviation is given; integers have at least that of rounding."""
+    """The noise of the samples, white if its standard deviation is given; integers have at least their rounding error."""
     sigma = None if sigma is None else number("sigma", sigma, minimum=0)
     noise = volume.noise if sigma is None else Noise(sigma, "white")
     rounding = math.sqrt(1 / 12) if volume.data.dtype.kind in "iu" else 0.0
@@ -121,7 +121,7 @@ class Uncertainty:
     Raises
     ------
     OutOfMemoryError
-        The device has no room for another copy of the volume.
+        Another copy of the volume does not fit on the device.
     """
 
     def __init__(self, field: Field) -> None:
@@ -142,12 +142,12 @@ class Uncertainty:
         self._samples.release()
 
     def __call__(self, positions: NDArray[np.floating[Any]], noise: Noise, *, central: bool = False) -> NDArray[np.float32]:
-        """Within what of a surface through each position the true one lies, and its normal.
+        """Bounds of the distance to the true surface, and of the angle to its normal, at each position.
 
         Parameters
         ----------
         positions : ndarray, shape (..., 3)
-            In the world; NaN where there is nothing.
+            In the world; NaN where there is no surface.
         noise : Noise
             Of the samples; its standard deviation and colour matter.
         central : bool
@@ -156,7 +156,7 @@ class Uncertainty:
         Returns
         -------
         ndarray of float32, shape (..., 2)
-            World distance along the normal, and degrees, at most 180; NaN where there is nothing.
+            World distance along the normal, and degrees, at most 180; NaN where there is no surface.
         """
         device, made, samples = self._field.device, self._field.coefficients, self._samples
         defines = {**made.defines(DIRECT), "LANES": 1, "STORED": 2 * _REACH + 1, "PLACES": _PLACES}
@@ -192,7 +192,7 @@ class Uncertainty:
         return results.reshape(*positions.shape[:-1], 2)
 
     def _block(self, errors: _Errors, sigma: float) -> Values:
-        """What kernels read: lengths in mean spacings, values in units of the largest magnitude."""
+        """The kernels' parameters: lengths in mean spacings, values in units of the largest magnitude."""
         volume = self._field.volume
         unit, spacing = math.ldexp(self._magnitude, self._field.coefficients.stored.exponent), volume.mean_spacing
         to_index = volume.world_to_index_matrix * spacing
@@ -224,11 +224,11 @@ class _Errors:
     Attributes
     ----------
     stencils : ndarray, shape (3, 4, 2 REACH + 1)
-        For each axis those of the mean error, of what varies of the value, and of the slope in phase and out of phase.
+        For each axis the stencils of the mean error, the deviation of the value, and of the slope in phase and out of phase.
     noise : ndarray, shape (7,)
-        What noise of variance 1 gives on average in the squares of what uncertainty.cl finds.
+        The mean squares that uncertainty.cl computes from noise of variance 1.
     squares, slopes : ndarray, shape (3, PLACES)
-        The sums of ``eta²`` and ``eta'²`` along each axis between two samples, of noise that is white.
+        The sums of ``eta²`` and ``eta'²`` along each axis between two samples, weighted by the noise's spectrum.
     """
 
     stencils: Array
@@ -238,7 +238,7 @@ class _Errors:
 
     @cached_property
     def defines(self) -> dict[str, int]:
-        """What the kernel needs to know of the stencils when it is built."""
+        """The `#define`s for the stencils."""
         used = np.flatnonzero(self.stencils.any((0, 1)))
         value = self.stencils[:, 1]
         odd = bool(np.abs(value + value[:, ::-1]).max() < np.abs(value - value[:, ::-1]).max())
@@ -254,7 +254,7 @@ def _errors(filter: Filter, central: bool = False, colour: tuple[float, ...] = _
 
 
 def _along(filter: Filter, axis: int, central: bool, parity: int, colour: float) -> tuple[Array, Array, Array, Array]:
-    """Along an axis: the stencils, what is drawn at samples of noise at the rough frequencies, and its variance between samples."""
+    """Along an axis: the stencils, the response at samples for the rough frequencies, and the variances between samples."""
     value, slope = (_wave(filter, axis, _BETWEEN, _OMEGA, derivative) for derivative in (0, 1))
     if central:
         slope = 1j * np.sin(_OMEGA)[:, None] * value
@@ -271,12 +271,12 @@ def _along(filter: Filter, axis: int, central: bool, parity: int, colour: float)
 
 
 def _varying(value: NDArray[np.complex128]) -> Array:
-    """Root mean square, over all places, of what is drawn of waves about its mean."""
+    """Root mean square, over all positions, of the deviation of reconstructed waves from their mean."""
     return np.asarray(np.sqrt((np.abs(value - value.mean(1, keepdims=True).real) ** 2).mean(1)))
 
 
 def _wave(filter: Filter, axis: int, x: Array, omega: Array, derivative: int = 0) -> NDArray[np.complex128]:
-    """What samples of ``exp(i w k)`` become at places x, or the derivative, over ``exp(i w x)``; shape (omega, x)."""
+    """The reconstruction of ``exp(i w k)`` at positions x, or its derivative, divided by ``exp(i w x)``; shape (omega, x)."""
     base, t = filter.cell(x)
     weights = filter.weights(t, derivative) * float(filter.scale) ** derivative
     at = (base + np.arange(filter.support)[:, None]) / filter.scale  # of the taps; (taps, x)
@@ -292,10 +292,10 @@ def _wave(filter: Filter, axis: int, x: Array, omega: Array, derivative: int = 0
 
 
 def _stencil(response: Array, scale: Array, parity: int) -> Array:
-    """Weights at -REACH, ..., REACH whose response has this magnitude, with errors relative to `scale`.
+    """Weights at -REACH, ..., REACH whose response has this magnitude, fitted with errors relative to `scale`.
 
-    It is ``u**(n / 2)`` times a polynomial in ``u = 4 sin²(w / 2)``, n being the order of the response at 0, or the next of this
-    parity. Of an odd order one root of u is ``sin(w)``, so that weights belong to samples.
+    The response is ``u**(n / 2)`` times a polynomial in ``u = 4 sin²(w / 2)``, with n the order of the response at 0, or the next
+    one of this parity. For an odd order one root of u is replaced by ``sin(w)``, so that weights are at samples.
     """
     fitted = slice(*np.searchsorted(_OMEGA, _FITTED))
     taps = np.zeros(2 * _REACH + 1)
@@ -320,7 +320,7 @@ def _stencil(response: Array, scale: Array, parity: int) -> Array:
 
 
 def _order(response: Array) -> int:
-    """The power of the frequency with which a response begins."""
+    """The leading power of the frequency in a response near 0."""
     low = int(np.argmax(np.abs(response[: _OMEGA.size // 2]) > _NOTHING))
     high = 2 * low + 1
     growth = abs(response[high]) / max(abs(response[low]), _NOTHING)
@@ -328,7 +328,7 @@ def _order(response: Array) -> int:
 
 
 def _noise(stencils: Array, at_sample: Array) -> Array:
-    """Mean squares of what uncertainty.cl finds in the function drawn of noise of variance 1."""
+    """The mean squares that uncertainty.cl computes from the function of noise of variance 1."""
     k = np.arange(-_REACH, _REACH + 1)
     waves = np.exp(1j * _ROUGH[:, None] * k)
     shapes = [[-1 if b == a else 1 for b in range(3)] for a in range(3)]

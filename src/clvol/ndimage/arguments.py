@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base import arrays, memory
 from clvol.base.checks import enough_memory, one_of
 from clvol.base.errors import AxisError, DataError, DtypeError, NotFiniteError, OptionError, OptionTypeError, RefusedError
+from clvol.base.progress import part_of
 from clvol.device import Device
 from clvol.filter.boundary import Boundary, as_boundary
 from clvol.spline.field import Precision
@@ -162,8 +163,7 @@ class Spline:
 
     def stage(self, number: int, count: int) -> Spline:
         """For one of `count` passes, which reports its share of the progress."""
-        whole = self.progress
-        return self if whole is None else replace(self, progress=lambda done: whole((number + done) / count))
+        return replace(self, progress=part_of(self.progress, number / count, (number + 1) / count))
 
 
 def as_array(value: ArrayLike) -> Array:

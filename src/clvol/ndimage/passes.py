@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from clvol.base import memory
 from clvol.base.errors import DataError, OptionError, OptionTypeError, UnsupportedError
+from clvol.filter.make import bspline
+from clvol.filter.margin import reach_within
 from clvol.ndimage import engine, gaps
 from clvol.ndimage.arguments import Array, Spline
 from clvol.ndimage.engine import Affine, Axes, Points, Target
@@ -37,8 +39,8 @@ _PIECE = 1 << 20
 """Points whose positions are in memory at a time, at least."""
 _LARGE = 1 << 18
 """Samples from which it pays to cut out those that a few points need."""
-_MEMORY = (0, 0, 21, 28, 37, 44)
-"""By order, the samples after which the prefilter's response has decayed to 1e-16: its largest pole to this power."""
+_LEFT_OUT = 5e-17
+"""Share of the prefilter's weights outside the part that is cut out for a few points: less than float64 resolves."""
 
 _Floats = NDArray[np.float64]
 _Pass = tuple[list[int], Axes | Affine]
@@ -260,7 +262,7 @@ def _around(data: Array, axes: Sequence[int], coordinates: Array, spline: Spline
     """
     if data.size < _LARGE or coordinates.size > data.size // 8 or not coordinates.size:
         return data, coordinates
-    margin = spline.order // 2 + 1 + (_MEMORY[spline.order] if spline.prefilter else 0)
+    margin = spline.order // 2 + 1 + (reach_within(bspline(spline.order), _LEFT_OUT) if spline.prefilter else 0)
     inner, starts = [slice(None)] * data.ndim, np.zeros((len(coordinates), *[1] * (coordinates.ndim - 1)))
     for number, (axis, along) in enumerate(zip(axes, coordinates, strict=True)):
         low, high = float(along.min()), float(along.max())

@@ -1,8 +1,8 @@
-"""The same mathematics in NumPy and float64, plain and slow: what the kernels are tested against.
+"""The same mathematics in NumPy and float64, plain and slow: the reference for tests of the kernels.
 
-Nothing here uses the taps of a filter, the recursions of the prefilter or the index arithmetic
-of `clvol.filter.boundary`: kernels come from closed forms, coefficients from solving eq. (11), edges from
-`numpy.pad`. So one mistake cannot sit on both sides of a comparison.
+Nothing here uses the taps of a filter, the recursions of the prefilter or the index arithmetic of
+`clvol.filter.boundary`: kernels come from closed forms, coefficients from solving eq. (11), edges from `numpy.pad`. So a
+mistake cannot be on both sides of a comparison.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One page that says which filter to use for a volume: pictures, errors, frequencies, and a recommendation in words.
+"""A page that recommends a filter for a volume: pictures, errors, frequencies, and a recommendation in words.
 
 >>> from clvol import reports
 >>> reports.report(clvol.read("scan.nii.gz"), "report/")
@@ -18,6 +18,7 @@ from clvol.analysis.comparison import as_compared
 from clvol.base.checks import as_path, whole
 from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.base.files import require_folder, staged
+from clvol.base.progress import part_of
 from clvol.device import Device, as_device
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
@@ -35,9 +36,9 @@ __all__ = ["REPORTED", "Advice", "Report", "advise", "page", "report"]
 REPORTED = ADVISED
 """The default filters of a report; the exact sinc is added."""
 
-_COMPARED = 1 << 20  # samples over all shifts of the decimated grid, and samples left out
+_COMPARED = 1 << 20  # samples over all shifts of the decimated grid, and omitted samples
 _POINTS = 20_000  # compared gradients
-_ADVISED, _COMPARING, _SHARE = 0.1, 0.4, 0.5  # of the time: when these are done
+_ADVISED, _COMPARING, _SHARE = 0.1, 0.4, 0.5  # progress after each step
 _FACTOR = 2
 
 
@@ -52,11 +53,11 @@ class Report:
     table : ErrorTable
         The errors measured from every second sample.
     advice : Advice
-        The recommendation, with the expected errors on which it rests.
+        The recommendation, with the expected errors that it is based on.
     left_out : LeftOutTable
-        The errors of samples left out along each axis.
+        The errors at samples omitted along each axis.
     turned : RotationTable or None
-        What is left of a slice after nine turns; None if it is too small to be turned.
+        The error of a slice after nine turns; None if the slice is too small.
     """
 
     path: Path
@@ -72,7 +73,7 @@ def page(output: str | os.PathLike[str]) -> Path:
     Raises
     ------
     FormatError
-        It cannot be written there.
+        The file cannot be written.
     """
     path = as_path(output)
     file = path if path.suffix.lower() in (".html", ".htm") else path / "index.html"
@@ -95,19 +96,19 @@ def report(
     progress: Callable[[float], Any] | None = None,
     **options: Unpack[PanelOptions],
 ) -> Report:
-    """Measure, draw and recommend; the page embeds its pictures and is written when it is complete.
+    """Measure, draw and recommend; the page embeds its pictures and is written once it is complete.
 
     Parameters
     ----------
     volume : Volume or array-like, 3-D
-        What is measured and drawn.
+        The measured and rendered data.
     output : str or Path
-        A folder, which then holds index.html, or a file that ends in .html.
+        A folder, for index.html, or a file that ends in .html.
     name : str
         Name of the data.
     filters : sequence of str or Filter
-        What is compared and drawn; filters of your own need not be registered. Smoothing that is "auto" is settled for the volume.
-        The exact sinc is always compared if the boundary rule has a period.
+        Filters to compare and draw; custom filters need not be registered. "auto" smoothing is settled for the volume. The exact
+        sinc is always compared if the boundary rule has a period.
     pixels : int
         Width and height of each picture.
     max_samples : int
@@ -128,7 +129,7 @@ def report(
     DeviceError
         No usable device, or it failed.
     OutOfMemoryError
-        The volume or what is computed from it does not fit.
+        The volume or the results do not fit into memory.
     MissingDependencyError
         matplotlib is not installed.
     """
@@ -158,7 +159,7 @@ def report(
         points=_POINTS,
         timing_device=on,
         max_samples=_COMPARED,
-        progress=lambda done: advance(_ADVISED + (_COMPARING - _ADVISED) * done),
+        progress=part_of(progress, _ADVISED, _COMPARING),
     )
     left_out = analysis.leave_out(_middle(middle, _COMPARED // 2), chosen, rule)
     try:
@@ -178,7 +179,7 @@ def report(
             rule,
             _FACTOR,
             on,
-            lambda done: advance(_SHARE + (0.97 - _SHARE) * done),
+            part_of(progress, _SHARE, 0.97),
             {**options},
         )
     made = Report(file, table, advice, left_out, turned)
@@ -194,7 +195,7 @@ def report(
 
 
 def _middle(volume: Volume, max_samples: int) -> Volume:
-    """The part about the middle that has at most `max_samples`, every axis cut in the same proportion."""
+    """The middle part with at most `max_samples` samples, every axis cropped in the same proportion."""
     if volume.data.size <= max_samples:
         return volume
     share = (max_samples / volume.data.size) ** (1 / 3)
@@ -204,7 +205,7 @@ def _middle(volume: Volume, max_samples: int) -> Volume:
 
 
 def _page(name: str, volume: Volume, middle: Volume, made: Report, found: spectrum.Spectra, drawn: Cards | None) -> str:
-    """The page; `drawn` is None where the data are constant."""
+    """The page; `drawn` is None for constant data."""
     table, expected, noise = made.table, made.advice.expected, volume.noise
     low, high = volume.value_range
     isovalue, reason = isovalue_of(volume)

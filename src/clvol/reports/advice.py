@@ -1,7 +1,7 @@
-"""A recommendation in plain words, from the error that is expected of each filter on the data at hand.
+"""A recommendation in plain words, from the expected error of each filter on the given data.
 
-What is recommended follows from `clvol.analysis.predict`: the samples' own spectrum, less their noise, through each filter. Two
-filters are compared in words only where the bootstrap of their errors over blocks of the volume says which is the better one.
+The recommendation is based on `clvol.analysis.predict`: the spectrum of the samples, minus their noise, through each filter. Two
+filters are compared in words only if the bootstrap of their errors over blocks of the volume shows which is better.
 """
 
 from __future__ import annotations
@@ -40,20 +40,20 @@ ADVISED = (
 )
 """The filters that `advise` and reports choose from by default."""
 
-_AS_GOOD = 1.05  # times the smallest error: nobody would see the difference
-_LITTLE = 0.05  # share of the error: a smaller gain is not worth a sentence
-_BASE = "linear"  # what most programs do
-_UNSEEN = 1e-4  # of the range: noise and errors that nobody would see
-_UNSEEN_SLOPE = 0.01  # of the gradients: half a degree
-_SLIGHT = 1e-3  # of the range: noise that eight bits would not show
-_ROUNDING = 1e-6  # of the range: errors of float32 are as large
+_AS_GOOD = 1.05  # times the smallest error; the difference is not visible
+_LITTLE = 0.05  # share of the error; a smaller gain is not worth a sentence
+_BASE = "linear"  # the default of most programs
+_UNSEEN = 1e-4  # of the range; smaller noise and errors are not visible
+_UNSEEN_SLOPE = 0.01  # of the gradients; half a degree
+_SLIGHT = 1e-3  # of the range; noise that eight bits do not show
+_ROUNDING = 1e-6  # of the range; float32's rounding errors
 _DETAIL = (  # share of the squared differences above half of Nyquist; at a step from one sample to the next it is a half
     (0.4, "their detail is as fine as the samples, and some of it is lost between them"),
     (0.1, "they are sharp, and their samples just hold them"),
     (0.01, "they are well sampled"),
     (0.0, "they are very smooth"),
 )
-_NOTHING = 0.1  # of the variance: less is none, as exactly as noise can be estimated
+_NOTHING = 0.1  # of the variance; less is within the uncertainty of the estimated noise
 _STEPS = 0.5  # share of the squared differences in jumps
 _KINDS = {"correlated": ", correlated from sample to sample", "signal-dependent": ", more where values are higher"}
 
@@ -69,7 +69,7 @@ class Advice:
     sentences : list of str
         The recommendation first.
     expected : PredictedTable or None
-        The errors on which it rests; None for constant data and for labels.
+        The errors that it is based on; None for constant data and for labels.
     """
 
     filter: str
@@ -84,16 +84,16 @@ def advise(
     *,
     noise: Noise | float | None = None,
 ) -> Advice:
-    """The narrowest of the filters that are expected to err least, then the smoothest; and what the choice gains.
+    """The narrowest, then smoothest, of the filters with the smallest expected errors; and what the choice gains.
 
     Parameters
     ----------
     volume : Volume or array-like
         2-D or 3-D samples.
     filters : sequence of str or Filter
-        What is chosen from; the exact sinc is reported, not recommended. Smoothing that is "auto" is settled for the volume.
+        Candidates; the exact sinc is reported, not recommended. "auto" smoothing is settled for the volume.
     boundary : str or Boundary
-        With which values between samples are looked at, to see whether they leave the samples' range.
+        For values between samples, which are tested for leaving the samples' range.
     noise : Noise or float, optional
         As for `clvol.analysis.predict`.
 
@@ -139,14 +139,14 @@ def advise(
 
 
 def settled_once(filters: Sequence[str | Filter], volume: Volume) -> list[Filter]:
-    """The filters, but for the exact sinc, as they are for a volume; each once, for "auto" may turn out to be 0."""
+    """The filters, without the exact sinc, settled for a volume; each once, since "auto" may be 0."""
     return list({row.name: row for row in (settled(f, volume) for f in filters if isinstance(f, Filter))}.values())
 
 
 def _choice(expected: PredictedTable, rows: dict[str, Filter], span: float) -> str:
     having = [row for row in expected if row.filter in rows]
     near = [row for row in having if row.rms <= _AS_GOOD * max(min(r.rms for r in having), _UNSEEN * span)]
-    # a jump has no gradient to be right about
+    # a jump has no true gradient
     slopes = [row.gradient_rms for row in near if row.gradient_rms is not None and expected.jumps < _STEPS]
     least = max(min(slopes, default=0.0), _UNSEEN_SLOPE * math.sqrt(expected.steepness))
     steady = [row for row in near if slopes and row.gradient_rms is not None and row.gradient_rms <= _AS_GOOD * least]
@@ -158,7 +158,7 @@ def _choice(expected: PredictedTable, rows: dict[str, Filter], span: float) -> s
 
 
 def _taps(row: Filter) -> int:
-    """Taps per sample along each axis: the cost on every machine, free of timing noise."""
+    """Taps per sample along each axis: the cost on every machine, without timing noise."""
     return row.support * row.scale
 
 
@@ -288,7 +288,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _gain(ratio: float) -> str:
-    """How much smaller an error is; none is known to be nothing."""
+    """How much smaller an error is, in words; never by 100 %."""
     return "more than 99 %" if ratio < 0.01 else _percent(1 - ratio)
 
 

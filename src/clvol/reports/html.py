@@ -133,7 +133,7 @@ def _note(text: str) -> str:
 
 
 def _measured(table: ErrorTable) -> str:
-    """What the table of errors holds; the share of the low-pass is that of the best filter's squared difference."""
+    """Text about the table of errors; the share of the low-pass is relative to the best filter's squared difference."""
     best, share = min(table, key=lambda row: row.rms), ""
     if best.original:
         share = f" ({100 * min(1.0, (table.lost / best.original) ** 2):.0f} % of that difference's square for {best.filter})"
@@ -149,7 +149,7 @@ def _facts(facts: Sequence[tuple[str, str]]) -> str:
 
 
 def _table(table: Table[Any], chosen: str) -> str:
-    """Rows as people read them; columns that are empty in all rows are left out."""
+    """Rows with readable numbers; columns that are empty in all rows are omitted."""
     header, *lines = table.texts()
     columns = [i for i in range(len(header)) if i == 0 or any(line[i] != "–" for line in lines)]
     best = _best(table.records())
@@ -175,7 +175,7 @@ def _best(records: Sequence[dict[str, Any]]) -> list[set[int]]:
 
 @dataclass(frozen=True)
 class _Expected(PredictedRow):
-    """A row of the expected errors, with what else is known of all samples."""
+    """A row of the expected errors, with overshoot and times."""
 
     overshoot: float | None = column("overshoot", ".3g")
     seconds: float | None = column("s / million", ".3g")
@@ -191,7 +191,7 @@ def _expected(expected: PredictedTable, table: ErrorTable, chosen: str) -> str:
 
 
 def _without_times(table: ErrorTable) -> Table[Any]:
-    """What is of the low-passed volume alone: overshoot and times stand beside the expected errors."""
+    """The columns for the low-passed volume only: overshoot and times are beside the expected errors."""
     return Table(_Measured(**{f.name: getattr(row, f.name) for f in fields(_Measured)}) for row in table)
 
 

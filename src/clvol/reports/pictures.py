@@ -1,14 +1,15 @@
-"""The pictures of a report: a view by each filter, a close-up where filters differ, and the same from every second sample."""
+"""The pictures of a report: a view by each filter, a close-up where filters differ, and both from every second sample."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.figures.panels import fixed, settled
 from clvol.filter.boundary import Boundary
@@ -23,7 +24,7 @@ __all__ = ["Card", "Cards", "cards"]
 
 Picture: TypeAlias = NDArray[np.float32]
 _CLOSER = 4.0
-_STEEP = 1.5  # depth over width: surfaces seen at more than about 56° are grazing
+_STEEP = 1.5  # depth over width; surfaces at more than about 56° are grazing
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def cards(
     boundary: Boundary,
     factor: int,
     device: Device,
-    progress: Callable[[float], Any],
+    progress: Progress | None,
     options: dict[str, Any],
 ) -> Cards:
     """Draw everything; `options` are those of `Renderer.render`."""
@@ -88,7 +89,8 @@ def cards(
                 for view in views
             ]
         done += 1
-        progress(min(1.0, done / total))
+        if progress is not None:
+            progress(min(1.0, done / total))
         return drawn
 
     drawn = {row.name: draw(volume, row, [camera], step) for row in (best, linear)}
@@ -104,7 +106,7 @@ def cards(
 
 
 def _closer(camera: Camera, volume: Volume, a: Any, b: Any) -> Camera:
-    """Four times as near, where two filters draw most differently, seen from above: at its edges everything differs."""
+    """A camera four times as near, where two filters differ most on surfaces that face it; at silhouettes all filters differ."""
     from scipy import ndimage
 
     position = a["position"]
@@ -121,7 +123,7 @@ def _closer(camera: Camera, volume: Volume, a: Any, b: Any) -> Camera:
 
 
 def _slope(position: Picture, camera: Camera, volume: Volume) -> Picture:
-    """How far what is seen recedes from pixel to pixel, over how far it goes across; infinite beside nothing."""
+    """Depth over width of the visible surface from pixel to pixel; infinite next to the background."""
     view = camera.view(volume)
     away = position.astype(np.float64) - view.eye
     depth, across, up = away @ view.forward, away @ view.right, away @ view.up

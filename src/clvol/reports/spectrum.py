@@ -28,7 +28,7 @@ _STYLES = ("-", "--", ":")  # of lines, one for each axis
 
 
 def spectra(volume: Volume) -> Spectra:
-    """Power spectra along each axis of three samples or more, means and ends tapered away."""
+    """Power spectra along each axis of three samples or more, without the mean, and tapered."""
     result: Spectra = []
     low, high = volume.value_range
     span = high - low or math.inf  # constant data give exactly 0, without rounding errors of the mean

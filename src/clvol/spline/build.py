@@ -1,4 +1,4 @@
-"""What the kernels of the spline need to know, as `#define`s: of a filter, a boundary rule, points, an evaluator."""
+"""`#define`s for the kernels of the spline: a filter, a boundary rule, points, an evaluator."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ DefineDict: TypeAlias = dict[str, str | int | float]
 
 
 def row_width(filter: Filter) -> int:
-    """The width of the vectors that a row of taps is loaded in: 1, 2, 4 or 8."""
+    """The width of the vectors for a row of taps: 1, 2, 4 or 8."""
     return min(8, int(1 << (filter.support - 1).bit_length()))
 
 
 def row_reach(filter: Filter) -> int:
-    """How many coefficients the vectors of one row cover: the taps, rounded up."""
+    """The number of coefficients in the vectors of a row: the taps, rounded up."""
     return -(-filter.support // row_width(filter)) * row_width(filter)
 
 
 def literals(table: np.ndarray[tuple[int, int], np.dtype[np.float64]], write: Callable[[float], str] = literal) -> str:
-    """A two-dimensional array as OpenCL C initialises one."""
+    """A two-dimensional array as an OpenCL C initializer."""
     return "{" + ",".join("{" + ",".join(map(write, row)) + "}" for row in table.tolist()) + "}"
 
 
 def filter_defines(filter: Filter, kind: type[np.generic] = np.float32) -> DefineDict:
-    """What filter.cl and cell.cl need to know of a filter that weighs coefficients of this type."""
+    """The `#define`s of filter.cl and cell.cl for a filter and coefficients of this type."""
     return _filter_defines(filter, kind == np.float64)
 
 
@@ -76,12 +76,12 @@ def _filter_defines(filter: Filter, double: bool) -> DefineDict:
 
 
 def scalar_defines(kind: type[np.generic]) -> DefineDict:
-    """What platform.cl needs to know of the type of coefficients; nothing for float32."""
+    """The `#define`s of platform.cl for the type of coefficients; none for float32."""
     return {"SCALAR_DOUBLE": 1} if kind == np.float64 else {}
 
 
 def along_defines(filter: Filter) -> DefineDict:
-    """What along.cl, bernstein.cl and walk.cl need to know of a filter: the function along a line in a cell."""
+    """The `#define`s of along.cl, bernstein.cl and walk.cl for a filter: the function along a line in a cell."""
     n = filter.degree
     pascal = np.array([[math.comb(n - m, j - m) if j >= m else 0 for j in range(n + 1)] for m in range(n + 1)], np.float64)
     along = 3 * n
@@ -97,7 +97,7 @@ _BOUNDARIES = {"rule": "REPEATED", "constant": "CONSTANT", "overlap": "OVERLAP",
 
 
 def boundary_defines(boundary: Boundary, pad: int = 0, reach: int = 0) -> DefineDict:
-    """What boundary.cl needs to know of a rule, whose padding and reach are those of the coefficients."""
+    """The `#define`s of boundary.cl for a rule; padding and reach are those of the coefficients."""
     return {
         "BOUNDARY": _BOUNDARIES[boundary.outside] if boundary.period else "ENDING",
         "BOUNDARY_FOLDED": int(boundary.fold is not None),
@@ -108,10 +108,10 @@ def boundary_defines(boundary: Boundary, pad: int = 0, reach: int = 0) -> Define
 
 
 def evaluator_defines(evaluator: Evaluator, filter: Filter, dimensions: int, device: Device) -> DefineDict:
-    """What fetch.cl, taps.cl and pairs.cl need to know.
+    """The `#define`s of fetch.cl, taps.cl and pairs.cl.
 
-    A filter whose weights change sign within a pair of taps is evaluated by direct taps; so is its gradient if the
-    derivatives of its weights do.
+    A filter whose weights change sign within a pair of taps is evaluated by direct taps, and so is its gradient if the
+    derivatives of the weights change sign.
     """
     paired = evaluator.paired and filter.pairable(0)
     return {
@@ -124,7 +124,7 @@ def evaluator_defines(evaluator: Evaluator, filter: Filter, dimensions: int, dev
 
 
 def point_defines(kind: type[np.generic], *, planar: bool = False, indices: bool = False) -> DefineDict:
-    """What position.cl needs to know of points of this type."""
+    """The `#define`s of position.cl for points of this type."""
     return {
         "POINT": "double" if kind == np.float64 else "float",
         "POINT_BITS": 8 * np.dtype(kind).itemsize,

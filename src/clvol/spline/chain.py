@@ -24,31 +24,31 @@ __all__ = ["Chain", "Progress"]
 Progress: TypeAlias = Callable[[float], None]
 
 _MOST_TAPS = 6  # of chain.cl
-_RUN = 512  # points that a work-item of a processor takes
-_POINTS = 1 << 20  # of a launch
-_EDGE = {np.float64: 1e-9, np.float32: 1e-4}  # of a grid's cell: positions this far past the domain are rounded, not outside
+_RUN = 512  # points for each work-item of a CPU
+_POINTS = 1 << 20  # points for each launch
+_EDGE = {np.float64: 1e-9, np.float32: 1e-4}  # cells; positions this far past the domain are rounding errors, not outside
 
 
 class Chain:
-    """A chain of transforms of the points of a grid, in the form that kernels read.
+    """A chain of transforms of the points of a grid, in the layout that kernels read.
 
-    Neighbouring affine maps are one, and the first begins with the map from the grid's indices to the world. A chain without
-    grids is `end` alone, and needs no kernel of its own.
+    Adjacent affine maps are joined, and the first one includes the map from the grid's indices to the world. A chain without
+    displacement grids is just `end`, and needs no extra kernel.
 
     Parameters
     ----------
     transforms : sequence of transforms
-        As `clvol.volume.transform.as_chain` gives them: the last one is applied first.
+        From `clvol.volume.transform.as_chain`: the last one is applied first.
     grid : Volume
-        Whose points are mapped.
+        The grid whose points are mapped.
     device : Device
 
     Attributes
     ----------
     end : AffineTransform
-        What remains to be applied after the stages of the kernel.
+        The affine map after the kernel's stages.
     stages : int
-        How many grids there are.
+        The number of displacement grids.
     """
 
     def __init__(self, transforms: Sequence[Transform], grid: Volume, device: Device) -> None:
@@ -59,12 +59,12 @@ class Chain:
         self._coord = np.float64 if device.has_double else np.float32
 
     def defines(self) -> DefineDict:
-        """What chain.cl needs to know."""
+        """The `#define`s of chain.cl."""
         return {"CHAIN": 1, "CHAIN_TAPS": sum({1 << one.filter.support for _, one in self._rows})}
 
     @cached_property
     def arguments(self) -> tuple[Any, ...]:
-        """CHAIN_ARGUMENTS of a kernel, made at the first use."""
+        """CHAIN_ARGUMENTS of a kernel, uploaded on first use."""
         device, kind, edge, rows = self.device, self._coord, _EDGE[self._coord], max(1, self.stages)
         weights, tables = np.zeros((rows, _MOST_TAPS**2), kind), np.zeros((rows, 5), np.int64)
         maps: list[NDArray[np.float64]] = []
@@ -81,7 +81,7 @@ class Chain:
             tables[n] = taps, *(*shape[-2::-1], 1)[:3], first
             places.append((one, first, shape))
             first += math.prod(shape)
-        count = first + 1  # vectors of three are read as four
+        count = first + 1  # vectors of three are loaded as four
         values = device.buffers.allocate(count * np.dtype(kind).itemsize)
         with device.buffers.mapped(values, (count,), write=True, kind=kind) as room:
             for one, first, shape in places:
@@ -91,12 +91,12 @@ class Chain:
         return (*uploaded, values, np.int32(self.stages))
 
     def to_indices(self, moving: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The map to a volume's indices that follows the stages: a matrix and an offset."""
+        """The map from the last stage to a volume's indices: matrix and offset."""
         inverse = moving.world_to_index_matrix
         return inverse @ self.end.matrix, inverse @ (self.end.offset - np.asarray(moving.origin))
 
     def places(self, part: tuple[slice, ...]) -> NDArray[np.float64]:
-        """Where the stages bring the points of a part [z, y, x] of a grid with three axes; (N, 3), before what remains."""
+        """The points of a part [z, y, x] of a 3-D grid after the stages, before `end`; (N, 3)."""
         device, size = self.device, tuple(one.stop - one.start for one in part[::-1])
         results = np.empty((*size[::-1], 3), self._coord)
         defines = {**self.defines(), "DIMENSIONS": 3, "COORD_DOUBLE": int(device.has_double), **scalar_defines(np.float32)}
@@ -108,15 +108,15 @@ class Chain:
         return np.asarray(results.reshape(-1, 3), np.float64)
 
     def determinants(self, kind: type[Any], progress: Progress | None = None) -> Reals:
-        """Of the chain's Jacobian at the points of the grid, [z, y, x], in this type: of the moving position by the fixed one."""
+        """Jacobian determinants of the chain, moving by fixed positions, at the points of the grid; [z, y, x], of type `kind`."""
         results = np.empty(self.grid.shape, kind)
         self._jacobian(results, progress, pull_back=False)
         return results
 
     def pull_back(self, results: Reals, progress: Progress | None = None) -> None:
-        """Turn gradients with respect to the moving world into those with respect to the fixed one, in place.
+        """Convert gradients from the moving to the fixed world, in place.
 
-        `results` are [z, y, x, component], a value and then its gradient.
+        `results` are [z, y, x, component], a value followed by its gradient.
         """
         self._jacobian(results, progress, pull_back=True)
 
@@ -161,20 +161,20 @@ class Chain:
         return [self._padded(column) for column in (*matrix.T, offset)]
 
     def _padded(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        """As the vectors of chain.cl: three numbers lie in four."""
+        """Padded to the vectors of chain.cl: three numbers take the space of four."""
         return np.pad(vector, (0, vector.size - 2))
 
 
 def _halo(one: DisplacementField | BSplineTransform) -> int:
-    """How many coefficients precede the first along each axis: a B-spline grid has all that its domain needs."""
+    """Coefficients before the first along each axis: 0 for a B-spline grid, which already has all that its domain needs."""
     return 0 if isinstance(one, BSplineTransform) else one.filter.support // 2 + 1
 
 
 def _fill(room: NDArray[Any], one: DisplacementField | BSplineTransform, device: Device) -> None:
-    """Put coefficients where chain.cl reads them, [z, y, x, component].
+    """Write coefficients in the layout of chain.cl, [z, y, x, component].
 
-    A displacement field is continued to half a voxel past its samples: by the outer ones if it is linear, which is ITK's rule,
-    else by reflecting it about them.
+    A displacement field extends half a voxel past its samples: a linear one repeats the outer samples, as ITK does; others are
+    reflected about them.
     """
     if isinstance(one, BSplineTransform):
         room[...] = one.coefficients

@@ -1,4 +1,4 @@
-"""A volume's coefficients as a device stores them: the host side of coefficients.cl."""
+"""Storage of a volume's coefficients on a device: the host side of coefficients.cl."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from clvol.volume.volume import Volume
 
 __all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "Whole", "addressable", "bundled", "bytes_of", "extent_of"]
 
-OPENCL_TYPES = {  # OpenCL's names of NumPy's types
+OPENCL_TYPES = {  # NumPy to OpenCL
     "b1": "uchar",
     "u1": "uchar",
     "i1": "char",
@@ -41,17 +41,17 @@ OPENCL_TYPES = {  # OpenCL's names of NumPy's types
 
 
 def addressable(array: NDArray[Any], device: Device) -> bool:
-    """Whether kernels can address the elements of an array: of a native type that they know, and whole numbers of them apart."""
+    """Whether kernels can address the elements of an array: a native OpenCL type, with strides that are multiples of its size."""
     name = OPENCL_TYPES.get(array.dtype.str[1:])
     known = name is not None and array.dtype.isnative and (name != "double" or device.has_double)
     return known and array.flags.aligned and not any(stride % array.itemsize for stride in array.strides)
 
 
 def bundled(array: NDArray[Any], apart: tuple[int, int]) -> tuple[NDArray[Any], int, tuple[int, int]]:
-    """How kernels go over an array [z, y, x], whose rows and slices lie so far `apart` where it comes from or goes to.
+    """How kernels traverse an array [z, y, x] with row and slice distances `apart` in the other buffer.
 
-    Its axes, y and z perhaps exchanged, and these distances with them; and how many slices are taken together, namely several if
-    they lie closer in memory than what follows along x.
+    Returns the array and the distances, with y and z swapped if that is faster, and the slices to process together: several if
+    slices are closer in memory than successive elements along x.
     """
     z, y, x = (abs(stride) if n > 1 else 1 << 62 for stride, n in zip(array.strides, array.shape, strict=True))
     if y < min(x, z):
@@ -60,13 +60,13 @@ def bundled(array: NDArray[Any], apart: tuple[int, int]) -> tuple[NDArray[Any], 
 
 
 _BUNDLE = 16
-_MOST_ALONG = 1 << 30  # samples along an axis: a period has twice as many, and OpenCL's int counts them
-_AT_ONCE = 1 << 20  # places of an axis that are found at a time
-_COPIED = 1 << 22  # samples that NumPy copies at a time: Ctrl-C is heard in between
+_MOST_ALONG = 1 << 30  # samples along an axis: a period has twice as many, which must fit in OpenCL's int
+_AT_ONCE = 1 << 20  # indices of an axis computed at a time
+_COPIED = 1 << 22  # samples that NumPy copies at a time, so that Ctrl-C takes effect in between
 
 
 def _slabs(data: NDArray[Any]) -> list[tuple[slice, ...]]:
-    """Parts of an array [z, y, x], one behind the other in its memory, and wide enough for whole lines of a cache."""
+    """Parts of an array [z, y, x] in the order of its memory, wide enough for whole cache lines."""
     axis = int(np.argmax([abs(stride) if n > 1 else 0 for stride, n in zip(data.strides, data.shape, strict=True)]))
     n = data.shape[axis]
     some = max(_BUNDLE, _COPIED * n // data.size)
@@ -75,12 +75,12 @@ def _slabs(data: NDArray[Any]) -> list[tuple[slice, ...]]:
 
 @dataclass(frozen=True)
 class Lattice:
-    """The shape of samples that have no place in the world.
+    """The shape of samples without a position in the world.
 
     Attributes
     ----------
     size : tuple of int
-        Samples along x, y and z: one to three numbers.
+        Samples along x, y and z; one to three numbers.
     """
 
     size: tuple[int, ...]
@@ -92,44 +92,44 @@ class Lattice:
 
 
 class Coefficients:
-    """Room on a device for a volume's coefficients and the halo around them.
+    """Storage on a device for a volume's coefficients and their halo.
 
-    This class is storage alone: a new one holds nothing yet. `clvol.spline.field.coefficients_of` makes one and fills it.
+    A new one is empty; `clvol.spline.field.coefficients_of` makes one and fills it.
 
     Parameters
     ----------
     volume : Volume or Lattice
-        Of 1 to 3 axes.
+        With 1 to 3 axes.
     filter, boundary : Filter, Boundary
-        They determine how wide the halo is and what belongs into it.
+        They determine the width and content of the halo.
     device : Device
         Where the coefficients are stored.
     stored : Stored
-        What stands for the volume's values: the coefficients are those of ``(sample - offset) * 2**-exponent``.
+        How values are stored: coefficients are those of ``(sample - offset) * 2**-exponent``.
     kind : type
-        np.float32 or np.float64, of the coefficients.
+        Type of the coefficients, np.float32 or np.float64.
     batch : int
-        How many of one or two axes are kept together, as slices that know nothing of each other.
+        Number of independent 1-D or 2-D arrays, stored as slices.
 
     Attributes
     ----------
     buffer : Buffer
         Numbers of `kind`, [z, y, x], halo included; None once released.
     extent : ndarray of int32, shape (4,)
-        Row pitch, rows, slices and halo: the argument of every kernel that reads coefficients.
+        Row pitch, rows, slices and halo: an argument of every kernel that reads coefficients.
     size : ndarray of int32, shape (4,)
         Samples along (x, y, z), then 0.
     period : ndarray of int32, shape (4,)
-        The period of the boundary rule along (x, y, z), 0 where it has none, then 0.
+        The period of the boundary rule along (x, y, z), 0 if it has none, then 0.
     reach : int
-        How far past the padded samples the function may differ from what it is further out.
+        Samples past the padding from which on the function is constant.
 
     Raises
     ------
     DeviceError
-        Coefficients of float64 on a device without it.
+        float64 on a device without it.
     OutOfMemoryError
-        The device has no room for them.
+        The coefficients do not fit on the device.
     """
 
     def __init__(
@@ -166,15 +166,15 @@ class Coefficients:
         if self.ndim < 3:
             self.extent[2] = batch
         self.buffer: Any = device.buffers.allocate(self.nbytes)
-        device.buffers.clear(self.buffer, math.prod(self.shape), LANES, kind)  # vectors past the last row enter bounds
+        device.buffers.clear(self.buffer, math.prod(self.shape), LANES, kind)  # bounds read vectors past the last row
         self._image: Any = None
         self._uploaded: dict[int, Any] = {}
-        self._lock = threading.RLock()  # a handler of signals may come back here
+        self._lock = threading.RLock()  # a signal handler may re-enter
 
     @property
     def volume(self) -> Volume:
-        """The volume that these are the coefficients of."""
-        assert isinstance(self._volume, Volume)  # nobody asks a lattice for its place in the world
+        """The volume."""
+        assert isinstance(self._volume, Volume)  # a lattice has no position in the world
         return self._volume
 
     @property
@@ -189,22 +189,22 @@ class Coefficients:
 
     @property
     def slices(self) -> int:
-        """Of a batch, how many are kept together; of three axes, stored slices."""
+        """Stored slices; for a batch, its size."""
         return int(self.extent[2])
 
     @property
     def inner(self) -> tuple[slice, ...]:
-        """Where the coefficients proper lie among those stored: [z, y, x]."""
+        """Where the coefficients are within the stored array, without the halo: [z, y, x]."""
         return self._within(0)
 
     @property
     def layout(self) -> tuple[int, int, int]:
-        """Where the first of these lies in the buffer, and how far rows and slices lie apart."""
+        """The buffer offset of the first coefficient of `inner`, and the distances between rows and between slices."""
         pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
         return sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True)), pitch, area
 
     def _within(self, pad: int) -> tuple[slice, ...]:
-        """`inner`, and as many more on either side."""
+        """`inner`, and `pad` more on each side."""
         halo, d = int(self.extent[3]), self.ndim
         return tuple(
             slice(halo - pad, halo + self.filter.scale * int(self.size[axis]) + pad)
@@ -221,9 +221,9 @@ class Coefficients:
     # -- filling -----------------------------------------------------------------------------------------------
 
     def fill(self, data: NDArray[Any]) -> None:
-        """Make these the coefficients of samples [z, y, x] of any layout: copied, padded, prefiltered, surrounded by their halo.
+        """Compute the coefficients of samples [z, y, x] in any layout: copy, pad, prefilter, fill the halo.
 
-        Of a batch each slice is one or two axes of samples.
+        Each slice of a batch has one or two axes of samples.
         """
         self.copy_samples(data)
         if self.pad:
@@ -239,16 +239,16 @@ class Coefficients:
         self.fill_halo(self.pad)
 
     def copy_samples(self, data: NDArray[Any], gain: float = 1.0) -> None:
-        """Put samples [z, y, x], or of a batch, times `gain`, where their coefficients will be.
+        """Copy samples [z, y, x], or those of a batch, times `gain`, to where their coefficients will be.
 
-        All cores of a processor copy if kernels can read the samples and store them as they are; otherwise NumPy does.
+        A kernel on all CPU cores copies if it can read the samples and they are stored unchanged; otherwise NumPy does.
         """
         device = self.device
         data = data[(slice(None),) * (data.ndim - self.ndim) + (None,) * (3 - data.ndim)]  # slices of a batch come first
         if not self._kernels_read(data):
             with device.buffers.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
                 inner = room[self.inner]
-                if not self.stored.identity:  # slice by slice, for each is made anew and wider
+                if not self.stored.identity:  # by slices, since each needs a wider temporary
                     for target, slice_ in zip(inner, data, strict=True):
                         np.copyto(target, self.stored.samples(slice_), casting="unsafe")
                     return
@@ -263,7 +263,7 @@ class Coefficients:
         data, bundle, (pitch, area) = bundled(data, (pitch, area))
         nz, ny, nx = data.shape
         some = max(bundle, device.limits.launch_voxels // (nx * ny) // bundle * bundle)
-        for first in range(0, nz, some):  # in parts, for samples of a wide type may exceed the largest allocation
+        for first in range(0, nz, some):  # in parts, since samples of a wide type may exceed the largest allocation
             part = data[first : first + some]
             with device.buffers.lent_span(part, write=False) as (samples, start, strides), device.errors:
                 kernel(
@@ -284,7 +284,7 @@ class Coefficients:
                 )
 
     def fill_halo(self, kept: int = 0) -> None:
-        """Surround the coefficients, and `kept` more on either side, by what the boundary rule says lies there."""
+        """Fill the halo by the boundary rule, except for the `kept` coefficients next to the inner ones."""
         device, columns = self.device, self._within(kept)[2]
         with device.errors:
             self._build("float").kernel("fill_halo")(
@@ -301,29 +301,29 @@ class Coefficients:
         device.finish()
 
     def _places(self, kept: int) -> Any:
-        """Where the coefficients lie that belong into each stored column, row and slice."""
+        """For each stored column, row and slice, the index of the coefficient to copy there."""
         if kept not in self._uploaded:
             halo, sizes = int(self.extent[3]), self.size.tolist()
             places = np.empty(sum(self.shape), np.int32)
             begin = 0
             for axis, stored in enumerate(self.shape[::-1]):
                 for first in range(0, stored, _AT_ONCE):
-                    own = np.arange(first, min(first + _AT_ONCE, stored))
+                    index = np.arange(first, min(first + _AT_ONCE, stored))
                     if axis < self.ndim:
-                        place = self.boundary.index(own - halo, sizes[axis], kept)
-                        own = np.where(place < -kept, -1, place + halo)
-                    places[begin + first : begin + first + len(own)] = own
+                        source = self.boundary.index(index - halo, sizes[axis], kept)
+                        index = np.where(source < -kept, -1, source + halo)
+                    places[begin + first : begin + first + len(index)] = index
                 begin += stored
             self._uploaded[kept] = self.device.buffers.upload(places)
         return self._uploaded[kept]
 
     def _kernels_read(self, data: NDArray[Any]) -> bool:
-        """Whether all cores of a processor can copy samples, and store them as they are; otherwise NumPy does."""
+        """Whether a kernel on the CPU can copy the samples, and they are stored unchanged."""
         return self.device.kind == "cpu" and self.stored.identity and addressable(data, self.device)
 
     @property
     def _beyond(self) -> float:
-        """The coefficient that stands where the rule gives none, in stored units."""
+        """The coefficient outside, in stored units, for rules that use a constant."""
         return float(self.stored(self.boundary.cval)) if self.boundary.outside == "grid-constant" else 0.0
 
     def _build(self, samples: str) -> Program:
@@ -331,7 +331,7 @@ class Coefficients:
             "spline/coefficients.cl",
             {
                 "SAMPLE": samples,
-                "COORD_DOUBLE": int(samples == "double"),  # that doubles are known
+                "COORD_DOUBLE": int(samples == "double"),  # enables fp64
                 **scalar_defines(self.kind),
             },
         )
@@ -340,7 +340,7 @@ class Coefficients:
 
     @property
     def image(self) -> Any:
-        """The coefficients as an OpenCL image, made at the first use."""
+        """The coefficients as an OpenCL image, made on first use."""
         with self._lock:
             if self._image is None:
                 self._image = self.device.buffers.image_of(self.buffer, self.shape)
@@ -354,18 +354,18 @@ class Coefficients:
         OptionError
             The coefficients were released.
         OutOfMemoryError
-            An image of this shape, or another copy, is more than the device holds.
+            The device cannot hold an image of this shape.
         """
         if self.buffer is None:
             raise OptionError("the coefficients were released; make new ones")
         return self.image if evaluator.image else self.buffer
 
     def defines(self, evaluator: Evaluator) -> DefineDict:
-        """What every kernel that samples these coefficients needs to know: within the domain the same under all boundary rules."""
+        """The `#define`s of every kernel that samples these coefficients; the same for all boundary rules."""
         return {**filter_defines(self.filter, self.kind), **evaluator_defines(evaluator, self.filter, self.ndim, self.device)}
 
     def release(self) -> None:
-        """Free the device's memory. Results that were computed stay valid."""
+        """Free the device's memory. Computed results stay valid."""
         with self._lock:
             memory = self.buffer, self._image
             self.buffer = self._image = None
@@ -384,9 +384,9 @@ class Whole:
     Attributes
     ----------
     volume : Volume
-        Where samples lie, and what is known of them; it holds none.
+        Geometry and value range of the samples, without data.
     filter, device, stored, size, extent, ndim
-        As of `Coefficients`.
+        As for `Coefficients`.
     """
 
     def __init__(self, volume: Volume, filter: Filter, extent: NDArray[np.int32], device: Device, stored: Stored) -> None:
@@ -395,26 +395,26 @@ class Whole:
         self.extent = extent
 
     def defines(self, evaluator: Evaluator) -> DefineDict:
-        """As of `Coefficients`."""
+        """As for `Coefficients`."""
         return {**filter_defines(self.filter, np.float32), **evaluator_defines(evaluator, self.filter, self.ndim, self.device)}
 
 
 def bytes_of(size: tuple[int, ...], filter: Filter, boundary: Boundary, kind: type[np.generic]) -> int:
-    """What the coefficients of so many samples along x, y(, z) take, halo included; of a hybrid while it is made."""
+    """Bytes of the coefficients of `size` samples along x, y(, z), halo included; for a hybrid the peak while it is computed."""
     past = boundary.padding((filter.magnified_by or filter).prefilter, filter.support) + boundary.reach(filter.support)
     sizes = (*(filter.scale * n for n in size), 1, 1)[:3]
     halo = 2 * (filter.support // 2 + 1 + filter.scale * (1 + past))
     reach = max(0, row_reach(filter) - filter.support) + LANES
     stored = math.prod(n + halo + (reach if axis == 0 else 0) if axis < len(size) else 1 for axis, n in enumerate(sizes))
-    own = np.dtype(kind).itemsize * stored
-    return own if filter.magnified_by is None else own + bytes_of(size, filter.magnified_by, boundary, kind)
+    nbytes = np.dtype(kind).itemsize * stored
+    return nbytes if filter.magnified_by is None else nbytes + bytes_of(size, filter.magnified_by, boundary, kind)
 
 
 def extent_of(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int) -> NDArray[np.int32]:
-    """(row pitch, rows, slices, halo) of what is stored for so many coefficients along x, y and z.
+    """(row pitch, rows, slices, halo) of the storage for `sizes` coefficients along x, y and z.
 
-    The halo covers the taps of every point of the domain, and of points a sample beyond it, for central differences; and `past`
-    more. Rows are longer by what a vector load reads past the last tap.
+    The halo covers the taps of every point of the domain and up to a sample outside, for central differences, and `past` more.
+    Rows include what a vector load reads past the last tap.
     """
     halo = filter.support // 2 + 1 + filter.scale + past
     x, y, z = sizes

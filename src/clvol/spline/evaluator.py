@@ -16,7 +16,7 @@ EvaluatorName = Literal["auto", "taps", "paired", "eight-fetch"]
 FetchName = Literal["auto", "buffer", "image"]
 
 SAMPLE_BITS = 20.0
-"""Bits of a sampler's fraction that sampling needs before "auto" chooses it."""
+"""Least bits of a sampler's fraction for which "auto" chooses it."""
 
 _PAIRED = ("paired", "eight-fetch")
 
@@ -42,11 +42,11 @@ class Evaluator:
 
 
 DIRECT = Evaluator(paired=False, image=False)
-"""Direct taps from a buffer, which suit a processor."""
+"""Direct taps from a buffer, which suit a CPU."""
 
 
 def require_names(evaluator: str, fetch: str) -> None:
-    """Raise `OptionError` for a name that no evaluator, or no way to fetch, has."""
+    """Raise `OptionError` for an unknown evaluator or fetch."""
     if evaluator not in ("auto", "taps", *_PAIRED):
         raise one_of("evaluator", evaluator, ("auto", "taps", *_PAIRED))
     if fetch not in ("auto", "buffer", "image"):
@@ -54,26 +54,26 @@ def require_names(evaluator: str, fetch: str) -> None:
 
 
 def choose_evaluator(device: Device, filter: Filter, *, bits: float = SAMPLE_BITS, double: bool = False) -> Evaluator:
-    """The evaluator that the device's limits name, or else the one that suits the device and the filter.
+    """The evaluator that the device's limits name, else the one that suits the device and the filter.
 
-    Processors sample images in software, so they read buffers by direct taps. Other devices take paired fetches from
-    the texture unit, provided that it was measured to interpolate with at least `bits` bits.
+    CPUs sample images in software, so they use direct taps from a buffer. Other devices use paired fetches from the texture
+    unit if it was measured to interpolate with at least `bits` bits.
 
     Parameters
     ----------
     device : Device
         Where the coefficients are. ``with device.limited(evaluator="taps", fetch="buffer"):`` forces a choice.
     filter : Filter
-        If its weights change sign within a pair of taps, it is evaluated by direct taps, whatever the limits say.
+        Direct taps are used, whatever the limits say, if its weights change sign within a pair of taps.
     bits : float
-        The bits of the sampler that "auto" requires.
+        Bits of the sampler that "auto" requires.
     double : bool
-        Whether coefficients are of double precision, which images do not hold.
+        Whether coefficients are float64, which images cannot hold.
 
     Raises
     ------
     OptionError
-        The limits name no evaluator or no way to fetch, or images for double precision.
+        The limits name an unknown evaluator or fetch, or images for double precision.
     DeviceError
         ``fetch="image"`` on a device without float images, or paired fetches from an image on a device whose sampler
         does not interpolate.

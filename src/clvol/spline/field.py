@@ -1,4 +1,4 @@
-"""The continuous function of a volume in memory: `Field`, with its coefficients on a device; and functions that use one once."""
+"""`Field`, the continuous function of a volume in memory with its coefficients on a device, and functions that use one once."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from clvol.base import memory
 from clvol.base.arrays import as_output
 from clvol.base.checks import one_of, warn, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
+from clvol.base.progress import part_of
 from clvol.base.rounding import wide
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
@@ -76,10 +77,9 @@ Result = TypeVar("Result")
 def coefficients_of(
     volume: Volume, filter: Filter, boundary: Boundary, device: Device, kind: type[np.generic] = np.float32
 ) -> Coefficients:
-    """A volume's coefficients on a device: prefiltered, surrounded by their halo, ready to be sampled.
+    """A volume's coefficients on a device, of type `kind`: prefiltered, with their halo, ready to sample.
 
-    Those of a hybrid (section 4.3) are samples of the spline on a grid of twice the density. They are numbers of `kind`, float32 or
-    float64.
+    The coefficients of a hybrid (section 4.3) are samples of the spline on a grid of twice the density.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def coefficients_of(
     OutOfMemoryError
         The device has no room for them.
     """
-    device.buffers.require_room(bytes_of(volume.size, filter, boundary, kind))  # before samples are looked at
+    device.buffers.require_room(bytes_of(volume.size, filter, boundary, kind))  # before reading samples
     volume.require_finite()
     row = settled(filter, volume)
     stored = Stored.of(volume, row, boundary) if kind == np.float32 else AS_THEY_ARE
@@ -98,7 +98,7 @@ def coefficients_of(
 
 
 def filled(made: Coefficients, data: NDArray[Any]) -> Coefficients:
-    """The coefficients that there is room for, of samples [z, y, x]; it is released if that fails."""
+    """Fill allocated coefficients from samples [z, y, x]; on an error they are released."""
     try:
         if made.filter.magnified_by is not None:
             _fill_hybrid(made, made.filter.magnified_by, data)
@@ -111,7 +111,7 @@ def filled(made: Coefficients, data: NDArray[Any]) -> Coefficients:
 
 
 def _fill_hybrid(made: Coefficients, by: Filter, data: NDArray[Any]) -> None:
-    """Fill the coefficients of a hybrid, halo included, by samples of the spline of `by`."""
+    """Fill the coefficients of a hybrid, halo included, with samples of the spline of `by`."""
     scale, halo, d = made.filter.scale, int(made.extent[3]), made.ndim
     steps = np.eye(d) / scale
     with filled(Coefficients(made.volume, by, made.boundary, made.device, made.stored, made.kind), data) as coarse:
@@ -119,70 +119,69 @@ def _fill_hybrid(made: Coefficients, by: Filter, data: NDArray[Any]) -> None:
 
 
 class Field(ContinuousFunction):
-    """The continuous function of a volume, with its coefficients kept on a device.
+    """The continuous function of a volume, with its coefficients on a device.
 
-    Making one uploads and prefilters the volume (section 4.2 of the paper); every call then costs its samples only. The
-    functions `clvol.sample`, `clvol.resample` and `clvol.magnify` take a Field in place of a volume.
+    The constructor uploads and prefilters the volume (section 4.2 of the paper); calls then only sample. `clvol.sample`,
+    `clvol.resample` and `clvol.magnify` accept a Field in place of a volume.
 
     Parameters
     ----------
     volume : Volume or array-like, shape (ny, nx) or (nz, ny, nx)
         Samples of any integer or floating dtype; an array has spacing 1 and origin 0.
     filter : str or Filter, optional
-        A name in `clvol.filters()`, or a filter of your own; default "bspline3", or "nearest" for labels (`Volume.is_labels`).
+        A name in `clvol.filters()`, or a custom filter; default "bspline3", or "nearest" for labels (`Volume.is_labels`).
     boundary : str or Boundary
-        "mirror", "reflect", "wrap", …: what lies past the outer samples; see `clvol.boundaries`.
+        "mirror", "reflect", "wrap", …: how samples continue outside the volume; see `clvol.boundaries`.
     device : Device, str or int, optional
         See `as_device`; None is the default device.
     precision : {"single", "double"}, optional
-        Of coefficients and results: float32, or float64 on devices that have it. Default "single", but "double" for labels that
-        float32 does not hold.
+        Precision of coefficients and results: float32, or float64 on devices that support it. Default "single", but "double" for
+        labels that float32 cannot hold.
     nan : {"error", "propagate", "local"} or Missing
-        What becomes of samples that are NaN or infinite: see `clvol.Missing`, which also takes a mask of missing samples.
+        How samples that are NaN or infinite are treated: see `clvol.Missing`, which also takes a mask of missing samples.
 
     Attributes
     ----------
     volume : Volume
-        The samples, as they were given.
+        The samples, as passed in.
     missing : Missing
-        What becomes of missing samples.
+        How missing samples are treated.
     gaps : Field or None
-        The share of missing samples that a result is computed from; None where none is missing, or none is too many.
+        The share of missing samples in each result; None if no sample is missing, or if any share is allowed.
     filter : Filter
-        Its smoothing settled for this volume.
+        Its smoothing is settled for this volume.
     boundary : Boundary
     device : Device
     coefficients : Coefficients
-        As they are stored on the device.
+        On the device.
 
     Raises
     ------
     DataError
-        `volume` is no array of real numbers with 2 or 3 axes, is empty, or holds a value that is NaN, infinite or too
-        large for float64 (unless `nan` allows for it); a mask has another shape.
+        `volume` is not an array of real numbers with 2 or 3 axes, is empty, or holds a value that is NaN, infinite or too
+        large for float64 (unless `nan` allows it); the mask has another shape.
     OptionError
-        `filter`, `boundary`, `device` or `nan` is the name of none.
+        `filter`, `boundary`, `device` or `nan` is unknown.
     DeviceError
         There is no OpenCL device, or it cannot be used.
     OutOfMemoryError
-        The device has no room for the coefficients.
+        The coefficients do not fit on the device.
 
     Notes
     -----
-    Where samples are missing, their places are kept like a second volume, and every call samples both: twice the memory, and up
-    to twice the time.
+    If samples are missing, a second field of their positions is kept, and every call samples both: twice the memory, and up to
+    twice the time.
 
-    A Field is a context manager: leaving it frees the device's memory, as `close` does. Several threads may use one at a
-    time.
+    A Field is a context manager: on exit it frees the device's memory, as `close` does. Several threads may share one.
 
     Single precision computes in float32: values err by about 10⁻⁶ of the largest magnitude. Samples further than 8 times their
-    range from zero (a pressure of 101,325 ± 3) are stored less an offset, and samples beyond 2⁻⁹⁰ to 2⁹⁰ less a power of two,
-    whatever their type, so that values err by about 10⁻⁶ of the *range* then. Results are float32 where samples are stored as
-    they are, as most are. Otherwise values are float64; derivatives are so with a power of two alone, for an offset does not
-    change them. No offset is taken off where the filter's weights do not sum to one (`lanczos3`, `sinc`), nor under the
-    boundary rules "zero" and "grid-constant". Double precision stores samples as they are. A single sample near zero in data
-    that are otherwise far from it prevents the offset too. Integers with a range of more than 2²⁴ are rounded to 2⁻²⁴ of it.
-    See `clvol.volume.stored`.
+    range from zero (a pressure of 101,325 ± 3) are stored minus an offset, and samples outside 2⁻⁹⁰ to 2⁹⁰ are scaled by a power
+    of two, whatever their type; values then err by about 10⁻⁶ of the *range*. If samples are stored unchanged, as most are,
+    results are float32. Otherwise values are float64; derivatives are float64 only with a power of two, since an offset does not
+    change them. No offset is used if the filter's weights do not sum to one (`lanczos3`, `sinc`), nor with the boundary rules
+    "zero" and "grid-constant". Double precision stores samples unchanged. A single sample near zero in data that are otherwise far
+    from zero also prevents the offset. Integers with a range of more than 2²⁴ are rounded to 2⁻²⁴ of it. See
+    `clvol.volume.stored`.
 
     Examples
     --------
@@ -223,7 +222,7 @@ class Field(ContinuousFunction):
             self._lease.frees(self.gaps.close)
 
     def _gaps_at(self, where: NDArray[np.bool_]) -> Field | None:
-        """The share of missing samples as a function of its own; None where it decides nothing."""
+        """The share of missing samples as a function; None if any share is allowed."""
         rule, row = self.missing.rule, self.filter
         if rule == "local" and self.missing.most == 1:
             return None
@@ -241,7 +240,7 @@ class Field(ContinuousFunction):
         return f"<Field of {shape} samples, {self.filter.name}, {self.boundary.name}, on {self.device.name!r}{state}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks: the kernel, and what the function is made of."""
+        """For notebooks: a plot of the kernel, and the field's properties."""
         from clvol.base import html
 
         known = {
@@ -263,16 +262,16 @@ class Field(ContinuousFunction):
 
     @property
     def precision(self) -> Precision:
-        """Of coefficients and results: "single" or "double"."""
+        """Precision of coefficients and results: "single" or "double"."""
         return "double" if self.coefficients.kind == np.float64 else "single"
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the buffer with the coefficients; 0 once closed. An image takes as many again."""
+        """Bytes of the coefficients' buffer; 0 once closed. An image takes the same again."""
         return 0 if self.closed else self.coefficients.nbytes + (self.gaps.nbytes if self.gaps else 0)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled is what the field is made of; another process makes its coefficients anew, on its device of the same name."""
+        """Pickles the arguments: another process computes the coefficients again, on its device of the same name."""
         with self._lease.held():
             again = partial(type(self), precision=self.precision, nan=self.missing)
             return again, (self.volume, self.filter, self.boundary, self.device)
@@ -284,10 +283,10 @@ class Field(ContinuousFunction):
         return choose_evaluator(self.device, self.filter, double=self.precision == "double")
 
     def _bytes_at(self, points: int, derivative: int, *, into: bool) -> int:
-        """Results of kernels, float64 ones beside these where they differ, and the share of missing samples."""
-        own = 0 if into else np.dtype(self.coefficients.kind).itemsize
+        """Results of kernels, float64 results beside them if they differ, and the share of missing samples."""
+        from_kernels = 0 if into else np.dtype(self.coefficients.kind).itemsize
         results: int = points * self.grid.ndim**derivative
-        return results * (own + 8 * self.coefficients.stored.alters(derivative) + 5 * (self.gaps is not None))
+        return results * (from_kernels + 8 * self.coefficients.stored.alters(derivative) + 5 * (self.gaps is not None))
 
     def _at(
         self, points: NDArray[Any], derivative: int, fill: float | None, progress: Progress | None, out: NDArray[Any] | None
@@ -319,7 +318,7 @@ class Field(ContinuousFunction):
         return _put(final, room)
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
-        """Whether kernels can write their results into an array themselves."""
+        """Whether kernels can write results directly into an array."""
         return (
             target is not None
             and target.dtype == self.coefficients.kind
@@ -332,7 +331,7 @@ class Field(ContinuousFunction):
 def _values_on(
     made: Coefficients, evaluator: Evaluator, target: Target, result: NDArray[Any], given: Given, progress: Progress | None
 ) -> NDArray[Any]:
-    """Values on a grid in units of the data; kernels write theirs into `result`, an array of the coefficients' type."""
+    """Values on a grid in units of the data; kernels write into `result`, an array of the coefficients' type."""
     shape = (1, *target.shape)[-3:]
     with made.device.buffers.lent(result, write=True) as buffer:
         if target.chain is not None:
@@ -352,7 +351,7 @@ def _low_passed_on(
     precision: Precision,
     progress: Progress | None,
 ) -> NDArray[Any]:
-    """A volume's function on a grid without the aliases of details that the grid cannot hold."""
+    """A volume's function on a coarser grid, low-passed against aliasing."""
     kind = precision_kind(precision)
     if target.anti_aliasing == "gaussian":
         smooth = low_passed(volume, steps_along(target.matrix), boundary, kind, device)
@@ -366,7 +365,7 @@ def _low_passed_on(
 
 
 def _put(results: NDArray[Any], target: NDArray[Any] | None) -> NDArray[Any]:
-    """Results in the array that is to hold them, if there is one; they may lie in its memory already."""
+    """Copy results into `target`, if given, unless they are already in its memory."""
     if target is None:
         return results
     if not np.may_share_memory(results, target):
@@ -374,14 +373,12 @@ def _put(results: NDArray[Any], target: NDArray[Any] | None) -> NDArray[Any]:
     return target
 
 
-def _halves(progress: Progress | None) -> tuple[Progress, Progress] | tuple[None, None]:
-    """The progress of the first and of the second half of the work."""
-    if progress is None:
-        return None, None
-    return lambda done: progress(done / 2), lambda done: progress((1 + done) / 2)
+def _halves(progress: Progress | None) -> tuple[Progress | None, Progress | None]:
+    """Callbacks for the first and the second half of the work."""
+    return part_of(progress, 0, 0.5), part_of(progress, 0.5, 1)
 
 
-# -- the function of whatever is given ---------------------------------------------------------------------------
+# -- fields of any input -----------------------------------------------------------------------------------------
 
 
 def as_field(
@@ -392,19 +389,19 @@ def as_field(
     precision: Precision | None = None,
     nan: str | Missing | None = None,
 ) -> ContinuousFunction:
-    """The function of a volume: a Field, or a BrickedField of a LazyVolume; a function is returned as it is.
+    """The function of a volume: a Field, or a BrickedField of a LazyVolume; a function is returned unchanged.
 
     Parameters
     ----------
     volume : Volume, array-like, LazyVolume, Field or BrickedField
     filter, boundary, device, precision, nan
-        As of `Field`; None is its default, or the option of the function that is given.
+        As for `Field`; None is the default, or the option of the given function.
 
     Raises
     ------
     OptionError
-        A function is given together with another filter, boundary, device, precision or treatment of missing samples than its own;
-        or a LazyVolume with a precision or treatment of missing samples that a BrickedField does not have.
+        A function is given with a filter, boundary, device, precision or treatment of missing samples that differs from its
+        options; or a LazyVolume with a precision or treatment of missing samples that a BrickedField does not support.
     DataError, DeviceError, OutOfMemoryError
         As `Field` raises them.
     """
@@ -426,8 +423,8 @@ def _require_same(
     precision: Precision | None,
     nan: str | Missing | None,
 ) -> None:
-    """Raise `OptionError` for an option other than a function's own; None is not compared."""
-    for what, own, same, given in (
+    """Raise `OptionError` for an option that differs from the function's; None is not compared."""
+    for what, present, same, given in (
         ("filter", function.filter.name, filter is None or function._settled(filter) == function.filter, filter),
         ("boundary", function.boundary.name, boundary is None or as_boundary(boundary) == function.boundary, boundary),
         ("device", function.device.name, device is None or as_device(device) is function.device, device),
@@ -436,7 +433,7 @@ def _require_same(
     ):
         if not same:
             raise OptionError(
-                f"the field was made with {what} {own!r}, which cannot be changed to {getattr(given, 'name', given)!r}; "
+                f"the field was made with {what} {present!r}, which cannot be changed to {getattr(given, 'name', given)!r}; "
                 f"leave {what} out, or make another {type(function).__name__}"
             )
 
@@ -452,9 +449,9 @@ def opened(
     *,
     results: tuple[int, ...] = (),
 ) -> Iterator[ContinuousFunction]:
-    """`as_field` for the time of a block: a function that was made for it is closed at its end, one that was given is not.
+    """`as_field` as a context: on exit, a field that was made here is closed; a given one is not.
 
-    There must be room for coefficients of a volume in memory and `results` of this shape together, before the former are made.
+    For a volume in memory, checks first that its coefficients and results of shape `results` fit together.
     """
     if results and (plain := _in_memory(volume)) is not None:
         volume = plain
@@ -468,20 +465,20 @@ def opened(
 
 
 def _in_memory(volume: Any) -> Volume | None:
-    """A volume or an array as a Volume; None for a function, and for what is read by parts."""
+    """A volume or an array as a Volume; None for a function or a lazy volume."""
     return None if isinstance(volume, ContinuousFunction) or is_in_parts(volume) else as_volume(volume)
 
 
 def _bricks() -> Any:
-    """The module of functions that come brick by brick, which is below this one."""
+    """The module of bricked functions; imported late, since it imports this one."""
     return import_module("clvol.bricks.field")
 
 
 def _else_by_bricks(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """A function of a volume that computes by bricks, with a warning, where there is no room for the volume's coefficients."""
+    """Decorate a function of a volume to compute by bricks, with a warning, if the volume's coefficients do not fit in memory."""
 
     @wraps(function)
-    def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+    def wrapped(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
         try:
             return function(*arguments, **options)
         except OutOfMemoryError as refused:
@@ -490,10 +487,10 @@ def _else_by_bricks(function: Callable[Arguments, Result]) -> Callable[Arguments
             try:
                 if (volume := _in_memory(given)) is None:
                     raise
-                _bricks().require_plain(others.get("precision"), others.get("nan"))  # before samples are looked at
+                _bricks().require_plain(others.get("precision"), others.get("nan"))  # before reading samples
                 lazy = _bricks().as_lazy(volume)
                 result = function(lazy, *arguments[1:], **others)  # type: ignore[arg-type]
-            except (OptionError, DataError, OutOfMemoryError):  # nor by bricks
+            except (OptionError, DataError, OutOfMemoryError):  # bricks cannot do it either
                 raise refused from None
             warn(
                 f"computed by bricks in single precision, so that the last bits may differ, because the memory is too small for "
@@ -501,7 +498,7 @@ def _else_by_bricks(function: Callable[Arguments, Result]) -> Callable[Arguments
             )
             return result
 
-    return either
+    return wrapped
 
 
 def require_both(
@@ -512,7 +509,7 @@ def require_both(
     precision: Precision | None,
     results: tuple[int, ...],
 ) -> None:
-    """Raise `OutOfMemoryError` if there is no room for the coefficients of so many samples and results of this shape together."""
+    """Raise `OutOfMemoryError` unless the coefficients of `size` samples and results of shape `results` fit together."""
     kind = precision_kind(precision or "single")
     made = bytes_of(
         size,
@@ -520,9 +517,9 @@ def require_both(
         as_boundary(DEFAULT_BOUNDARY if boundary is None else boundary),
         kind,
     )
-    own = np.dtype(kind).itemsize * math.prod(results)
-    shared = as_device(device).kind == "cpu"  # else coefficients lie in the device's memory
-    memory.require(own + made * shared, f"{described(results)}{' and the coefficients' * shared}")
+    result_bytes = np.dtype(kind).itemsize * math.prod(results)
+    shared = as_device(device).kind == "cpu"  # else coefficients are in the device's memory
+    memory.require(result_bytes + made * shared, f"{described(results)}{' and the coefficients' * shared}")
 
 
 # -- functions -------------------------------------------------------------------------------------------------------
@@ -546,19 +543,19 @@ def sample(
 ) -> Reals:
     """The reconstructed function, its gradient or its Hessian at points of the world (eqs 8 and 9 of the paper).
 
-    A volume is prefiltered at every call; make a `Field` to sample one often.
+    A volume is prefiltered on every call; make a `Field` to sample it repeatedly.
 
     Parameters
     ----------
     volume : Volume, array-like, Field, LazyVolume or BrickedField
-        2-D or 3-D samples; an array has spacing 1 and origin 0. Those of a LazyVolume are read by bricks, as by `BrickedField`, and
-        so is a volume whose coefficients there is no room for, where no other option is given than that knows: values differ by
-        less than 10⁻⁶ of the samples' range then.
+        2-D or 3-D samples; an array has spacing 1 and origin 0. A LazyVolume is read by bricks, as by `BrickedField`. So is a
+        volume whose coefficients do not fit in memory, if `BrickedField` supports the options; values then differ by less than
+        10⁻⁶ of the samples' range.
     points : array-like, shape (..., d)
         World positions (x, y) or (x, y, z). A position that is not finite gives NaN.
     filter : str or Filter, optional
-        A name in `clvol.filters()`, or a filter of your own; default "bspline3", "nearest" for labels (`Volume.is_labels`), or that
-        of the Field.
+        A name in `clvol.filters()`, or a custom filter; default "bspline3", "nearest" for labels (`Volume.is_labels`), or that of
+        the Field.
     boundary : str or Boundary, optional
         "mirror", "reflect", "wrap", …: see `clvol.boundaries`; default "mirror", or that of the Field.
     derivative : {0, 1, 2}
@@ -571,18 +568,18 @@ def sample(
     precision : {"single", "double"}, optional
         As of `Field`; default "single", or that of the Field.
     nan : {"error", "propagate", "local"} or Missing, optional
-        What becomes of samples that are NaN or infinite: see `clvol.Missing`; default "error", or that of the Field.
+        How samples that are NaN or infinite are treated: see `clvol.Missing`; default "error", or that of the Field.
 
     Returns
     -------
     ndarray of float32, shape (...), (..., d) or (..., d, d)
-        float64 where the samples lie far from zero (values alone), or are very large or small: see the notes of `Field`.
+        float64 if the samples are far from zero (values only), or very large or small: see the notes of `Field`.
 
     Raises
     ------
     OptionError
-        `derivative` is not 0, 1 or 2; a Field is given with another filter, boundary, device, precision or nan than its own; or
-        as of a call of `Field`.
+        `derivative` is not 0, 1 or 2; a Field is given with a filter, boundary, device, precision or nan that differs from its
+        options; or as a call of `Field` raises it.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and a call of it raise them.
     """
@@ -595,8 +592,8 @@ def sample(
             as_output(out, shape)
         results = () if out is not None else shape
     with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
-        at = (field.__call__, field.gradient, field.hessian)[derivative]
-        return at(points, frame=frame, fill=fill, progress=progress, out=out)
+        evaluate = (field.__call__, field.gradient, field.hessian)[derivative]
+        return evaluate(points, frame=frame, fill=fill, progress=progress, out=out)
 
 
 @with_dask("volume")
@@ -632,7 +629,7 @@ def resample(
     filter, boundary, device, nan
         As in `sample`.
     precision : {"single", "double"}, optional
-        As in `sample`, but "double" for a `dtype` that holds more than float32 does, where the device can.
+        As in `sample`, but "double" for a `dtype` wider than float32, if the device supports it.
     progress, out
         As in `Field.resample`.
 
@@ -643,7 +640,8 @@ def resample(
     Raises
     ------
     OptionError
-        A Field is given with another filter, boundary, device, precision or nan than its own; or as of `Field.resample`.
+        A Field is given with a filter, boundary, device, precision or nan that differs from its options; or as `Field.resample`
+        raises it.
     GeometryError
         As `Field.resample` raises it.
     DataError, DeviceError, OutOfMemoryError
@@ -660,11 +658,11 @@ def resample(
         kind = result_kind(dtype, plain, row, out, fill)
         if precision is None and kind is not None and wide(kind) and (device := as_device(device)).has_double:
             precision = "double"
-        if low_pass := as_anti_aliasing(anti_aliasing):  # of the samples; their own coefficients are not needed
+        if low_pass := as_anti_aliasing(anti_aliasing):  # on the samples: their coefficients are not needed
             require_no_transform(transform)
             target = Target(*between(plain, grid), grid.shape, None, fill_value(fill), low_pass, kind)
-            own = row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device), precision or "single"
-            data = _put(_low_passed_on(target, plain, *own, progress), None if out is None else as_output(out, grid.shape))
+            options = row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device), precision or "single"
+            data = _put(_low_passed_on(target, plain, *options, progress), None if out is None else as_output(out, grid.shape))
             return as_result(plain, data, grid, kind, row)
         results = grid.shape if out is None else ()
     with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
@@ -695,7 +693,7 @@ def magnify(
     nan: str | Missing | None = None,
     progress: Progress | None = None,
 ) -> Volume:
-    """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
+    """The volume with `factor` times the samples along each axis, the original samples among them (section 4.3).
 
     Parameters
     ----------
@@ -703,7 +701,7 @@ def magnify(
         2-D or 3-D samples; an array has spacing 1 and origin 0. One of dask gives one of dask: see `clvol.dask.magnify`. A
         LazyVolume is read by bricks, as in `sample`.
     factor : int
-        At least 1; see `Field.magnify` for where the new samples lie.
+        At least 1; see `Field.magnify` for the positions of the new samples.
     filter, boundary, device, precision, nan
         As in `sample`.
     progress
@@ -716,7 +714,8 @@ def magnify(
     Raises
     ------
     OptionError
-        A Field is given with another filter, boundary, device, precision or nan than its own; or as of `Field.magnify`.
+        A Field is given with a filter, boundary, device, precision or nan that differs from its options; or as `Field.magnify`
+        raises it.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.magnify` raise them.
     """
@@ -744,9 +743,9 @@ def prefilter(
     data : Volume or array-like, shape (nx,), (ny, nx) or (nz, ny, nx)
         Samples of any integer or floating dtype. An array of dask gives one of dask: see `clvol.dask.prefilter`.
     filter : str or Filter
-        One that needs no prefilter gives the samples back; a hybrid gives those of the filter that magnifies.
+        A filter without a prefilter returns the samples; a hybrid returns the coefficients of the filter that magnifies.
     boundary : str or Boundary
-        "mirror", "reflect", "wrap", …; those of padded samples are cut back to the given ones.
+        "mirror", "reflect", "wrap", …; coefficients of padding are removed.
     device : Device, str or int, optional
         See `as_device`.
     precision : {"single", "double"}
@@ -760,14 +759,14 @@ def prefilter(
     Raises
     ------
     DataError
-        `data` are no regular array of real numbers with 1 to 3 axes, are empty, or hold a value that is NaN, infinite or
+        `data` is not a regular array of real numbers with 1 to 3 axes, is empty, or holds a value that is NaN, infinite or
         too large for float64.
     OptionError
-        `filter`, `boundary` or `device` is the name of none.
+        `filter`, `boundary` or `device` is unknown.
     DeviceError
         There is no OpenCL device, or it cannot be used.
     OutOfMemoryError
-        The device has no room for the coefficients.
+        The coefficients do not fit on the device.
     """
     if is_in_parts(data):
         raise OptionError(
@@ -788,8 +787,8 @@ def prefilter(
     else:
         made = coefficients_of(volume, chosen, boundary, device, kind)
     with made, device.buffers.mapped(made.buffer, made.shape, write=False, kind=kind) as held:
-        own = np.array(held[made.inner]).reshape(array.shape)
-        return made.stored.values(own, _gain(chosen) ** array.ndim)
+        coefficients = np.array(held[made.inner]).reshape(array.shape)
+        return made.stored.values(coefficients, _gain(chosen) ** array.ndim)
 
 
 def _gain(filter: Filter) -> float:
@@ -798,12 +797,12 @@ def _gain(filter: Filter) -> float:
 
 
 def precision_kind(precision: str) -> type[np.generic]:
-    """The type of numbers for "single" or "double"."""
+    """The NumPy type for "single" or "double"."""
     if precision not in _PRECISIONS:
         raise one_of("precision", precision, _PRECISIONS)
     return _PRECISIONS[precision]
 
 
 def _precision_for(volume: Volume, row: Filter) -> Precision:
-    """Labels that float32 does not hold are taken in float64; all else in float32."""
+    """The default: "double" for labels that float32 cannot hold."""
     return "double" if names_beyond(24, volume, row) else "single"

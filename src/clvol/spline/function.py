@@ -1,4 +1,4 @@
-"""The interface of a continuous function, whether its coefficients are in memory or come brick by brick."""
+"""The interface of a continuous function, with coefficients in memory or in bricks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clvol.base import memory
 from clvol.base.arrays import as_array, as_output
 from clvol.base.checks import warn, whole
 from clvol.base.errors import DataError, OptionError
-from clvol.base.frames import in_frame
+from clvol.base.frames import flipped, in_frame
 from clvol.base.rounding import as_kind, in_kind
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
@@ -49,20 +49,19 @@ Frame: TypeAlias = Literal["LPS", "RAS"]
 Precision: TypeAlias = Literal["single", "double"]
 
 CLOSED = "the field was closed, and its coefficients were released; make a new one"
-_TURN = np.array([-1.0, -1.0, 1.0])  # between LPS and RAS
-_LOOKED_AT = 256  # points that are checked for the order of their coordinates
+_CHECKED = 256  # points that are checked for the order of their coordinates
 
 
 class ContinuousFunction(Leased, ABC):
-    """The continuous function that a filter and a boundary rule make of a volume's samples.
+    """The continuous function of a volume's samples, for a filter and a boundary rule.
 
-    A subclass says what the function is at points (`_at`) and on a grid (`_on`). All else is here: arguments, frames, what the
-    results are put into, and their types.
+    A subclass implements the function at points (`_at`) and on a grid (`_on`). Arguments, frames, output arrays and result types
+    are handled here.
 
     Attributes
     ----------
     filter : Filter
-        Its smoothing settled for the volume.
+        Its smoothing is settled for the volume.
     boundary : Boundary
     device : Device
     missing : Missing
@@ -77,17 +76,17 @@ class ContinuousFunction(Leased, ABC):
     @property
     @abstractmethod
     def grid(self) -> Volume:
-        """The volume, or one in its place that says where its samples lie and holds none."""
+        """The volume, or a stand-in with its geometry and no data."""
 
     @property
     @abstractmethod
     def precision(self) -> Precision:
-        """Of coefficients and results: "single" or "double"."""
+        """Precision of coefficients and results: "single" or "double"."""
 
     @property
     @abstractmethod
     def nbytes(self) -> int:
-        """Bytes of memory that coefficients take now."""
+        """Bytes of the coefficients in memory."""
 
     @abstractmethod
     def _settled(self, filter: str | Filter) -> Filter:
@@ -103,20 +102,20 @@ class ContinuousFunction(Leased, ABC):
         ----------
         points : ndarray, shape (N, d)
         out : ndarray, optional
-            Where kernels may write results directly; it holds N * d**derivative numbers.
+            An array of N * d**derivative numbers, to which kernels may write directly.
 
         Returns
         -------
-        ndarray, of N * d**derivative numbers
+        ndarray of N * d**derivative numbers
         """
 
     @abstractmethod
     def _on(self, target: Target, progress: Progress | None, out: Any) -> NDArray[Any]:
-        """The function on a grid, in `out` if that is given."""
+        """The function on a grid, in `out` if given."""
 
     @abstractmethod
     def _bytes_at(self, points: int, derivative: int, *, into: bool) -> int:
-        """Bytes that results at `points` points take while they are computed, with an `out` (`into`) or without."""
+        """Bytes of the results at `points` points while they are computed, with an `out` (`into`) or without."""
 
     # -- at points ---------------------------------------------------------------------------------------------------------
 
@@ -134,17 +133,17 @@ class ContinuousFunction(Leased, ABC):
         Parameters
         ----------
         points : array-like, shape (..., d)
-            World positions (x, y) or (x, y, z), as many coordinates as the volume has axes. A Field computes with float32 as it
-            is, and with everything else as float64 where the device has it; where it has none, positions err by up to 2⁻²⁴ of their
-            distance from the world's origin and from the first sample. A position that is not finite gives NaN. Points that lie
-            outside, and would not in the order (z, y, x), cause a `ClvolWarning`.
+            World positions (x, y) or (x, y, z), with one coordinate for each axis of the volume. A Field uses float32 points
+            unchanged, and all others as float64 if the device supports it; without it, positions err by up to 2⁻²⁴ of their
+            distance from the world's origin and from the first sample. A position that is not finite gives NaN. Points that are
+            outside, but inside in the order (z, y, x), cause a `ClvolWarning`.
         frame : {"LPS", "RAS"}
             The frame of points and derivatives, for a volume whose space is "LPS": that of ITK and DICOM, or that of NIfTI and
-            nibabel, where x and y run the other way.
+            nibabel, where x and y have the opposite sign.
         fill : float, optional
-            The result outside the volume's domain, NaN and infinities included; None: the boundary rule goes on there.
+            The result outside the volume's domain, which may be NaN or infinite; None: as the boundary rule says.
         progress : callable, optional
-            Called with the fraction done, from time to time and after the last point with 1.
+            Called with the fraction done, repeatedly, and with 1 after the last point.
         out : array, optional
             Where results are put, instead of into a new array: a writable one of float32 or float64 and of their shape, with any
             strides, of NumPy or of another library (see `clvol.base.arrays.as_output`). Kernels of a Field write directly into
@@ -153,22 +152,21 @@ class ContinuousFunction(Leased, ABC):
         Returns
         -------
         ndarray of float32, shape (...)
-            float64 in double precision, and where the samples lie far from zero, or are very large or small: see the notes of
-            `Field`.
+            float64 in double precision, and if the samples are far from zero, or very large or small: see the notes of `Field`.
 
         Raises
         ------
         OptionError
-            `points` are no real numbers of shape (..., d); `frame` is neither of the two, or "RAS" where the volume is of no
-            patient; `fill` is no number; the field is closed; `out` has another shape or dtype, or is not writable (before
-            anything is computed); the limits of the device name an unknown evaluator.
+            `points` are not real numbers of shape (..., d); `frame` is neither of the two, or "RAS" for a volume that is not of a
+            patient; `fill` is not a number; the field is closed; `out` has another shape or dtype, or is not writable (checked
+            before anything is computed); the limits of the device name an unknown evaluator.
         DeviceError
-            The limits of the device ask for images that it does not have, or for paired fetches from an image whose sampler does
+            The limits of the device require images that it does not support, or paired fetches from an image whose sampler does
             not interpolate.
         FormatError, DataError
-            As by `LazyVolume.read`, where samples are read now.
+            As `LazyVolume.read` raises them, if samples are read.
         OutOfMemoryError
-            The device has no room for the points.
+            The points do not fit on the device.
         """
         return self._derivatives(points, 0, frame, fill, progress, out)
 
@@ -181,14 +179,14 @@ class ContinuousFunction(Leased, ABC):
         progress: Progress | None = None,
         out: Any = None,
     ) -> Reals:
-        """Gradients at points of the world: the exact derivative of the function that calling the field gives.
+        """Gradients at points of the world: the exact derivative of the function.
 
         It exists almost everywhere: some filters have kinks or jumps. Parameters and errors are those of a call.
 
         Returns
         -------
         ndarray of float32, shape (..., d)
-            Derivatives along (x, y[, z]), per world unit; float64 where the samples are very large or small.
+            Derivatives along (x, y[, z]), per world unit; float64 if the samples are very large or small.
         """
         return self._derivatives(points, 1, frame, fill, progress, out)
 
@@ -201,12 +199,12 @@ class ContinuousFunction(Leased, ABC):
         progress: Progress | None = None,
         out: Any = None,
     ) -> Reals:
-        """Second derivatives at points of the world, exact as `gradient` is. Parameters and errors are those of a call.
+        """Exact second derivatives at points of the world. Parameters and errors are those of a call.
 
         Returns
         -------
         ndarray of float32, shape (..., d, d)
-            Symmetric, [x, y[, z]] twice, per world unit squared; float64 where the samples are very large or small.
+            Symmetric, [x, y[, z]] twice, per world unit squared; float64 if the samples are very large or small.
         """
         return self._derivatives(points, 2, frame, fill, progress, out)
 
@@ -223,8 +221,8 @@ class ContinuousFunction(Leased, ABC):
             flat = self._at(array.reshape(-1, d), derivative, fill_value(fill), progress, direct)
             results = flat.reshape(shape)
             if frame == "RAS" and derivative:
-                turn = _TURN[:d] if derivative == 1 else np.outer(_TURN[:d], _TURN[:d])
-                np.multiply(results, turn, out=results, casting="same_kind")
+                signs = flipped(np.ones(d))
+                np.multiply(results, signs if derivative == 1 else np.outer(signs, signs), out=results, casting="same_kind")
             return results if target is None else _put(results, target, out)
 
     # -- on other grids ----------------------------------------------------------------------------------------------------
@@ -245,37 +243,38 @@ class ContinuousFunction(Leased, ABC):
     ) -> Volume:
         """The function on another grid; give exactly one of `shape`, `spacing` and `like`.
 
-        Where voxels become larger, details finer than they can hold come back as aliases, unless `anti_aliasing` is given.
+        Larger voxels cause aliasing of finer details, unless `anti_aliasing` is given.
 
         Parameters
         ----------
         shape : sequence of int, optional
-            Samples along (z, y, x) or (y, x). The domain stays; its voxels become larger or smaller.
+            Samples along (z, y, x) or (y, x). The domain is unchanged; its voxels become larger or smaller.
         spacing : float or sequence of float, optional
-            New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
-        like : Volume, Volumes, or what these take, optional
-            Take the grid of this volume or image, wherever it lies; of a series that of its volumes.
+            New spacing along (x, y[, z]) in world units. The domain keeps its centre, and its size to within half a voxel.
+        like : Volume, Volumes, or anything that these accept, optional
+            Use the grid of this volume or image, which may be anywhere in the world; of a series, the grid of its volumes.
         anchor : {"center", "origin"}
-            What stays in its place with `shape` and `spacing`: the centre of the domain, or the first sample, as in programs that
-            keep ITK's origin; the domain then moves by half the difference of the spacings.
+            The fixed point with `shape` and `spacing`: the centre of the domain, or the first sample, as in programs that keep
+            ITK's origin; the domain then moves by half the difference of the spacings.
         transform : transform, array, SimpleITK transform, or a list of these, optional
-            From points of the grid's world (the fixed one) to points of this volume's (the moving one), as ITK resamples: the
-            function is taken there. In a list the last transform is applied first, as in ITK's CompositeTransform. An array
-            holds a homogeneous matrix. See `clvol.AffineTransform`, `clvol.DisplacementField`, `clvol.BSplineTransform` and
-            `clvol.read_transform`; `clvol.warp` gives gradients and Jacobians too.
+            From points of the grid's world (fixed) to points of this volume's world (moving), where the function is evaluated, as
+            in ITK. The last of a list is applied first, as in ITK's CompositeTransform. An array is a homogeneous matrix. See
+            `clvol.AffineTransform`, `clvol.DisplacementField`, `clvol.BSplineTransform` and `clvol.read_transform`; `clvol.warp`
+            also returns gradients and Jacobians.
         anti_aliasing : {False, True, "gaussian", "least-squares"}
-            "gaussian" (and True): the samples go through a Gaussian first, whose standard deviation is (f - 1) / 2 samples along
-            an axis where voxels become f times as large. "least-squares": the result is the spline of the new grid, of the same
-            filter, that is nearest to this function in the mean square (`clvol.spline.reduce`), for grids along the volume's axes.
+            "gaussian" (or True): the samples are smoothed first by a Gaussian, with a standard deviation of (f - 1) / 2 samples
+            along an axis where voxels become f times as large. "least-squares": the result is the spline of the new grid, with the
+            same filter, that is nearest to this function in the mean square (`clvol.spline.reduce`), for grids along the volume's
+            axes.
         dtype : dtype-like or "same", optional
-            Type of the result, "same" as that of the volume: rounded to the nearest whole number, halves to even, and clipped to
-            what the type holds. Default: floating point as in a call, but the same for labels drawn by "nearest".
+            Type of the result, or "same" for the volume's: integers are rounded to nearest, halves to even, and clipped to the
+            type's range. Default: floating point as in a call, but the volume's type for labels with "nearest".
         fill, progress
             As in a call.
         out : array, optional
-            As in a call, of the new grid's shape; the result's data are a view of it. A `BrickedField` takes anything that can be
-            written into by slices, such as an array of Zarr, for results larger than memory: the result then says where they lie,
-            and only `out` holds them.
+            As in a call, of the new grid's shape; the result's data are a view of it. A `BrickedField` accepts anything that is
+            writable by slices, such as a Zarr array, for results larger than memory: the returned volume then has the geometry,
+            and only `out` has the data.
 
         Returns
         -------
@@ -286,18 +285,18 @@ class ContinuousFunction(Leased, ABC):
         OptionError
             None or several of `shape`, `spacing` and `like` are given; `shape` is not one whole number of at least 1 for
             each axis; `spacing` is not positive and finite, or needs more than 2³¹ − 1 samples along an axis; `like` is
-            no Volume of as many axes; `anchor` is neither of the two, or "origin" with `like`; `dtype` holds no real numbers,
-            or is given with `out`, or holds no NaN while `fill` is; `transform` is none, or given with `anti_aliasing`;
-            `anti_aliasing` is none of these, or "least-squares" for a turned grid, with a hybrid or under the boundary rule
+            not a Volume with the same number of axes; `anchor` is neither of the two, or "origin" with `like`; `dtype` is not a
+            real type, is given with `out`, or cannot hold a `fill` of NaN; `transform` is invalid, or given with `anti_aliasing`;
+            `anti_aliasing` is none of these, or "least-squares" for a rotated grid, with a hybrid or with the boundary rule
             "zero"; `fill` as in a call; the field is closed.
         DataError
-            Results are NaN where samples are missing, and `dtype` holds none; or labels, drawn by "nearest", exceed 2⁵³.
+            Results are NaN where samples are missing, and `dtype` cannot hold NaN; or labels, with "nearest", exceed 2⁵³.
         GeometryError
-            A transform is singular, or of another number of dimensions.
+            A transform is singular, or has another number of dimensions.
         FormatError, DeviceError
             As in a call.
         OutOfMemoryError
-            The device has no room for the result.
+            The result does not fit on the device.
         """
         volume = self.grid
         grid = grid_for(volume, shape, spacing, like, anchor)
@@ -312,10 +311,10 @@ class ContinuousFunction(Leased, ABC):
             return as_result(volume, self._on(target, progress, out), grid, kind, self.filter)
 
     def magnify(self, factor: int = 2, *, progress: Progress | None = None) -> Volume:
-        """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
+        """The volume with `factor` times the samples along each axis, the original samples among them (section 4.3).
 
-        Sample ``j`` of the result lies at ``j / factor`` of the given ones, so every `factor`-th is one of them. The last
-        ones lie beyond the last given one, within its voxel or under the boundary rule.
+        Sample ``j`` of the result is at ``j / factor`` in original samples, so every `factor`-th sample is an original one. The
+        last samples are past the last original one, within its voxel or outside, where the boundary rule applies.
 
         Parameters
         ----------
@@ -326,16 +325,16 @@ class ContinuousFunction(Leased, ABC):
 
         Returns
         -------
-        Volume of float32, or of float64 as in a call; labels drawn by "nearest" keep their type
+        Volume of float32, or of float64 as in a call; labels with "nearest" keep their type
 
         Raises
         ------
         OptionError
-            `factor` is no whole number of at least 1; the field is closed.
+            `factor` is not a whole number of at least 1; the field is closed.
         FormatError, DataError, DeviceError
             As in a call.
         OutOfMemoryError
-            The device has no room for the result.
+            The result does not fit on the device.
         """
         volume, factor = self.grid, whole("factor", factor, minimum=1)
         shape = tuple(factor * n for n in volume.shape)
@@ -344,14 +343,14 @@ class ContinuousFunction(Leased, ABC):
         finer = replace(
             volume, data=np.broadcast_to(np.float32(0), shape), spacing=tuple(s / factor for s in volume.spacing), labels=False
         )
-        # by indices, not by way of the world, whose rounding would decide on which side of a jump given samples lie
+        # by indices, not world positions, whose rounding could move samples to the other side of a jump
         target = Target(np.eye(volume.ndim) / factor, np.zeros(volume.ndim), shape, kind=kind)
         with self.in_use():
             return as_result(volume, self._on(target, progress, None), finer, kind, self.filter)
 
 
 def as_result(volume: Volume, data: NDArray[Any], grid: Volume, kind: np.dtype[Any] | None, row: Filter) -> Volume:
-    """Results on a grid in their type, with what the volume says of itself; blended labels are labels no longer."""
+    """Results on a grid, converted to `kind`, with the volume's metadata; interpolated labels are no longer labels."""
     made = volume.placed(data if kind is None else in_kind(data, kind), grid)
     blended = row.support > 1 and volume.labels not in (None, False)
     return replace(made, labels=None) if blended else made
@@ -361,19 +360,19 @@ def as_result(volume: Volume, data: NDArray[Any], grid: Volume, kind: np.dtype[A
 
 
 def as_points(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[np.generic]:
-    """Points of a frame in a volume's world, of any type; points that seem to be in another order cause a `ClvolWarning`."""
+    """Points of a frame in a volume's world, of any type; warns if their coordinates seem to be in reversed order."""
     array = points_in_world(points, frame, volume)
     _warn_if_reversed(array.reshape(-1, volume.ndim), volume)
     return array
 
 
 def points_in_world(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[np.generic]:
-    """Points of a frame in a volume's world: those of its own frame as they are, of any type.
+    """Points of a frame in a volume's world, of any type; LPS points are not converted.
 
     Raises
     ------
     OptionError
-        They are no real numbers of shape (..., d), or the frame is not known or not the volume's.
+        They are not real numbers of shape (..., d), or the frame is unknown or does not apply to the volume.
     """
     d = volume.ndim
     array = as_array(points, "points", OptionError, f"numbers of shape (..., {d})")
@@ -383,8 +382,8 @@ def points_in_world(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[
 
 
 def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
-    """Warn of points that lie outside the volume and would not, if their coordinates were in the order of the array's axes."""
-    some = np.asarray(points[:: max(1, len(points) // _LOOKED_AT)], np.float64)
+    """Warn of points outside the volume that would be inside with their coordinates in the order of the array's axes."""
+    some = np.asarray(points[:: max(1, len(points) // _CHECKED)], np.float64)
     if not len(some) or not np.isfinite(some).all():
         return
     low, high = -0.5, np.asarray(volume.size) - 0.5
@@ -404,16 +403,16 @@ def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
 
 
 def fill_value(fill: float | None) -> float | None:
-    """A real number, NaN and infinities included, or None."""
+    """A real number, possibly NaN or infinite, or None."""
     if fill is not None and (isinstance(fill, (bool, str)) or not isinstance(fill, (int, float, np.number))):
         raise OptionError(f"fill must be a number or None; got {fill!r}")
     return None if fill is None else float(fill)
 
 
 def result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any, fill: float | None) -> np.dtype[Any] | None:
-    """The type that results are converted to; None: that in which they are computed."""
+    """The type that results are converted to; None: the type in which they are computed."""
     fill = fill_value(fill)
-    if names_beyond(53, volume, row):  # results would name no region, or another
+    if names_beyond(53, volume, row):  # float64 would round them to other labels
         low, high = volume.limits
         raise DataError(
             f"labels must be whole numbers up to 2**53 to be resampled, which float64 holds; got {low} to {high}: {RENUMBER}"
@@ -430,18 +429,18 @@ def result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any, 
 
 
 def require_no_transform(stages: Sequence[object]) -> None:
-    """Refuse a low-pass before transforms, which do not make voxels larger alike everywhere."""
+    """Refuse a low-pass with transforms, which scale voxels differently at different points."""
     if stages:
         raise OptionError("resample takes transform or anti_aliasing, not both: low-pass the volume first, by Volume.gaussian")
 
 
 def described(shape: tuple[int, ...]) -> str:
-    """A result of this shape, in an error message."""
+    """Text for a result of this shape in an error message."""
     return f"a result of {' × '.join(map(str, shape))} numbers"
 
 
 def _put(results: Reals, target: NDArray[Any], out: Any) -> Reals:
-    """`out`, whose memory `target` is, with the results in it; they may be there already."""
+    """Copy results into `target`, a view of `out`, unless they are already there; returns `out`."""
     if not np.may_share_memory(results, target):
         target[...] = results
     return out  # type: ignore[no-any-return]  # whatever the caller gave

@@ -1,4 +1,4 @@
-"""Grids on which a function is evaluated: the arguments that describe one, and where its points lie among a volume's samples."""
+"""Grids on which a function is evaluated: their arguments, and their positions in a volume."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from clvol.volume.volumes import Volumes, as_grid
 __all__ = ["Anchor", "Target", "between", "beyond", "grid_for"]
 
 Anchor: TypeAlias = Literal["center", "origin"]
-_CHANNELS = 4  # of an image in colour, at most
+_CHANNELS = 4  # most channels of a colour image
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A grid on which a function is evaluated, and what is wanted there.
+    """A grid on which a function is evaluated, and how.
 
     Attributes
     ----------
     matrix, offset : ndarray of float64, shapes (d, d) and (d,)
-        From the grid's indices, x first, or from the points that `chain` maps them to, to indices of the function's samples.
+        From the grid's indices, x first, or the points that `chain` maps them to, to indices of the function's samples.
     shape : tuple of int
-        Of the grid, as arrays are indexed.
+        Array shape of the grid.
     chain : Chain, optional
-        Transforms with grids of their own, which are applied to the grid's points first.
+        Transforms with displacement grids, applied to the grid's points first.
     fill : float, optional
-        The result outside the domain; None: the boundary rule goes on there.
+        The result outside the domain; None: as the boundary rule says.
     anti_aliasing : {None, "gaussian", "least-squares"}
     kind : dtype, optional
-        Of the result; None: that in which it is computed.
+        Type of the result; None: the type in which it is computed.
     """
 
     matrix: NDArray[np.float64]
@@ -61,7 +61,7 @@ def between(volume: Volume, grid: Volume) -> tuple[NDArray[np.float64], NDArray[
 def beyond(
     matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], results: tuple[int, ...], boundary: Boundary
 ) -> list[NDArray[np.bool_]]:
-    """Which points of a grid along a volume's axes lie outside its domain, along each axis of its array."""
+    """For each array axis, which points of a grid along a volume's axes are outside its domain."""
     found = []
     for axis, (n, m) in enumerate(zip(shape[::-1], results[::-1], strict=True)):
         x = offset[axis] + matrix[axis, axis] * np.arange(m)
@@ -76,7 +76,7 @@ def grid_for(
     like: Volume | Volumes | ArrayLike | None,
     anchor: str = "center",
 ) -> Volume:
-    """The grid that one of the three describes: a Volume whose samples take no memory."""
+    """The grid described by `shape`, `spacing` or `like`: a Volume whose samples take no memory."""
     d = volume.ndim
     if anchor not in get_args(Anchor):
         raise one_of("anchor", anchor, get_args(Anchor))

@@ -1,4 +1,4 @@
-"""Who uses a device's memory, so that closing frees it when the last use has ended, and never under one."""
+"""Counting the uses of a device's memory, so that closing frees it after the last use, and never during one."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ __all__ = ["Lease", "Leased", "release"]
 class Lease:
     """The uses of something that can be closed, by any number of threads.
 
-    `close` waits for nobody, and so cannot deadlock, not even in a callback of a use: what is being computed goes on to its end,
-    the last one to end frees, and whoever comes later is refused.
+    `close` does not wait, so it cannot deadlock, even in a callback during a use: work in progress runs to its end, the last use
+    frees the memory, and later uses are refused.
 
     Parameters
     ----------
     refusal : str
-        What those are told who come after `close`.
+        Message of the error for uses after `close`.
 
     Attributes
     ----------
@@ -35,29 +35,29 @@ class Lease:
         self.closed = False
         self._refusal = refusal
         self._frees = ExitStack()
-        self._users: dict[int, int] = {}  # how many uses of each thread are within one another
-        # a thread may come again while it holds this: the garbage collector calls what it likes, wherever it likes
+        self._users: dict[int, int] = {}  # nested uses of each thread
+        # reentrant: the garbage collector may run a finalizer in a thread that holds it
         self._lock = threading.RLock()
 
     def frees(self, free: Callable[[], Any]) -> None:
-        """Have this called, once, when the last use has ended after `close`. (Of what holds the lease it would be a cycle.)"""
+        """Call `free` once, after `close` and the last use. (A method of the lease's owner would be a reference cycle.)"""
         with self._lock:
             self._frees.callback(free)
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """A use: nothing is freed before the block ends. A use within one of the same thread is part of it.
+        """A use: nothing is freed before the block ends. Nested uses of a thread are one.
 
         Raises
         ------
         OptionError
-            It was closed.
+            It is closed.
         """
         thread, within = threading.get_ident(), None
         try:
             with self._lock:
                 within = self._users.get(thread, 0)
-                self._users[thread] = within + 1  # nothing is called here, so an interrupt comes before both or after
+                self._users[thread] = within + 1  # no call in between, so an interrupt is before or after both
             if self.closed and not within:
                 raise OptionError(self._refusal)
             yield
@@ -70,7 +70,7 @@ class Lease:
             self._freed_if_unused()
 
     def close(self) -> None:
-        """Refuse whoever comes from now on, and free the memory when nobody uses it any more."""
+        """Refuse further uses, and free the memory after the last one."""
         self.closed = True
         self._freed_if_unused()
 
@@ -83,7 +83,7 @@ class Lease:
 
 
 class Leased:
-    """Something that keeps memory of a device until it is closed: the part that closes it.
+    """Mixin for objects that hold a device's memory until they are closed.
 
     Attributes
     ----------
@@ -99,9 +99,9 @@ class Leased:
         return self._lease.closed
 
     def close(self) -> None:
-        """Free the device's memory. Results stay valid; asking for more raises `OptionError`.
+        """Free the device's memory. Results stay valid; further calls raise `OptionError`.
 
-        Work in progress, in other threads or around a callback that calls this, runs to its end; the memory is freed then.
+        Work in progress, in other threads or around a callback that calls this, runs to its end; then the memory is freed.
         """
         self._lease.close()
 
@@ -111,9 +111,9 @@ class Leased:
         Raises
         ------
         OptionError
-            The field was closed before.
+            It is closed.
         DeviceError
-            This is the child of a fork, where no OpenCL device works.
+            This is the child of a fork, where OpenCL does not work.
         """
         self.device.require_usable()
         return self._lease.held()
@@ -126,10 +126,10 @@ class Leased:
 
 
 def release(device: Device, *memory: Any) -> None:
-    """Free buffers and images of a device, None among them, when no kernel is at them any more: after an error one may be."""
+    """Free buffers and images of a device, or None, once no kernel uses them: after an error one may still run."""
     held = [one for one in memory if one is not None]
     if held:
-        with suppress(DeviceError):  # it failed, or this is the child of a fork: nothing runs there
+        with suppress(DeviceError):  # the device failed, or this is the child of a fork: nothing runs
             device.finish()
     for one in held:
         one.release()

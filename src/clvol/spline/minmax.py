@@ -1,8 +1,8 @@
-"""The min-max pyramid: bounds of the reconstructed function over blocks of cells, on which space skipping rests.
+"""The min-max pyramid: bounds of the reconstructed function over blocks of cells, for empty-space skipping.
 
 The host side of minmax.cl. In a cell the function is a polynomial along each axis, whose Bernstein coefficients are
-weighted sums of the cell's taps; it lies in their convex hull (section 4.1 of the paper, for any filter of the table).
-Blocks of the finest level have an edge of `BLOCK` samples, those of each next level twice that.
+weighted sums of the cell's taps; the function lies in their convex hull (section 4.1 of the paper, for any filter of the
+table). Blocks of the finest level have an edge of `BLOCK` samples, and of each next level twice that.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ __all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "Cell", "MinMax", "bernstein", "byte
 
 Cell: TypeAlias = tuple[int, int, int]
 
-BLOCK = 4  # samples along an edge of the finest blocks
+BLOCK = 4  # samples along an edge of a finest block
 MAX_LEVELS = 12
 MINMAX = Block("minmax_block", margin=FLOAT, skipping=INT, levels=INT, blocks=(INT, 3), level_at=(INT, MAX_LEVELS))
-_HULL_TAPS, _HULL_DEGREE = 6, 5  # wider filters would have thousands of control points a cell
+_HULL_TAPS, _HULL_DEGREE = 6, 5  # wider filters would have thousands of control points for each cell
 _EPSILON = 2.0**-23
 _PAD_LIMIT = 0.01
-_TINIEST = 2.0**-126  # float32's smallest number of all digits; devices may take what is smaller for zero
-_BLOCKS_A_LAUNCH = 1 << 15  # a launch should not run longer than a quarter of a second
+_TINIEST = 2.0**-126  # the smallest normal float32; devices may flush smaller numbers to zero
+_BLOCKS_A_LAUNCH = 1 << 15  # so that a launch takes less than a quarter of a second
 
 
 @lru_cache(maxsize=256)
@@ -55,13 +55,13 @@ def bernstein(filter: Filter) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=256)
 def _defines(filter: Filter, blur: float) -> DefineDict:
-    """What minmax.cl needs to know of a filter, evaluated at positions that are off by up to `blur`."""
+    """The `#define`s of minmax.cl for a filter evaluated at positions with errors up to `blur`."""
     taps, degree = filter.support, filter.degree
     weights = filter.weights(np.linspace(0, 1, 4097))
     sums = weights.sum(0)
     lebesgue, low, high = float(np.abs(weights).sum(0).max()), float(sums.min()), float(sums.max())
     if not (filter.exact and filter.sums_to_one):
-        # a thousandth covers what lies between 4097 points
+        # a thousandth covers the maxima between the 4097 points
         lebesgue, low, high = 1.001 * lebesgue, low - 0.001 * abs(low), high + 0.001 * abs(high)
     products = [a * b * c for a, b, c in itertools.combinations_with_replacement((low, high), 3)]
     rows = bernstein(filter)
@@ -75,7 +75,7 @@ def _defines(filter: Filter, blur: float) -> DefineDict:
     along = 3 * (3 * degree + 2) * size * hull**2 + (taps + 2 * taps * (degree + 1) + 2) * hull**3
     pad = _EPSILON * max(point, along + 3 * (taps + 2) * hull**3)
     if pad > _PAD_LIMIT:
-        pad = 1e38  # weights that are mostly rounding: no bounds at all
+        pad = 1e38  # the weights are mostly rounding errors: no bounds
     shared = degree > 0 and np.allclose(np.append(rows[-1], 0), np.insert(rows[0], 0, 0), rtol=0, atol=1e-12)
     return {
         "BLOCK": BLOCK * filter.scale,
@@ -103,19 +103,19 @@ class MinMax:
     coefficients : Coefficients
         Of a volume with 3 axes.
     evaluator : Evaluator
-        How they will be evaluated: a texture unit is less exact than arithmetic, so bounds for it are wider.
+        How they will be evaluated: texture units are less exact than arithmetic, so bounds for them are wider.
     part : ((int, int, int), (int, int, int)), optional
-        Of the cells, by the numbers of their first taps among those stored, along x, y and z: the first, and past the last. All by
-        default.
+        The first cell and past the last, along x, y and z; a cell is numbered by the index of its first tap among the stored
+        coefficients. All by default.
 
     Attributes
     ----------
     buffer : Buffer
         (min, max) as float2 for every block, [z, y, x], the finest level first.
     blocks : tuple of int
-        Blocks along (x, y, z) on the finest level; halved, rounded up, on each next one.
+        Blocks along (x, y, z) on the finest level; halved, rounded up, on each next level.
     offsets : tuple of int
-        Where each level begins in the buffer, in blocks.
+        The start of each level in the buffer, in blocks.
     first : tuple of int
         The first cell.
     """
@@ -125,7 +125,7 @@ class MinMax:
         device, scale, support = coefficients.device, coefficients.filter.scale, coefficients.filter.support
         blur = 0.0
         if evaluator.paired:
-            # paired fetches read at a position that is rounded, in a texture unit to some bits of a texel
+            # paired fetches round positions; a texture unit, to some bits of a texel
             blur = max(coefficients.shape) * 2.0**-22 + (2.0**-device.sampler_bits if evaluator.image else 0.0)
         cells = BLOCK * scale
         past = tuple(n - support + 1 for n in coefficients.shape[::-1])
@@ -141,7 +141,7 @@ class MinMax:
         self.buffer = device.buffers.allocate(8 * sum(counts))
         defines = _defines(coefficients.filter, blur)
         self._built, self._hull = device.build("spline/minmax.cl", defines), bool(defines["HULL"])
-        self._lock = threading.RLock()  # a handler of signals may come back here
+        self._lock = threading.RLock()  # a signal handler may re-enter
         self._sides: tuple[float, Any] | None = None
         try:
             self._over_blocks("minmax_cells", self.buffer)
@@ -162,25 +162,25 @@ class MinMax:
             coarsest = ends[self.offsets[-1] :]
             return float(coarsest[:, 0].min()), float(coarsest[:, 1].max())
 
-    def sides(self, value: float, told: Callable[[float], object] | None = None) -> Any:
-        """On which side of a value the function is in each cell, as sides.cl has it: 16 bytes for 64 cells.
+    def sides(self, value: float, progress: Callable[[float], object] | None = None) -> Any:
+        """The side of a value on which the function is in each cell, in the format of sides.cl: 16 bytes for 64 cells.
 
-        It is kept until another value is asked for. `told` is told how much of it is done, and may raise.
+        The result is cached until another value is requested. `progress` is called with the fraction done, and may raise.
         """
         with self._lock:
             if self._sides is None or self._sides[0] != value:
                 self._sides = None  # not two at a time
-                self._sides = (value, self._sides_of(value, told))
+                self._sides = (value, self._sides_of(value, progress))
             return self._sides[1]
 
-    def _sides_of(self, value: float, told: Callable[[float], object] | None) -> Any:
+    def _sides_of(self, value: float, progress: Callable[[float], object] | None) -> Any:
         coefficients, device = self.coefficients, self.coefficients.device
         buffer = device.buffers.allocate(2 * math.prod(self.blocks) * (BLOCK * coefficients.filter.scale) ** 3 // 8)
-        self._over_blocks("side_cells", self.buffer, np.float32(value), buffer, told=told)
+        self._over_blocks("side_cells", self.buffer, np.float32(value), buffer, progress=progress)
         return buffer
 
-    def _over_blocks(self, name: str, *arguments: Any, told: Callable[[float], object] | None = None) -> None:
-        """A kernel over all blocks of the finest level, in launches that are not long."""
+    def _over_blocks(self, name: str, *arguments: Any, progress: Callable[[float], object] | None = None) -> None:
+        """Run a kernel over all blocks of the finest level, in short launches."""
         coefficients, device, (x, y, z) = self.coefficients, self.coefficients.device, self.blocks
         cells = BLOCK * coefficients.filter.scale
         across = -(-x // (LANES // cells)) if self._hull else x  # work-items along x
@@ -199,8 +199,8 @@ class MinMax:
                     *arguments,
                 )
                 device.finish()
-                if told:
-                    told(min(1.0, (first + deep) / z))
+                if progress:
+                    progress(min(1.0, (first + deep) / z))
 
     def release(self) -> None:
         """Free the device's memory."""
@@ -211,17 +211,17 @@ class MinMax:
 
 
 def bytes_beside(shape: tuple[int, ...]) -> int:
-    """Bytes of the pyramid of so many stored coefficients, and of what is kept for a surface, at most."""
+    """An upper bound of the bytes of the pyramid for `shape` stored coefficients, and of the cached sides of a surface."""
     cells = math.prod(shape)
     return cells * 8 // BLOCK**3 * 8 // 7 + cells // 4
 
 
 def minmax_block(minmax: MinMax | None, volume: Volume, rounding: float) -> Values:
-    """What the ray loop reads of the pyramid of a volume; without one it skips nothing. Positions err by less than `rounding`."""
+    """The ray loop's parameters of a volume's pyramid; without one it skips nothing. Positions err by less than `rounding`."""
     if minmax is None:
         return MINMAX(margin=0.0, skipping=0, levels=0, blocks=0, level_at=0)
     level_at = np.zeros(MAX_LEVELS, np.int32)
     level_at[: len(minmax.offsets)] = minmax.offsets
-    # positions are rounded by up to a few millionths of the volume's size; the rest is reserve
+    # rounding errors of positions are up to a few millionths of the volume's size; the rest is reserve
     margin = max(0.01 + 1e-6 * max(volume.size), rounding)
     return MINMAX(margin=margin, skipping=1, levels=len(minmax.offsets), blocks=minmax.blocks, level_at=level_at)

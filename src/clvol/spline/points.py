@@ -33,24 +33,24 @@ __all__ = [
 
 Floats: TypeAlias = NDArray[np.float32]
 
-_RUN = 512  # points that a work-item of a processor takes, a multiple of LANES
+_RUN = 512  # points for each work-item of a CPU, a multiple of LANES
 _MIN_LAUNCH = 1 << 10  # points
-_POINT_TAPS = 16  # as much as a point costs besides its taps
+_POINT_TAPS = 16  # cost of a point besides its taps, in taps
 
 
 @dataclass(frozen=True)
 class Given:
-    """What the function is given outside the volume's domain, in place of what the boundary rule says.
+    """Values outside the volume's domain that override the boundary rule.
 
     Attributes
     ----------
     fill : float, optional
-        The value; None: the boundary rule goes on.
+        The value outside; None: as the boundary rule says.
     missing : bool
-        Whether it stands for positions alone that are not finite; these are NaN otherwise. It is then the value of rules that
-        have one.
+        Whether `fill` applies only to positions that are not finite, which are NaN otherwise. It is then also the constant of
+        rules that have one.
     edge : float, optional
-        How far past the outer samples the domain goes; None: as far as the boundary rule says.
+        Distance from the outer samples to the edge of the domain; None: as the boundary rule says.
     """
 
     fill: float | None = None
@@ -58,14 +58,14 @@ class Given:
     edge: float | None = None
 
     def defines(self, boundary: Boundary) -> DefineDict:
-        """What outside.cl needs to know."""
+        """The `#define`s of outside.cl."""
         return {
             "FILL": 0 if self.fill is None else 2 if self.missing else 1,
             "EDGE": boundary.edge if self.edge is None else self.edge,
         }
 
     def values(self, coefficients: Coefficients, derivative: int) -> NDArray[Any]:
-        """The values that kernels write: infinities, which no sample gives, where these would not survive the way back."""
+        """The values that kernels write; infinities, as marks, if the conversion to units of the data would change them."""
         stored, cval = coefficients.stored, coefficients.boundary.cval
         if stored.alters(derivative):
             return np.array([math.inf, -math.inf], coefficients.kind)
@@ -73,11 +73,11 @@ class Given:
             return np.array([0.0 if self.fill is None else self.fill, cval], coefficients.kind)
 
     def in_units_of_data(self, coefficients: Coefficients, results: Reals, derivative: int) -> Reals:
-        """Results of kernels in units of the data."""
+        """Convert results of kernels to units of the data."""
         stored = coefficients.stored
         if not stored.alters(derivative):
             return results
-        floats = np.asarray(results, np.float32)  # those of double precision are stored as they are
+        floats = np.asarray(results, np.float32)  # double precision is stored unchanged
         final = stored.derivatives(floats) if derivative else stored.values(floats)
         for value, mark in ((self.fill, math.inf), (coefficients.boundary.cval, -math.inf)):
             if value is not None:
@@ -97,7 +97,7 @@ class Transform:
     matrix, offset : ndarray of float64, shapes (d, d) and (d,)
         Index = matrix @ position + offset, x first.
     slopes : ndarray of float64, shape (d, d)
-        Derivatives per unit of the world are those per index times this.
+        Derivatives per world unit are those per index times this matrix.
     """
 
     matrix: NDArray[np.float64]
@@ -105,7 +105,7 @@ class Transform:
     slopes: NDArray[np.float64]
 
     def upload(self, device: Device) -> Any:
-        """The transform of points.cl."""
+        """Upload as the transform of points.cl."""
         d = len(self.offset)
         whole = np.zeros(22)
         for numbers, square in ((self.matrix, whole[:9]), (self.slopes, whole[12:21])):
@@ -128,25 +128,24 @@ def sample_coefficients(
     Parameters
     ----------
     coefficients : Coefficients
-        Of the function, which is that of a volume.
+        Of a volume.
     evaluator : Evaluator
-        How it is evaluated. Second derivatives always take direct taps.
+        How the function is evaluated. Second derivatives always use direct taps.
     points : ndarray, shape (N, d)
-        World positions (x, y[, z]). Those of float32 are computed with as they are, all others as float64 where the
-        device has it.
+        World positions (x, y[, z]). float32 is used unchanged, other types as float64 if the device supports it.
     derivative : {0, 1, 2}
         0 for values, 1 for gradients, 2 for Hessians.
     fill : float, optional
-        The result outside the domain; None: the boundary rule goes on.
+        The result outside the domain; None: as the boundary rule says.
     progress : callable, optional
         Called with the fraction done.
     out : ndarray, optional
-        Contiguous, of the type of the coefficients, for the results of kernels.
+        Contiguous array of the coefficients' type, for the results of kernels.
 
     Returns
     -------
     ndarray of float32 or float64, shape (N,), (N, d) or (N, d * d)
-        In units of the data, per world unit; float64 where it differs from what is stored. It is `out` where that holds it.
+        In units of the data, per world unit; float64 if samples are not stored unchanged. It is `out` if no conversion is needed.
     """
     inverse = coefficients.volume.world_to_index_matrix
     transform = Transform(inverse, -inverse @ np.asarray(coefficients.volume.origin), inverse)
@@ -167,21 +166,21 @@ def sample_into(
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
 ) -> None:
-    """The function or its derivatives at positions, as kernels give them.
+    """The function or its derivatives at positions, in stored units.
 
     Parameters
     ----------
     coefficients, evaluator, derivative, progress
         As in `sample_coefficients`.
     points : ndarray, shape (N, d) or (d, N)
-        Positions (x, y[, z]), point by point, if there is a `transform`; else indices, axis by axis, in the order of the array's
+        Positions (x, y[, z]), point by point, with a `transform`; otherwise indices, axis by axis, in the order of the array's
         axes.
     results : ndarray
-        Contiguous, of the type of the coefficients.
+        Contiguous, of the coefficients' type.
     transform : Transform, optional
         From positions to indices.
     given : Given
-        What the function is outside.
+        The values outside the domain.
     """
     device, d, planar = coefficients.device, coefficients.ndim, transform is None
     count = points.shape[1 if planar else 0]
@@ -240,9 +239,9 @@ def sample_grid(
     derivative: int = 0,
     chain: Chain | None = None,
 ) -> None:
-    """`resample_coefficients`, point by point; of the part of the grid along its first axis of more than one point, if given.
+    """`resample_coefficients` point by point, for `part` of the grid along its first axis with more than one point, if given.
 
-    With `derivative` 1 each value is followed by the gradient. A `chain` maps the grid's indices before the transform does.
+    With `derivative` 1 each value is followed by its gradient. A `chain` maps the grid's indices before the transform.
     """
     device = coefficients.device
     built = _build(coefficients, evaluator, derivative, given, None, planar=False, sorted=False, chain=chain)
@@ -291,7 +290,7 @@ def _build(
     sorted: bool,
     chain: Chain | None = None,
 ) -> Program:
-    """points.cl for points of this type, or for a grid."""
+    """Build points.cl for points of this type, or for a grid if `kind` is None."""
     lanes, run = (LANES, _RUN) if _in_lanes(coefficients, evaluator, derivative) else (1, 1)
     defines = {
         **coefficients.defines(evaluator),
@@ -311,16 +310,16 @@ def _build(
 
 
 def _in_lanes(coefficients: Coefficients, evaluator: Evaluator, derivative: int) -> bool:
-    """Whether a work-item takes a run of points, LANES at a time: on processors, from buffers by direct taps."""
+    """Whether a work-item processes a run of points, LANES at a time: on CPUs, by direct taps from a buffer."""
     rows = int(coefficients.extent[1]) * int(coefficients.extent[2])
     cpu = coefficients.device.kind == "cpu"
     return cpu and evaluator == DIRECT and derivative < 2 and rows <= np.iinfo(np.int32).max
 
 
 def _launch_points(coefficients: Coefficients, evaluator: Evaluator) -> int:
-    """How many points a launch takes, so that it is short whatever the filter."""
+    """Points for each launch, so that it is short for any filter."""
     device, row = coefficients.device, coefficients.filter
     taps = 4 * device.limits.launch_taps
     if evaluator.image:
-        taps //= 32 if device.kind == "cpu" else 4  # processors sample images in software
+        taps //= 32 if device.kind == "cpu" else 4  # CPUs sample images in software
     return max(_MIN_LAUNCH, taps // int(row.support**coefficients.ndim + _POINT_TAPS) // _RUN * _RUN)

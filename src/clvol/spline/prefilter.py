@@ -20,8 +20,8 @@ from clvol.spline.build import DefineDict, scalar_defines
 
 __all__ = ["gain_along", "prefilter_in_place"]
 
-_CHAINS = 4  # vectors of lines that one work-item of a processor filters side by side
-# what the starting values may leave out, relative to the data
+_CHAINS = 4  # vectors of lines that a work-item of a CPU filters side by side
+# error of the starting values, relative to the data
 _START_ERRORS: dict[type[np.generic], float] = {np.float32: 1e-9, np.float64: 1e-18}
 
 
@@ -34,14 +34,14 @@ class _Plan:
     stages : list of (float, float)
         a1 and a2 of the recursions of each stage.
     gain : float
-        By which samples are multiplied on the way.
+        Factor of the samples.
     sums : ndarray, shape (stages, 2, order, 2, ends)
-        Weights of the first values of causal and anticausal recursions: of samples from the first one on, then from the last one
+        Weights of the starting values of causal and anticausal recursions: for samples from the first on, then from the last
         backwards.
     head, tail : int
-        How many samples of either end count.
+        Number of samples used at each end.
     left_out : float
-        Relative to the data, what samples further in would add.
+        Contribution of the samples further in, relative to the data.
     """
 
     stages: list[tuple[float, float]]
@@ -53,11 +53,11 @@ class _Plan:
 
     @property
     def split(self) -> bool:
-        """Whether samples near the first one count for causal recursions alone, and those near the last for anticausal ones."""
+        """Whether causal recursions start from samples near the first one only, and anticausal ones from those near the last."""
         return bool(max(np.abs(self.sums[:, 0, :, 1]).max(), np.abs(self.sums[:, 1, :, 0]).max()) < self.left_out)
 
     def arguments(self, device: Device, gain: float, sums: float, kind: type[np.generic]) -> tuple[Any, ...]:
-        """What prefilter.cl reads: the samples are multiplied by `gain`, and the sums by `sums`."""
+        """Arguments of prefilter.cl: samples are multiplied by `gain`, sums by `sums`."""
         numbers = np.concatenate([np.ravel(self.stages), [gain], sums * self.sums.ravel()])
         return (device.buffers.upload(numbers.astype(kind)), *map(np.int32, (self.sums.shape[-1], self.head, self.tail)))
 
@@ -66,24 +66,24 @@ class _Plan:
 def _plan(row: Filter, boundary: Boundary, n: int, order: int, count: int, left_out: float) -> _Plan:
     """The recursions of `row`, which is the same along all axes, on an axis of `n` samples: `count` stages of `order` poles.
 
-    A stage has a causal recursion ``y[i] = x[i] + a1 y[i-1] + a2 y[i-2]`` and an anticausal one, the first of them of samples
-    multiplied by the gain. Their first values are sums over samples near the ends: the coefficients solve the matrix of eq. (11),
-    which the boundary rule determines. Undoing the later stages on them gives what each stage must produce, hence its first
+    A stage has a causal recursion ``y[i] = x[i] + a1 y[i-1] + a2 y[i-2]`` and an anticausal one; the first stage multiplies the
+    samples by the gain. The starting values are sums over samples near the ends. The coefficients solve the matrix of eq. (11),
+    which the boundary rule determines; inverting the later stages on them gives the output of each stage, hence its starting
     values. All of this is linear in the samples, and only samples near the ends matter, since the inverse decays like powers of
     the largest pole.
     """
     poles, b = row.poles, row.undone
     nearest = float(np.abs(poles).max(initial=left_out))
     reach = math.ceil(math.log(left_out) / math.log(nearest)) + 2 * order * count
-    m = min(n, 4 * reach)  # a longer axis has the same ends
+    m = min(n, 4 * reach)  # longer axes have the same ends
     inverse = np.linalg.inv(boundary.matrix(b, m))  # rows: coefficients as sums over samples
     stages = _stages(poles, order)
-    stages += [(0.0, 0.0)] * (count - len(stages))  # which change nothing: another axis has more poles
+    stages += [(0.0, 0.0)] * (count - len(stages))  # stages without effect, if another axis has more poles
     margin = 2 * order * len(stages)
     index = boundary.folded(np.arange(-margin, m + margin), m)
-    output = np.where(index[:, None] >= 0, inverse[index], 0.0)  # the coefficients and what lies past the edge
-    starts = []  # of the last stage first
-    zero = margin  # where index 0 lies in `output`
+    output = np.where(index[:, None] >= 0, inverse[index], 0.0)  # the coefficients, extended past the ends
+    starts = []  # last stage first
+    zero = margin  # position of index 0 in `output`
     for a1, a2 in reversed(stages):
         if order == 1:
             causal = output[1:] - output[:-1] / a1  # c[i] = a1 (c[i+1] - y[i])
@@ -99,12 +99,12 @@ def _plan(row: Filter, boundary: Boundary, n: int, order: int, count: int, left_
     ends = np.zeros((len(weights), 2, reach))
     ends[:, 0, :head] = weights[:, :head]
     ends[:, 1, :tail] = weights[:, ::-1][:, :tail]
-    gain = 1 / b[-1] * (1.0 if order == 1 else float(np.prod(-poles).real))  # two poles leave theirs to the causal recursion
+    gain = 1 / b[-1] * (1.0 if order == 1 else float(np.prod(-poles).real))  # with two poles, theirs is in the causal recursion
     return _Plan(stages, gain, ends.reshape(count, 2, order, 2, reach), head, tail, left_out)
 
 
 def _stages(poles: NDArray[Any], order: int) -> list[tuple[float, float]]:
-    """(a1, a2) of the recursion of each stage: of one pole, or of two, which are real or conjugate."""
+    """(a1, a2) of the recursion of each stage, for one pole, or two that are real or conjugate."""
     if order == 1:
         return [(float(p), 0.0) for p in poles]
     real = [complex(p) for p in poles if p.imag == 0]
@@ -124,26 +124,26 @@ def prefilter_in_place(
     kind: type[np.generic] = np.float32,
     axes: Sequence[int] | None = None,
 ) -> None:
-    """Turn samples into coefficients where they are stored (section 4.2).
+    """Convert samples to coefficients in place (section 4.2).
 
     Parameters
     ----------
     device : Device
-        Where the buffer is.
+        The device of the buffer.
     buffer : Buffer
-        Numbers of `kind`, [z, y, x], with a halo on every side whose content is lost.
+        Numbers of `kind`, [z, y, x], with a halo on every side, which is overwritten.
     filter, boundary : Filter, Boundary
-        What is solved for. The filter has a prefilter.
+        The filter has a prefilter.
     extent : (int, int, int, int)
         Row pitch, a multiple of `LANES`; stored rows; stored slices; halo.
     size : (int, int, int)
         Samples along x, y and z.
     dimensions : int
-        The first so many of x, y and z are filtered.
+        The first `dimensions` of x, y and z are filtered.
     kind : type
         np.float32 or np.float64.
     axes : sequence of int, optional
-        Those that are filtered alone, 0 for x. If x is not among them the samples must have been multiplied by `gain_along`.
+        Filter only these axes, 0 for x. Without x, the samples must already be multiplied by `gain_along`.
     """
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size
@@ -152,10 +152,10 @@ def prefilter_in_place(
     built = device.build("spline/prefilter.cl", {**defines, "COORD_DOUBLE": 0})
 
     def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
-        """Launches over `lines` lines or slices, `stride` apart, of so many voxels each."""
-        step = max(device.units, device.limits.launch_voxels // voxels)  # one for each core, at least
+        """Launch a kernel over `lines` lines or slices, `stride` apart, of `voxels` voxels each."""
+        step = max(device.units, device.limits.launch_voxels // voxels)  # at least one for each core
         for first in range(0, lines, step):
-            if first:  # a wait for several launches would be long, and hears no Ctrl-C
+            if first:  # a wait for several launches would be long, and Ctrl-C would not interrupt it
                 device.finish()
             built.kernel(name)(
                 device.queue,
@@ -166,7 +166,7 @@ def prefilter_in_place(
                 *arguments,
             )
 
-    # its halo is filtered too, in vain
+    # the halo is filtered too, without need
     first_row = (halo * area if dimensions > 2 else 0) + (halo * pitch if dimensions > 1 else 0)
     lines = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
     wide = -(-pitch // (LANES * int(defines["CHAINS"])))
@@ -187,17 +187,17 @@ def prefilter_in_place(
 def _arguments(
     device: Device, filter: Filter, boundary: Boundary, size: Sequence[int], axes: Sequence[int], kind: type[np.generic]
 ) -> tuple[DefineDict, dict[int, tuple[Any, ...]]]:
-    """What prefilter.cl needs to know, and its arguments for the lines of each axis."""
+    """The `#define`s of prefilter.cl, and its arguments for the lines of each axis."""
     order, count, plans = _plans(filter, boundary, size, axes, kind)
     defines: DefineDict = {
         "ORDER": order,
         "STAGES": count,
         "SPLIT": int(all(plan.split for plan in plans.values())),
-        "CHAINS": _CHAINS if device.kind == "cpu" else 1,  # elsewhere other work-items fill the wait for a product
+        "CHAINS": _CHAINS if device.kind == "cpu" else 1,  # on GPUs other work-items hide the latency
         "LANES": LANES,
         **scalar_defines(kind),
     }
-    others = math.prod(plan.gain for axis, plan in plans.items() if axis)  # taken by the rows, which come first
+    others = math.prod(plan.gain for axis, plan in plans.items() if axis)  # applied by the rows, which are first
     return defines, {
         axis: plan.arguments(device, 1.0, 1 / plan.gain, kind) if axis else plan.arguments(device, plan.gain * others, others, kind)
         for axis, plan in plans.items()
@@ -205,7 +205,7 @@ def _arguments(
 
 
 def gain_along(filter: Filter, boundary: Boundary, size: Sequence[int], axes: Sequence[int], kind: type[np.generic]) -> float:
-    """What samples are multiplied by where x is not filtered; 1 where it is, for the rows then do it."""
+    """The factor for samples if x is not filtered; 1 if it is, since the rows then apply it."""
     _, _, plans = _plans(filter, boundary, size, axes, kind)
     return 1.0 if 0 in plans else math.prod(plan.gain for plan in plans.values())
 
@@ -213,9 +213,9 @@ def gain_along(filter: Filter, boundary: Boundary, size: Sequence[int], axes: Se
 def _plans(
     filter: Filter, boundary: Boundary, size: Sequence[int], axes: Sequence[int], kind: type[np.generic]
 ) -> tuple[int, int, dict[int, _Plan]]:
-    """Poles a stage, stages, and how the lines of each axis are filtered."""
+    """Poles of a stage, the number of stages, and the plan of each axis."""
     rows = {axis: filter.along(axis) for axis in axes}
     poles = max((row.poles.size for row in rows.values()), default=0)
-    order, count = (1, 1) if poles == 1 else (2, max(1, -(-poles // 2)))  # without poles a stage divides alone
+    order, count = (1, 1) if poles == 1 else (2, max(1, -(-poles // 2)))  # without poles, a stage only divides
     ends, left_out = boundary.ends, _START_ERRORS[kind]
     return order, count, {axis: _plan(row, ends, size[axis], order, count, left_out) for axis, row in rows.items()}

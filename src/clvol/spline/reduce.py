@@ -1,6 +1,4 @@
-"""Fewer samples: what a low-pass and the least-squares reduction make of an axis, as sums of weighted samples; the host side of
-reduce.cl, which adds them up.
-"""
+"""Reduction of an axis by a low-pass or by least squares, as weighted sums of samples; the host side of reduce.cl."""
 
 from __future__ import annotations
 
@@ -48,24 +46,24 @@ __all__ = [
 Array: TypeAlias = NDArray[np.float64]
 AntiAliasing: TypeAlias = Literal["gaussian", "least-squares"] | None
 
-TRUNCATE = 4.0  # standard deviations at which a Gaussian is cut, as SciPy does
-_LEFT_OUT = (1e-8, 1e-15)  # for float32 and float64, of an impulse response's peak, what its tails may be
+TRUNCATE = 4.0  # standard deviations at which a Gaussian is truncated, as in SciPy
+_LEFT_OUT = (1e-8, 1e-15)  # largest tail that is cut from an impulse response, relative to its peak; for float32 and float64
 _CIRCLE = 1 << 13  # samples of an impulse response before it is cut
-_WIDTH = 32  # lines that reduce.cl takes side by side
+_WIDTH = 32  # lines that reduce.cl processes side by side
 _ITEMS_A_CORE = 8
-_SLAB = 1 << 20  # samples that are converted at a time
+_SLAB = 1 << 20  # samples converted at a time
 _NO_STEP = 1e-9  # samples
 
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """What becomes of an axis of `n` samples: as many sums as there are rows.
+    """Weighted sums of the `n` samples of an axis, one for each row.
 
     Attributes
     ----------
     n : int
     places : ndarray of int32, shape (m, taps)
-        The samples of each sum; `n` stands for a constant that the samples are outside.
+        The samples of each sum; index `n` is the constant outside the volume.
     weights : ndarray of float64, shape (m, taps)
     """
 
@@ -75,7 +73,7 @@ class Sums:
 
     @classmethod
     def of(cls, first: NDArray[np.int64], weights: Array, n: int, boundary: Boundary) -> Sums:
-        """Sums of neighbouring samples from `first` on, wherever these lie."""
+        """Sums of adjacent samples from `first` on, which may be outside the axis."""
         places = continued(first[:, None] + np.arange(weights.shape[1]), n, boundary)
         made = cls(n, np.where(places < 0, n, places).astype(np.int32), weights)
         if weights.shape[1] <= n + 1:
@@ -83,14 +81,14 @@ class Sums:
         return cls(n, np.tile(np.arange(n + 1, dtype=np.int32), (len(first), 1)), made.matrix())
 
     def matrix(self) -> Array:
-        """The same as a matrix, shape (m, n + 1); the last column is that of what lies nowhere."""
+        """As a matrix, shape (m, n + 1); the last column is for the constant outside."""
         result = np.zeros((len(self.places), self.n + 1))
         np.add.at(result, (np.arange(len(self.places))[:, None], self.places), self.weights)
         return result
 
 
 def continued(i: NDArray[np.int64], n: int, boundary: Boundary) -> NDArray[np.int64]:
-    """Which of `n` samples stands at index `i`; -1 where none does, but a constant."""
+    """The sample, of `n`, at index `i` under a boundary rule; -1 for the constant outside."""
     if boundary.outside == "rule":
         return boundary.folded(i, n)
     if boundary.outside == "clamp":
@@ -100,7 +98,7 @@ def continued(i: NDArray[np.int64], n: int, boundary: Boundary) -> NDArray[np.in
 
 
 def as_anti_aliasing(choice: object) -> AntiAliasing:
-    """What `anti_aliasing` means: None, "gaussian" (also True) or "least-squares"."""
+    """The meaning of `anti_aliasing`: None, "gaussian" (also for True) or "least-squares"."""
     if choice is None or (isinstance(choice, (bool, np.bool_)) and not choice):
         return None
     if isinstance(choice, (bool, np.bool_)):
@@ -115,7 +113,7 @@ def as_anti_aliasing(choice: object) -> AntiAliasing:
 
 @lru_cache(maxsize=64)
 def gaussian(sigma: float, n: int, boundary: Boundary) -> Sums:
-    """A Gaussian of standard deviation `sigma` in samples, cut off as `scipy.ndimage.gaussian_filter` does."""
+    """A Gaussian of standard deviation `sigma` in samples, truncated as in `scipy.ndimage.gaussian_filter`."""
     radius = int(TRUNCATE * sigma + 0.5)
     memory.require(32 * n * min(2 * radius + 1, n + 1), f"the weights of {2 * radius + 1} samples for each of {n}")
     x = np.arange(-radius, radius + 1)
@@ -127,33 +125,33 @@ def gaussian(sigma: float, n: int, boundary: Boundary) -> Sums:
 def least_squares(
     filter: Filter, start: float, step: float, m: int, n: int, boundary: Boundary, double: bool = False, prefilter: bool = True
 ) -> Sums:
-    """The spline of a coarser grid that is nearest to the spline of the samples, at its grid's points.
+    """The coarser spline that is nearest to the spline of the samples, at its grid points.
 
     Parameters
     ----------
     filter : Filter
-        Of the samples and of the result: any that is settled for this axis and no hybrid; the result has no smoothing of its own.
+        For the samples and the result; settled for this axis, and not a hybrid. The result is not smoothed again.
     start, step : float
-        Sample j of the result lies at ``start + step j``, in samples of the input.
+        Sample j of the result is at ``start + step j``, in samples of the input.
     m, n : int
-        Samples of the result and of the input.
+        Number of samples of the result and of the input.
     boundary : Boundary
-        What stands past the samples, where both functions go on for ever: those of the rule's period; the outer ones under
-        "nearest"; a constant, under those that have one.
+        How the samples continue outside, where both functions extend without end: by the rule's period, by the outer samples
+        with "nearest", or by a constant.
     double : bool
-        Whether sums are to be made in float64: how far down impulse responses count.
+        Whether sums are computed in float64, which sets where impulse responses are cut.
     prefilter : bool
-        Whether the input is samples; else it is coefficients.
+        Whether the input is samples; otherwise coefficients.
 
     Returns
     -------
     Sums
-        For every sample of the result. A filter without a prefilter has the coefficients of the nearest function there.
+        For every sample of the result; for a filter without a prefilter, the coefficients of the nearest function.
 
     Raises
     ------
     OptionError
-        The filter is a hybrid, or its kernel's translates can't be told apart, so that none is the nearest.
+        The filter is a hybrid, or its kernel's translates are linearly dependent, so that no spline is the nearest.
 
     Notes
     -----
@@ -163,7 +161,7 @@ def least_squares(
     B-spline of degree 2n + 1 (M. Unser, A. Aldroubi and M. Eden, *Enlargement or reduction of digital images with minimum loss of
     information*, IEEE Trans. Image Processing 4, 1995; for any h A. Muñoz, T. Blu and M. Unser, *Least-squares image resizing
     using finite differences*, IEEE Trans. Image Processing 10, 2001). The integrals are exact: between knots of either grid the
-    integrand is a polynomial. A step of one sample or less is no reduction: there the result is s itself.
+    integrand is a polynomial. A step of one sample or less is no reduction: the result is s itself.
     """
     if filter.magnified_by is not None:
         raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {filter.name!r}")
@@ -172,8 +170,8 @@ def least_squares(
     memory.require(40 * m * wide * (filter.degree + 1), f"the integrals of {wide} weights for each of {m} samples")
     if h <= 1 + _NO_STEP:
         return interpolated(filter, start + step * np.arange(m, dtype=np.float64), n, boundary, double, prefilter)
-    own = filter.samples if filter.prefilter else np.ones(1)
-    response = _impulse_response(own, _autocorrelation(filter), left_out, filter.name)
+    samples = filter.samples if filter.prefilter else np.ones(1)
+    response = _impulse_response(samples, _autocorrelation(filter), left_out, filter.name)
     reach = len(response) // 2
     first, weights = _inner_products(filter, start + step * np.arange(-reach, m + reach, dtype=np.float64), h)
     first, weights = _mixed(first, weights, response)
@@ -181,7 +179,7 @@ def least_squares(
 
 
 def interpolated(filter: Filter, positions: Array, n: int, boundary: Boundary, double: bool, prefilter: bool = True) -> Sums:
-    """The spline of `n` samples at some positions, as sums of samples; parameters as of `least_squares`."""
+    """The spline of `n` samples at `positions`, as sums of samples; parameters as for `least_squares`."""
     base, t = filter.cell(positions)
     return _of_samples(filter, base.astype(np.int64), filter.weights(t).T, n, boundary, _LEFT_OUT[double], prefilter)
 
@@ -189,7 +187,7 @@ def interpolated(filter: Filter, positions: Array, n: int, boundary: Boundary, d
 def _of_samples(
     filter: Filter, first: NDArray[np.int64], weights: Array, n: int, boundary: Boundary, left_out: float, prefilter: bool
 ) -> Sums:
-    """Sums of coefficients from `first` on as sums of samples."""
+    """Convert sums of coefficients from `first` on to sums of samples."""
     if filter.prefilter and prefilter:
         response = _impulse_response(np.ones(1), filter.undone, left_out, filter.name)
         first = first - len(response) // 2
@@ -202,9 +200,9 @@ def _of_samples(
 
 
 def _middle(weights: Array, left_out: float) -> tuple[int, int]:
-    """From which to before which tap sums go without the outer ones, which weigh less than `left_out` of a row together.
+    """The range of taps without the outer ones, whose weights add up to less than `left_out` of a row.
 
-    Each impulse response was cut for itself; where two are convolved, tails of tails are left, a third of all taps.
+    Each impulse response was cut alone; the convolution of two has tails of tails, a third of all taps.
     """
     sizes = np.abs(weights)
     least = left_out / 2 * sizes.sum(1).min()
@@ -221,7 +219,7 @@ def _autocorrelation(filter: Filter) -> Array:
 
 
 def _impulse_response(numerator: Array, denominator: Array, left_out: float, name: str) -> Array:
-    """That of a quotient of symmetric sequences, each given from its middle on; cut where it is as small as `left_out`."""
+    """The impulse response of a quotient of symmetric sequences, each given from its middle on; cut at `left_out`."""
     omega = 2 * np.pi * np.fft.rfftfreq(_CIRCLE)
     above, below = (2 * np.cos(np.outer(omega, np.arange(b.size))) @ b - b[0] for b in (numerator, denominator))
     if np.abs(below).min() < 1e-6 * np.abs(below).max():
@@ -232,10 +230,10 @@ def _impulse_response(numerator: Array, denominator: Array, left_out: float, nam
 
 
 def _inner_products(filter: Filter, x: Array, h: float) -> tuple[NDArray[np.int64], Array]:
-    """∫ s(x_j + h u) φ(u) du as sums over coefficients of s: the first, and the weights; (m,) and (m, taps)."""
+    """∫ s(x_j + h u) φ(u) du as sums over coefficients of s: the first coefficients (m,) and the weights (m, taps)."""
     half = filter.support / 2
     left = x - h * half
-    knot = np.ceil(left - half) + half  # those of s lie at whole numbers, or between them
+    knot = np.ceil(left - half) + half  # the knots of s are at integers, or halfway between
     wide = math.ceil(h * filter.support) + 1
     ends = [left[:, None] + h * np.arange(filter.support + 1), np.minimum(knot[:, None] + np.arange(wide), (x + h * half)[:, None])]
     knots = np.sort(np.concatenate(ends, 1), 1)
@@ -253,7 +251,7 @@ def _inner_products(filter: Filter, x: Array, h: float) -> tuple[NDArray[np.int6
 
 
 def _mixed(first: NDArray[np.int64], weights: Array, response: Array) -> tuple[NDArray[np.int64], Array]:
-    """Sums of sums: row j of the result is the sum of rows j, j + 1, ..., each times its number of `response`."""
+    """Row j of the result is the sum of rows j, j + 1, ..., weighted by `response`."""
     m, taps = len(first) - len(response) + 1, weights.shape[1]
     rows = np.arange(m)
     lowest = np.min([first[i : i + m] for i in (0, len(response) - 1)], 0)
@@ -269,9 +267,9 @@ def _mixed(first: NDArray[np.int64], weights: Array, response: Array) -> tuple[N
 
 
 def low_passed(volume: Volume, steps: Array, boundary: Boundary, kind: type[np.generic], device: Device) -> Volume:
-    """A volume after the Gaussian that suits a grid whose points lie `steps` samples apart along its axes, x first.
+    """A volume low-passed by a Gaussian for a grid with `steps` samples between points along its axes, x first.
 
-    Its standard deviation is (step - 1) / 2 samples along an axis with a step of more than one: scikit-image's rule.
+    Along an axis with a step of more than one, the standard deviation is (step - 1) / 2 samples, as in scikit-image.
     """
     volume.require_finite()
     sums = gaussian_sums(volume.shape, steps, boundary)
@@ -282,7 +280,7 @@ def low_passed(volume: Volume, steps: Array, boundary: Boundary, kind: type[np.g
 
 
 def smoothed(sums: Sums, sigma: float, boundary: Boundary) -> Sums:
-    """Sums of what a Gaussian makes of the samples, as sums of samples."""
+    """The same sums of samples that a Gaussian smoothed first, as sums of the original samples."""
     if sigma <= 0:
         return sums
     from scipy import sparse
@@ -291,21 +289,21 @@ def smoothed(sums: Sums, sigma: float, boundary: Boundary) -> Sums:
     n = sums.n
 
     def matrix(one: Sums) -> Any:
-        """Rows of sums by samples, and by what lies nowhere, last."""
+        """Sums by samples, a sparse matrix; the last column is for the constant outside."""
         rows = np.repeat(np.arange(len(one.places)), one.places.shape[1])
         return sparse.csr_array((one.weights.ravel(), (rows, one.places.ravel())), (len(one.places), n + 1))
 
-    nowhere = sparse.csr_array(([1.0], ([0], [n])), (1, n + 1))  # stays what it is
-    made = sparse.csr_array(matrix(sums) @ sparse.vstack([matrix(blurred), nowhere]))
+    constant = sparse.csr_array(([1.0], ([0], [n])), (1, n + 1))  # does not change
+    made = sparse.csr_array(matrix(sums) @ sparse.vstack([matrix(blurred), constant]))
     made.sum_duplicates()
     counts = np.diff(made.indptr)
     at = np.arange(int(counts.max(initial=1)))
-    taken = np.minimum(made.indptr[:-1, None] + at, made.indptr[1:, None] - 1)  # shorter rows end with their last sample, times 0
+    taken = np.minimum(made.indptr[:-1, None] + at, made.indptr[1:, None] - 1)  # shorter rows repeat their last sample, times 0
     return Sums(n, made.indices[taken].astype(np.int32), np.where(at < counts[:, None], made.data[taken], 0.0))
 
 
 def gaussian_sums(shape: tuple[int, ...], steps: Array, boundary: Boundary) -> dict[int, Sums]:
-    """Those of `low_passed`, by axes of an array."""
+    """The sums of `low_passed`, by array axis."""
     sigma = np.maximum(0, (steps[::-1] - 1) / 2)
     return {axis: gaussian(float(s), shape[axis], boundary) for axis, s in enumerate(sigma) if s > 0}
 
@@ -321,25 +319,26 @@ def nearest_spline(
     shape: tuple[int, ...],
     progress: Callable[[float], Any] | None = None,
 ) -> NDArray[Any]:
-    """Samples of the spline on a grid along the volume's axes that is nearest to the volume's; `least_squares` along each.
+    """Samples of the spline on a grid along the volume's axes that is nearest to the volume's spline; `least_squares` by axis.
 
     Parameters
     ----------
     volume, filter, boundary
-        What is reconstructed, and how.
+        The reconstructed function.
     kind : type
-        np.float32, or np.float64, which is taken also where float32 would lose digits of the samples.
+        np.float32 or np.float64; float64 is also used if float32 would lose digits of the samples.
     device : Device
     matrix, offset : ndarray, shapes (d, d) and (d,)
         From the grid's indices, x first, to those of the volume.
     shape : tuple of int
-        Of the grid, as arrays are indexed.
+        Array shape of the grid.
     progress : callable, optional
 
     Raises
     ------
     OptionError
-        The grid's axes are not the volume's; the boundary rule is "zero", which continues no samples; or as `least_squares`.
+        The grid's axes are not the volume's; the boundary rule is "zero", which does not continue the samples; or as
+        `least_squares` raises it.
     """
     volume.require_finite()
     sums, kind = nearest_sums(volume, settled(filter, volume), boundary, kind, matrix, offset, shape)
@@ -349,7 +348,7 @@ def nearest_spline(
 def nearest_sums(
     volume: Volume, filter: Filter, boundary: Boundary, kind: type[np.generic], matrix: Array, offset: Array, shape: tuple[int, ...]
 ) -> tuple[dict[int, Sums], type[np.generic]]:
-    """Those of `nearest_spline`, by axes of an array, and the type that they are made in; `filter` is settled."""
+    """The sums of `nearest_spline` by array axis, and the type that they are computed in; `filter` is settled."""
     d = volume.ndim
     if (np.abs(matrix - np.diag(np.diag(matrix))) * shape[::-1]).max() >= _NO_STEP:
         raise OptionError(
@@ -369,7 +368,7 @@ def nearest_sums(
 
 
 def steps_along(matrix: Array) -> Array:
-    """How far apart a grid's points lie along each axis of a volume, in samples: of a turned grid the root sum of squares."""
+    """The distance of a grid's points along each axis of a volume, in samples; the root sum of squares for a rotated grid."""
     return np.asarray(np.linalg.norm(matrix, axis=1))
 
 
@@ -385,30 +384,30 @@ def sum_along(
     progress: Callable[[float], Any] | None = None,
     order: Sequence[int] | None = None,
 ) -> NDArray[Any]:
-    """What becomes of an array whose axes are replaced by sums along them.
+    """Replace axes of an array by sums along them.
 
     Parameters
     ----------
     data : ndarray of real numbers
-        Of any number of axes, any layout and byte order.
+        With any number of axes, any layout and byte order.
     sums : mapping from axes to Sums
     kind : type
-        np.float32 or np.float64, of the result and of all on the way.
+        np.float32 or np.float64, for the result and all intermediate arrays.
     device : Device
     outside : float
-        The samples where a rule puts none.
+        The constant outside.
     progress : callable, optional
         Called with the fraction done.
     order : sequence of int, optional
-        The axes, one after the other; that of `order_of` by default. Sums of a part are those of the whole to the last bit if they
-        have the same.
+        The order of the axes, by default `order_of`. Sums of a part equal sums of the whole to the last bit if the order is the
+        same.
 
     Raises
     ------
     DeviceError
-        Sums of float64 on a device without it.
+        float64 on a device without it.
     OutOfMemoryError
-        The device has no room.
+        The arrays do not fit on the device.
     """
     if kind == np.float64 and not device.has_double:
         raise DeviceError(f"sums of float64 need a device with double precision; got {device.name!r}, which has none")
@@ -417,10 +416,11 @@ def sum_along(
     for axis in order:
         shape[axis] = len(sums[axis].places)
         counts.append(math.prod(shape))
-    most = max((a + b for a, b in itertools.pairwise([0, *counts])), default=data.size)  # the last two are there at a time
+    most = max((a + b for a, b in itertools.pairwise([0, *counts])), default=data.size)  # two arrays exist at a time
     memory.require(np.dtype(kind).itemsize * most, f"a result of {' × '.join(map(str, shape))} sums")
     for done, axis in enumerate(order, 1):
-        if done > 1 and device.shares_memory and len(sums[axis].places) == sums[axis].n:  # lines are brought to the scratch first
+        # in place: the kernel gathers lines into scratch first
+        if done > 1 and device.shares_memory and len(sums[axis].places) == sums[axis].n:
             _launch(data, axis, data, sums[axis], kind, outside, device)
         else:
             data = _sum_axis(data, axis, sums[axis], kind, outside, device)
@@ -430,7 +430,7 @@ def sum_along(
 
 
 def order_of(sums: Mapping[int, Sums]) -> list[int]:
-    """The axes, one after the other as they are summed up: what shrinks most goes first."""
+    """The order in which axes are summed: the axis that shrinks most is first."""
     return sorted(sums, key=lambda axis: len(sums[axis].places) / sums[axis].n)
 
 
@@ -440,7 +440,7 @@ def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: type[np.generic],
     if data.dtype == kind and data.flags.c_contiguous:
         _launch(data, axis, result, sums, kind, outside, device)
         return result
-    # converted in parts, so that no second array of the input's size is made
+    # converted in parts, without a second array of the input's size
     across = next((i for i in range(data.ndim) if i != axis and data.shape[i] > 1), None)
     if across is None:
         _launch(np.ascontiguousarray(data, kind), axis, result, sums, kind, outside, device)
@@ -458,7 +458,7 @@ def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: type[np.generic],
 def _launch(
     data: NDArray[Any], axis: int, result: NDArray[Any], sums: Sums, kind: type[np.generic], outside: float, device: Device
 ) -> None:
-    """The kernel on a contiguous array; `result` may be the same one, if it has as many sums as samples."""
+    """Run the kernel on a contiguous array; `result` may be the same array if it has as many sums as samples."""
     if not result.size:
         return
     m, taps = sums.places.shape

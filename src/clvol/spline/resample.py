@@ -1,4 +1,4 @@
-"""The function on another grid: the host side of resample.cl, which goes axis by axis where the grid's axes are the volume's."""
+"""The function on another grid: the host side of resample.cl, which works by axes if the grid's axes are the volume's."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.progress import part_of
 from clvol.device.program import LANES
 from clvol.spline.build import scalar_defines
 from clvol.spline.coefficients import Coefficients
@@ -20,16 +20,16 @@ from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Transform, sampl
 
 __all__ = ["Positions", "along_axes", "no_shear", "resample_axes", "resample_coefficients"]
 
-_BLOCK = 16  # rows that resample.cl makes at once
-_ITEMS_A_CORE = 16  # work-items for each core, so that no core waits long for another
+_BLOCK = 16  # rows that resample.cl computes at once
+_ITEMS_A_CORE = 16  # work-items for each core, to balance the load
 _NO_SHEAR = 1e-9  # samples
-_LONG = 1 << 16  # points along an axis, and coefficients of a row that they are made from: longer ones are made in parts
-_PART = 1 << 24  # points of such a part, about
-_SCRATCH = 64 << 20  # bytes for all work-items, if there are not to be fewer of these than cores
+_LONG = 1 << 16  # points along an axis, and coefficients of a row that they read: more are computed in parts
+_PART = 1 << 24  # approximate points of such a part
+_SCRATCH = 64 << 20  # bytes for all work-items, unless these would be fewer than cores
 
 
 class Positions(Protocol):
-    """Positions along an axis, in samples: an array, or what makes parts of one."""
+    """Positions along an axis, in samples: an array, or a sequence that computes slices."""
 
     def __len__(self) -> int: ...
 
@@ -38,7 +38,7 @@ class Positions(Protocol):
 
 @dataclass(frozen=True)
 class _Steps:
-    """Even ones, that are made where they are asked for: an axis may have more points than memory has room for."""
+    """Evenly spaced positions, computed on demand: an axis may have more points than fit in memory."""
 
     first: float
     step: float
@@ -61,7 +61,7 @@ def resample_coefficients(
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
 ) -> None:
-    """Values in stored units at index positions ``matrix @ (i, j, k) + offset`` into a buffer.
+    """Write values in stored units at index positions ``matrix @ (i, j, k) + offset`` to a buffer.
 
     Parameters
     ----------
@@ -74,9 +74,9 @@ def resample_coefficients(
     shape : (int, int, int)
         Points of the grid along z, y and x.
     buffer : Buffer
-        Of the type of the coefficients, where the values go, [z, y, x].
+        For the values, [z, y, x], of the coefficients' type.
     given : Given
-        What the function is outside.
+        The values outside the domain.
     progress : callable, optional
         Called with the fraction done.
     """
@@ -88,12 +88,12 @@ def resample_coefficients(
 
 
 def along_axes(coefficients: Coefficients, evaluator: Evaluator) -> bool:
-    """Whether `resample_axes` serves: on processors, by direct taps."""
+    """Whether `resample_axes` applies: on CPUs, with direct taps."""
     return coefficients.device.kind == "cpu" and evaluator == DIRECT
 
 
 def no_shear(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
-    """Whether the axes of a grid of shape (z, y, x) are the volume's, but for rounding."""
+    """Whether the axes of a grid of shape (z, y, x) are the volume's, up to rounding."""
     across = matrix - np.diag(np.diag(matrix))
     return bool((np.abs(across) * np.array(shape[::-1])[: len(matrix)]).max() < _NO_SHEAR)
 
@@ -101,7 +101,7 @@ def no_shear(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
 def _axis_taps(
     coefficients: Coefficients, axis: int, positions: NDArray[np.float64], edge: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The stored coefficients along an axis that make the function at `positions` in samples, and their weights; (N, taps)."""
+    """The indices of the stored coefficients along an axis for `positions` in samples, and their weights; (N, taps)."""
     boundary, n, row = coefficients.boundary, int(coefficients.size[axis]), coefficients.filter
     inside = (positions >= -edge) & (positions <= n - 1 + edge)
     if not inside.all():
@@ -120,19 +120,19 @@ def resample_axes(
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
 ) -> None:
-    """Values in stored units on a grid whose axes are the volume's, one axis after the other.
+    """Write values in stored units on a grid whose axes are the volume's, one axis after the other.
 
     Parameters
     ----------
     coefficients, buffer, given, progress
-        As in `resample_coefficients`, of a device that is a processor.
+        As in `resample_coefficients`, on a CPU.
     positions : sequence of Positions
-        Those of the grid along x, y and z, in samples. They may lie anywhere.
+        Positions of the grid along x, y and z, in samples, anywhere.
 
     Notes
     -----
-    Each point along an axis has a place and a weight for every tap, and work-items keep rows of coefficients. So grids with long
-    axes, and those that leave most of a long row out, are made in parts, each in memory of its own, and copied.
+    Each point along an axis has an index and a weight for every tap, and work-items keep rows of coefficients. So grids with long
+    axes, and grids that skip most of a long row, are computed in parts, each in its own memory, and copied.
     """
     device, kind = coefficients.device, coefficients.kind
     counts = [len(along) for along in positions]
@@ -146,18 +146,14 @@ def resample_axes(
         for number, part in enumerate(parts):
             place = (..., part[1], part[0]) if len(part) == 2 else (..., part[0]) if len(part) == 1 else part[::-1]
             made = np.empty(values[place].shape, kind)
-            told = None if progress is None else partial(_tell_part, progress, number, len(parts))
+            report = part_of(progress, number / len(parts), (number + 1) / len(parts))
             with device.buffers.lent(made, write=True) as room:
-                _resample_part(coefficients, [along[p] for along, p in zip(positions, part, strict=True)], room, given, told)
+                _resample_part(coefficients, [along[p] for along, p in zip(positions, part, strict=True)], room, given, report)
             values[place] = made
 
 
-def _tell_part(progress: Progress, number: int, count: int, done: float) -> None:
-    progress((number + done) / count)
-
-
 def _parts(coefficients: Coefficients, positions: Sequence[Positions], given: Given) -> list[tuple[slice, ...]]:
-    """The parts that a grid is made in, along x, y and z; one alone where its axes are short."""
+    """The parts of a grid along x, y and z; just one if its axes are short."""
     counts = [len(along) for along in positions]
     rows = list(_short_rows(coefficients, positions[0], given, slice(0, counts[0])))
     if len(rows) == 1 and max(counts[1:], default=1) <= _LONG:
@@ -172,7 +168,7 @@ def _parts(coefficients: Coefficients, positions: Sequence[Positions], given: Gi
 
 
 def _short_rows(coefficients: Coefficients, along: Positions, given: Given, part: slice) -> Iterator[slice]:
-    """A part of a row, in parts that are short, and made from short rows of coefficients."""
+    """Divide a part of a row into short parts that read short rows of coefficients."""
     count = part.stop - part.start
     if count <= _LONG:
         if count == 1 or coefficients.shape[2] <= _LONG:
@@ -204,7 +200,7 @@ def _resample_part(
     if d == 1:  # the only row
         axes.append((np.zeros((1, taps), np.int64), np.eye(1, taps)))
     places, weights = zip(*axes, strict=True)
-    # the part of a row that is used, in whole vectors: rows are a whole number of them
+    # the used part of a row, in whole vectors, which rows consist of
     left = places[0].min() // LANES * LANES
     width = int(places[0].max() // LANES * LANES + LANES - left)
     places[0][...] = LANES * (places[0] - left)
@@ -229,7 +225,7 @@ def _resample_part(
     grid = np.array([nx, ny, nz, places[0].size], np.int32)
     defines = {"TAPS": taps, "DIMENSIONS": max(2, d), "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0}
     built = device.build("spline/resample.cl", {**defines, **scalar_defines(coefficients.kind)})
-    some = max(1, LANES * device.limits.launch_taps // (_BLOCK * nx * (taps + 2) * d))  # writing a value costs as much as two taps
+    some = max(1, LANES * device.limits.launch_taps // (_BLOCK * nx * (taps + 2) * d))  # writing a value takes as long as two taps
     for first in range(0, units, some):
         count = min(some, units - first)
         with device.errors:
@@ -265,10 +261,10 @@ def _put_values(
     given: Given,
     edge: float,
 ) -> None:
-    """Write the values that the function is given outside."""
+    """Write the values outside the domain."""
     fill, cval = given.values(coefficients, 0)
     filled, valued = given.fill is not None and not given.missing, coefficients.boundary.outside == "constant"
-    writes: list[tuple[int, NDArray[np.bool_], float]] = []  # the axis, where along it, and what; the last one stands
+    writes: list[tuple[int, NDArray[np.bool_], float]] = []  # axis, mask along it, value; the last write wins
     lost = []
     for axis, (x, n) in enumerate(zip(positions, coefficients.size.tolist(), strict=False)):
         finite = np.isfinite(x)

@@ -1,4 +1,4 @@
-"""Parts of sums along an axis: the samples that some of the sums take, wherever these are kept."""
+"""Parts of sums along an axis, and the samples that they read."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from clvol.spline.reduce import Sums
 __all__ = ["GAP", "Rows", "Runs", "gathered", "runs_of"]
 
 Runs: TypeAlias = tuple[tuple[int, int], ...]
-"""Samples of an axis, those from one to before another, and from a third on."""
+"""Ranges of an axis, as (first, past the last)."""
 
-GAP = 32  # samples that are read with those on both sides
+GAP = 32  # samples; smaller gaps are read too
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Some rows of sums along an axis, or of an axis that stays, and what they are sums of.
+    """Some rows of the sums along an axis, or of an unchanged axis, and the samples that they read.
 
     Attributes
     ----------
     first, last : int
-        Of the rows.
+        The rows, `last` excluded.
     runs : Runs
-        The samples that they take.
+        The samples that they read.
     sums : Sums or None
-        Of these alone, brought together.
+        The same sums over these samples, concatenated; None for an unchanged axis.
     """
 
     first: int
@@ -40,32 +40,32 @@ class Rows:
 
     @classmethod
     def of(cls, sums: Sums | None, first: int, last: int, beside: tuple[int, int] = (0, 0)) -> Rows:
-        """Those from `first` to before `last`; their runs hold the samples `beside` too, from one to before another."""
+        """The rows from `first` to before `last`; their runs also include the range `beside`."""
         if sums is None:
             return cls(first, last, ((first, last),), None)
         places = sums.places[first:last]
         within = np.concatenate([places[places < sums.n], np.arange(*beside)])
-        runs = runs_of(within if within.size else np.zeros(1, np.int32))  # sums of nothing but a constant take any sample
-        own = np.concatenate([np.arange(a, b) for a, b in runs])
-        local = np.where(places < sums.n, np.searchsorted(own, places), own.size).astype(np.int32)
-        return cls(first, last, runs, Sums(own.size, local, sums.weights[first:last]))
+        runs = runs_of(within if within.size else np.zeros(1, np.int32))  # sums of just the constant read any sample
+        taken = np.concatenate([np.arange(a, b) for a, b in runs])
+        local = np.where(places < sums.n, np.searchsorted(taken, places), taken.size).astype(np.int32)
+        return cls(first, last, runs, Sums(taken.size, local, sums.weights[first:last]))
 
     @property
     def count(self) -> int:
-        """Samples that are taken."""
+        """The number of samples read."""
         return sum(b - a for a, b in self.runs)
 
 
 def runs_of(places: NDArray[Any]) -> Runs:
-    """The samples at some places, and those in small gaps between them."""
-    own = np.unique(places)
-    ends = np.flatnonzero(np.diff(own) > GAP)
-    firsts, lasts = own[np.concatenate([[0], ends + 1])], own[np.concatenate([ends, [own.size - 1]])]
+    """The ranges that contain `places`, and small gaps between them."""
+    sorted_places = np.unique(places)
+    ends = np.flatnonzero(np.diff(sorted_places) > GAP)
+    firsts, lasts = sorted_places[np.concatenate([[0], ends + 1])], sorted_places[np.append(ends, sorted_places.size - 1)]
     return tuple((int(a), int(b) + 1) for a, b in zip(firsts, lasts, strict=True))
 
 
 def gathered(read: Callable[[tuple[slice, slice, slice]], NDArray[Any]], runs: Sequence[Runs]) -> NDArray[Any]:
-    """The samples in runs along z, y and x, as one array."""
+    """Read the samples in runs along z, y and x into one array."""
     z, y, x = runs
     parts = [
         [

@@ -43,30 +43,30 @@ def adjoint(
     device: Device | str | int | None = None,
     precision: Precision = "single",
 ) -> Reals:
-    """The adjoint of `clvol.sample`, which spreads values at points onto a grid of samples.
+    """The adjoint of `clvol.sample`: spreads values at points onto a grid of samples.
 
     Sampling is linear in the samples: ``sample(v, points) = A v``. This is ``Aᵀ values``, the gradient of ``sum(values *
     sample(v, points))`` with respect to `v`: each value is added to the coefficients of its point's taps, times their weights
-    (in SPM and torch-interpol "push", of non-uniform Fourier transforms "spreading"), what came to lie past the edge is brought
-    back by the boundary rule, and the transpose of the prefilter follows.
+    ("push" in SPM and torch-interpol, "spreading" in non-uniform Fourier transforms), coefficients outside are folded back by the
+    boundary rule, and the transpose of the prefilter is applied.
 
     Parameters
     ----------
     values : array-like, shape (...), or (..., d) for gradients
-        A number for each point, or for each component of its gradient. Finite.
+        A finite number for each point, or for each component of its gradient.
     points : array-like, shape (..., d)
-        World positions (x, y) or (x, y, z). Those that are not finite add nothing.
+        World positions (x, y) or (x, y, z). Positions that are not finite add nothing.
     like : Volume or sequence of int
-        The grid of the result: that of a volume, whose samples do not matter; or a shape, of spacing 1 and origin 0.
+        The grid of the result: the grid of a volume, whose samples are ignored; or a shape, with spacing 1 and origin 0.
     filter, boundary
-        As of `clvol.sample`; no hybrid, and no smoothing that is decided for a volume ("auto", lengths): there sampling is not
-        one linear map.
+        As for `clvol.sample`, but without hybrids and smoothing that depends on the volume ("auto", lengths), where sampling is
+        not one linear map.
     derivative : {0, 1}
         Of the sampling: 0 for values, 1 for gradients.
     device : Device, str or int, optional
         See `as_device`.
     precision : {"single", "double"}
-        Of results: float32, or float64 on devices that have it.
+        Precision of results: float32, or float64 on devices that support it.
 
     Returns
     -------
@@ -75,15 +75,15 @@ def adjoint(
     Raises
     ------
     OptionError
-        `values` are no finite real numbers, or not as many as `points` need; `points`, `like`, `filter`, `boundary` or
-        `derivative` are none of those above.
+        `values` are not finite real numbers, or do not match the shape of `points`; `points`, `like`, `filter`, `boundary` or
+        `derivative` is not one of the above.
     DeviceError, OutOfMemoryError
-        As of `clvol.sample`.
+        As for `clvol.sample`.
 
     Notes
     -----
-    The result is the same to the last bit on every run on a device. The prefilter solves ``K c = v`` along each axis (eq. 11). The
-    boundary rule makes an index stand for m of those of a period, and ``diag(m) K`` is symmetric, so that
+    The result is the same to the last bit on every run on a device. The prefilter solves ``K c = v`` along each axis (eq. 11).
+    With m the number of times that the boundary rule repeats an index in a period, ``diag(m) K`` is symmetric, so that
     ``K⁻ᵀ = diag(m) K⁻¹ diag(1/m)``.
     """
     derivative = whole("derivative", derivative, minimum=0, maximum=1)
@@ -98,7 +98,7 @@ def adjoint(
         raise OptionError(
             f"values must be real numbers of shape {expected}, as points are; got {added.dtype} of shape {added.shape}"
         )
-    memory.require(at.size // d * (4 * (2 * d + d**derivative) + 40), f"what is kept of {at.size // d} points")
+    memory.require(at.size // d * (4 * (2 * d + d**derivative) + 40), f"the sorted taps of {at.size // d} points")
     if not np.isfinite(added).all():
         raise OptionError("values must be finite; got NaN or infinite ones")
     (row, rule), kind, chosen = linear(filter, boundary), precision_kind(precision), as_device(device)
@@ -116,7 +116,7 @@ def adjoint(
 
 
 def _grid(shape: Sequence[int]) -> Volume:
-    """A grid of spacing 1 and origin 0: a Volume whose samples take no memory."""
+    """A grid with spacing 1 and origin 0: a Volume whose samples take no memory."""
     rule = "a Volume, or 2 or 3 whole numbers"
     sizes = [whole("each number of a shape", n, minimum=1) for n in several("like", shape, rule, 3)]
     if len(sizes) == 1:
@@ -126,7 +126,7 @@ def _grid(shape: Sequence[int]) -> Volume:
 
 
 def linear(filter: str | Filter, boundary: str | Boundary) -> tuple[Filter, Boundary]:
-    """The filter and the rule, if sampling through them is one linear map on one grid."""
+    """The filter and the boundary rule; raises `OptionError` unless sampling with them is one linear map on one grid."""
     row, rule = as_filter(filter), as_boundary(boundary)
     if row.magnified_by is not None:
         raise OptionError(f"the adjoint needs a filter on the samples' own grid; got the hybrid {row.name!r}")
@@ -148,7 +148,7 @@ def _scattered(
     scalar: type[np.generic],
     device: Device,
 ) -> Samples:
-    """Values times the weights of their points' taps, with a margin of one coefficient more than there are taps (scatter.cl)."""
+    """Values times the weights of their points' taps, on a grid with a margin of taps + 1 coefficients (scatter.cl)."""
     from scipy import sparse
 
     taps, d, count = row.support, grid.ndim, points.shape[0]
@@ -210,9 +210,9 @@ def _scattered(
         )
         device.finish()
     total = math.prod(bricks[:3].tolist())
-    # the rows of a sparse matrix are lists by counting, in the order of what is put in
-    (somewhere,) = np.nonzero(brick_of < total)
-    lists = sparse.coo_array((np.ones(somewhere.size, np.int8), (brick_of[somewhere].astype(np.int32), somewhere)), (total, count))
+    # a sparse matrix is a stable counting sort: its rows list the points of each brick in their order
+    (finite,) = np.nonzero(brick_of < total)
+    lists = sparse.coo_array((np.ones(finite.size, np.int8), (brick_of[finite].astype(np.int32), finite)), (total, count))
     rows = lists.tocsr()
     order, starts = device.buffers.upload(rows.indices.astype(np.int32)), device.buffers.upload(rows.indptr.astype(np.int32))
     half = [-(-int(n) // 2) for n in bricks[:3]]
@@ -238,7 +238,7 @@ def _scattered(
 
 
 def _brought_back(stored: Samples, axis: int, n: int, margin: int, rule: Boundary) -> Samples:
-    """An axis without its margins: what lies in them is added to the coefficients that the boundary rule has there."""
+    """Remove the margins of an axis, and add their values to the coefficients that the boundary rule puts there."""
     lines = np.moveaxis(stored, axis, 0)
     inner = lines[margin : margin + n]
     outer = np.r_[-margin:0, n : n + margin]
@@ -249,7 +249,7 @@ def _brought_back(stored: Samples, axis: int, n: int, margin: int, rule: Boundar
 
 
 def _scale_folds(data: Samples, rule: Boundary, factor: float) -> None:
-    """Multiply samples on which the boundary rule folds by `factor`, for each axis: in a period they are once, all others twice."""
+    """Multiply samples on which the boundary rule folds by `factor` along each axis: a period has them once, all others twice."""
     if rule.period is None or rule.fold is None:
         return
     for axis, n in enumerate(data.shape):

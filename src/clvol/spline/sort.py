@@ -1,4 +1,4 @@
-"""Points in no order, sorted by the brick of the volume that they lie in: the host side of sort.cl."""
+"""Unordered points, sorted by the brick of the volume that contains them: the host side of sort.cl."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from clvol.spline.coefficients import Coefficients
 
 __all__ = ["Sorter", "scattered"]
 
-_CACHED = 4 << 20  # bytes of coefficients that caches hold, so that order does not matter
-_MIN_ROWS = 9  # of taps that a point reads, for which sorting pays
-_MIN_VISITS = 2  # rows that are read for each line of memory that holds coefficients, for which sorting pays
-_BRICKS = 1024  # that the volume is divided into, at most
-_PAIRS = 1024  # of successive points that are looked at
-_FAR = 16  # samples between two points that share nothing that a cache holds
+_CACHED = 4 << 20  # bytes of coefficients that fit in caches, where order does not matter
+_MIN_ROWS = 9  # rows of taps for each point, from which sorting pays
+_MIN_VISITS = 2  # reads of each cache line of coefficients, from which sorting pays
+_BRICKS = 1024  # most bricks of a volume
+_PAIRS = 1024  # pairs of successive points that are checked
+_FAR = 16  # samples between two points that share no cache lines
 
 
 def scattered(coefficients: Coefficients, points: NDArray[Any], matrix: NDArray[np.float64] | None) -> bool:
-    """Whether most successive points lie too far apart to share what a cache holds, and are worth sorting.
+    """Whether most successive points are too far apart to share cache lines, so that sorting pays.
 
-    They are positions (N, d), which the matrix makes differences of indices of, or indices (d, N).
+    They are positions (N, d), which `matrix` maps to indices, or indices (d, N).
     """
     count, rows = points.shape[0 if matrix is not None else 1], coefficients.filter.support ** (coefficients.ndim - 1)
     nbytes = coefficients.nbytes
@@ -41,23 +41,23 @@ def scattered(coefficients: Coefficients, points: NDArray[Any], matrix: NDArray[
 
 
 class Sorter:
-    """Sorts points by the brick of the volume that they lie in.
+    """Sorts points by the brick of the volume that contains them.
 
     Parameters
     ----------
     coefficients : Coefficients
         Of the volume.
     kind : type
-        np.float32 or np.float64, of the points.
+        Type of the points, np.float32 or np.float64.
     count : int
-        How many points there are.
+        Number of points.
     planar : bool
         Whether they are indices, axis by axis.
 
     Attributes
     ----------
     room : int
-        How many points are sorted at a time: `Limits.sorted_bytes` of them.
+        Points sorted at a time, `Limits.sorted_bytes` of them.
     """
 
     def __init__(self, coefficients: Coefficients, kind: type[np.generic], count: int, *, planar: bool) -> None:
@@ -86,7 +86,7 @@ class Sorter:
         self._counts = device.buffers.allocate(4 * self._items * _BRICKS)
 
     def sort(self, points: Any, planes: int, count: int, transform: Any) -> Any:
-        """A buffer of `count` points, at most `room`, as another buffer, which the next call overwrites."""
+        """Sort a buffer of `count` points, at most `room`, into another buffer, which the next call overwrites."""
         device, number, apart = self._device, np.uint64(count), np.uint64(planes)
         launch = device.queue, (self._items,), (1,)
         with device.errors:

@@ -1,10 +1,9 @@
-"""What registration asks of a chain of transforms: values, gradients and Jacobians together, and series of frames."""
+"""Resampling through a chain of transforms, for registration: values, gradients and Jacobians together, and series of frames."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 from clvol.base import memory
 from clvol.base.checks import instance, one_of, several, whole
 from clvol.base.errors import DataError, OptionError
+from clvol.base.progress import part_of
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter.filter import Filter
@@ -33,16 +33,16 @@ __all__ = ["Warped", "resample_series", "warp"]
 
 
 class Warped(NamedTuple):
-    """An image in the space of another, as `warp` gives it.
+    """The result of `warp`: an image in the space of another.
 
     Attributes
     ----------
     values : Volume
         The moving image on the grid of the fixed one.
     gradient : ndarray, shape (nz, ny, nx, 3) or (ny, nx, 2), or None
-        Of the moving image at the mapped points, per world unit.
+        Gradient of the moving image at the mapped points, per world unit.
     jacobian : Volume or None
-        Determinants of the derivative of the mapped points by the points.
+        Determinants of the derivative of the mapped points with respect to the points.
     """
 
     values: Volume
@@ -69,26 +69,26 @@ def warp(
     """A moving image in the space of a fixed one, its gradient there, and the Jacobian of the transform.
 
     With T the chain of transforms, x the points of `like` and f the moving image's function: the values are f(T(x)), the
-    gradient is ∇f at T(x), and the Jacobian is det ∂T/∂x. All are exact derivatives of what is evaluated, by the product
-    of the stages' own.
+    gradient is ∇f at T(x), and the Jacobian is det ∂T/∂x. All are exact derivatives of the function that is evaluated, by the
+    product of the stages' derivatives.
 
     Parameters
     ----------
     volume : Volume, array-like or Field
-        The moving image; make a `Field` to warp one often.
+        The moving image; make a `Field` to warp it repeatedly.
     like : Volume
         The grid of the fixed image.
     transform
-        As of `Field.resample`: from the fixed world to the moving one, the last of a list first.
+        As in `Field.resample`: from the fixed world to the moving one; the last of a list is applied first.
     filter, boundary, device, precision, nan
         As in `clvol.sample`.
     derivative : {0, 1}
-        1: the gradient comes too.
+        1: also return the gradient.
     wrt : {"moving", "fixed"}
-        The world that the gradient is with respect to. "moving": ∇f at T(x), which the chain rule multiplies by the derivative
-        of T by its parameters. "fixed": that of f(T(x)) with respect to x, which is (∂T/∂x)ᵀ ∇f.
+        The world of the gradient. "moving": ∇f at T(x), which the chain rule multiplies by the derivative of T with respect to
+        its parameters. "fixed": the gradient of f(T(x)) with respect to x, (∂T/∂x)ᵀ ∇f.
     jacobian : bool
-        Whether determinants are wanted.
+        Whether to return determinants.
     fill, progress
         As in a call of `Field`. Where values are filled, gradients are 0.
 
@@ -100,9 +100,9 @@ def warp(
     Raises
     ------
     OptionError
-        `derivative`, `wrt`, `jacobian` or `transform` is not allowed, or for the reasons of `Field.resample`.
+        `derivative`, `wrt`, `jacobian` or `transform` is invalid, or as `Field.resample` raises it.
     GeometryError
-        A transform is singular, or of another number of dimensions.
+        A transform is singular, or has another number of dimensions.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.resample` raise them.
     """
@@ -143,7 +143,7 @@ def warp(
 
 
 def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progress: Progress | None) -> Reals:
-    """Values where a chain brings the points of its grid, each followed by the gradient if that is wanted, in stored units."""
+    """Values at the mapped points of a chain's grid, each followed by its gradient with `derivative` 1, in stored units."""
     device, made, grid = field.device, field.coefficients, chain.grid
     matrix, offset = chain.to_indices(field.volume)
     shape = (*grid.shape, 1 + derivative * grid.ndim)
@@ -160,13 +160,8 @@ def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progres
 
 
 def _steps(progress: Progress | None, count: int) -> Iterator[Progress | None]:
-    """Of `count` pieces of work, what reports each one's progress as a part of the whole."""
-    for done in range(count):
-        yield None if progress is None else partial(_report, progress, done, count)
-
-
-def _report(progress: Progress, done: int, count: int, fraction: float) -> None:
-    progress((done + fraction) / count)
+    """A callback for each of `count` equal parts of the work."""
+    return (part_of(progress, done / count, (done + 1) / count) for done in range(count))
 
 
 def resample_series(
@@ -185,37 +180,37 @@ def resample_series(
     nan: str | Missing = "error",
     progress: Progress | None = None,
 ) -> Reals:
-    """Frames of a series, each through a transform of its own, on one grid: motion correction in one interpolation.
+    """The frames of a series, each through its transform, on one grid: motion correction in one interpolation.
 
-    Frame by frame, with the memory of one on the device; between frames the series can be interrupted.
+    Works frame by frame, with one frame on the device at a time; it can be interrupted between frames.
 
     Parameters
     ----------
     series : array-like, shape (t, nz, ny, nx) or (t, ny, nx), Volumes, or sequence of Volume
         The moving frames.
     transforms : sequence
-        One for each frame, as `transform` of `Field.resample`; None leaves points where they are.
+        One for each frame, as `transform` of `Field.resample`; None is the identity.
     like : Volume, optional
-        The grid of the results; default that of the first frame.
+        The grid of the results; default: the first frame's.
     filter, boundary, fill, device, precision, nan
         As in `clvol.resample`.
     spacing, origin, direction : optional
-        Of the frames of an array, as those of a `Volume`.
+        Geometry of the frames of an array, as for `Volume`.
     progress : callable, optional
         Called with the fraction done.
 
     Returns
     -------
     ndarray of float32, shape (t, nz, ny, nx) or (t, ny, nx)
-        float64 in double precision, and where a frame's results are, see the notes of `Field`.
+        float64 in double precision, or if a frame's results are float64; see the notes of `Field`.
 
     Raises
     ------
     DataError
-        `series` holds no frame, or one that is none, or holds a value that is not finite.
+        `series` has no frames, an invalid frame, or a value that is not finite.
     OptionError
-        The number of transforms is not that of the frames; a geometry is given for Volumes, which have their own; or for the
-        reasons of `Field.resample`.
+        There is not one transform for each frame; a geometry is given for Volumes, which already have one; or as
+        `Field.resample` raises it.
     GeometryError, DeviceError, OutOfMemoryError
         As `Field.resample` raises them.
 
@@ -223,8 +218,8 @@ def resample_series(
     --------
     >>> still = clvol.resample_series(bold, motion, spacing=(2, 2, 2))   # (t, z, y, x), one transform a frame
     """
-    place: dict[str, Any] = {"spacing": spacing, "origin": origin, "direction": direction}
-    given = {name: value for name, value in place.items() if value is not None}
+    geometry: dict[str, Any] = {"spacing": spacing, "origin": origin, "direction": direction}
+    given = {name: value for name, value in geometry.items() if value is not None}
     if isinstance(series, Volumes) or (isinstance(series, (list, tuple)) and any(isinstance(frame, Volume) for frame in series)):
         if given:
             raise OptionError(f"frames that are Volumes have a geometry; got {', '.join(given)} too")
@@ -263,7 +258,7 @@ def resample_series(
             result = np.empty(shape, made.data.dtype)
         if (kind := np.result_type(made.data.dtype, result.dtype)) != result.dtype:
             wider = np.empty(result.shape, kind)
-            wider[:n] = result[:n]  # what lies behind is not made yet: any bits, and some don't convert
+            wider[:n] = result[:n]  # the rest is uninitialized: some bit patterns do not convert
             result = wider
         result[n] = made.data
     assert result is not None  # there is a frame

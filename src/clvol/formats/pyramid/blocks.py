@@ -14,6 +14,7 @@ from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.filter.boundary import Boundary, as_boundary
 from clvol.filter.filter import Filter
+from clvol.filter.margin import reach_within
 from clvol.formats._bounds import BLOCK, blocks_of
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import coefficients_of
@@ -25,7 +26,7 @@ from clvol.volume.volume import Volume
 
 __all__ = ["Bricks", "coarser", "outwards", "require_bounded"]
 
-_LEFT_OUT = 1e-9  # influence of the samples outside a brick's margin, relative to the range
+_LEFT_OUT = 5e-10  # share of the prefilter's weights outside a brick's margin
 _APART = 1e-6  # difference between the functions of a brick and of the volume, relative to the range
 _BYTES = 16  # per sample of a brick: samples and coefficients on the device, and the host's copies
 _MIB = 1 << 20
@@ -41,10 +42,7 @@ def require_bounded(filter: Filter, boundary: Boundary) -> None:
 
 def margin(filter: Filter) -> int:
     """Samples around a brick that its function depends on, up to `_LEFT_OUT`."""
-    rows = [filter.along(axis) for axis in range(len(filter.smoothing) if isinstance(filter.smoothing, tuple) else 1)]
-    nearest = max((float(np.abs(row.poles).max(initial=0.0)) for row in rows if row.prefilter), default=0.0)
-    reach = math.ceil(math.log(_LEFT_OUT) / math.log(nearest)) if nearest > 0 else 0
-    return max(reach, filter.support) + filter.support + 1
+    return max(reach_within(filter, _LEFT_OUT), filter.support) + filter.support + 1
 
 
 class Bricks:

@@ -1,1 +1,1 @@
-"""Pictures in float64: `march` from samples, `exact` from a function that is known everywhere."""
+"""Pictures in float64: `march` from samples, `exact` from a known function."""

@@ -1,4 +1,4 @@
-"""Surfaces of a function that is known everywhere, drawn from the function itself: no samples, no filter."""
+"""Surfaces of a known function, rendered without samples or a filter."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["draw_function"]
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
-_RAYS = 1 << 13  # at a time, for the sake of memory
+_RAYS = 1 << 13  # rays at a time, to limit memory
 _BISECTIONS = 45
 
 
@@ -38,7 +38,7 @@ def draw_function(
     pixel_filter: str | Filter = "linear",
     steps: int = 240,
 ) -> tuple[Array, NDArray[np.float32]]:
-    """The first surface of a function within the domain of a volume, whose samples are not looked at.
+    """The first surface of a function within the domain of a volume, whose samples are ignored.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ def draw_function(
     volume, view, size, isovalue, color, lights, material, background, clip, rays, pixel_filter
         As for `Renderer.render`, with a view from `Camera.view`.
     steps : int
-        Intervals of a ray in which a change of sign is looked for.
+        Intervals of a ray that are searched for a change of sign.
 
     Returns
     -------
     points : ndarray, shape (N, 3)
-        Of the surface, one for each ray through the middle of a pixel that hits it.
+        Points of the surface, one for each ray through the middle of a pixel that hits it.
     picture : ndarray of float32, shape (height, width, 4)
     """
     width, height = size

@@ -1,8 +1,7 @@
 """Pictures in float64: rays in world space, the function by eq. (8), colours by the exact transfer function.
 
-It follows what `clvol.render` says a picture is, not how the kernels make one: nothing is in single
-precision, nothing is tabulated, all samples of all rays are taken at once, and surfaces are found by
-bisection.
+It follows the documentation of `clvol.render`, not the kernels: nothing is in single precision, nothing is tabulated, all samples
+of all rays are computed at once, and surfaces are found by bisection.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
 
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
-_ROUNDING = 2.0**-19  # share of the value a voxel: less is no gradient, since kernels compute in float32
-_BISECTIONS = 38  # to 1e-12 of a step; to the last bit, rounding would choose the side of a jump again
+_ROUNDING = 2.0**-19  # gradients below this share of the value per voxel may be rounding of the kernels' float32
+_BISECTIONS = 38  # to 1e-12 of a step; down to the last bit, rounding could cross a jump again
 
 
 def planes_across(volume: Volume, view: Viewpoint, aspect: float, step: float) -> tuple[int, int]:
@@ -107,9 +106,9 @@ def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: 
 
 
 def _stretches(rays: Rays, t: Array, there: Bools, step: Array) -> tuple[Array, Array]:
-    """From where to where on its ray each sample stands for it, each (N, M); 0 to 0 where there is none.
+    """Start and end of the stretch of its ray that each sample represents, each (N, M); 0 to 0 without a sample.
 
-    Half a step to either side, but the first from where the ray enters, and the last to where it leaves.
+    A stretch extends half a step to each side; the first starts at the ray's entry, the last ends at its exit.
     """
     near, far = np.where(there, t - step[:, None] / 2, 0.0), np.where(there, t + step[:, None] / 2, 0.0)
     some = np.flatnonzero(there.any(1))
@@ -124,9 +123,8 @@ def shade(
 ) -> Array:
     """Blinn-Phong: ``color (ka + kd Σ Lᵢ (n·lᵢ)⁺) + ks Σ Lᵢ ((n·hᵢ)⁺)ˢ``, with n towards the viewer.
 
-    ``h`` is halfway between the light and the viewer; there is no highlight where the light is behind the
-    surface. Where the gradient is no longer than `flat` there is no normal, hence full diffuse light and no
-    highlight.
+    ``h`` is halfway between the light and the viewer; there is no highlight if the light is behind the surface. If the gradient is
+    no longer than `flat` there is no normal, hence full diffuse light and no highlight.
 
     Parameters
     ----------
@@ -154,12 +152,12 @@ def shade(
 
 
 def flat_below(volume: Volume, values: Array) -> Array:
-    """The longest world gradient, where the function has these values, that may be rounding of float32 alone."""
+    """The longest world gradient that may be just float32 rounding, for these values."""
     return np.asarray(_ROUNDING * np.abs(values) / np.linalg.svd(volume.index_to_world_matrix, compute_uv=False).min())
 
 
 def facing(gradient: Array, direction: Array, flat: float | Array) -> tuple[Array, Bools]:
-    """Unit normals towards the viewer, NaN where the gradient is no longer than `flat`, and where it is longer."""
+    """Unit normals towards the viewer, NaN if the gradient is no longer than `flat`; and a mask of longer ones."""
     length = np.linalg.norm(gradient, axis=-1)
     known = length > flat
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -170,7 +168,7 @@ def facing(gradient: Array, direction: Array, flat: float | Array) -> tuple[Arra
 
 @dataclass(frozen=True)
 class _Scene:
-    """What the modes share."""
+    """Inputs of all modes."""
 
     value: Callable[[Array], Array]
     gradient: Callable[[Array], Array]
@@ -231,8 +229,8 @@ def render(
     if gather is None:
         raise one_of("mode of the reference", chosen.name, MODES)
     rule = as_boundary(boundary)
-    taken_off = Stored.of(volume, row, rule).offset  # kernels round what is left without it
-    inside = rule if rule.edge else "mirror"  # the same between the outer samples, to which rays are cut, and at what they round to
+    taken_off = Stored.of(volume, row, rule).offset  # kernels round values minus this
+    inside = rule if rule.edge else "mirror"  # the same between the outer samples, where rays are clipped, up to rounding
     if transfer is None:
         transfer = chosen.transfer(volume)
     material = material or Material()
@@ -247,8 +245,8 @@ def render(
         return np.asarray(transfer(labels)[..., 3] > 0)
 
     def slope(points: Array) -> Array:
-        """Differences of one voxel of the grid that is stored to either side, or the exact derivative; per world unit. Of labels,
-        those of whether they are solid, in units of the value, averaged 1 : 2 : 1 across.
+        """Differences of one voxel of the stored grid to each side, or the exact derivative, per world unit. For labels differences
+        of whether they are solid, in units of the value, averaged 1 : 2 : 1 across.
 
         ``df/dw_i = Σ_j df/dx_j dx_j/dw_i`` with index positions x and world positions w.
         """
@@ -358,7 +356,7 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
     opacity = -np.expm1(-optical)
     after = np.cumprod(1 - opacity, axis=1)
     before = np.concatenate([np.ones((after.shape[0], 1)), after[:, :-1]], 1)
-    # the sample that lets no more than `termination` through is the last
+    # the sample at which transmittance falls to `termination` is the last
     seen = (before > mode.termination) if mode.termination > 0 else np.ones_like(there)
     share = np.where(seen, before * opacity, 0.0)
     half = seen & (after <= 0.5)
@@ -385,7 +383,7 @@ def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bo
 
 
 def _stepped(scene: _Scene, isovalue: float, rays: Rays, t: Array, there: Bools, values: Array) -> Array:
-    """Where the function first has been on the other side at a sample: the end on the far side of a bisection."""
+    """The first crossing between samples: the far end of a bisection."""
     above = values >= isovalue
     crossing = there[:, 1:] & there[:, :-1] & (above[:, 1:] != above[:, :-1])
     hit = np.flatnonzero(crossing.any(1))

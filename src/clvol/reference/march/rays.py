@@ -1,4 +1,4 @@
-"""Rays of a camera in the world, and where they are inside a volume, in float64."""
+"""Rays of a camera in the world, and their intersections with a volume, in float64."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Rays:
     origin, direction : ndarray, shape (N, 3)
         Directions have unit length.
     enter, leave : ndarray, shape (N,)
-        Where they are inside the volume's domain and the clipping box, and in front of a perspective
-        eye; ``enter > leave`` for rays that miss.
+        The interval inside the volume's domain and the clip box, and in front of a perspective eye; ``enter > leave`` for
+        rays that miss.
     """
 
     origin: Array
@@ -70,7 +70,7 @@ def camera_rays(
     else:
         origin, direction, nearest = np.broadcast_to(view.eye, plane.shape), view.forward + plane, 0.0
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    # the domain is a box in index space, which the map from the world keeps straight and evenly parted
+    # the domain is a box in index space, and the map from the world is affine
     start = volume.world_to_index(origin)
     slope = volume.world_to_index(origin + direction) - start
     enter, leave = _slabs(start, slope, np.full(3, -edge), np.array(volume.size) - 1 + edge)
@@ -81,7 +81,7 @@ def camera_rays(
 
 
 def _slabs(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Where lines are inside a box: the intersection of three intervals."""
+    """The interval of lines inside a box: the intersection of three intervals."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (low - origin) / direction, (high - origin) / direction
     parallel = direction == 0

@@ -1,6 +1,6 @@
-"""Where the function along a ray first changes sides, by eigenvalues: in every cell it is a polynomial, known from its values.
+"""The first crossing of the function along a ray, by eigenvalues: in every cell it is a polynomial.
 
-The kernels look for it by Bernstein coefficients; here each piece is interpolated at Chebyshev nodes, and the roots are the
+The kernels find it by Bernstein coefficients; here each piece is interpolated at Chebyshev nodes, and the roots are the
 eigenvalues of the colleague matrix (Good 1961; Boyd, "Solving Transcendental Equations", SIAM 2014, chapter 2).
 """
 
@@ -20,30 +20,30 @@ from clvol.volume.volume import Volume
 __all__ = ["first_crossings"]
 
 Array = NDArray[np.float64]
-_LINES = 1 << 11  # at a time, for the sake of memory
-_EDGE = 1e-10  # how far past its piece a root may lie, as a share of half of it
-_REAL = 1e-7  # imaginary parts of double roots are the square root of rounding
-_NOTHING = 1e-14  # leading coefficients below this share of the largest are rounding
-_PAST = 1e-9  # of a voxel: where a jump is, its far side
+_LINES = 1 << 11  # lines at a time, to limit memory
+_EDGE = 1e-10  # tolerance for roots outside a piece, in half its length
+_REAL = 1e-7  # tolerance for imaginary parts, which for double roots are the square root of rounding
+_NOTHING = 1e-14  # leading coefficients below this share of the largest are rounding errors
+_PAST = 1e-9  # voxels past a jump, to its far side
 
 
 def first_crossings(value: Callable[[Array], Array], volume: Volume, filter: Filter, rays: Rays, isovalue: float) -> Array:
-    """Where the function that is drawn first goes from below a value to not below it, or back, along each ray.
+    """The first crossing of the isovalue, from below to not below or back, along each ray.
 
     Parameters
     ----------
     value : callable
         The function: values (N,) at world positions (N, 3).
     volume, filter : Volume, Filter
-        What it is made from: they say where its pieces meet, and of what degree they are.
+        They determine where its pieces meet, and their degree.
     rays : Rays
-        Or any other lines: directions need no unit length.
+        Any lines: directions need not have unit length.
     isovalue : float
 
     Returns
     -------
     ndarray, shape (N,)
-        t of that place, from where the ray enters; infinite where there is none.
+        t of the crossing, from the ray's entry on; infinite if there is none.
     """
     t = np.full(rays.enter.shape, math.inf)
     there = np.flatnonzero(rays.enter < rays.leave)
@@ -81,7 +81,7 @@ def _first(value: Callable[[Array], Array], volume: Volume, filter: Filter, rays
 
 
 def _knots(volume: Volume, filter: Filter, rays: Rays) -> Array:
-    """Where lines cross the planes between cells; those past their ends at the ends."""
+    """Where lines cross the planes between cells, clipped to their ends."""
     start = volume.world_to_index(rays.origin)
     slope = volume.world_to_index(rays.origin + rays.direction) - start
     enter, leave = rays.enter[:, None], rays.leave[:, None]
@@ -96,14 +96,14 @@ def _knots(volume: Volume, filter: Filter, rays: Rays) -> Array:
 
 
 def _first_changes(coefficients: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Where in -1..1 each Chebyshev series first changes sides, infinite if nowhere; and whether it begins and ends below zero."""
+    """The first change of sign of each Chebyshev series in -1..1, infinite if none; and whether it begins and ends below zero."""
     roots = _real_roots(coefficients)
     ends = np.concatenate([np.full((len(roots), 1), -1.0), roots, np.ones((len(roots), 1))], 1)
     between = (ends[:, 1:] + ends[:, :-1]) / 2
     values = np.einsum("pnk,pk->pn", chebyshev.chebvander(between, coefficients.shape[1] - 1), coefficients)
     below, long = values < 0, ends[:, 1:] > ends[:, :-1]
     last = below.shape[1] - 1
-    for k in range(last - 1, -1, -1):  # stretches without length have no side of their own: the next one's, else the one's before
+    for k in range(last - 1, -1, -1):  # empty intervals take the side of the next one, else of the previous one
         below[:, k], long[:, k] = np.where(long[:, k], below[:, k], below[:, k + 1]), long[:, k] | long[:, k + 1]
     for k in range(1, last + 1):
         below[:, k] = np.where(long[:, k], below[:, k], below[:, k - 1])
@@ -113,7 +113,7 @@ def _first_changes(coefficients: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _real_roots(coefficients: Array) -> Array:
-    """The real roots of each Chebyshev series in -1..1, in order, and 1 for each that is not."""
+    """The real roots of each Chebyshev series in -1..1, sorted, and 1 in place of all others."""
     every = np.ones((len(coefficients), coefficients.shape[1] - 1))
     size = np.abs(coefficients)
     large = size > _NOTHING * size.max(1, initial=0.0)[:, None]

@@ -1,4 +1,4 @@
-"""What lies past the edge, by `numpy.pad`."""
+"""Boundary rules by `numpy.pad`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from clvol.filter.filter import Filter
 
 __all__ = ["extend", "pad", "padding", "period", "placed", "solved_by"]
 
-# the base name of each rule: how coefficients are continued, and with which rule the prefilter ends
+# by base name: how coefficients are continued, and the rule at the ends of the prefilter
 _RULES: Final[dict[str, tuple[Any, str]]] = {
     "mirror": ("reflect", "mirror"),
     "reflect": ("symmetric", "reflect"),
@@ -25,16 +25,16 @@ _RULES: Final[dict[str, tuple[Any, str]]] = {
     "grid-constant": ("constant", "mirror"),
     "overlap": ("reflect", "mirror"),
 }
-_DEEP: Final = 12  # samples: a cubic's prefilter forgets 2e7 : 1 over them; SciPy takes as many
+_DEEP: Final = 12  # samples, as in SciPy; a cubic's prefilter decays by 2e7 over them
 
 
 def extend(data: NDArray[Any], width: int | Sequence[tuple[int, int]], boundary: str | Boundary = DEFAULT_BOUNDARY) -> NDArray[Any]:
-    """`data`, which are coefficients, with more of them around.
+    """Coefficients extended on all sides.
 
     Parameters
     ----------
     data : ndarray
-        Of any number of axes, each at least 1 long.
+        Coefficients with any number of axes, each at least 1 long.
     width : int or sequence of (int, int)
         Samples before and after, for every axis or for each.
     boundary : str or Boundary
@@ -49,13 +49,13 @@ def extend(data: NDArray[Any], width: int | Sequence[tuple[int, int]], boundary:
         if mode == "constant":
             kind = data.dtype if value == 0 else np.result_type(data.dtype, np.float64)
             data = np.pad(data.astype(kind), one, constant_values=value)
-        else:  # reflecting a single sample about itself gives that sample again
+        else:  # a single sample reflected about itself is the same sample
             data = np.pad(data, one, mode="edge" if mode == "reflect" and data.shape[axis] == 1 else mode)
     return data
 
 
 def padding(filter: Filter, boundary: str | Boundary) -> int:
-    """How many samples past each end are taken for given ones, before the prefilter."""
+    """The number of samples added at each end before the prefilter."""
     if _name(boundary) not in ("nearest", "grid-constant"):
         return 0
     row = filter.magnified_by or filter
@@ -63,7 +63,7 @@ def padding(filter: Filter, boundary: str | Boundary) -> int:
 
 
 def pad(samples: NDArray[np.float64], filter: Filter, boundary: str | Boundary) -> NDArray[np.float64]:
-    """Samples with the copies of the outer ones, or of the constant, that the prefilter sees."""
+    """Samples padded with the outer ones, or the constant, as input of the prefilter."""
     width = padding(filter, boundary)
     if not width:
         return samples
@@ -73,12 +73,12 @@ def pad(samples: NDArray[np.float64], filter: Filter, boundary: str | Boundary) 
 
 
 def solved_by(boundary: str | Boundary) -> str:
-    """The rule for the coefficients past the ends in eq. (11), after `pad`."""
+    """The rule for the coefficients outside in eq. (11), after `pad`."""
     return _RULES[_name(boundary)][1]
 
 
 def period(n: int, boundary: str | Boundary) -> int | None:
-    """After how many samples the function on an axis of `n` repeats; None if it never does."""
+    """The period, in samples, of the function on an axis of `n` samples; None if it has none."""
     lengths = {"mirror": 2 * (n - 1), "reflect": 2 * n, "wrap": n, "overlap": n - 1}
     name = _name(boundary)
     return max(1, lengths[name]) if name in lengths else None
@@ -87,16 +87,16 @@ def period(n: int, boundary: str | Boundary) -> int | None:
 def placed(
     x: NDArray[np.float64], n: int, margin: int, pad: int, boundary: str | Boundary
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Positions in samples, brought to where the coefficients tell the function, and where it is the boundary's constant instead.
+    """Positions in samples, moved to where the coefficients define the function, and a mask of those with the boundary's constant.
 
-    The axis has `n` samples and `pad` more at either end. All taps of a position `margin` further out lie past these, and the
-    function repeats with every sample from there on.
+    The axis has `n` samples and `pad` more at each end. All taps of a position `margin` further out are past these, and from there
+    on the function repeats with every sample.
     """
     name, last, at = _name(boundary), n - 1, x.copy()
     away = (x < 0) | (x > last)
     if name == "constant":
         return np.where(away, 0, x), away
-    if name == "overlap":  # as SciPy has it: from the left to the last sample, from the right to the first one
+    if name == "overlap":  # as in SciPy: from the left to the last sample, from the right to the first
         left, right, length = x < 0, x > last, max(last, 1)
         at[left] = length - np.mod(-x[left], length)
         at[right] = np.mod(x[right], length)

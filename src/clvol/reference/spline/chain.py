@@ -1,4 +1,4 @@
-"""Where a chain of transforms brings points, and its Jacobian: every spline as a sum over all of its grid."""
+"""A chain of transforms at points, and its Jacobian: every spline as a sum over its whole grid."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def map_points(points: ArrayLike, transform: Any) -> tuple[Array, Array]:
-    """Points of the fixed world in the moving one, and the derivative there of the moving positions by the fixed ones.
+    """Map points from the fixed to the moving world; also returns the derivative of the moving by the fixed positions.
 
     Parameters
     ----------

@@ -28,13 +28,13 @@ def kernel(filter: str | Filter, x: ArrayLike, derivative: int = 0) -> Array:
     Parameters
     ----------
     filter : str or Filter
-        Any filter of the table or of its families. The closed forms do not know a filter made by a user;
-        `Filter.__call__` answers for it, and a comparison of the two proves nothing.
+        Any filter of the table or of its families. A user's filter has no closed form here: `Filter.__call__` is used, and a
+        comparison with it proves nothing.
     x : array-like
         Distances in samples (of the finer grid for a hybrid).
     derivative : {0, 1, 2}
-        Derivatives exist almost everywhere; where one jumps, the value is that from the right, as
-        t = 0 has it in ``u = x - TAPS/2 + 1, t = u - floor(u)``.
+        Derivatives exist almost everywhere; at a jump the value is that from the right, which is t = 0 in
+        ``u = x - TAPS/2 + 1, t = u - floor(u)``.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def kernel(filter: str | Filter, x: ArrayLike, derivative: int = 0) -> Array:
 
 
 def _closed_form(filter: Filter) -> Closed | None:
-    """The closed form of a filter, recognised by its name if its maker makes just these taps."""
+    """The closed form of a filter, recognised by its name if the family has exactly these taps."""
     name = filter.name
     made, closed = None, None
     if name in ("nearest", "linear", "linear-quasi", "hybrid") or re.fullmatch(r"bspline[2-9](-approx|-quasi|\(.*\))?", name):
@@ -85,7 +85,7 @@ def _bspline(degree: int) -> Closed:
         k, left = degree, degree - derivative
         if left < 0:
             return np.zeros_like(x)
-        x = np.where(np.abs(x) <= k + 1, x, k + 1.0)  # far out the powers would only cancel
+        x = np.where(np.abs(x) <= k + 1, x, k + 1.0)  # far outside the powers would cancel
         total = np.zeros_like(x)
         for i in range(k + 2):
             total += (-1) ** i * math.comb(k + 1, i) * _power(x - i + (k + 1) / 2, left)

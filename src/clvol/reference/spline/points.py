@@ -1,4 +1,4 @@
-"""The reconstructed function and its derivatives anywhere: eq. (8) as it stands."""
+"""The reconstructed function and its derivatives anywhere, directly by eq. (8)."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def sample(
     volume : Volume or array-like
         2-D or 3-D samples.
     points : array-like, shape (..., d)
-        World positions (x, y(, z)), inside the domain or out; NaN where a position is not finite.
+        World positions (x, y(, z)), inside or outside the domain; NaN if a position is not finite.
     filter, boundary : str, Filter, Boundary
-        As for `clvol.sample`. A hybrid (section 4.3) is the magnified volume, without an end under
-        the boundary rule, drawn through its own kernel.
+        As for `clvol.sample`. A hybrid (section 4.3) is the magnified volume, continued by the boundary rule,
+        reconstructed by its second kernel.
     derivative : {0, 1, 2}
         0: values; 1: gradients; 2: Hessians, per world unit.
 
@@ -90,7 +90,7 @@ def resample(
         else:
             step = np.broadcast_to(np.asarray(spacing, dtype=np.float64), step.shape)
             size = np.maximum(1, np.round(extent / step)).astype(int)
-        # the first sample lies half of a new voxel within the domain's corner, the grids' centres together
+        # the first sample is half a new voxel inside the domain's corner; the grids' centres coincide
         middle = volume.index_to_world((np.array(volume.size) - 1) / 2)
         origin = middle - volume.direction @ ((size - 1) / 2 * step)
         like = Volume(np.zeros(tuple(size[::-1])), tuple(step), tuple(origin), volume.direction, volume.units)
@@ -131,7 +131,7 @@ def _at_indices(data: NDArray[np.generic], index: Array, filter: Filter, boundar
         for x, n in zip(near.T, data.shape[::-1], strict=True)
     ][::-1]
     stored = extend(coefficients, widths, boundary)
-    first = np.array([-width - before for before, _ in widths])  # the index of what is stored first, z first
+    first = np.array([-width - before for before, _ in widths])  # index of the first stored coefficient, z first
     if by:
         for axis in range(d):
             stored = _refine(stored, axis, by, scale)
@@ -142,7 +142,7 @@ def _at_indices(data: NDArray[np.generic], index: Array, filter: Filter, boundar
 
 
 def _refine(coefficients: Array, axis: int, by: Filter, scale: int) -> Array:
-    """Values of eq. (8) at every ``1 / scale`` of a sample along one axis."""
+    """Values of eq. (8) at steps of ``1 / scale`` samples along one axis."""
     n = coefficients.shape[axis]
     fine = np.arange(scale * (n - 1) + 1) / scale
     basis = kernel(by, fine[:, None] - np.arange(n))

@@ -28,30 +28,30 @@ def kernel_samples(filter: str | Filter) -> Array:
 
 
 def prefilter(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY) -> Array:
-    """Spline coefficients by solving eq. (11) along every axis; the row's own samples if it has no prefilter.
+    """Spline coefficients by solving eq. (11) along every axis; the samples for a filter without a prefilter.
 
     Parameters
     ----------
     data : array-like
-        Samples, of any number of axes.
+        Samples with any number of axes.
     filter : str or Filter
-        A hybrid stands for the filter that it magnifies with.
+        For a hybrid, the filter that magnifies is used.
     boundary : str or Boundary
-        Says which coefficients stand past the edge, hence the matrix's corners; or which samples do, before the prefilter.
+        Determines the coefficients outside, hence the matrix's corners, or the samples outside, before the prefilter.
     """
     result, chosen = _arguments(data, filter)
     return _inner(_solved(result, chosen, boundary), padding(chosen, boundary))
 
 
 def padded_coefficients(data: ArrayLike, filter: str | Filter, boundary: str | Boundary) -> Array:
-    """Those of `prefilter`, and those of the samples that the boundary rule pads with."""
+    """The coefficients of `prefilter`, including those of the boundary rule's padding."""
     return np.ascontiguousarray(_solved(*_arguments(data, filter), boundary))
 
 
 def prefilter_fft(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY) -> Array:
-    """The same by dividing in the frequency domain, eq. (13), by the response of eq. (16).
+    """The same by division in the frequency domain, eq. (13), by the response of eq. (16).
 
-    An axis is first continued to one full period of the rule that its prefilter ends with. "zero" has none.
+    An axis is first extended to one full period of the prefilter's boundary rule. "zero" has none.
     """
     rule = solved_by(boundary)
     if rule == "zero":
@@ -93,7 +93,7 @@ def _inner(padded: Array, width: int) -> Array:
 
 
 def _denominator(filter: Filter, axis: int) -> Array:
-    """What a prefilter divides by along an axis, x being 0, at 0, 1, 2, ...: kernel samples, and smoothing's differences."""
+    """The sequence that a prefilter inverts along an axis (x is 0), at 0, 1, 2, ...: kernel samples plus smoothing."""
     b, smoothing = kernel_samples(filter), filter.smoothing
     if isinstance(smoothing, tuple):
         smoothing = smoothing[axis]
@@ -127,7 +127,7 @@ def _arguments(data: ArrayLike, filter: str | Filter) -> tuple[Array, Filter]:
 def _solve(lines: Array, b: Array, boundary: str | Boundary) -> Array:
     """Eq. (11) for columns of `lines`: a band, and for the closed curve two corners."""
     n, k = lines.shape[0], b.size - 1
-    # which coefficient each row's neighbours are: the extension of 1, 2, ..., n, where 0 is none
+    # the coefficient at each neighbour of a row: the extension of 1, 2, ..., n, with 0 for none
     column = extend(np.arange(1, n + 1), k, boundary) - 1
     entries = [(i, int(column[i + k + j]), b[abs(j)]) for j in range(-k, k + 1) for i in range(n)]
     if n <= 4 * k + 2:  # the corners meet the band

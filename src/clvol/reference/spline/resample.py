@@ -1,4 +1,4 @@
-"""The reconstructed function on a grid: eq. (8) an axis at a time, where `sample` goes point by point."""
+"""The reconstructed function on a grid: eq. (8) one axis at a time; `sample` works point by point."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def lattice(
     Parameters
     ----------
     data : array-like
-        Samples, of any number of axes.
+        Samples with any number of axes.
     axes : sequence of array-like
         Positions in samples along each axis of `data`, within half a sample of it.
     filter, boundary : str, Filter, Boundary
         As for `clvol.sample`.
     orders : sequence of {0, 1, 2}, optional
-        Of the derivative along each axis, per sample; 0 by default.
+        Order of the derivative along each axis, per sample; 0 by default.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def lattice(
 
 
 def _matrix(n: int, x: Array, filter: Filter, order: int, before: int) -> sparse.csr_array:
-    """Weights of the coefficients of an axis, so many of them before the first sample, at positions `x`."""
+    """Weights of the coefficients of an axis, `before` of them before the first sample, at positions `x`."""
     if filter.magnified_by is None:
         return _weights(x, filter, order, n, before)
     # a hybrid: the finer samples within reach, each from the coefficients
