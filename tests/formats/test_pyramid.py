@@ -31,7 +31,7 @@ from clvol.filter.boundary import as_boundary
 from clvol.filter.table import as_filter
 from clvol.formats._bounds import StoredBounds, blocks_of
 from clvol.formats.pyramid import journal, make
-from clvol.formats.pyramid.levels import levels_of
+from clvol.spline.levels import levels_of
 from clvol.spline.reduce import nearest_spline
 
 zarr = pytest.importorskip("zarr")
@@ -133,8 +133,8 @@ def test_no_bit_depends_on_budget_chunks_and_shards(tmp_path: Path, method: Any)
 
 def test_tiles_are_cut_where_the_budget_says(device: Device) -> None:
     """Many tiles of a volume give what one does."""
-    from clvol.formats.pyramid.levels import sums_for
     from clvol.formats.pyramid.reduce import Reduction
+    from clvol.spline.levels import sums_for
 
     data = waves((40, 200, 180))
     finer, coarser = levels_of((180, 200, 40), (1, 1, 1), 2, 64)

@@ -172,7 +172,7 @@ class LazyVolume:
 
     def _require_smaller(self) -> None:
         for finer, coarser in itertools.pairwise((self, *self.levels)):
-            if not isinstance(coarser, LazyVolume):
+            if not isinstance(coarser, type(self)):
                 raise DataError(f"levels must be LazyVolumes; got {type(coarser).__name__}")
             if any(a < b for a, b in zip(finer.shape, coarser.shape, strict=True)):
                 raise DataError(f"levels must become smaller; got shapes {finer.shape} and then {coarser.shape}")

@@ -18,8 +18,8 @@ from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.formats.pyramid.levels import METHODS, ORDER, Method, filter_at, levels_of, require_reducible, sums_for
 from clvol.spline.field import Precision, precision_kind
+from clvol.spline.levels import METHODS, ORDER, Method, filter_at, levels_of, require_reducible, sums_for
 from clvol.spline.reduce import Sums
 from clvol.volume.volume import Volume
 

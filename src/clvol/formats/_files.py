@@ -7,15 +7,14 @@ import itertools
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from clvol.base.errors import ClvolError, ClvolWarning, DataError, FormatError
+from clvol.base.errors import DataError, FormatError
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content, held_as
 from clvol.volume.volume import Volume
@@ -25,7 +24,6 @@ __all__ = [
     "Writer",
     "bytes_at",
     "damaged_chunk",
-    "foreign_errors",
     "gunzipped_size",
     "inflated_size",
     "require_bytes",
@@ -44,18 +42,6 @@ _CHUNK = 1 << 20
 _TRIED = 4096  # chunks to try, in search of a damaged one
 _GZIP_RESERVED = 0xE0  # flags of a member that must be 0
 _XZ, _XZ_FOOTER, _XZ_BITS = b"\xfd7zXZ\0", 12, 63  # magic bytes; bytes of the footer; bits of a number
-
-
-@contextmanager
-def foreign_errors(what: str, reason: Callable[[Exception], str] = str) -> Iterator[None]:
-    """Turn what a library raises into a `FormatError` that says what was being done."""
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # absurd numbers are refused later
-            yield
-    except (ClvolError, ClvolWarning, MemoryError):
-        raise  # sizes were checked before: a MemoryError is the machine's, not the file's
-    except Exception as error:
-        raise FormatError(f"cannot {what}: {reason(error) or type(error).__name__}") from error
 
 
 def storable(data: NDArray[Any], dtypes: Sequence[str]) -> NDArray[Any]:

@@ -17,7 +17,8 @@ import numpy as np
 from clvol.base.errors import DataError, FormatError
 from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice
-from clvol.formats._files import foreign_errors, require_default, scaled
+from clvol.formats._errors import foreign_errors
+from clvol.formats._files import require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
 from clvol.formats.guarded.limits import announce
 from clvol.formats.guarded.messages import copied

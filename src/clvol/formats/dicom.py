@@ -16,7 +16,7 @@ from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.formats import _itk
 from clvol.formats._choice import Choice, Pick, Series, chosen_series
 from clvol.formats._elements import check_samples
-from clvol.formats._files import foreign_errors
+from clvol.formats._errors import foreign_errors
 from clvol.formats.guarded.limits import announce
 from clvol.formats.guarded.messages import copied
 from clvol.interop.itk import describe_simpleitk, simpleitk

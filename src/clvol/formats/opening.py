@@ -18,7 +18,7 @@ from clvol.base.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.bricks.source import LazyVolume
 from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, options_of, zarr
 from clvol.formats._choice import Choice, Pick
-from clvol.formats._files import foreign_errors
+from clvol.formats._errors import foreign_errors
 from clvol.formats.zarr.addresses import said, shown
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume

@@ -14,7 +14,8 @@ from clvol.base.checks import as_path
 from clvol.base.errors import ClvolError, DataError, GeometryError, OptionError
 from clvol.base.memory import available
 from clvol.formats._choice import Choice, Series
-from clvol.formats._files import Reader, foreign_errors
+from clvol.formats._errors import foreign_errors
+from clvol.formats._files import Reader
 from clvol.formats.guarded.limits import Budget, Limits, limited, size_of
 from clvol.formats.guarded.worker import call, prepare
 from clvol.formats.table import format_of, options_of

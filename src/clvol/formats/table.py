@@ -11,7 +11,8 @@ from typing import Any
 from clvol.base.errors import FormatError, OptionError
 from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
 from clvol.formats._choice import Series
-from clvol.formats._files import Reader, Writer, foreign_errors
+from clvol.formats._errors import foreign_errors
+from clvol.formats._files import Reader, Writer
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Volumes
 

@@ -11,7 +11,7 @@ from typing import Any
 from clvol.base.checks import as_path
 from clvol.base.errors import FormatError
 from clvol.formats import Limits, allowed, called
-from clvol.formats._files import foreign_errors
+from clvol.formats._errors import foreign_errors
 from clvol.formats._itk import quiet, reason
 from clvol.formats.guarded.limits import announce
 from clvol.interop.itk import simpleitk

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from clvol.base.checks import as_path
 from clvol.base.errors import FormatError
 from clvol.base.files import staged
-from clvol.formats._files import foreign_errors
+from clvol.formats._errors import foreign_errors
 from clvol.formats.table import FORMATS, WRITTEN, by_suffix
 from clvol.volume.volume import Volume, as_volume
 from clvol.volume.volumes import Volumes

@@ -15,6 +15,7 @@ from clvol.bricks.field import BrickedField
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
+from clvol.march.choose import source_of
 from clvol.march.options import (
     OUTPUTS,
     Fineness,
@@ -30,7 +31,7 @@ from clvol.march.options import (
     require_room,
 )
 from clvol.march.refine import Asked, Refined
-from clvol.march.source import ByBricks, Drawable, Source, source_of
+from clvol.march.source import ByBricks, Drawable, Source
 from clvol.march.uncertainty import noise_of
 from clvol.scene.camera import Camera
 from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode

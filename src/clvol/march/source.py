@@ -1,4 +1,4 @@
-"""What a renderer draws: a function in memory, by bricks, or on a cluster. Only `source_of` asks what it was given."""
+"""What a renderer draws: a function in memory or by bricks. `clvol.march.choose` asks which; `clvol.march.cluster` has a third."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from numpy.typing import ArrayLike
 
-from clvol.base.checks import one_of, whole
-from clvol.base.errors import DataError, OptionError, OutOfMemoryError
+from clvol.base.checks import whole
+from clvol.base.errors import DataError, OptionError
 from clvol.base.progress import Progress
 from clvol.bricks.field import BrickedField
-from clvol.bricks.source import LazyVolume, budget_for
+from clvol.bricks.source import LazyVolume
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
@@ -22,24 +22,24 @@ from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.frame import Frame, Subject
-from clvol.march.options import MERGES, Fineness, Merge, ResolvedLook
+from clvol.march.options import Fineness, ResolvedLook
 from clvol.march.refine import Asked, Rates, Refined, Wanted, refined, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
 from clvol.scene.mode import Mode
-from clvol.scene.scene import Medium, Scene, as_scene
+from clvol.scene.scene import Medium, Scene
 from clvol.show.picture import Picture, as_pictures
 from clvol.spline.evaluator import DIRECT, Evaluator, choose_evaluator, require_names
-from clvol.spline.field import Field, as_field
+from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
 from clvol.volume.smoothing import filter_for
 from clvol.volume.stored import RENUMBER, names_beyond
-from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:  # clusters need dask
-    from clvol.dask.cluster import ClusterLike
+    pass
 
-__all__ = ["ByBricks", "Drawable", "InMemory", "Source", "row_for", "source_of"]
+__all__ = ["ByBricks", "Drawable", "InMemory", "Source", "row_for", "single", "usual_filter"]
 
 Drawable: TypeAlias = Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike
 """What a `Renderer` takes."""
@@ -47,7 +47,6 @@ Pictures: TypeAlias = dict[str, launch.Picture]
 
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
 _CLOSED = "the renderer was closed, and its coefficients were released; make a new one"
-_FIELD_CLOSED = "the field was closed, and its coefficients were released; make a new one"
 
 
 class Source(ABC):
@@ -199,7 +198,7 @@ class ByBricks(Source):
             if not level:
                 return finest
             coarser = finest.volume.levels[level - 1]
-            row = _usual(coarser) if self._free and mode.picture_filter == PICTURE_FILTER else finest.filter
+            row = usual_filter(coarser) if self._free and mode.picture_filter == PICTURE_FILTER else finest.filter
             key = level, "" if row is None else as_filter(row).name
             if key not in self._levels:
                 self._levels[key] = self._shared_out(
@@ -269,93 +268,6 @@ class ByBricks(Source):
         raise OptionError('the output "uncertainty" takes a volume that is in memory; got one that is read by bricks')
 
 
-def source_of(
-    given: Drawable,
-    filter: str | Filter | None = None,
-    boundary: str | Boundary | None = None,
-    device: Device | str | int | None = None,
-    *,
-    budget: int | None = None,
-    cluster: ClusterLike | None = None,
-    merge: Merge = "order",
-    usual: str | None = None,
-) -> Source:
-    """The source of what a renderer is given: see `Renderer`. `usual` is the filter of a single picture, if none is given."""
-    if merge not in MERGES:
-        raise one_of("merge", merge, MERGES)
-    if merge != "order" and cluster is None:
-        raise OptionError(f"merge says how a cluster puts rays together; got {merge!r} and no cluster")
-    if isinstance(given, (Field, BrickedField)):
-        if cluster is not None:
-            raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
-        return _of_field(given, filter, boundary, device, budget)
-    if isinstance(given, LazyVolume):
-        budget_for(given, budget)  # before anything is read
-        row = filter if usual is None else row_for(given, filter, usual)
-        field = BrickedField(given, _usual(given) if row is None else row, boundary, device, budget=budget, at_once=cluster is None)
-        medium = Medium(field.coefficients.volume, filter=None if row is None else field.filter, boundary=field.boundary)
-        scene, preview = as_scene(medium), given.preview()
-        arguments: tuple[Any, ...] = given, medium.filter, medium.boundary
-    else:
-        scene = _scene(given, filter, boundary, usual)
-        (medium,) = scene.media
-        arguments, preview = (scene, None, None), medium.volume
-        row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
-        if cluster is None:
-            try:
-                made = single(medium.volume, row, medium.boundary, device)
-                return InMemory(scene, made, preview, arguments)
-            except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
-                pass
-        field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget, at_once=cluster is None)
-    if cluster is None:
-        return ByBricks(scene, field, preview, arguments)
-    from clvol.march.cluster import OnCluster
-
-    return OnCluster(scene, field, preview, arguments, cluster, merge, device, budget)
-
-
-def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | None, usual: str | None) -> Scene:
-    """The scene of a volume, an array, a medium or a scene; the last two say themselves how they are reconstructed."""
-    words = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
-    if isinstance(given, (Scene, Medium)):
-        if words:
-            raise OptionError(f"{' and '.join(words)} must be left to the medium of a scene; got {words}")
-        return as_scene(given)
-    if usual is not None:
-        given = as_volume(given)
-        words["filter"] = filter_for(given, filter, usual)
-    return as_scene(Medium(given, **words))  # type: ignore[arg-type]  # __post_init__ converts
-
-
-def _of_field(
-    field: Field | BrickedField,
-    filter: str | Filter | None,
-    boundary: str | Boundary | None,
-    device: Device | str | int | None,
-    budget: int | None,
-) -> Source:
-    """The source of a field, which stays open when the renderer is closed."""
-    medium = Medium(field.coefficients.volume, filter=field.filter, boundary=field.boundary)
-    if isinstance(field, Field):
-        as_field(field, filter, boundary, device)  # which refuses others than the field's
-        if field.gaps is not None:
-            raise OptionError(
-                "rendering takes a field without gaps; this one has missing samples: replace them with Volume.filled(), or "
-                'keep them filled with nan=Missing("local", most=1)'
-            )
-        if field.closed:
-            raise OptionError(_FIELD_CLOSED)
-        if field.precision != "single":
-            raise OptionError(f"rendering takes a field of single precision; got one of {field.precision} precision")
-        return InMemory(as_scene(medium), field, medium.volume, (field,))
-    if filter is not None or boundary is not None or device is not None or budget is not None:
-        raise OptionError("filter, boundary, device and budget must be left to the field; got them beside it")
-    if field.closed:
-        raise OptionError(_FIELD_CLOSED)
-    return ByBricks(as_scene(medium), field, field.volume.preview(), (field,))
-
-
 def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:
     """The filter of all sizes of a volume in one picture; None: that of its bounds."""
     if filter is not None or volume.bounds is not None:
@@ -363,7 +275,7 @@ def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str
     return filter_for(volume.part(), None, usual)
 
 
-def _usual(volume: LazyVolume) -> str | None:
+def usual_filter(volume: LazyVolume) -> str | None:
     """The filter of pictures where none is given; None: that of the volume's bounds."""
     return PICTURE_FILTER if volume.bounds is None else None
 

@@ -66,8 +66,8 @@ class ByBricks(Substrate):
     precision = "single"
 
     def __init__(self, input: LazyVolume | BrickedField, because: OutOfMemoryError | None = None) -> None:
-        self._given = input if isinstance(input, BrickedField) else None
-        self._volume = input.volume if isinstance(input, BrickedField) else input
+        self._given: BrickedField | None
+        self._given, self._volume = (input, input.volume) if isinstance(input, BrickedField) else (None, input)
         self._because = because
         stand_in = self._volume.grid.data  # zeros that take no memory
         self.shape, self.dtype = stand_in.shape, stand_in.dtype

@@ -22,7 +22,7 @@ from typing import Any
 
 from clvol.base import errors
 from clvol.base.errors import ClvolError, FormatError
-from clvol.formats._files import foreign_errors
+from clvol.formats._errors import foreign_errors
 from clvol.formats.guarded.limits import MORE, Budget, limited
 from clvol.formats.guarded.messages import send, share_samples
 

@@ -2,7 +2,6 @@
 
 | module    | what                                                            |
 |-----------|-----------------------------------------------------------------|
-| `levels`  | the sizes, and the sums that reduce an axis                     |
 | `reduce`  | the next size, streamed along z                                 |
 | `blocks`  | minima and maxima of the function in blocks of cells, by bricks |
 | `source`  | what identifies the source                                      |

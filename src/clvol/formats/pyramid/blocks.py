@@ -15,9 +15,9 @@ from clvol.device import Device
 from clvol.filter.boundary import Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.formats._bounds import BLOCK, blocks_of
-from clvol.formats.pyramid.levels import FIXED, filter_at
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import coefficients_of
+from clvol.spline.levels import FIXED, filter_at
 from clvol.spline.minmax import BLOCK as CELLS
 from clvol.spline.minmax import Cell, MinMax
 from clvol.spline.rows import gathered, runs_of

@@ -1,0 +1,119 @@
+"""Which source a renderer draws from: the only place that asks what it was given."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from clvol.base.checks import one_of
+from clvol.base.errors import OptionError, OutOfMemoryError
+from clvol.bricks.field import BrickedField
+from clvol.bricks.source import LazyVolume, budget_for
+from clvol.device import Device
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
+from clvol.filter.table import PICTURE_FILTER
+from clvol.march.options import MERGES, Merge
+from clvol.scene.scene import Medium, Scene, as_scene
+from clvol.spline.field import Field, as_field
+from clvol.spline.function import ContinuousFunction
+from clvol.volume.smoothing import filter_for
+from clvol.volume.volume import as_volume
+
+if TYPE_CHECKING:  # clusters need dask
+    from clvol.dask.cluster import ClusterLike
+
+
+from clvol.march.source import ByBricks, Drawable, InMemory, Source, row_for, single, usual_filter
+
+__all__ = ["source_of"]
+
+_FIELD_CLOSED = "the field was closed, and its coefficients were released; make a new one"
+
+
+def source_of(
+    given: Drawable,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    device: Device | str | int | None = None,
+    *,
+    budget: int | None = None,
+    cluster: ClusterLike | None = None,
+    merge: Merge = "order",
+    usual: str | None = None,
+) -> Source:
+    """The source of what a renderer is given: see `Renderer`. `usual` is the filter of a single picture, if none is given."""
+    if merge not in MERGES:
+        raise one_of("merge", merge, MERGES)
+    if merge != "order" and cluster is None:
+        raise OptionError(f"merge says how a cluster puts rays together; got {merge!r} and no cluster")
+    if isinstance(given, ContinuousFunction):
+        if cluster is not None:
+            raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
+        return _of_field(given, filter, boundary, device, budget)
+    if isinstance(given, LazyVolume):
+        budget_for(given, budget)  # before anything is read
+        row = filter if usual is None else row_for(given, filter, usual)
+        field = BrickedField(
+            given, usual_filter(given) if row is None else row, boundary, device, budget=budget, at_once=cluster is None
+        )
+        medium = Medium(field.coefficients.volume, filter=None if row is None else field.filter, boundary=field.boundary)
+        scene, preview = as_scene(medium), given.preview()
+        arguments: tuple[Any, ...] = given, medium.filter, medium.boundary
+    else:
+        scene = _scene(given, filter, boundary, usual)
+        (medium,) = scene.media
+        arguments, preview = (scene, None, None), medium.volume
+        row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
+        if cluster is None:
+            try:
+                made = single(medium.volume, row, medium.boundary, device)
+                return InMemory(scene, made, preview, arguments)
+            except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
+                pass
+        field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget, at_once=cluster is None)
+    if cluster is None:
+        return ByBricks(scene, field, preview, arguments)
+    from clvol.march.cluster import OnCluster
+
+    return OnCluster(scene, field, preview, arguments, cluster, merge, device, budget)
+
+
+def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | None, usual: str | None) -> Scene:
+    """The scene of a volume, an array, a medium or a scene; the last two say themselves how they are reconstructed."""
+    words = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
+    if isinstance(given, (Scene, Medium)):
+        if words:
+            raise OptionError(f"{' and '.join(words)} must be left to the medium of a scene; got {words}")
+        return as_scene(given)
+    if usual is not None:
+        given = as_volume(given)
+        words["filter"] = filter_for(given, filter, usual)
+    return as_scene(Medium(given, **words))  # type: ignore[arg-type]  # __post_init__ converts
+
+
+def _of_field(
+    field: Field | BrickedField,
+    filter: str | Filter | None,
+    boundary: str | Boundary | None,
+    device: Device | str | int | None,
+    budget: int | None,
+) -> Source:
+    """The source of a field, which stays open when the renderer is closed."""
+    medium = Medium(field.coefficients.volume, filter=field.filter, boundary=field.boundary)
+    if isinstance(field, Field):
+        as_field(field, filter, boundary, device)  # which refuses others than the field's
+        if field.gaps is not None:
+            raise OptionError(
+                "rendering takes a field without gaps; this one has missing samples: replace them with Volume.filled(), or "
+                'keep them filled with nan=Missing("local", most=1)'
+            )
+        if field.closed:
+            raise OptionError(_FIELD_CLOSED)
+        if field.precision != "single":
+            raise OptionError(f"rendering takes a field of single precision; got one of {field.precision} precision")
+        return InMemory(as_scene(medium), field, medium.volume, (field,))
+    if filter is not None or boundary is not None or device is not None or budget is not None:
+        raise OptionError("filter, boundary, device and budget must be left to the field; got them beside it")
+    if field.closed:
+        raise OptionError(_FIELD_CLOSED)
+    return ByBricks(as_scene(medium), field, field.volume.preview(), (field,))
