@@ -51,7 +51,7 @@ def test_names_that_do_not_tell_pictures_apart_are_refused(files: list[Path], tm
         with pytest.raises(OptionError, match="output must tell pictures apart"):
             clvol.batch(files[:2], clvol.Camera.turntable(2), tmp_path / output, size=(8, 8))
     for output in ("{nam}.png", "{0}.png", "{name", "{name.x}.png"):
-        with pytest.raises(OptionError, match="output must be a name with"):
+        with pytest.raises(OptionError, match="output must be a pattern with"):
             clvol.batch(files[0], None, tmp_path / output, size=(8, 8))
     assert not list(tmp_path.iterdir())
 

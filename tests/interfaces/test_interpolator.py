@@ -174,10 +174,10 @@ def test_progress_is_told(device: Device) -> None:
 
 GRID = (np.arange(4.0), np.arange(5.0))
 REFUSED: list[tuple[type[ClvolError], str, tuple[Any, ...]]] = [
-    (GeometryError, "even distances; got 3.0 at index 2", (([0, 1, 3, 4], GRID[1]), np.ones((4, 5)))),
+    (GeometryError, "evenly spaced; got 3.0 at index 2", (([0, 1, 3, 4], GRID[1]), np.ones((4, 5)))),
     (GeometryError, "rise or fall strictly", (([0, 1, 1, 2], GRID[1]), np.ones((4, 5)))),
     (GeometryError, "axis 1 must be finite; got nan at index 2", ((GRID[0], [0, 1, np.nan, 3, 4]), np.ones((4, 5)))),
-    (GeometryError, "axis 0 must be an array of one axis", ((np.ones((2, 2)), GRID[1]), np.ones((4, 5)))),
+    (GeometryError, "axis 0 must be a non-empty array of one axis", ((np.ones((2, 2)), GRID[1]), np.ones((4, 5)))),
     (GeometryError, "axis 0 must be an array of coordinates", ((["a", "b"], GRID[1]), np.ones((2, 5)))),
     (OptionError, "1 to 3 arrays", ((GRID[0],) * 4, np.ones((4, 4, 4, 4)))),
     (DataError, r"begins with \(4, 5\)", (GRID, np.ones((5, 4)))),

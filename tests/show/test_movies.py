@@ -236,5 +236,5 @@ def test_pictures_are_of_one_volume_and_of_cameras() -> None:
     volume = clvol.Volume(np.zeros((4, 5, 6), np.float32))
     with pytest.raises(OptionError, match=r"source must be one volume; got 2: clvol\.batch takes several"):
         frames([volume, volume], [None])
-    with pytest.raises(OptionError, match="cameras must be of Camera, or None for the default one; got int"):
+    with pytest.raises(OptionError, match="each of cameras must be a Camera, or None for the default; got int"):
         frames(volume, [None, 3])  # type: ignore[list-item]  # that is the question

@@ -29,22 +29,22 @@ __all__ = ["app", "files", "lists", "main", "pictures", "view"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; errors that are the user's come out as one line, never as a traceback."""
+    """Run the command. User errors are printed on one line, without a traceback."""
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a terminal without a degree sign still gets the numbers
+        sys.stdout.reconfigure(errors="replace")  # a terminal without a degree sign still shows the numbers
     given = sys.argv[1:] if arguments is None else list(arguments)
     try:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("always", ClvolWarning)
-                warnings.showwarning = _note_of(given, warnings.showwarning)
+                warnings.showwarning = _warning_printer(given, warnings.showwarning)
                 app(given, exit_on_error=False, print_error=False)
         except Exception as error:
-            if _is_of_an_interrupt(error):
+            if _caused_by_interrupt(error):
                 raise KeyboardInterrupt from error
             raise
         finally:
-            sys.stdout.flush()  # here, where its errors are ours: the command may end by an exit
+            sys.stdout.flush()  # here, so that we handle its errors: the command may raise SystemExit
     except UnknownCommandError as error:
         _fail(_unknown(error), 2)
     except CycloptsError as error:
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(in_the_shell(error, given), 1)
     except MemoryError as error:
         _fail(f"out of memory: {one_line(error)}", 1)
-    except BrokenPipeError:  # whoever read our output has seen enough
+    except BrokenPipeError:  # the reader of our output closed it
         _discard_output()
         raise SystemExit(0) from None
     except OSError as error:
@@ -63,8 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail("interrupted", 130)
 
 
-def _note_of(given: Sequence[str], otherwise: Any) -> Any:
-    """What shows warnings: those of clvol on one line, in the shell's words."""
+def _warning_printer(given: Sequence[str], otherwise: Any) -> Any:
+    """A `warnings.showwarning` that prints clvol's warnings on one line, naming options; `otherwise` prints the rest."""
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, ClvolWarning):
@@ -75,10 +75,10 @@ def _note_of(given: Sequence[str], otherwise: Any) -> Any:
     return show
 
 
-def _is_of_an_interrupt(error: BaseException) -> bool:
-    """Whether it came while an interrupt was on its way out, such as by a file that was closed just before."""
+def _caused_by_interrupt(error: BaseException) -> bool:
+    """Whether it was raised while an interrupt propagated, for example by a file that had just been closed."""
     before = error.__context__
-    return before is not None and (isinstance(before, KeyboardInterrupt) or _is_of_an_interrupt(before))
+    return before is not None and (isinstance(before, KeyboardInterrupt) or _caused_by_interrupt(before))
 
 
 def _unknown(error: UnknownCommandError) -> str:
@@ -90,7 +90,7 @@ def _unknown(error: UnknownCommandError) -> str:
 
 
 def _discard_output() -> None:
-    """Let what standard output still holds go nowhere, if it cannot be written: Python would try again at its end."""
+    """Discard buffered output if standard output cannot be written: Python would try again at exit."""
     try:
         sys.stdout.flush()
     except OSError:

@@ -1,4 +1,4 @@
-"""Checks of ``clvol doctor``: whether OpenCL is usable, which runtime is used and why, and which extras are installed."""
+"""The checks of ``clvol doctor``: is OpenCL usable, which runtime is used and why, and which extras are installed."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _USES = {
     "medical": "DICOM, NRRD, MetaImage, MGH; writing NIfTI",
     "microscopy": "TIFF stacks, Zarr",
     "hdf5": "HDF5, netCDF-4, Imaris",
-    "vtk": "VTK's files packed by LZ4",
-    "bioio": "files of microscopes' makers",
+    "vtk": "VTK files compressed with LZ4",
+    "bioio": "microscope vendors' files",
     "figures": "figures and reports",
     "xarray": "labelled arrays",
     "dask": "arrays larger than memory, clusters",
     "torch": "gradients of tensors",
-    "bench": "measuring beside other libraries",
+    "bench": "benchmarks against other libraries",
 }
 _TOOLS = ("pocl", "intel", "test", "dev", "docs")  # not needed to use clvol; the first two show up as devices
 
@@ -53,7 +53,7 @@ class Check(NamedTuple):
 
 
 def opencl() -> Iterator[Check]:
-    """Checks of what computing needs, each one needing those before; clvol is usable if the last is ``ok``. Raises nothing."""
+    """Checks of what computing needs; each needs the ones before it. clvol is usable if the last is ``ok``. Never raises."""
     probe.forget()
     for what, look in (
         ("an OpenCL device", _found),
@@ -68,7 +68,7 @@ def opencl() -> Iterator[Check]:
 
 
 def extras() -> Iterator[Check]:
-    """Checks of what is optional: Intel's runtime if it is installed but not found, and each extra of the installed package."""
+    """Optional checks: Intel's runtime if it is installed but not found, and each extra of the package."""
     silent = _silent_intel()
     if silent:
         yield Check("Intel's runtime (optional)", False, silent)
@@ -159,7 +159,7 @@ def _silent_intel() -> str:
 
 
 def _packages(extra: str) -> list[str]:
-    """Distributions that an extra installs, by way of other extras too."""
+    """Distributions that an extra installs, directly or through other extras."""
     found: dict[str, None] = {}
     for line in requires("clvol") or []:
         if not re.search(rf"""extra *== *['"]{re.escape(extra)}['"]""", line):

@@ -1,4 +1,4 @@
-"""A small picture above the bar of progress, where a terminal has the colours for it."""
+"""A small picture above the progress bar, in terminals with enough colours."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from clvol.show.picture import over_black, to_bytes
 
 __all__ = ["Preview", "Screen", "console"]
 
-_WORTH = 2.0  # seconds: what takes less is done before it was looked at
-_SURE = 0.25  # seconds of work, behind which what is left of it can be told
+_WORTH = 2.0  # seconds: a shorter wait needs no preview
+_SURE = 0.25  # seconds of work, after which the rest can be estimated
 _NARROWEST, _LOWEST, _HIGHEST = 24, 6, 24  # characters, lines
-_BESIDE = 4  # lines of the terminal that are left to the command, the bar and the prompt
+_BESIDE = 4  # lines left for the command, the bar and the prompt
 _COLORS = ("truecolor", "256")
-_HALF = "▀"  # its front is a pixel, its back another one below
+_HALF = "▀"  # the foreground is a pixel, the background the one below
 
 
 def console() -> Console | None:
-    """Standard error, if it is a terminal that can show pictures: with 256 colours or more, in Unicode, and large enough."""
+    """Standard error, if it is a terminal that can show pictures: at least 256 colours, Unicode, and large enough."""
     found = Console(stderr=True)
     if not found.is_terminal or found.is_dumb_terminal or found.no_color or found.color_system not in _COLORS:
         return None
@@ -37,14 +37,14 @@ def console() -> Console | None:
 
 
 def _room(console: Console) -> tuple[int, int]:
-    """Characters and lines that a picture may have."""
+    """The largest size of a picture, in characters and lines."""
     return console.width - 1, min(_HIGHEST, console.height - _BESIDE)
 
 
 class Preview:
-    """A bar of progress which shows pictures that become finer, once it is known that the last one takes long.
+    """A progress bar with a preview of the picture, shown once the final picture is known to take long.
 
-    It is called with the fraction of the last picture that is done.
+    Call it with the fraction of the final picture that is done.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ class Preview:
     def __init__(self, what: str, console: Console) -> None:
         self._bar = _Bar(console=console, transient=True)
         self._task = self._bar.add_task(what, total=1.0)
-        self._first: float | None = None  # when there was something to see
-        self._begun: float | None = None  # when the last picture was
+        self._first: float | None = None  # time of the first picture
+        self._begun: float | None = None  # start of the final picture
         self._newest: Screen | None = None
 
     def __enter__(self) -> Self:
@@ -69,7 +69,7 @@ class Preview:
         self._bar.stop()
 
     def show(self, picture: ArrayLike) -> None:
-        """The newest picture; it is kept until it is worth while."""
+        """Set the newest picture; it is shown once the wait is worth it."""
         now = time.perf_counter()
         self._first = now if self._first is None else self._first
         self._newest = Screen(picture)
@@ -77,7 +77,7 @@ class Preview:
             self._put()
 
     def __call__(self, done: float) -> None:
-        """So much of the last picture is done."""
+        """Report the fraction of the final picture that is done."""
         self._bar.update(self._task, completed=done)
         if self._newest is None or self._bar.picture is not None:
             return
@@ -104,7 +104,7 @@ class _Bar(Progress):
 
 
 class Screen:
-    """A picture as a console draws it, two pixels a character, as large as there is room; what is transparent is black.
+    """A picture as a console draws it: two pixels per character, as large as fits, transparent pixels black.
 
     Parameters
     ----------
@@ -120,12 +120,12 @@ class Screen:
         wide = min(wide, options.max_width)
         if min(wide, high) > 0:
             size = self._size(wide, 2 * high)
-            if self._made[0] != size:  # it is drawn several times a second
+            if self._made[0] != size:  # rich draws it several times a second
                 self._made = size, list(_segments(self._scaled(size)))
             yield from self._made[1]
 
     def _size(self, wide: int, high: int) -> tuple[int, int]:
-        """Of the largest picture of this shape, an even number of pixels high."""
+        """The size of the largest picture with these proportions, an even number of pixels high."""
         height, width = self._pixels.shape[:2]
         scale = min(wide / width, high / height)
         return max(1, int(scale * width)), max(2, int(scale * height) // 2 * 2)
@@ -137,7 +137,7 @@ class Screen:
 
 
 def _segments(pixels: NDArray[np.uint8]) -> Iterator[Segment]:
-    """Lines of text; what is next to each other and alike goes together."""
+    """Lines of text; equal neighbours share a segment."""
     both = np.concatenate([pixels[::2], pixels[1::2]], -1)
     for line in both:
         starts = [0, *(np.flatnonzero((line[1:] != line[:-1]).any(-1)) + 1).tolist(), len(line)]

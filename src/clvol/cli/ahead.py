@@ -1,6 +1,6 @@
-"""What ``clvol view`` waits for, begun before the command imports its parts, which takes half a second: the process that reads.
+"""Starts the process that reads files for ``clvol view`` while the command imports its modules, which takes half a second.
 
-Imported before all else, and by itself without effect unless this process is that command.
+Imported before everything else; the import has no effect unless this process is that command.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ __all__ = ["begin"]
 
 
 def begin(arguments: list[str]) -> None:
-    """Start what will read the first of the arguments that is a file or a folder."""
-    # the matrices of filters are small: threads that NumPy starts for them only spin on cores that others need now
+    """Start reading the first argument that is a file or a folder."""
+    # filters' matrices are small: NumPy's threads would only spin on cores that are needed now
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from clvol.formats import begin_to_read
 

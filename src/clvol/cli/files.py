@@ -1,4 +1,4 @@
-"""Commands about files: info, resample, convert, pyramid."""
+"""Commands for files: info, resample, convert, pyramid."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ from clvol.volume.volumes import Leading
 
 __all__ = ["convert", "info", "pyramid", "resample"]
 
-_LONGEST = 40  # letters of an entry of a header that is shown
+_LONGEST = 40  # characters of a header's entry that is shown
 
 
 @command(DATA)
 def info(source: Source, /, *, input: Input | None = None, json: Json = False) -> None:
-    """Show what a volume file holds, its noise, and what is chosen by it: the surface's threshold, the smoothing of "auto".
+    """Show what a volume file holds, its noise, and what follows from it: the surface's threshold, and the smoothing of "auto".
 
-    Of a file or folder with several images the list alone is shown, until --series says which. Of what is stored in several sizes,
-    lies at an address, or does not fit into memory, few samples are read.
+    For a file or folder with several images this lists them, until --series chooses one. If the volume is stored in several sizes,
+    is at an address, or does not fit into memory, few samples are read.
     """
     reader = input or Input()
     listed = not (reader.chooses() or str(source).startswith("phantom:") or is_address(source))
@@ -62,20 +62,20 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
             print_json({"series": [{"id": i.id, "shape": list(i.shape), "text": i.text} for i in images]})
         else:
             print(f"{source} holds {len(images)} images; choose one by --series")
-            table(["number", "series", "samples", "what it is"], rows)
+            table(["number", "series", "samples", "description"], rows)
         return
-    far = is_address(source)  # whose axes are not counted: what was chosen is a note
-    leading = Leading() if far else reader.leading(source)
+    remote = is_address(source)  # its axes are not counted: a note says what was chosen
+    leading = Leading() if remote else reader.leading(source)
     with warnings.catch_warnings():
-        if not far:
-            warnings.simplefilter("ignore", ClvolWarning)  # what there is, is said below
+        if not remote:
+            warnings.simplefilter("ignore", ClvolWarning)  # the result says what there is
         lazy = reader.by_parts(source, wanted)
         known = _listed(lazy or reader.read(source), leading, json)
     say(json, known | (levels_of(lazy, json) if lazy else {}))
 
 
 def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: bool) -> dict[str, Any]:
-    """What is known of a volume, and of the others in its file."""
+    """Facts about a volume, and about the others in its file."""
     grid, preview, middle = _previewed(volume)
     finite = preview is not None and (grid.data.dtype.kind != "f" or bool(np.isfinite(preview.data).all()))
     known = preview is volume or not finite or grid.data.dtype.kind != "f"  # else some samples were not read
@@ -116,11 +116,11 @@ def _previewed(volume: clvol.Volume | clvol.LazyVolume) -> tuple[clvol.Volume, c
 
 
 def _range(volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
-    """The smallest and the largest sample, and whether that is no more than an estimate."""
+    """The smallest and the largest sample, and whether they are an estimate."""
     kind: type[int | float] = float if volume.grid.data.dtype.kind == "f" else int
     try:
         ends, estimated = volume.limits if kind is int else volume.value_range, volume.estimated
-    except DataError:  # nothing is finite, or not all that was looked at
+    except DataError:  # no sample is finite, or not all of the preview
         return {"value_range": None}
     low, high = map(kind, ends)
     if as_json:
@@ -129,7 +129,7 @@ def _range(volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, 
 
 
 def _places(leading: Leading) -> dict[str, Any]:
-    """For programs: how many places there are along each axis; of channels and those with names, what is known of each."""
+    """For programs: the length of each axis; for channels and axes with names, what is known of each index."""
     found: dict[str, Any] = dict(zip(leading.axes, leading.counts, strict=True))
     for axis, count in found.items():
         known: dict[str, Any] = {"name": leading.names[axis]} if axis in leading.names else {}
@@ -178,7 +178,7 @@ def _labels_text(volume: clvol.Volume) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON holds, which has no NaN."""
+    """The value for JSON, which has no NaN."""
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, (list, tuple)):
         return [_plain(part) for part in value]
@@ -186,7 +186,7 @@ def _plain(value: Any) -> Any:
 
 
 def _header_text(header: Mapping[str, Any]) -> str:
-    """The entries of one line that fit into one."""
+    """The header's entries that fit on one line."""
     texts = {name: " ".join(str(_plain(value)).split()) for name, value in header.items()}
     return ", ".join(f"{name} {text}" for name, text in texts.items() if text and len(text) <= _LONGEST)
 
@@ -211,9 +211,9 @@ def resample(
     input: Input | None = None,
     json: Json = False,
 ) -> None:
-    """Put a volume on another grid; say which by one of --to-shape, --to-spacing, --like, --magnify.
+    """Put a volume on another grid: that of --to-shape, --to-spacing, --like or --magnify.
 
-    With --volume all, each volume of the file, into one file.
+    With --volume all, put each volume of the file on that grid, into one file.
 
     Parameters
     ----------
@@ -224,18 +224,18 @@ def resample(
     like
         A volume whose grid is taken.
     magnify
-        As many times the samples along each axis, a whole number.
+        Factor for the samples along each axis, a whole number.
     anchor
-        What --to-spacing leaves where it is: the centre of the volume, or, as in ITK, its first sample.
+        The point that --to-spacing keeps in place: the centre of the volume, or, as in ITK, its first sample.
     to_dtype
-        Type of the samples that are written: a name such as uint16, rounded and clipped, or 'same', as in SOURCE; by default
+        Type of the samples that are written: a name such as uint16, rounded and clipped, or 'same', that of SOURCE; by default
         floating point.
     filter
         How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3; nearest for labels]
     fill
-        Value outside the volume; by default its boundary rule goes on.
+        Value outside the volume; by default the boundary rule applies.
     nan
-        What becomes of NaN and infinite samples: error, propagate, or local, which leaves out what they touch.
+        How NaN and infinite samples are treated: error, propagate, or local, which makes only what they touch NaN.
     """
     grids = (("--to-shape", shape), ("--to-spacing", spacing), ("--like", like), ("--magnify", magnify))
     given = [name for name, value in grids if value is not None]
@@ -246,12 +246,12 @@ def resample(
     require_writable(output, WRITTEN, "volumes")
     reader = input or Input()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ClvolWarning)  # of a series any volume has its grid
+        warnings.simplefilter("ignore", ClvolWarning)  # all volumes of a series have its grid
         grid = None if like is None else Input().read(like)
 
-    def one(volume: clvol.Volume, told: Callable[[float], None] | None) -> clvol.Volume:
+    def one(volume: clvol.Volume, report: Callable[[float], None] | None) -> clvol.Volume:
         if magnify is not None:
-            return clvol.magnify(volume, magnify, filter, boundary, device=device, nan=nan, progress=told)
+            return clvol.magnify(volume, magnify, filter, boundary, device=device, nan=nan, progress=report)
         dtype = volume.data.dtype if to_dtype == "same" else to_dtype
         return clvol.resample(
             volume,
@@ -265,31 +265,31 @@ def resample(
             fill=fill,
             device=device,
             nan=nan,
-            progress=told,
+            progress=report,
         )
 
     result: clvol.Volume | clvol.Volumes
     if reader.volume == "all":
         volumes = reader.read_all(source)
         made = []
-        with progress("resampling", json) as told:
+        with progress("resampling", json) as report:
             for number, volume in enumerate(volumes):
                 made.append(one(volume, None))
-                if told is not None:
-                    told((number + 1) / len(volumes))
+                if report is not None:
+                    report((number + 1) / len(volumes))
         result = clvol.Volumes(made, leading=volumes.leading)
         first = result[0]
     else:
         volume = reader.read(source)
-        with progress("resampling", json) as told:
-            first = result = one(volume, told)
+        with progress("resampling", json) as report:
+            first = result = one(volume, report)
     clvol.write(result, output)
     say(json, {"output": str(output), "shape": list(result.shape), "spacing": list(first.spacing)})
 
 
 @command(DATA)
 def convert(source: Source, /, *, output: Output, input: Input | None = None, json: Json = False) -> None:
-    """Write a volume as another kind of file, with --volume all each of those that it holds, no sample changed."""
+    """Write a volume in another file format, or all volumes of the file with --volume all. No sample changes."""
     require_writable(output, WRITTEN, "volumes")
     reader = input or Input()
     result = reader.read_all(source) if reader.volume == "all" else reader.read(source)
@@ -302,7 +302,7 @@ def pyramid(
     source: Source,
     /,
     *,
-    # no Path: an address would be one without its second slash
+    # not a Path, which would remove the second slash of an address
     output: Annotated[str, Parameter(name=["--output", "-o"], help="The store to write, a folder *.zarr.")],
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     boundary: Boundary = "mirror",
@@ -319,38 +319,38 @@ def pyramid(
     input: Input | None = None,
     json: Json = False,
 ) -> None:
-    """Write a volume as OME-Zarr of several sizes, part by part, however large it is.
+    """Write a volume of any size as OME-Zarr in several sizes, part by part.
 
     If it is killed or interrupted, the same command resumes.
 
     Parameters
     ----------
     filter
-        Of the function that smaller sizes are nearest to, and that is bounded; see 'clvol filters'. [default: bspline3(auto),
-        which smooths the noise that it finds; nearest for labels]
+        The filter of the function that smaller sizes approximate and bounds describe; see 'clvol filters'. [default:
+        bspline3(auto), which smooths the noise that it finds; nearest for labels]
     method
-        How smaller sizes come about: by least squares, as means of two samples along each axis, or as every second sample.
+        How smaller sizes are computed: by least squares, as means of two samples along each axis, or as every second sample.
         [default: least-squares; nearest for labels]
     levels
         Sizes, that of SOURCE included; by default until no axis has more samples than a chunk.
     chunks
         Samples along x, y, z that are stored together.
     shards
-        Samples along x, y, z in one file, whole numbers of chunks; by default each chunk is one.
+        Samples along x, y, z in one file, a multiple of a chunk; by default each chunk is a file.
     compressor
-        How samples are packed, by Blosc.
+        The compression of samples, by Blosc.
     bounds
-        Keep minima and maxima of the function, so that what cannot be seen is not read.
+        Store minima and maxima of the function, so that invisible parts need not be read.
     ome
         Version of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
     memory
         Memory to take, such as 800M or 4G. [default: 2G, or half of what there is]
     overwrite
-        Replace what is at OUTPUT, and what another unfinished command left there.
+        Replace OUTPUT, and the unfinished store of another command.
     """
     require_suffix(Path(output), (".zarr",), "pyramids")
     volume = (input or Input()).open(source)
-    with progress("pyramid", json) as told:
+    with progress("pyramid", json) as report:
         made = clvol.pyramid(
             volume,
             output,
@@ -366,13 +366,13 @@ def pyramid(
             memory=None if memory is None else bytes_of(memory),
             overwrite=overwrite,
             device=device,
-            progress=told,
+            progress=report,
         )
     say(json, {"output": str(output)} | levels_of(made, json))
 
 
 def levels_of(volume: clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
-    """The sizes of a volume, and whose bounds are kept."""
+    """The sizes of a volume, and the filter and boundary rule of its bounds."""
     sizes = [list(one.shape) for one in (volume, *volume.levels)]
     bounds = volume.bounds
     within = "" if as_json or bounds is None else f", samples of {range_text(*bounds.value_range)}"

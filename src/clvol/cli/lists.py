@@ -1,4 +1,4 @@
-"""Commands that list what there is: filters, presets, devices, what works; and the script by which shells complete names."""
+"""Commands that list filters, presets and devices, check the installation, and print the shells' completion scripts."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ __all__ = ["completion", "devices", "doctor", "filters", "presets"]
 
 @command(FILTERS)
 def filters(*, json: Json = False) -> None:
-    """List the reconstruction filters, and what else they are called."""
-    _list(clvol.filters(), json, {"continuity": "class"})  # in 80 columns there is no room for more
+    """List the reconstruction filters, with their aliases."""
+    _list(clvol.filters(), json, {"continuity": "class"})  # "continuity" does not fit into 80 columns
 
 
 @command(FILTERS)
 def presets(*, json: Json = False) -> None:
-    """List the presets: looks by name, for one kind of data each."""
+    """List the presets: named looks, each for one kind of data."""
     _list(clvol.presets(), json)
 
 
@@ -56,7 +56,7 @@ def devices(*, json: Json = False) -> None:
 
 @command(SETUP)
 def doctor(*, json: Json = False) -> None:
-    """Find out whether OpenCL is usable here, which runtime is used, and what to install if none is."""
+    """Check whether OpenCL is usable here, which runtime is used, and what to install if there is none."""
     from clvol.cli import _doctor
 
     needed, optional = list(_doctor.opencl()), list(_doctor.extras())
@@ -71,8 +71,8 @@ def doctor(*, json: Json = False) -> None:
 
 
 @command(SETUP)
-def completion(shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="Yours.")], /) -> None:
-    """Print a script that has the Tab key complete commands, options, and names of files, filters, modes and presets.
+def completion(shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="Your shell.")], /) -> None:
+    """Print a script for the shell, so that Tab completes commands, options, and names of files, filters, modes and presets.
 
     bash: clvol completion bash > ~/.local/share/bash-completion/completions/clvol
 
@@ -80,8 +80,7 @@ def completion(shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="
 
     fish: clvol completion fish > ~/.config/fish/completions/clvol.fish
 
-    It works in shells that are started afterwards. Make the folder first where there is none (mkdir -p); bash needs the package
-    bash-completion.
+    It takes effect in new shells. Create the folder first if there is none (mkdir -p); bash needs the package bash-completion.
     """
     print(app.generate_completion(prog_name="clvol", shell=shell))
 

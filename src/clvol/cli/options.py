@@ -1,4 +1,4 @@
-"""Options that several commands share: how INPUT is read, what is seen of it and how, and what the Tab key completes."""
+"""Options that several commands share: how INPUT is read, what a picture shows and how, and what Tab completes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ __all__ = [
 
 
 def whole_numbers(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
-    """Whole numbers as they are written: the parser's own rule would round 1.5 to 2."""
+    """Convert whole numbers strictly: the parser's default would round 1.5 to 2."""
     numbers = []
     for token in tokens:
         try:
@@ -67,7 +67,7 @@ def bytes_of(text: str) -> int:
 
 
 def bytes_text(nbytes: float) -> str:
-    """The same for people to read: 1.5 GiB."""
+    """A number of bytes as text: 1.5 GiB."""
     power = min(4, max(0, math.floor(math.log2(max(nbytes, 1)) / 10)))
     return f"{nbytes / 1024**power:.3g} {('bytes', 'KiB', 'MiB', 'GiB', 'TiB')[power]}"
 
@@ -85,11 +85,11 @@ def _whole_or(word: str) -> Callable[[object, Sequence[Token]], int | str]:
     return convert
 
 
-# -- what the Tab key offers ---------------------------------------------------------------------------------
+# -- completion by Tab ----------------------------------------------------------------------------------------
 
 
 def _any_of(names: Callable[[], Mapping[str, Any] | Iterable[str]]) -> Callable[[object], dict[str, str]]:
-    """Names, each with what it stands for, where it says so."""
+    """A completer that offers names with their descriptions, if they have any."""
 
     def offered(_: object) -> dict[str, str]:
         found = names()
@@ -119,9 +119,9 @@ def _figure_names() -> Iterable[str]:
 
 # -- how INPUT is read ---------------------------------------------------------------------------------------
 
-_INPUT = Group("Which of the volumes in SOURCE, and how it is read", sort_key=2)
-_LOOK = Group("What is seen, and how", sort_key=3)
-_OWN = Group("Of the mode", sort_key=4)
+_INPUT = Group("Which volume of SOURCE, and how to read it", sort_key=2)
+_LOOK = Group("What to show, and how", sort_key=3)
+_OWN = Group("Options of the mode", sort_key=4)
 
 
 @Parameter(name="*", group=_INPUT)
@@ -131,45 +131,43 @@ class Input:
 
     volume: Annotated[
         int | Literal["all"] | None,
-        Parameter(help="Which of several volumes, from 0; resample and convert take 'all'.", converter=_whole_or("all")),
+        Parameter(help="Which of several volumes, from 0; resample and convert accept 'all'.", converter=_whole_or("all")),
     ] = None
     time: Annotated[int | None, Parameter(help="Which of several times, from 0.", converter=whole_numbers)] = None
     channel: Annotated[
         str | None, Parameter(help="Which channel, by number or name; also 'magnitude' of vectors, 'luminance' of colours.")
     ] = None
-    position: Annotated[int | None, Parameter(help="Which position of the stage, from 0.", converter=whole_numbers)] = None
+    position: Annotated[int | None, Parameter(help="Which stage position, from 0.", converter=whole_numbers)] = None
     series: Annotated[str | None, Parameter(help="Which image of a file or folder with several; see 'clvol info'.")] = None
     level: Annotated[
-        int | None, Parameter(help="Resolution, where the file holds several: 0 is the finest.", converter=whole_numbers)
+        int | None, Parameter(help="Resolution level, if the file has several: 0 is the finest.", converter=whole_numbers)
     ] = None
     shape: Annotated[
         tuple[int, int, int] | None, Parameter(help="Samples along z, y, x of a raw file.", converter=whole_numbers)
     ] = None
     dtype: Annotated[str | None, Parameter(help="Sample type of a raw file, such as uint16 or '>f4'.")] = None
-    byte_order: Annotated[Literal["little", "big"] | None, Parameter(help="Of a raw file.")] = None
+    byte_order: Annotated[Literal["little", "big"] | None, Parameter(help="Byte order of a raw file.")] = None
     offset: Annotated[int | None, Parameter(help="Bytes of a raw file before its samples.", converter=whole_numbers)] = None
     spacing: Annotated[tuple[float, float, float] | None, Parameter(help="Spacing along x, y, z, instead of the file's.")] = None
-    trusted: Annotated[
-        bool, Parameter(negative="", help="The file is known to be sound: read in this process, without limits.")
-    ] = False
+    trusted: Annotated[bool, Parameter(negative="", help="Trust the file: read it in this process, without limits.")] = False
     fill_nan: Annotated[
         float | Literal["smoothly"] | None, Parameter(help="Value that replaces NaN and infinite samples, or 'smoothly'.")
     ] = None
 
     def read(self, source: str | Path) -> clvol.Volume:
-        """The volume; of several, the one that was chosen."""
+        """The volume, or the chosen one of several."""
         self._require_one()
         if is_address(source):
-            return self._far(source).whole()
+            return self._remote(source).whole()
         if (phantom := self._phantom(source)) is not None:
             return phantom
         return self._filled(clvol.read(source, **self._given()))
 
     def open(self, source: str | Path) -> clvol.LazyVolume | clvol.Volume:
-        """The volume, of which no samples are read yet if its file allows that; of several, the one that was chosen."""
+        """The volume, or the chosen one of several; no samples are read yet, if the file allows that."""
         self._require_one()
         if is_address(source):
-            return self._far(source)
+            return self._remote(source)
         if (phantom := self._phantom(source)) is not None:
             return phantom
         if isinstance(self.fill_nan, str):
@@ -180,25 +178,25 @@ class Input:
             return self.read(source)
 
     def by_parts(self, source: str | Path, wanted: Callable[[clvol.LazyVolume], bool]) -> clvol.LazyVolume | None:
-        """The volume as `open` gives it, if it is far away, or `wanted` says so of what was opened; else None: it is to be read.
+        """The opened volume if it is remote, or if `wanted` returns True for it; None if it should be read whole.
 
-        What cannot be opened is None too: `read` says what is wrong with it, or reads it nevertheless.
+        None too if it cannot be opened: `read` then reads it, or raises the error.
         """
         self._require_one()
         if is_address(source):
-            return self._far(source)
+            return self._remote(source)
         if str(source).startswith("phantom:") or isinstance(self.fill_nan, str):
             return None
         return opened_if(source, wanted, **self._given(), missing=self.fill_nan)
 
     def _opened(self, source: str | Path) -> clvol.LazyVolume:
-        assert not isinstance(self.fill_nan, str)  # which takes all samples
+        assert not isinstance(self.fill_nan, str)  # this needs all samples
         return clvol.open(source, **self._given(), missing=self.fill_nan)
 
-    def _far(self, source: str | Path) -> clvol.LazyVolume:
-        """What is at an address."""
+    def _remote(self, source: str | Path) -> clvol.LazyVolume:
+        """The volume at an address."""
         if isinstance(self.fill_nan, str):
-            raise OptionError("--fill-nan smoothly is for files; give a value for what is at an address")
+            raise OptionError("--fill-nan smoothly is for files; give a value for an address")
         return self._opened(source)
 
     def _require_one(self) -> None:
@@ -206,7 +204,7 @@ class Input:
             raise OptionError("--volume all is for resample and convert; give the number of one")
 
     def read_all(self, source: str | Path) -> clvol.Volumes:
-        """All volumes; of those axes for which one is chosen, only that one."""
+        """All volumes; along axes for which an index was given, only that one."""
         if self.volume not in (None, "all") or self.fill_nan is not None:
             raise OptionError("--volume all takes neither the number of a volume nor --fill-nan")
         if (phantom := self._phantom(source)) is not None:
@@ -216,7 +214,7 @@ class Input:
         return clvol.Volumes([clvol.read(source, **given)]) if raw else clvol.read_all(source, **given)
 
     def python(self, source: str | Path) -> str | None:
-        """The call in Python that reads the volume; None if there is none that is short."""
+        """The call in Python that reads the volume; None if there is no short one."""
         given = self._given()
         if str(source).startswith("phantom:"):
             return None if given else f"clvol.phantoms.by_name({str(source).removeprefix('phantom:')!r})"
@@ -227,23 +225,23 @@ class Input:
         return f"clvol.read({str(source)!r}{arguments}){filled}"
 
     def python_opened(self, source: str | Path) -> str:
-        """The call that opens it."""
+        """The call in Python that opens the volume."""
         given = self._given() | ({} if self.fill_nan is None else {"missing": self.fill_nan})
         return f"clvol.open({str(source)!r}{''.join(f', {name}={value!r}' for name, value in given.items())})"
 
     def chooses(self) -> bool:
-        """Whether it says which image of a file or folder."""
+        """Whether it chooses an image of a file or folder."""
         return self.series is not None
 
     def leading(self, source: str | Path) -> clvol.volume.volumes.Leading:
-        """What the axes before z, y and x of the file count."""
+        """The axes of the file before z, y and x."""
         if self._phantom(source) is not None:
             return clvol.volume.volumes.Leading()
         given = self._given()
         return clvol.formats.leading_of(source, series=given.get("series"), level=given.get("level"), trusted=self.trusted)
 
     def _given(self) -> dict[str, Any]:
-        """What was given, as `clvol.read` has it; numbers of channels and series are numbers."""
+        """What was given, as arguments of `clvol.read`; numbers of channels and series become int."""
         given: dict[str, Any] = {}
         for field in fields(self):
             value = getattr(self, field.name)
@@ -267,7 +265,7 @@ class Input:
         return volume.filled(None if self.fill_nan == "smoothly" else self.fill_nan)
 
 
-# -- what is seen, and how -----------------------------------------------------------------------------------
+# -- what to show, and how -----------------------------------------------------------------------------------
 
 _MODES = f"{', '.join(clvol.modes())}."
 BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}; with a value, constant(5) or grid-constant(5)."
@@ -279,7 +277,7 @@ _Background = Annotated[str, Parameter(help="A name, a hex code, or 'none'.")]
 @Parameter(name="*", group=_LOOK)
 @dataclass
 class Look:
-    """How a picture is made."""
+    """What a picture shows, and how."""
 
     mode: _Mode = "composite"
     preset: Annotated[
@@ -306,7 +304,7 @@ class Look:
     ] = None
     clip: Annotated[
         tuple[float, float, float, float, float, float] | None,
-        Parameter(help="Two corners of the box that is shown, x y z x y z, in world units."),
+        Parameter(help="Show only this box: two corners, x y z x y z, in world units."),
     ] = None
     boundary: Boundary = "mirror"
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = (
@@ -320,14 +318,14 @@ class Look:
         str, Parameter(help="What several rays a pixel sample: a filter without a prefilter.", completer=_any_of(clvol.filters))
     ] = "linear"
     background: _Background = "black"
-    gradient: Annotated[Literal["analytic", "central"], Parameter(help="What lighting uses.")] = "analytic"
+    gradient: Annotated[Literal["analytic", "central"], Parameter(help="The gradient that lighting uses.")] = "analytic"
     azimuth: Annotated[float, Parameter(help="Degrees about the z axis.")] = 30.0
     elevation: Annotated[float, Parameter(help="Degrees above the xy plane.")] = 20.0
-    zoom: Annotated[float, Parameter(help="Magnification of what the picture is fitted to.")] = 1.0
-    fit: Annotated[Literal["matter", "volume"], Parameter(help="What fills the picture: all that can be seen, or the volume.")] = (
+    zoom: Annotated[float, Parameter(help="Magnification, relative to the fitted view.")] = 1.0
+    fit: Annotated[Literal["matter", "volume"], Parameter(help="What fills the picture: everything visible, or the volume.")] = (
         "matter"
     )
-    projection: Annotated[Literal["perspective", "orthographic"], Parameter(help="How rays leave the eye.")] = "perspective"
+    projection: Annotated[Literal["perspective", "orthographic"], Parameter(help="How rays start at the camera.")] = "perspective"
     evaluator: Annotated[Literal["auto", "taps", "paired", "eight-fetch"], Parameter(help="How the spline is evaluated.")] = "auto"
     fetch: Annotated[Literal["auto", "buffer", "image"], Parameter(help="Where coefficients are read from.")] = "auto"
 
@@ -346,23 +344,23 @@ class Look:
         }
 
     def limits(self) -> dict[str, Any]:
-        """Limits of the device while it draws, where they are not its own."""
+        """Limits of the device while it draws, where they differ from its defaults."""
         asked = {"evaluator": self.evaluator, "fetch": self.fetch}
         return {name: value for name, value in asked.items() if value != "auto"}
 
     @contextlib.contextmanager
     def limited(self, device: str | None) -> Iterator[None]:
-        """For the time of a block the device has these limits; it is not looked for if there are none."""
+        """Set these limits of the device for the duration of a block. Without limits, no device is chosen."""
         limits = self.limits()
         with as_device(device).limited(**limits) if limits else contextlib.nullcontext():
             yield
 
     def camera(self) -> clvol.Camera:
-        """From where it is seen."""
+        """The camera."""
         return clvol.Camera.orbit(self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection, fit=self.fit)
 
     def _transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
-        """What is asked for, or None: the mode's own."""
+        """The requested transfer function; None: the mode's default."""
         if self.value_range is None:
             if (self.preset, self.window, self.cmap, self.opacity) == (None, None, None, None):
                 return None
@@ -383,7 +381,7 @@ class Look:
 @Parameter(name="*", group=_LOOK)
 @dataclass
 class SurfaceLook(Look):
-    """How pictures are made where surfaces are the rule."""
+    """The same, with surfaces as the default."""
 
     mode: _Mode = "isosurface"
 
@@ -391,7 +389,7 @@ class SurfaceLook(Look):
 @Parameter(name="*", group=_LOOK)
 @dataclass
 class ReportLook(SurfaceLook):
-    """How the pictures of a report are made: on white, filled by what shows."""
+    """The same for the pictures of a report, on white."""
 
     background: _Background = "white"
 
@@ -399,11 +397,11 @@ class ReportLook(SurfaceLook):
 # -- options of modes ----------------------------------------------------------------------------------------
 
 _ALSO = {"isovalue": "--threshold"}
-"""What else the options of modes are called, by those who use them daily."""
+"""Common names of the options of modes."""
 
 
 def _flag(name: str) -> tuple[str, Any, None]:
-    """A flag for an option of modes, with what their classes say of it; not given, it is the mode's own default."""
+    """A flag for an option of modes, documented by their classes. Its default is the mode's."""
     having = [mode for mode in clvol.modes().values() if name in mode_options(mode)]
     defaults = [getattr(mode, name) for mode in having]
     kind: Any = bool if isinstance(defaults[0], bool) else str if isinstance(defaults[0], (str, tuple)) else float
@@ -412,20 +410,20 @@ def _flag(name: str) -> tuple[str, Any, None]:
 
 
 def _default(value: object) -> str:
-    """A mode's default for people; nothing where it follows from the volume."""
+    """A mode's default as text; "" if it follows from the volume."""
     if value is None:
         return ""
     return f"; default {' '.join(f'{v:g}' for v in value) if isinstance(value, tuple) else value}"
 
 
 class Given:
-    """Options of a mode, as they were given."""
+    """The options of a mode that were given."""
 
     def options(self) -> dict[str, Any]:
-        """What was given; a colour may be three numbers in one argument."""
+        """The options; a colour may be three numbers in one argument."""
         given = {name: value for name, value in vars(self).items() if value is not None}
         if isinstance(given.get("color"), str) and re.fullmatch(r"\s*([\d.e+-]+[\s,]+){2}[\d.e+-]+\s*", given["color"]):
-            with contextlib.suppress(ValueError):  # 1.2.3 is no number: it is refused as a name
+            with contextlib.suppress(ValueError):  # 1.2.3 is not a number: it is refused as a name later
                 given["color"] = tuple(float(v) for v in re.split(r"[\s,]+", given["color"].strip()))
         return given
 
@@ -439,32 +437,32 @@ else:
 
 
 def own_options(look: Look, own: ModeOptions | None) -> dict[str, Any]:
-    """The options given for the mode, refused here, before the volume is read, if they are none of it."""
+    """The options given for the mode; raises, before the volume is read, if the mode does not have them."""
     options = {} if own is None else own.options()
     as_mode(look.mode, options)
     return options
 
 
-# -- by whom it is drawn -------------------------------------------------------------------------------------
+# -- who draws -----------------------------------------------------------------------------------------------
 
 
 @Parameter(name="*", group=Group("By several processes", sort_key=6))
 @dataclass
 class Together:
-    """Whose processes draw."""
+    """The processes that draw."""
 
     scheduler: Annotated[
         str | None,
         Parameter(
-            help="The address of a scheduler of dask (tcp://host:8786) whose workers draw; they must be able to read what is read "
-            "by bricks, and have this version of clvol."
+            help="The address of a dask scheduler (tcp://host:8786) whose workers draw; they need this version of clvol, and "
+            "access to files that are read by bricks."
         ),
     ] = None
-    workers: Annotated[int | None, Parameter(help="Instead, so many processes of this machine.", converter=whole_numbers)] = None
+    workers: Annotated[int | None, Parameter(help="Instead, how many processes on this machine.", converter=whole_numbers)] = None
 
     @property
     def cluster(self) -> str | int | None:
-        """As `clvol.dask.cluster.as_cluster` takes it; None: this process."""
+        """The argument of `clvol.dask.cluster.as_cluster`; None: this process."""
         if self.scheduler is not None and self.workers is not None:
             raise OptionError(f"give --scheduler or --workers; got both: {self.scheduler} and {self.workers}")
         return self.scheduler if self.workers is None else self.workers
@@ -474,15 +472,15 @@ class Together:
 
 
 def is_address(source: str | Path) -> bool:
-    """Whether it is no file, but what fsspec finds."""
+    """Whether it is not a file, but an address for fsspec."""
     return "://" in str(source)
 
 
-# `Path` is there for the Tab key, which completes names of files; the text stays as it was given
+# `Path` makes Tab complete names of files; the text stays as given
 Source = Annotated[
     str | Path, Parameter(help="A volume file, a folder of slices, the address of a Zarr store, or phantom:NAME[:SIZE].")
 ]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="Print what a program would read.")]
+Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, for programs.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")]
 PageOutput = Annotated[Path, Parameter(name=["--output", "-o"], help="A folder, or a file that ends in .html.")]
 Whole = Annotated[int, Parameter(converter=whole_numbers)]
@@ -499,7 +497,7 @@ FigureName = Annotated[
 Filters = Annotated[
     tuple[str, ...],
     Parameter(
-        help="One picture each. [default: the six of Figure 6]",
+        help="The filters, one picture each. [default: the six of Figure 6]",
         show_default=False,
         consume_multiple=True,
         completer=_any_of(_filter_names),
@@ -508,6 +506,6 @@ Filters = Annotated[
 Compared = Annotated[
     tuple[str, ...],
     Parameter(
-        help="What is compared; see 'clvol filters'.", show_default=False, consume_multiple=True, completer=_any_of(_filter_names)
+        help="Filters to compare; see 'clvol filters'.", show_default=False, consume_multiple=True, completer=_any_of(_filter_names)
     ),
 ]

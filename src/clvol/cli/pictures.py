@@ -57,10 +57,10 @@ if TYPE_CHECKING:
 
 __all__ = ["batch", "compare", "figure", "figure6", "movie", "render", "report"]
 
-_BRICKS = Group("Of what is read by bricks: large, far away, or stored in several sizes", sort_key=5)
-_FIRST = 0.2  # seconds until there is a picture to be shown in the terminal
+_BRICKS = Group("For volumes that are read by bricks: large, remote, or stored in several sizes", sort_key=5)
+_FIRST = 0.2  # seconds until the first picture in the terminal
 _MOST_FRAMES = 10_000
-_COMPARED = 20_000  # gradients that a table of errors compares
+_COMPARED = 20_000  # gradients compared in a table of errors
 
 
 @command(PICTURES)
@@ -85,10 +85,10 @@ def render(
     verbose: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
 ) -> None:
-    """Make a picture of a volume.
+    """Draw a volume.
 
-    One that is stored in several sizes, lies at an address, or does not fit into half of the memory that is available is read by
-    bricks, and no more of it than the picture needs; 'clvol pyramid' makes such sizes.
+    A volume that is stored in several sizes, is at an address, or does not fit into half of the available memory is read by bricks,
+    and no more of it than the picture needs; 'clvol pyramid' makes such sizes.
 
     Parameters
     ----------
@@ -98,17 +98,17 @@ def render(
     heat_map
         A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
     uncertainty
-        Another picture, of an isosurface: within what of it the true surface lies in 95 % of places, with its scale.
+        Another picture, for isosurfaces: how far the true surface may be, in 95 % of places, with a scale.
     by_bricks
         Read it by bricks in any case.
     memory
         Memory that bricks may take, such as 800M or 4G; what fits into it in one size is read whole. [default: 2G, or half of what
         there is]
     lod
-        How many pixels a voxel may span, of the size that is drawn, where the volume is nearest; auto is 1, 0 draws the largest.
+        The most pixels that a voxel of the drawn size may span, where the volume is nearest; auto is 1, 0 draws the largest size.
     preview
-        Show coarser pictures above the bar of progress, in a terminal with colours, where the picture of a volume in memory takes
-        long, and nothing else is asked of it.
+        Show coarser pictures above the progress bar, in a terminal with colours, if the picture of a volume in memory takes long
+        and is the only output.
     verbose
         Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
         included.
@@ -166,7 +166,7 @@ def render(
 
 
 def _preview() -> type[Preview]:
-    from clvol.cli._preview import Preview  # where there is a terminal: it takes rich
+    from clvol.cli._preview import Preview  # only for terminals: it imports rich
 
     return Preview
 
@@ -181,10 +181,10 @@ def _refined(renderer: clvol.Renderer, shown: Preview, **options: Any) -> clvol.
 
 @command(PICTURES)
 def batch(
-    sources: Annotated[list[str], Parameter(help="Volume files; as many as there are.", allow_leading_hyphen=False)],
+    sources: Annotated[list[str], Parameter(help="One or more volume files.", allow_leading_hyphen=False)],
     /,
     *,
-    output: Annotated[str, Parameter(name=["--output", "-o"], help="Where pictures go: see below.")] = "{name}-{frame:04}.png",
+    output: Annotated[str, Parameter(name=["--output", "-o"], help="Files of the pictures: see below.")] = "{name}-{frame:04}.png",
     turn: Whole = 1,
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     size: Size = (512, 512),
@@ -195,16 +195,16 @@ def batch(
     together: Together | None = None,
     json: Json = False,
 ) -> None:
-    """Make pictures of many volumes, from many sides.
+    """Draw many volumes from many sides.
 
-    With --scheduler or --workers a picture is a task; workers read SOURCES themselves.
-    In --output {name} stands for the file's name without its suffix, {number} for its number, and {frame} for that of the side.
-    A file that fails leaves the others as they are; the exit status then is 1.
+    With --scheduler or --workers each picture is a task, and workers read SOURCES themselves.
+    In --output {name} is the file's name without its suffix, {number} its index, and {frame} that of the side.
+    If a file fails, the others are still drawn; the exit status then is 1.
 
     Parameters
     ----------
     turn
-        How many pictures of each, on a whole turn around it.
+        The number of pictures of each volume, on a full turn around it.
     filter
         As of 'clvol render'.
     """
@@ -263,20 +263,20 @@ def movie(
 ) -> None:
     """Make a movie of a volume that turns about its vertical.
 
-    The first picture is that of 'clvol render', and follows the last one as each follows the one before where turns are whole.
-    Videos have an even number of pixels along each axis: of an odd one, the last is left out. With --scheduler or --workers a
-    picture is a task, to which a volume that is not read by bricks is sent.
+    The first picture is that of 'clvol render'; if --turns is whole, the movie loops smoothly. Videos need an even number of pixels
+    along each axis: the last one of an odd number is left out. With --scheduler or --workers each picture is a task; a volume that
+    is not read by bricks is sent to the workers.
 
     Parameters
     ----------
     seconds
-        How long it lasts.
+        Its duration.
     fps
-        Pictures a second, 0.1 to 1000. GIF counts in hundredths of seconds: the nearest number of them is taken.
+        Pictures per second, 0.1 to 1000. GIF rounds the duration of each to hundredths of a second.
     frames
-        How many pictures there are, in place of --seconds.
+        The number of pictures, instead of --seconds.
     turns
-        How often it turns; below 0 to the other side.
+        The number of turns; a negative number turns the other way.
     filter
         As of 'clvol render'.
     """
@@ -317,7 +317,7 @@ def movie(
 def _volume(
     reader: Input, source: str | Path, memory: int | None = None, *, by_bricks: bool = False, whole: bool = False
 ) -> clvol.Volume | clvol.LazyVolume:
-    """What is drawn: opened, if it is to be read by bricks, else read. `whole` says that it has to be, as long as it fits."""
+    """The volume to draw: opened if it should be read by bricks, else read. `whole`: it must be read whole if it fits."""
 
     def wanted(lazy: clvol.LazyVolume) -> bool:
         return by_bricks or are_by_bricks(lazy, several=reader.level is None and not whole, most=memory)
@@ -331,7 +331,7 @@ def _volume(
 
 
 def _bricks_read(shown: BrickedField, volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
-    """How much of which size a picture took."""
+    """Which size of the volume a picture used, and how many of its bricks."""
     sizes = volume, *volume.levels
     level = next((n for n, one in enumerate(sizes) if one is shown.volume), 0)
     read, there, shape = shown.reads.bricks, len(shown.bricks), list(shown.volume.shape)
@@ -347,10 +347,10 @@ def compare(
     /,
     *,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="The picture to write.")] = None,
-    table: Annotated[Path | None, Parameter(help="Errors from every second sample to write: .csv, .json or .md.")] = None,
-    expected: Annotated[Path | None, Parameter(help="Errors to expect of the samples as they are, likewise.")] = None,
-    left_out: Annotated[Path | None, Parameter(help="Errors of slices left out along each axis, likewise.")] = None,
-    turned: Annotated[Path | None, Parameter(help="What is left of the middle slice after nine turns of 40°, likewise.")] = None,
+    table: Annotated[Path | None, Parameter(help="Write errors from every second sample: .csv, .json or .md.")] = None,
+    expected: Annotated[Path | None, Parameter(help="Write the errors expected for the samples as they are, likewise.")] = None,
+    left_out: Annotated[Path | None, Parameter(help="Write errors of slices left out along each axis, likewise.")] = None,
+    turned: Annotated[Path | None, Parameter(help="Write errors of the middle slice after nine turns of 40°, likewise.")] = None,
     filters: Filters = (),
     pixels: Whole = 384,
     device: DeviceName = None,
@@ -359,7 +359,7 @@ def compare(
     own: ModeOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Draw a volume by several filters side by side, measure their errors in up to four ways, or both.
+    """Draw a volume with several filters side by side, measure their errors in up to four ways, or both.
 
     Parameters
     ----------
@@ -429,9 +429,9 @@ def figure(
     device: DeviceName = None,
     json: Json = False,
 ) -> None:
-    """Make a figure of the paper, or one beyond: impulse, gradients, convergence, noise, slices, edges, reduction, cost.
+    """Make a figure of the paper, or another one: impulse, gradients, convergence, noise, slices, edges, reduction, cost.
 
-    Each has defaults.
+    Each has defaults for its options.
 
     Parameters
     ----------
@@ -477,7 +477,7 @@ def report(
     own: ModeOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Show by pictures, errors and words which filter to use for a volume: one HTML page that needs nothing else.
+    """Recommend a filter for a volume, with pictures, errors and reasons, on one self-contained HTML page.
 
     Parameters
     ----------
@@ -486,7 +486,7 @@ def report(
     """
     from clvol import reports
 
-    reports.page(output)  # raises before minutes of work if it cannot be written
+    reports.page(output)  # raises, before minutes of work, if it cannot be written
     look = look or ReportLook()
     options = own_options(look, own)
     volume = (input or Input()).read(source)
@@ -515,7 +515,7 @@ def report(
 def figure6(
     *, output: Output = Path("figure6.png"), samples: Whole = 40, pixels: Whole = 512, device: DeviceName = None, json: Json = False
 ) -> None:
-    """Make Figure 6 of the paper: the Marschner-Lobb function by six filters, each with its errors.
+    """Make Figure 6 of the paper: the Marschner-Lobb function with six filters, and their errors.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The command itself, to which the modules beside it add theirs."""
+"""The command itself, to which the other modules add their subcommands."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _EXAMPLES = (
     "clvol pyramid brain.tif -o brain.zarr",
     "clvol resample head.nii.gz -o fine.nii.gz --to-spacing 0.5 0.5 0.5",
 )
-_BREAK = "  \n"  # of a line, in Markdown
+_BREAK = "  \n"  # a line break in Markdown
 _EPILOGUE = f"""Examples:{_BREAK}{_BREAK.join(_EXAMPLES)}
 
-'clvol COMMAND --help' says more of each; 'clvol completion --help', how the Tab key completes names.
+'clvol COMMAND --help' describes each; 'clvol completion --help' says how to set up the Tab key.
 """
 
 
 def _version() -> str:
-    from importlib.metadata import version  # which takes a while, and few ask
+    from importlib.metadata import version  # slow to import, and rarely needed
 
     return version("clvol")
 
@@ -48,5 +48,5 @@ app = App(
 
 
 def command(group: Group, *, show: bool = True) -> Callable[[Any], Any]:
-    """Makes a function a command of a group; examples stand in the help of ``clvol`` alone."""
+    """A decorator that makes a function a command of a group; only the help of ``clvol`` has examples."""
     return app.command(group=group, show=show, help_epilogue="")

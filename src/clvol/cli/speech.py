@@ -1,4 +1,4 @@
-"""What the commands say, to people and to programs, and where their results may go."""
+"""The output of the commands, for people and for programs, and checks of where results go."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def require_picture(output: Path) -> None:
 
 
 def require_writable(output: Path, suffixes: Sequence[str], what: str) -> None:
-    """Raise before hours of work if `output` is no name of a file of that kind, or cannot be written there."""
+    """Raise, before hours of work, if `output` has no suffix of that kind, or cannot be written."""
     require_suffix(output, suffixes, what)
     require_folder(output)
 
@@ -43,9 +43,9 @@ def require_writable(output: Path, suffixes: Sequence[str], what: str) -> None:
 
 @contextmanager
 def progress(what: str, quiet: bool, *, preview: bool = False) -> Iterator[Preview | Callable[[float], None] | None]:
-    """A bar on standard error where that is a terminal; nothing elsewhere.
+    """A progress bar on standard error if that is a terminal, else None.
 
-    `preview` asks for one that shows pictures too: it is a `Preview` where the terminal can show them.
+    With `preview` it is a `Preview`, which shows pictures too, if the terminal can show them.
     """
     if quiet or not sys.stderr.isatty():
         yield None
@@ -66,7 +66,7 @@ def progress(what: str, quiet: bool, *, preview: bool = False) -> Iterator[Previ
 
 
 def say(as_json: bool, what: dict[str, Any], lines: Sequence[str] = ()) -> None:
-    """What was done, for programs or for people; `lines` stand for the values that are tables."""
+    """Print results, as JSON or as text; in text, `lines` replace the values that are tables."""
     if as_json:
         print_json(what)
         return
@@ -78,7 +78,7 @@ def say(as_json: bool, what: dict[str, Any], lines: Sequence[str] = ()) -> None:
 
 
 def filter_text(row: Filter, given: str | None, volume: clvol.Volume | clvol.LazyVolume) -> str:
-    """A filter as people read it: its smoothing, and why it is so if it was chosen for the volume."""
+    """A filter as text: its smoothing, and the reason if that was chosen for the volume."""
     if not row.smoothing:
         return row.name
     values = row.smoothing if isinstance(row.smoothing, tuple) else (row.smoothing,)
@@ -86,12 +86,12 @@ def filter_text(row: Filter, given: str | None, volume: clvol.Volume | clvol.Laz
     if given is not None and "auto" not in given:
         return text
     if given is None and volume.bounds is not None:
-        return f"{text} (that of the bounds in the store)"
+        return f"{text} (the filter of the bounds in the store)"
     return f"{text} ({choose(volume.part(), row.degree).reason})"
 
 
 def range_text(low: float, high: float) -> str:
-    """The ends of a range as people read them: integers in full, others to six digits of the range, even far from zero."""
+    """The ends of a range as text: integers in full, others to six digits of the range, even far from zero."""
     if isinstance(low, int):
         return f"{low} {high}"
     span, largest = high - low, max(abs(low), abs(high))
@@ -100,7 +100,7 @@ def range_text(low: float, high: float) -> str:
 
 
 def text(value: Any) -> str:
-    """A value as people read it: numbers to six digits, lists with blanks between, rows with commas."""
+    """A value as text: numbers to six digits, lists separated by blanks, rows by commas."""
     if value is None or isinstance(value, bool):
         return {None: "none", True: "yes", False: "no"}[value]
     if isinstance(value, float):
@@ -115,7 +115,7 @@ def print_json(value: Any) -> None:
 
 
 def table(header: list[str], rows: list[list[str]]) -> None:
-    """A table; on a narrow terminal its words go below each other, or each row becomes a paragraph."""
+    """Print a table; on a narrow terminal its cells are wrapped, or each row becomes a paragraph."""
     cells = [header, *rows]
     columns = list(zip(*cells, strict=True))
     widths = [max(map(len, column)) for column in columns]
@@ -123,7 +123,7 @@ def table(header: list[str], rows: list[list[str]]) -> None:
     whole = room = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
     gap = 2 if sum(words) + 2 * (len(words) - 1) <= room else 1
     room -= gap * (len(words) - 1)
-    while sum(widths) > room and widths != words:  # the column that has most to give
+    while sum(widths) > room and widths != words:  # the column with the most to spare
         spare = [width - word for width, word in zip(widths, words, strict=True)]
         widths[spare.index(max(spare))] -= 1
     if sum(widths) > room:

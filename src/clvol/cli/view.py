@@ -1,4 +1,4 @@
-"""The command that shows: a page in a browser, drawn by this machine."""
+"""The command `clvol view`: a page in a browser, drawn by this machine."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 __all__ = ["view"]
 
 _SERVER = Group("The server", sort_key=1)
-_GRACE = 0.25  # seconds in which a browser that is open already has the page
+_GRACE = 0.25  # seconds for an open browser to load the page
 _REHEARSED = 32  # samples along each axis
-_UNPACKED = 100  # bytes of samples and coefficients that are expected of a stored one, at most
+_UNPACKED = 100  # bytes of samples and coefficients per stored byte, at most
 
 
 @command(PICTURES)
@@ -62,12 +62,12 @@ def view(
     look: Look | None = None,
     own: ModeOptions | None = None,
 ) -> None:
-    """Look at a volume in a browser: turn it, cut it, change its colours. Ctrl-C ends it.
+    """Show a volume in a browser: turn it, cut it, change its colours. Ctrl-C ends it.
 
-    The address that is printed has a token in it: whoever has the address may look. Of a volume that is stored in several sizes the
-    largest is in memory that fits, with its coefficients, into half of what is available; a picture at rest that shows more is
-    drawn of the finer ones, by bricks. Of a file with several times or channels all are read, and the panel chooses, where the file
-    is small beside that memory; else the one that is chosen here.
+    The printed address contains a token: whoever has the address can look. If the volume is stored in several sizes, the largest
+    one that fits, with its coefficients, into half of the available memory is resident; a picture at rest that shows more detail
+    reads finer sizes by bricks. If a file with several times or channels is small beside that memory, all are read and the panel
+    chooses; else only the one chosen here.
 
     Parameters
     ----------
@@ -75,29 +75,29 @@ def view(
         How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3(auto), which smooths the noise that it
         finds; bspline3 in modes that show extremes, such as mip]
     terminal
-        Show it in this terminal, in 24-bit colours; arrow keys turn it, q ends it. One still picture where nobody can type.
+        Show it in this terminal, in 24-bit colours; arrow keys turn it, q quits. Without a keyboard it prints one still picture.
     desktop
-        Show it in a window of its own, by Qt (pip install clvol[desktop]).
+        Show it in a separate window, by Qt (pip install clvol[desktop]).
     serve
-        Open no browser here: the page is looked at from elsewhere.
+        Do not open a browser here: the page is for another machine.
     port
-        Where the page is served; 0 is a free port.
+        The port of the server; 0 takes a free one.
     host
-        Address to listen on. Any but that of this machine itself lets others reach the page.
+        Address to listen on. Any but that of this machine itself makes the page reachable for others.
     root_path
-        Path under which a proxy shows the page, such as /user/ada/clvol.
+        Path under which a proxy serves the page, such as /user/ada/clvol.
     allow_host
-        Name by which a proxy shows the page, such as hub.example.org; may be given several times.
+        Host name by which a proxy serves the page, such as hub.example.org; may be repeated.
     allow_frame
-        Site that may show the page in a frame, such as https://hub.example.org; may be given several times.
+        Site that may show the page in a frame, such as https://hub.example.org; may be repeated.
     certificate
-        PEM file with the certificate with which the page is served by https; its key may be in it.
+        PEM file with the certificate for https; it may contain the key.
     key
-        PEM file with the certificate's key.
+        PEM file with the key of the certificate.
     idle
-        Minutes without a message after which a page is disconnected and its memory freed.
+        Minutes without a message until a page is disconnected and its memory freed.
     clients
-        Pages that may be open at once.
+        The most pages open at once.
     """
     look = look or Look()
     options = own_options(look, own)
@@ -121,7 +121,7 @@ def view(
 
             show_in_terminal(_made(*_read(reader, name, device), name, filter, device, look, options))
         return
-    made: Future[View] = Future()  # begun before the server's parts are imported, which takes as long as reading a small file
+    made: Future[View] = Future()  # started before the server is imported, which takes as long as reading a small file
 
     def make() -> None:
         try:
@@ -147,7 +147,7 @@ def view(
     )
 
     def failed(error: BaseException) -> bool:
-        """Say so; a file may be looked for while the page tells it too, a wrong command line ends the command."""
+        """Print the error, which the page shows too; a wrong command line ends the command instead."""
         if isinstance(error, OptionError):
             return False
         words = in_the_shell(error, ["view"]) if isinstance(error, ClvolError) else said(error)
@@ -155,29 +155,29 @@ def view(
         return True
 
     def rehearse() -> None:
-        """Kernels, while the file is read."""
-        shown = replace(look, preset=None, clip=None)  # which may not suit another volume
-        with suppress(Exception):  # what is wrong is told with the volume, or on each page
+        """Build kernels while the file is read."""
+        shown = replace(look, preset=None, clip=None)  # these may not suit another volume
+        with suppress(Exception):  # errors are reported with the volume, or on each page
             _made(phantoms.marschner_lobb(_REHEARSED), None, None, name, filter, device, shown, options).rehearse()
 
     def prepare() -> None:
-        """The first picture's parts, while the browser starts."""
+        """Prepare the first picture while the browser starts."""
         try:
             view = made.result()
             until = time.monotonic() + _GRACE
             while not server.clients and time.monotonic() < until:
                 time.sleep(_GRACE / 16)
-            if not server.clients:  # an open page has its first picture sooner if its session does the work, in its own order
+            if not server.clients:  # the session of an open page gets to its first picture sooner in its own order
                 view.prepare()
-        except Exception as error:  # of the file it is told already; of the device each page tells it too
+        except Exception as error:  # errors of the file are reported already; those of the device, by each page too
             if made.exception() is None:
                 failed(error)
 
     def ready(server: Server) -> None:
         print(server.url, flush=True)
         if server.public:
-            safe = "" if certificate is not None else " Nothing is encrypted: give --certificate, or put a proxy in front."
-            _note(f"other machines reach this page, at {server.elsewhere}; whoever has the address may look.{safe}")
+            safe = "" if certificate is not None else " It is not encrypted: give --certificate, or put a proxy in front."
+            _note(f"other machines reach this page, at {server.elsewhere}; whoever has the address can look.{safe}")
         if not serve:
             _open(server.ticket())
         threading.Thread(target=rehearse, name="clvol: rehearsal", daemon=True).start()
@@ -190,7 +190,7 @@ def view(
 
 
 def _read(reader: Input, name: str, device: str | None = None) -> tuple[Volume | Volumes, str | None, Finer | None]:
-    """What to look at, and the call in Python that reads it: of a volume that does not fit into memory a smaller size, and all."""
+    """What to show, the call in Python that reads it, and, if only a smaller size fits into memory, the finer ones."""
     if not is_address(name) and _is_small(name):
         return *_all(reader, name), None
     lazy = reader.by_parts(name, too_large)
@@ -205,9 +205,9 @@ def _read(reader: Input, name: str, device: str | None = None) -> tuple[Volume |
     except OutOfMemoryError:
         smaller = "its smallest size" if lazy.levels else "it"
         raise OutOfMemoryError(
-            f"out of memory: a volume that is looked at must fit into the {bytes_text(memory.available())} that are available, "
+            f"out of memory: the volume of a view must fit into the {bytes_text(memory.available())} that are available, "
             f"with its coefficients; {smaller} takes {bytes_text(needed_by(sizes[-1]))}: 'clvol pyramid {name} -o NAME.zarr' makes "
-            "smaller sizes, of which 'clvol view' has one in memory, and 'clvol render' draws it by bricks"
+            "smaller sizes, one of which 'clvol view' keeps in memory; 'clvol render' draws by bricks"
         ) from None
     finer = None
     if level:
@@ -222,18 +222,18 @@ def _read(reader: Input, name: str, device: str | None = None) -> tuple[Volume |
 
 
 def _all(reader: Input, name: str) -> tuple[Volume | Volumes, str | None]:
-    """All volumes of a small file on one grid, but for axes of which a place was chosen."""
+    """All volumes of a small file on one grid; along axes for which an index was given, only that one."""
     if name.startswith("phantom:") or reader.volume is not None or reader.fill_nan is not None or reader.leading(name).total == 1:
         return reader.read(name), reader.python(name)
     found = reader.read_all(name)
-    if len(found) == 1:  # of each axis a place was chosen
+    if len(found) == 1:  # an index was given for each axis
         return found.first, reader.python(name)
     python = reader.python(name)
     return found, None if python is None else python.replace("clvol.read(", "clvol.read_all(", 1)
 
 
 def _is_small(name: str) -> bool:
-    """Whether a file is so small that it will fit into memory, packed as it may be: to open it first takes half a second."""
+    """Whether a file surely fits into memory, even if compressed. (Opening it to find out takes half a second.)"""
     if name.startswith("phantom:"):
         return True
     stored, _ = size_of(Path(name))
@@ -250,13 +250,13 @@ def _made(
     look: Look,
     own: dict[str, Any],
 ) -> View:
-    """The view of a volume that the command line asks for; `source` is the call in Python that reads it."""
+    """The view that the command line asks for; `source` is the call in Python that reads the volume."""
     from clvol.view import View
     from clvol.volume.volumes import Volumes
 
     volume = scene.first if isinstance(scene, Volumes) else scene
     options = look.options(volume) | own
-    for usual in ("gradient", "pixel_filter"):  # which copied programs need not say
+    for usual in ("gradient", "pixel_filter"):  # defaults, which copied code need not state
         if getattr(look, usual) == getattr(Look, usual):
             del options[usual]
     if look.value_range is None:  # by their names, so that the page shows them
@@ -271,14 +271,14 @@ def _made(
 
 
 def _open(url: str) -> None:
-    """The browser of a desktop; a thread, since some wait for it."""
+    """Open the desktop's browser, in a thread: some browsers block."""
     if sys.platform not in ("win32", "darwin") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         _note("there is no desktop here: open the address in a browser, with --port and a tunnel from another machine")
         return
 
     def work() -> None:
         if not webbrowser.open(url):
-            _note("no browser was found: open the address yourself")
+            _note("no browser was found: open the address by hand")
 
     threading.Thread(target=work, name="clvol: browser", daemon=True).start()
 
@@ -288,7 +288,7 @@ def _note(text: str) -> None:
 
 
 def _leave(code: int, reading: threading.Thread) -> None:
-    """End here if something still reads or draws in another thread: Python would end in the midst of it."""
+    """Exit now if another thread still reads or draws: Python would shut down under it."""
     reading.join(0.2)
     if any(thread.name.startswith("clvol") for thread in threading.enumerate()):
         sys.stdout.flush()

@@ -1,4 +1,4 @@
-"""What errors and warnings say in Python's words, said in the shell's: the only place that knows both."""
+"""Errors and warnings, translated from Python's terms into the shell's; only this module knows both."""
 
 from __future__ import annotations
 
@@ -26,32 +26,33 @@ _PHRASES = (
     (r"shape=\(nz, ny, nx\)", "--shape NZ NY NX"),
     (r"window=\(center, width\)", "--window CENTER WIDTH"),
 )
-"""Advice that is a call in Python."""
+"""Advice in Python, and the same for the shell."""
 
 
-def in_the_shell(told: Exception | str, given: Sequence[str]) -> str:
-    """What an error or a warning of clvol says, on one line, in the words of the command line that brought it about.
+def in_the_shell(error: Exception | str, given: Sequence[str]) -> str:
+    """The message of an error or a warning, on one line, in the terms of the command line `given`.
 
-    Advice to call something names the option instead; options of the command that are named as Python's arguments are (``series=``,
-    or "step must be ...") get the name that they have here.
+    Advice in Python becomes an option of the command. Arguments in Python (``series=``, or "step must be ...") become the options
+    of the command that set them.
     """
-    message = one_line(told)
+    message = one_line(error)
     for phrase, words in _PHRASES:
         message = re.sub(phrase, words, message)
     flags = _flags(given)
     if not flags:
         return message
     names = "|".join(map(re.escape, flags))
-    if not isinstance(told, DataError):  # whose "samples must be finite" are those of the file
+    if not isinstance(error, DataError):  # whose "samples must be finite" are those of the file
         message = re.sub(rf"^({names})(?= (?:must|is no option|is only)\b)", lambda m: flags[m[1]], message)
     message = re.sub(rf"(?<![\w.-])({names})=(?=[\w(\"'\[])", lambda m: f"{flags[m[1]]} ", message)
     return re.sub(rf"(?<![\w.-])({names})=", lambda m: flags[m[1]], message)
 
 
 def _flags(given: Sequence[str]) -> dict[str, str]:
-    """For each argument of the command in question, its option.
+    """The option that sets each argument of the command.
 
-    Of two options for one name (``--spacing`` of the file, ``--to-spacing`` of the result) the one that is given; none if both are.
+    If two options have one name (``--spacing`` of the file, ``--to-spacing`` of the result), it is the one that was given; none if
+    both were.
     """
     try:
         command, *_ = app.parse_commands(given)

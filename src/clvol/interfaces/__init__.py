@@ -1,4 +1,4 @@
-"""Ways in for people who come from other libraries, and pictures of many volumes.
+"""Interfaces known from other libraries, and pictures of many volumes.
 
 The functions of `clvol` that stand on everything else.
 """

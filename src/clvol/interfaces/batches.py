@@ -1,4 +1,4 @@
-"""Many pictures: of many files and from many sides, by this process or by a cluster, where each picture is a task."""
+"""Many pictures, of many files and from many sides, drawn by this process or by a cluster, where each picture is a task."""
 
 from __future__ import annotations
 
@@ -72,24 +72,24 @@ def batch(
     limits: Mapping[str, Any] | None = None,
     **options: Unpack[BatchOptions],
 ) -> list[Drawn]:
-    """Draw many volumes from many sides; each picture's file is written as soon as it is drawn.
+    """Draw many volumes from many sides, and write each picture as soon as it is drawn.
 
-    Where a file cannot be read or a picture cannot be drawn, the others are drawn all the same.
+    If a file cannot be read or a picture cannot be drawn, the others are still drawn.
 
     Parameters
     ----------
     sources : path, Volume or LazyVolume, or a sequence of these
-        Files are read by the process that draws them; by bricks, as by 'clvol render', if they are stored in several sizes or do
-        not fit into half of the available memory.
+        The process that draws a file reads it; by bricks, like 'clvol render', if it is stored in several sizes or does not fit
+        into half of the available memory.
     cameras : Camera or sequence of Camera, optional
         Each takes one picture of each source; by default `Camera.orbit()`. See `Camera.turntable`.
     output : str
-        The file of a picture: a name with ``{name}``, that of the source without its suffix, and the indices ``{number}`` of the
-        source and ``{frame}`` of the camera, with a format if needed, such as ``{frame:04}``.
+        The file of a picture: a pattern with ``{name}``, the name of the source without its suffix, and the indices ``{number}`` of
+        the source and ``{frame}`` of the camera, with a format if needed, such as ``{frame:04}``.
     cluster : distributed.Client, str or int, optional
-        As of `Renderer`. Each picture is a task, so a worker must have room for a whole volume. By default this process draws.
+        As for `Renderer`. Each picture is a task, so a worker must have room for a whole volume. By default this process draws.
     reading : mapping or callable, optional
-        Options of `clvol.read`, or a function that reads a file in its place and returns a Volume or LazyVolume.
+        Options of `clvol.read`, or a function that replaces it and returns a Volume or LazyVolume.
     look : callable, optional
         Returns further options for a volume.
     progress : callable, optional
@@ -152,7 +152,7 @@ def batch(
 def _outcomes(
     sources: Sequence[Any], views: Sequence[Camera | None], cluster: ClusterLike | None, request: _Request
 ) -> Generator[tuple[int, Picture | ClvolError], None, None]:
-    """The number of each picture, and the picture or why there is none, as they are drawn."""
+    """Each picture, or its error, with its index, in the order in which they are done."""
     if cluster is None:
         with closing(_LastRenderer()) as last:
             for number, (source, view) in enumerate(itertools.product(sources, views)):
@@ -179,9 +179,9 @@ def frames(
     limits: Mapping[str, Any] | None = None,
     **options: Unpack[BatchOptions],
 ) -> Generator[Picture, None, None]:
-    """The pictures of a volume, in order, such as for `movies.write`.
+    """Yield the pictures of a volume, in order, for example for `movies.write`.
 
-    Of a cluster's pictures only a few at a time wait in the memory of its workers.
+    The workers of a cluster hold only a few pictures at a time.
 
     Parameters
     ----------
@@ -201,9 +201,9 @@ def frames(
     Raises
     ------
     OptionError
-        `source` is several, or `cameras` are not all cameras.
+        `source` is more than one volume, or `cameras` holds something else.
     ClvolError
-        As of `clvol.render`, at the picture that cannot be drawn.
+        As raised by `clvol.render`, when the picture is reached.
     ClusterError
         The scheduler or all of its workers are gone.
     """
@@ -212,14 +212,14 @@ def frames(
         raise OptionError(f"source must be one volume; got {len(sources)}: clvol.batch takes several")
     for camera in cameras:
         if camera is not None and not isinstance(camera, Camera):
-            raise OptionError(f"cameras must be of Camera, or None for the default one; got {type(camera).__qualname__}")
+            raise OptionError(f"each of cameras must be a Camera, or None for the default; got {type(camera).__qualname__}")
     return _frames(sources[0], cameras, cluster, progress, _Request({}, None, {**options}, dict(limits or {})))
 
 
 def _frames(
     source: Any, cameras: Sequence[Camera | None], cluster: ClusterLike | None, progress: Progress | None, request: _Request
 ) -> Generator[Picture, None, None]:
-    """As `frames`, which checks its arguments before the first picture is asked for."""
+    """As `frames`, which checks its arguments eagerly."""
     count = len(cameras)
     if cluster is None:
         with closing(_LastRenderer()) as last:
@@ -258,7 +258,7 @@ def _workers_of(choice: ClusterLike) -> Iterator[tuple[Cluster, str]]:
 
 
 def _sent(cluster: Cluster, source: Any) -> Any:
-    """A source as an argument of tasks: a file by its absolute path, a volume sent once for all of them."""
+    """A source as an argument of tasks: the absolute path of a file, or a volume that is sent once for all tasks."""
     if isinstance(source, (str, os.PathLike)):
         return str(Path(source).absolute()) if Path(source).exists() else source
     return cluster.scatter(source.for_tasks(), source.nbytes if source.in_memory else 0)
@@ -266,7 +266,7 @@ def _sent(cluster: Cluster, source: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Request:
-    """How each source is read and drawn: the options of `batch`, for tasks too."""
+    """How each source is read and drawn: the options of `batch`, as an argument of tasks too."""
 
     reading: Any
     look: Callable[[Volume], Mapping[str, Any]] | None
@@ -283,13 +283,13 @@ class _Request:
 
 
 def needs_whole(limits: Mapping[str, Any], outputs: Any = "rgba") -> bool:
-    """Whether pictures need the whole volume on the device: bricks are read by direct taps alone and have no uncertainty."""
+    """Whether pictures need the whole volume on the device: bricks support direct taps only, and no uncertainty."""
     taps = limits.get("evaluator", "auto") in ("auto", "taps") and limits.get("fetch") != "image"
     return not taps or "uncertainty" in outputs
 
 
 class _LastRenderer:
-    """The renderer of the source that was drawn last, which is kept for the next picture."""
+    """Keeps the renderer of the last source for the next picture."""
 
     def __init__(self) -> None:
         self._key: Any = None
@@ -307,7 +307,7 @@ class _LastRenderer:
         """The renderer of a source, and the options of its pictures."""
         named = isinstance(source, (str, os.PathLike))
         key = (token, str(source) if named else id(source))
-        if self._renderer is None or key != self._key:  # a volume that is kept keeps its id
+        if self._renderer is None or key != self._key:  # the volume is referenced, so its id stays unique
             self.close()
             volume = request.read(str(source)) if named else source
             volume = volume.for_tasks() if token else volume
@@ -321,7 +321,7 @@ class _LastRenderer:
     def drawn(
         self, source: Any, request: _Request, view: Camera | None, token: str = "", progress: Progress | None = None
     ) -> Picture:
-        """A picture; `token` tells batches apart, between which a file may change."""
+        """A picture; `token` identifies the batch, since a file may change between batches."""
         renderer, options = self._of(token, source, request)
         if view is not None:
             options = options | {"camera": view}
@@ -338,7 +338,7 @@ def _task(token: str, source: Any, request: _Request, view: Camera | None) -> An
 
 
 def _release() -> None:
-    """Close the renderer that this worker keeps."""
+    """Close this worker's renderer."""
     with _worker_lock():
         _worker.close()
 
@@ -352,7 +352,7 @@ def _worker_lock() -> Any:
 
 
 def _as_sources(sources: Any) -> list[Any]:
-    """Paths and volumes, whether one was given or several."""
+    """A list of paths and volumes, from one or several."""
     if isinstance(sources, (str, os.PathLike)) or hasattr(sources, "shape"):
         sources = [sources]
     try:
@@ -367,7 +367,7 @@ def _name(source: Any) -> str:
 
 
 def _stem(source: Any) -> str:
-    """The name of a source; of a file without its folder and suffixes."""
+    """The name of a source, without the folder and suffixes of a file."""
     name = Path(_name(source).rstrip("/")).name
     for suffix in (".gz", ".zip"):
         name = name.removesuffix(suffix)
@@ -381,7 +381,7 @@ def _filled(pattern: str, name: str, number: int, frame: int) -> str:
             raise KeyError
         return pattern.format(name=name, number=number, frame=frame)
     except (KeyError, ValueError, IndexError, AttributeError):
-        raise OptionError(f"output must be a name with {{name}}, {{number}} and {{frame}}; got {pattern!r}") from None
+        raise OptionError(f"output must be a pattern with {{name}}, {{number}} and {{frame}}; got {pattern!r}") from None
 
 
 def _require_distinct(pictures: Sequence[Drawn]) -> None:
@@ -389,7 +389,7 @@ def _require_distinct(pictures: Sequence[Drawn]) -> None:
     for one in pictures:
         if other := found.get(one.path):
             raise OptionError(
-                f"output must tell pictures apart by {{name}}, {{number}} and {{frame}}; {one.path} would be frame {other.frame} "
-                f"of {other.source} and frame {one.frame} of {one.source}"
+                f"output must give each picture a different name by {{name}}, {{number}} and {{frame}}; {one.path} would be frame "
+                f"{other.frame} of {other.source} and frame {one.frame} of {one.source}"
             )
         found[one.path] = one

@@ -1,4 +1,4 @@
-"""The spline through values on a uniform grid, asked in the grid's own coordinates: `Interpolator`."""
+"""The spline through values on a uniform grid, evaluated in the grid's coordinates: `Interpolator`."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ _UNEVEN = 1e-6  # of a step
 class Interpolator:
     """The spline through values on a uniform grid of 1, 2 or 3 axes, like `scipy.interpolate.RegularGridInterpolator`.
 
-    Making one prefilters the values and keeps the coefficients on a device; every call then costs its points only.
+    The constructor prefilters the values and keeps the coefficients on a device; a call then costs its points only.
 
     Parameters
     ----------
     points : sequence of 1 to 3 array-likes, shapes (n_1,), (n_2,), ...
-        The grid's coordinates along each axis of `values`, at even distances, rising or falling.
+        The grid's coordinates along each axis of `values`, evenly spaced, rising or falling.
     values : array-like, shape (n_1, ..., n_d, ...)
-        Real or complex. Axes behind those of the grid are interpolated each on its own.
+        Real or complex. Trailing axes are interpolated separately.
     filter : str or Filter
         A name in `clvol.filters()`, or a filter of your own; also SciPy's names of methods "slinear", "quadratic", "cubic" and
         "quintic".
     bounds_error : bool
-        Refuse points outside the grid, that is beyond its first and last coordinates.
+        Refuse points outside the grid, beyond its first or last coordinate.
     fill_value : number or None
-        The value outside, if these are not refused; None: the function goes on as its boundary rule says.
+        The value outside, if such points are not refused; None: the boundary rule applies.
     boundary : str or Boundary
-        What the ends of a spline do, see `clvol.boundaries`. SciPy's "cubic" ends in not-a-knot conditions instead, which differ
-        within a few samples of the ends.
+        The boundary rule, see `clvol.boundaries`. SciPy's "cubic" has not-a-knot conditions instead, which differ within a few
+        samples of the ends.
     precision : {"single", "double"}, optional
         Of the coefficients and results; default "single" for values of up to 16 bits, float32 and complex64, else "double".
     device : Device, str or int, optional
@@ -59,11 +59,11 @@ class Interpolator:
     Raises
     ------
     GeometryError
-        Coordinates that are not finite, not strictly monotonic, or not at even distances; the message says where.
+        Coordinates are not finite, not strictly monotonic, or not evenly spaced; the message says where.
     DataError
-        `values` is no array of numbers of a shape that begins with those of the coordinates, or holds NaN or infinities.
+        `values` is not an array of numbers whose shape begins with the numbers of coordinates, or holds NaN or infinities.
     OptionError
-        Another argument lies outside what is allowed.
+        Another argument is not allowed.
     DeviceError, OutOfMemoryError
         As `clvol.Field` raises them.
 
@@ -97,9 +97,7 @@ class Interpolator:
         self.grid = tuple(_coordinates(i, axis) for i, axis in enumerate(axes))
         shape = tuple(x.size for x in self.grid)
         if data.shape[: len(shape)] != shape or data.size == 0:
-            raise DataError(
-                f"values must have a shape that begins with {shape}, as many as there are coordinates; got {data.shape}"
-            )
+            raise DataError(f"values must have a shape that begins with {shape}, the numbers of coordinates; got {data.shape}")
         self.bounds_error = bool(bounds_error)
         self.fill_value = fill_value
         if fill_value is not None and np.asarray(fill_value).dtype.kind not in "biuf" + data.dtype.kind:
@@ -107,7 +105,7 @@ class Interpolator:
         chosen_precision = as_precision(precision, data.dtype)
         chosen = _METHODS.get(filter, filter) if isinstance(filter, str) else filter
         row, self.boundary = as_filter(chosen), as_boundary(boundary)
-        # rising coordinates, and the axes of the values behind them flat
+        # rising coordinates, and trailing axes flattened
         falling = tuple(i for i, x in enumerate(self.grid) if x.size > 1 and x[-1] < x[0])
         self.values = data
         flat = np.flip(data, falling).reshape(*shape, -1)
@@ -146,14 +144,14 @@ class Interpolator:
         return self._lease.closed
 
     def close(self) -> None:
-        """Free the device's memory. Results stay valid; asking for more raises `OptionError`.
+        """Free the device's memory. Results stay valid; further calls raise `OptionError`.
 
-        What other threads are computing goes on to its end, and the memory is freed then.
+        Calls in other threads finish first, then the memory is freed.
         """
         self._lease.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled is what it is made of; another process makes its coefficients anew, on its device of the same name."""
+        """Pickle the arguments; another process computes the coefficients again, on its device of the same name."""
         with self._lease.held():
             field = self._fields[0][0]
             again = partial(type(self), boundary=self.boundary, precision=field.precision, device=field.device)
@@ -180,21 +178,21 @@ class Interpolator:
             Coordinates in the order of the axes; arrays of a tuple are broadcast. A point of shape (d,) counts as one of shape
             (1, d), and for one axis an array of shape (n,) as n points. A coordinate that is NaN gives NaN.
         nu : sequence of int, optional
-            Order of the derivative along each axis, at most 2 together and none more than the filter's degree; default none. They
-            are exact, and hold almost everywhere where the filter has kinks or jumps.
+            Order of the derivative along each axis, at most 2 in total, and at most the filter's degree along an axis; default 0.
+            Derivatives are exact; filters with kinks or jumps have them almost everywhere.
         progress : callable, optional
             Called with the fraction done.
 
         Returns
         -------
-        ndarray, shape (...) and then the axes of `values` behind those of the grid
-            float32 or float64 as a call of a `Field` of this precision gives it, complex for complex values.
+        ndarray, shape (...) and then the trailing axes of `values`
+            float32 or float64, as from a `Field` of this precision; complex for complex values.
 
         Raises
         ------
         OptionError
-            A point lies outside the grid, or has a coordinate that is NaN, and `bounds_error` is set; `xi` or `nu` has another
-            shape, or `nu` asks for more than there is; it is closed.
+            A point is outside the grid, or has a NaN coordinate, and `bounds_error` is set; `xi` or `nu` has another shape, or an
+            order is too high; the interpolator is closed.
         """
         d = len(self.grid)
         orders = self._orders(nu)
@@ -235,7 +233,7 @@ class Interpolator:
         return orders
 
     def _outside(self, at: Array) -> NDArray[np.bool_] | None:
-        """Which points lie outside the grid, if that matters."""
+        """Which points are outside the grid, if that matters."""
         if not self.bounds_error and self.fill_value is None:
             return None
         low, high = (np.array([f(x) for x in self.grid]) for f in (np.min, np.max))
@@ -244,13 +242,13 @@ class Interpolator:
             axis = int(np.flatnonzero(beyond.any(tuple(range(beyond.ndim - 1))))[0])
             worst = at[..., axis][beyond[..., axis]][0]
             raise OptionError(
-                f"points must lie within the grid, along axis {axis} from {low[axis]} to {high[axis]}; got {worst}: "
+                f"points must be within the grid, along axis {axis} from {low[axis]} to {high[axis]}; got {worst}: "
                 "bounds_error=False gives fill_value there"
             )
         return np.asarray(beyond.any(-1))
 
     def _gain(self, field: Field) -> float:
-        """What makes up for the rows that an image of one row lacks: under "zero" they count, and are zero."""
+        """The factor for the missing neighbours of an image of one row: under "zero" they count, and are zero."""
         if len(self.grid) > 1 or self.boundary.period is not None:
             return 1.0
         row = field.filter.along(1)
@@ -268,11 +266,11 @@ def _derivative(field: Field, at: Array, orders: tuple[int, ...]) -> NDArray[Any
 
 
 def _coordinates(axis: int, given: ArrayLike) -> Array:
-    """Coordinates along an axis, strictly monotonic and at even distances."""
+    """Coordinates along an axis, strictly monotonic and evenly spaced."""
     kept = np.asarray(given)
     x = reals(f"points of axis {axis}", kept, "an array of coordinates", GeometryError)
     if x.ndim != 1 or x.size == 0:
-        raise GeometryError(f"points of axis {axis} must be an array of one axis that is not empty; got shape {x.shape}")
+        raise GeometryError(f"points of axis {axis} must be a non-empty array of one axis; got shape {x.shape}")
     if not np.isfinite(x).all():
         raise GeometryError(f"points of axis {axis} must be finite; got {x[~np.isfinite(x)][0]} at index {_first(~np.isfinite(x))}")
     rise = np.diff(x)
@@ -285,8 +283,8 @@ def _coordinates(axis: int, given: ArrayLike) -> Array:
         if away.max() > _UNEVEN * abs(even[1] - even[0]) + rounding:
             i = int(away.argmax())
             raise GeometryError(
-                f"points of axis {axis} must lie at even distances; got {x[i]} at index {i}, where {even[i]} would be: "
-                "SciPy's RegularGridInterpolator takes uneven ones"
+                f"points of axis {axis} must be evenly spaced; got {x[i]} at index {i}, expected {even[i]}: "
+                "SciPy's RegularGridInterpolator takes uneven spacing"
             )
     return x
 

@@ -1,4 +1,4 @@
-"""Arrays of any number of axes with other numbers of samples: `resize`, by scikit-image's rules."""
+"""Resizing arrays of any number of axes by scikit-image's rules: `resize`."""
 
 from __future__ import annotations
 
@@ -43,23 +43,23 @@ def resize(
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> NDArray[Any]:
-    """An array with another number of samples along its axes: `skimage.transform.resize` of scikit-image 0.26.
+    """Change the number of samples along the axes of an array: `skimage.transform.resize` of scikit-image 0.26.
 
     The domain, from edge to edge, stays: sample j of m lies at ``(j + 1/2) n / m - 1/2`` of the given n.
 
     Parameters
     ----------
     image : array-like
-        Of real numbers, with any number of axes. Integers are read as they are: no floating copy of the whole is made.
+        Real numbers, with any number of axes. Integers are read as they are, without a floating-point copy of the array.
     output_shape : iterable of int
-        Samples along each axis. The last axis may be left out and keeps its length; more numbers than axes add axes of one sample
-        behind the others first.
+        Samples along each axis. The last axis may be left out and keeps its length; more numbers than axes first append axes of one
+        sample.
     order : int, optional
-        Of the spline, 0 to 5; default 0 for booleans, else 1.
+        Order of the spline, 0 to 5; default 0 for booleans, else 1.
     mode : {"reflect", "symmetric", "edge", "wrap", "constant"}
-        What lies outside, in the words of `numpy.pad`.
+        The values outside, in the terms of `numpy.pad`.
     cval : float
-        What lies outside with "constant", in units of the result.
+        The value outside with "constant", in units of the result.
     clip : bool
         Keep the result within the range of the image.
     preserve_range : bool
@@ -67,13 +67,13 @@ def resize(
         becomes -1.
     anti_aliasing : {None, False, True, "gaussian", "least-squares"}
         True, "gaussian": a low-pass first, where an axis gets f times fewer samples, of standard deviation (f - 1) / 2 samples.
-        "least-squares": the spline of the new samples that is nearest to that of the given ones, which keeps more and lets less
-        through; it overshoots at edges as the spline does. None: True if an axis gets shorter, but for booleans, and for integers
+        "least-squares": the spline of the new samples that is nearest to that of the given ones, which keeps more detail and fewer
+        aliases; it overshoots at edges as splines do. None: True if an axis gets shorter, but for booleans, and for integers
         of order 0.
     anti_aliasing_sigma : float or sequence of float, optional
         Standard deviation of the Gaussian, in samples, for all axes or each.
     channel_axis : int, optional
-        An axis that is left alone; `output_shape` is then that of the others.
+        An axis that keeps its length; `output_shape` is then that of the other axes.
     precision : {"single", "double"}, optional
         Of the computation; default "single" for booleans, integers of 8 and 16 bits, float16 and float32, else "double".
     device : Device, str or int, optional
@@ -84,16 +84,16 @@ def resize(
     Returns
     -------
     ndarray
-        Of the image's type if order is 0; else float32 for float16 and float32, and float64 for all others. Memory is needed for
-        it and for one copy of the image.
+        The image's type if order is 0; else float32 for float16 and float32, and float64 for all others. It needs memory for the
+        result and for one copy of the image.
 
     Raises
     ------
     DataError
-        The image is empty, holds no real numbers, or holds NaN or infinities, which a spline of order 2 or more, or least squares,
-        would spread over all of it.
+        The image is empty, does not hold real numbers, or holds NaN or infinities, which a spline of order 2 or more, or least
+        squares, would spread over the whole image.
     OptionError
-        An argument lies outside what is allowed; booleans with an order or with anti-aliasing.
+        An argument is not allowed; booleans with an order or with anti-aliasing.
     DeviceError
         No usable device, or it lacks double precision.
     OutOfMemoryError
@@ -102,13 +102,13 @@ def resize(
     Warns
     -----
     UserWarning
-        `anti_aliasing_sigma` low-passes an axis that does not get shorter.
+        `anti_aliasing_sigma` is above 0 for an axis that does not get shorter.
 
     Notes
     -----
-    It differs from scikit-image in this: integers of order 0 that are low-passed are rounded once, not cut off after each axis;
+    It differs from scikit-image: integers of order 0 that are low-passed are rounded once, not truncated after each axis;
     "symmetric" is exact on short axes, too, where SciPy's prefilter errs (by 0.3 % of the range on 3 samples at order 3, by 4 % at
-    order 5); NaN and infinities are refused where they would spread; and a shape must be whole numbers.
+    order 5); NaN and infinities are refused if they would spread; and shapes must be whole numbers.
 
     Examples
     --------
@@ -135,7 +135,7 @@ def resize(
         scale = 1.0 / top
         if given.kind == "i" and array.min() < -top:
             array = np.maximum(array, -top, dtype=given)
-    if given.kind == "f" and given.itemsize > 8:  # devices do not compute with these
+    if given.kind == "f" and given.itemsize > 8:  # devices cannot compute with wider types
         array = array.astype(kind)
     low, high = _range(array, order > 1 or chosen == "least-squares")
     sigma = _sigma(anti_aliasing_sigma, chosen, array.shape, shape, spatial)
@@ -153,7 +153,7 @@ def resize(
 def _arguments(
     image: ArrayLike, output_shape: Iterable[int], channel_axis: int | None
 ) -> tuple[NDArray[Any], tuple[int, ...], list[bool]]:
-    """The array, its new shape, and which axes are no channels."""
+    """The array, its new shape, and for each axis whether it is not the channels'."""
     array, _ = read_array(image, placed=False)
     if array.dtype.kind not in "biuf":
         raise DataError(f"image must be boolean, integer or floating; got dtype {array.dtype}")
@@ -183,20 +183,20 @@ def _order(order: int | None, kind: np.dtype[Any]) -> int:
         return 0 if kind.kind == "b" else 1
     order = whole("order", order, 0, 5)
     if kind.kind == "b" and order != 0:
-        raise OptionError(f"order must be 0 for booleans, between which nothing lies: convert them to numbers first; got {order!r}")
+        raise OptionError(f"order must be 0 for booleans: convert them to numbers first; got {order!r}")
     return order
 
 
 def _range(array: NDArray[Any], spreads: bool) -> tuple[Any, Any]:
-    """Smallest and largest sample; NaN are passed over, unless they would spread."""
+    """Smallest and largest sample; NaN are ignored, unless they would spread."""
     low, high = array.min(), array.max()
     if array.dtype.kind == "f" and not (np.isfinite(low) and np.isfinite(high)):
         if spreads:
             bad = ~np.isfinite(array)
             first = [int(i) for i in np.unravel_index(int(np.argmax(bad)), array.shape)]
             raise DataError(
-                f"image must be finite, for a spline spreads what is not over all of it; got {int(bad.sum())} NaN or infinite, the "
-                f"first at index {first}: replace them, or take order 0 or 1"
+                f"image must be finite, since a spline would spread other values; got {int(bad.sum())} NaN or infinite, "
+                f"the first at index {first}: replace them, or use order 0 or 1"
             )
         known = array[~np.isnan(array)]
         low, high = (known.min(), known.max()) if known.size else (low, high)
@@ -209,7 +209,7 @@ def _sigma(
     """Standard deviation of the Gaussian along each axis; none without one."""
     if chosen != "gaussian":
         if chosen and given is not None:
-            raise OptionError(f"anti_aliasing_sigma is for the Gaussian, least squares has none; got {given!r}")
+            raise OptionError(f"anti_aliasing_sigma is for the Gaussian, not for least squares; got {given!r}")
         return {}
     if given is None:
         return widths(new, old)
@@ -242,7 +242,7 @@ def _resized(
 
 
 def _clip(result: NDArray[Any], low: Any, high: Any, mode: str, cval: float) -> None:
-    """To the range of the image, which a `cval` outside it widens where it has come into the result."""
+    """Clip to the range of the image, widened to `cval` if that is outside and reaches the result."""
     if mode == "constant" and not low <= cval <= high and np.nanmin(result) <= cval <= np.nanmax(result):
         low, high = min(low, cval), max(high, cval)
     if not math.isnan(low):

@@ -959,7 +959,7 @@ def test_where_others_can_look_and_where_nobody_can_a_note_says_so() -> None:
         code, said, _ = command.end()
     assert code == 0
     assert re.search(
-        r"clvol: note: other machines reach this page, at http://\S+; whoever has the address may look. Nothing is encrypted", said
+        r"clvol: note: other machines reach this page, at http://\S+; whoever has the address can look. It is not encrypted", said
     )
     assert "clvol: note: there is no desktop here: open the address in a browser" in said
 
