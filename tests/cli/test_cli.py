@@ -613,8 +613,8 @@ def test_a_size_that_fits_is_looked_at(clvol_command: Command, ball: clvol.Volum
         "finer ones are read where a picture at rest shows more\n"
     )
     assert (shown[0].volume.shape, shown[0].volume.spacing) == ((36, 36, 36), (4, 4, 4))
-    assert shown[0].source == "clvol.read('ball.zarr', level=1)"
-    assert (shown[0].finer.source, shown[0].finer.level) == ("clvol.open('ball.zarr')", 1)
+    assert shown[0].resident.source == "clvol.read('ball.zarr', level=1)"
+    assert (shown[0].resident.finer.source, shown[0].resident.finer.level) == ("clvol.open('ball.zarr')", 1)
     np.save("ball.npy", ball.data)
     clvol_command("view", "ball.npy", "--terminal").fails(
         1, "must fit into the 1 MiB", "it takes 1.78 MiB", "'clvol pyramid ball.npy"
@@ -638,8 +638,8 @@ def test_what_is_far_away_is_drawn_listed_and_read(
     shown: list[Any] = []
     monkeypatch.setattr("clvol.view.hosts.terminal.show_in_terminal", shown.append)
     assert clvol_command("view", there, "--level", "1", "--terminal").err == ""
-    assert shown[0].source == "clvol.open('memory://far/ball.zarr', level=1).whole()"
-    assert eval(shown[0].source, {"clvol": clvol}).shape == shown[0].volume.shape == (36, 36, 36)
+    assert shown[0].resident.source == "clvol.open('memory://far/ball.zarr', level=1).whole()"
+    assert eval(shown[0].resident.source, {"clvol": clvol}).shape == shown[0].volume.shape == (36, 36, 36)
     clvol_command("convert", there, "-o", "b.npz", "--fill-nan", "smoothly").fails(1, "--fill-nan smoothly is for files")
     clvol_command("render", "memory://far/none.zarr", "-o", "b.png").fails(1, "memory://far/none.zarr")
 

@@ -129,9 +129,9 @@ def test_what_render_reads_by_bricks_is_so_here(files: list[Path], tmp_path: Pat
         ({}, {"options": {"outputs": "uncertainty"}}, clvol.Volume),
         (clvol.read, {}, clvol.Volume),
     ):
-        asked = batches._Asked(how, None, **{"options": {}, "limits": {}, **options})
+        asked = batches._Request(how, None, **{"options": {}, "limits": {}, **options})
         assert type(asked.read(str(store))) is kind
-    plain = batches._Asked({}, None, {}, {})
+    plain = batches._Request({}, None, {}, {})
     assert type(plain.read(str(files[0]))) is clvol.Volume
     monkeypatch.setattr("clvol.base.memory.available", lambda: 1 << 15)
     assert type(plain.read(str(files[0]))) is clvol.LazyVolume
