@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from clvol.bricks.grid import Brick, BrickGrid
-from clvol.bricks.residents import Resident
-from clvol.bricks.source import Bounds, Index
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
-from clvol.spline.evaluator import Evaluator
 from clvol.spline.minmax import MinMax
-from clvol.volume.stored import Stored
+
+if TYPE_CHECKING:
+    from clvol.bricks.grid import Brick, BrickGrid
+    from clvol.bricks.residents import Resident
+    from clvol.bricks.source import Bounds, Index
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.evaluator import Evaluator
+    from clvol.volume.stored import Stored
 
 __all__ = ["BrickBounds"]
 

@@ -6,25 +6,31 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.bricks.grid import BrickGrid
 from clvol.bricks.source import LazyVolume
-from clvol.bricks.store import Part, Store
-from clvol.device import Device
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
 from clvol.filter.make import bspline
 from clvol.spline.evaluator import DIRECT
-from clvol.spline.grids import Target, beyond
-from clvol.spline.points import NOTHING_GIVEN, Progress, Transform, sample_into
-from clvol.spline.reduce import Sums, gaussian_sums, interpolated, nearest_sums, smoothed
+from clvol.spline.grids import beyond
+from clvol.spline.points import NOTHING_GIVEN, Transform, sample_into
+from clvol.spline.reduce import gaussian_sums, interpolated, nearest_sums, smoothed
 from clvol.spline.resample import no_shear, resample_coefficients
-from clvol.volume.stored import Stored, wide_enough
+from clvol.volume.stored import wide_enough
 from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.bricks.grid import BrickGrid
+    from clvol.bricks.store import Part, Store
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.grids import Target
+    from clvol.spline.points import Progress
+    from clvol.spline.reduce import Sums
+    from clvol.volume.stored import Stored
 
 __all__ = ["ByBricks", "ends_of"]
 

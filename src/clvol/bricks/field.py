@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,24 +26,32 @@ from clvol.bricks.chunks import stored_in_one
 from clvol.bricks.evaluate import ByBricks, ends_of
 from clvol.bricks.grid import NEIGHBOURS, BrickGrid
 from clvol.bricks.reduced import Reduced
-from clvol.bricks.residents import Account, Reads
+from clvol.bricks.residents import Account
 from clvol.bricks.source import LazyVolume, memory_for
-from clvol.bricks.store import Part, Store, require_names
-from clvol.device import Device, as_device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import Filter
+from clvol.bricks.store import Store, require_names
+from clvol.device import as_device
+from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.margin import reach
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.spline.coefficients import Whole, bytes_of, extent_of
-from clvol.spline.function import CLOSED, ContinuousFunction, Precision, described, fill_value
-from clvol.spline.grids import Target
+from clvol.spline.function import CLOSED, ContinuousFunction, described, fill_value
 from clvol.spline.lease import Lease
-from clvol.spline.points import Progress, Reals
 from clvol.spline.reduce import steps_along
-from clvol.volume.missing import Missing, as_missing
+from clvol.volume.missing import as_missing
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.bricks.residents import Reads
+    from clvol.bricks.store import Part
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.function import Precision
+    from clvol.spline.grids import Target
+    from clvol.spline.points import Progress, Reals
+    from clvol.volume.missing import Missing
 
 __all__ = ["BrickedField", "as_lazy", "of_lazy", "require_plain"]
 

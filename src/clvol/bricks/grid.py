@@ -6,12 +6,15 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.bricks.source import Index
 from clvol.spline.minmax import BLOCK
+
+if TYPE_CHECKING:
+    from clvol.bricks.source import Index
 
 __all__ = ["ALIGNED", "NEIGHBOURS", "Brick", "BrickGrid"]
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
-from clvol.bricks.source import Index, LazyVolume
-from clvol.device import Device
-from clvol.spline.reduce import Sums, order_of, sum_along
+from clvol.spline.reduce import order_of, sum_along
 from clvol.spline.rows import GAP, Rows, gathered
+
+if TYPE_CHECKING:
+    from clvol.bricks.source import Index, LazyVolume
+    from clvol.device import Device
+    from clvol.spline.reduce import Sums
 
 __all__ = ["Reduced"]
 

@@ -17,14 +17,17 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from clvol.bricks.chunks import Chunks
-from clvol.bricks.source import Index
-from clvol.spline.coefficients import Coefficients
-from clvol.spline.minmax import MinMax, bytes_beside
+from clvol.spline.minmax import bytes_beside
+
+if TYPE_CHECKING:
+    from clvol.bricks.chunks import Chunks
+    from clvol.bricks.source import Index
+    from clvol.spline.coefficients import Coefficients
+    from clvol.spline.minmax import MinMax
 
 __all__ = ["Account", "Reads", "Resident", "Residents"]
 

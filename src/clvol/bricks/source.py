@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -21,9 +21,11 @@ from clvol.base.checks import number, whole
 from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
-from clvol.noise import Noise
 from clvol.volume.pictured import Pictured
 from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.noise import Noise
 
 __all__ = ["BUDGET", "Bounds", "LazyVolume", "Sliced", "by_bricks", "memory_for", "needed_by", "too_large"]
 

@@ -7,27 +7,32 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, OutOfMemoryError
-from clvol.bricks.budget import Needs
 from clvol.bricks.chunks import Chunks
-from clvol.bricks.grid import Brick, BrickGrid
 from clvol.bricks.reduced import Reduced
-from clvol.bricks.residents import Account, Reads, Resident, Residents
-from clvol.bricks.source import Index, LazyVolume
-from clvol.device import Device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import Filter
+from clvol.bricks.residents import Reads, Resident, Residents
+from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.spline.coefficients import Coefficients, bytes_of
 from clvol.spline.field import filled
 from clvol.spline.minmax import bytes_beside
-from clvol.spline.reduce import Sums
-from clvol.volume.stored import RENUMBER, Stored, names_beyond
-from clvol.volume.volume import Volume
+from clvol.volume.stored import RENUMBER, names_beyond
+
+if TYPE_CHECKING:
+    from clvol.bricks.budget import Needs
+    from clvol.bricks.grid import Brick, BrickGrid
+    from clvol.bricks.residents import Account
+    from clvol.bricks.source import Index, LazyVolume
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.reduce import Sums
+    from clvol.volume.stored import Stored
+    from clvol.volume.volume import Volume
 
 __all__ = ["Part", "Store", "require_names"]
 

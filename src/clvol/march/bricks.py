@@ -11,26 +11,32 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base import memory
-from clvol.base.progress import Progress, part_of
-from clvol.base.uniform import Values
-from clvol.bricks.field import BrickedField
-from clvol.bricks.grid import Brick
-from clvol.bricks.residents import Resident
-from clvol.bricks.source import Index, LazyVolume
-from clvol.device.program import Program
-from clvol.filter.filter import Filter
-from clvol.march.frame import WINDOW, Frame
-from clvol.march.launch import Drawing, Picture, launched_over, lent_pictures, pictures_of
-from clvol.scene.camera import Viewpoint
+from clvol.base.progress import part_of
+from clvol.march.frame import WINDOW
+from clvol.march.launch import Drawing, launched_over, lent_pictures, pictures_of
 from clvol.spline.lease import release
-from clvol.spline.minmax import MinMax, minmax_block
-from clvol.volume.volume import Volume
+from clvol.spline.minmax import minmax_block
+
+if TYPE_CHECKING:
+    from clvol.base.progress import Progress
+    from clvol.base.uniform import Values
+    from clvol.bricks.field import BrickedField
+    from clvol.bricks.grid import Brick
+    from clvol.bricks.residents import Resident
+    from clvol.bricks.source import Index, LazyVolume
+    from clvol.device.program import Program
+    from clvol.filter.filter import Filter
+    from clvol.march.frame import Frame
+    from clvol.march.launch import Picture
+    from clvol.scene.camera import Viewpoint
+    from clvol.spline.minmax import MinMax
+    from clvol.volume.volume import Volume
 
 __all__ = [
     "STEPPED_AT_MOST",

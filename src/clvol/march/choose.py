@@ -8,11 +8,8 @@ from clvol.base.checks import one_of
 from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume, memory_for
-from clvol.device import Device
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
 from clvol.filter.table import PICTURE_FILTER
-from clvol.march.options import MERGES, Merge
+from clvol.march.options import MERGES
 from clvol.scene.scene import Medium, Scene, as_scene
 from clvol.spline.field import Field, as_field
 from clvol.spline.function import ContinuousFunction
@@ -21,9 +18,14 @@ from clvol.volume.volume import as_volume
 
 if TYPE_CHECKING:  # clusters need dask
     from clvol.dask.cluster import ClusterLike
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.march.options import Merge
+    from clvol.march.source import Drawable, Source
 
 
-from clvol.march.source import ByBricks, Drawable, InMemory, Source, row_for, single, usual_filter
+from clvol.march.source import ByBricks, InMemory, row_for, single, usual_filter
 
 __all__ = ["source_of"]
 

@@ -16,20 +16,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import one_of
 from clvol.base.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
-from clvol.base.progress import Progress
 from clvol.bricks.field import BrickedField
 from clvol.bricks.grid import Brick
-from clvol.bricks.source import Index, LazyVolume, memory_for
+from clvol.bricks.source import memory_for
 from clvol.dask.cluster import (
-    Cluster,
-    ClusterLike,
     LostError,
     PoisonError,
     WorkerLock,
@@ -41,15 +38,23 @@ from clvol.dask.cluster import (
     worker_device,
 )
 from clvol.device import Device
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
-from clvol.march.bricks import Area, BrickedDrawing, Carried, Pass, boxes_of, front_to_back, pixels_of
-from clvol.march.frame import Frame, tile_of
-from clvol.march.options import MERGES, Fineness, Merge, ResolvedLook
+from clvol.march.bricks import BrickedDrawing, boxes_of, front_to_back, pixels_of
+from clvol.march.frame import tile_of
+from clvol.march.options import MERGES
 from clvol.march.source import ByBricks
-from clvol.scene.camera import Viewpoint
-from clvol.scene.scene import Scene
-from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.base.progress import Progress
+    from clvol.bricks.source import Index, LazyVolume
+    from clvol.dask.cluster import Cluster, ClusterLike
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.march.bricks import Area, Carried, Pass
+    from clvol.march.frame import Frame
+    from clvol.march.options import Fineness, Merge, ResolvedLook
+    from clvol.scene.camera import Viewpoint
+    from clvol.scene.scene import Scene
+    from clvol.volume.volume import Volume
 
 __all__ = ["ClusterDrawing", "Group", "OnCluster", "Shared", "groups_of", "shared_out", "visible"]
 

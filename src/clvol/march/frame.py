@@ -5,27 +5,35 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.progress import Progress
-from clvol.base.uniform import FLOAT, INT, Block, Values
-from clvol.device import Device, Tile
-from clvol.device.program import Program
-from clvol.march.options import ResolvedLook
+from clvol.base.uniform import FLOAT, INT, Block
+from clvol.device import Tile
 from clvol.march.planes import SEGMENT, SLAB, Planes
-from clvol.scene.camera import Camera, Viewpoint
+from clvol.scene.camera import Viewpoint
 from clvol.scene.fit import fitted
 from clvol.scene.light import LIGHTS, Material, lights_block
-from clvol.scene.mode import Mode
-from clvol.scene.scene import CLIP, Medium, Scene, clip_block
+from clvol.scene.scene import CLIP, Medium, clip_block
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.build import along_defines
-from clvol.spline.coefficients import Coefficients, Whole
-from clvol.spline.evaluator import DIRECT, Evaluator
-from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
+from clvol.spline.evaluator import DIRECT
+from clvol.spline.minmax import BLOCK, MINMAX, minmax_block
+
+if TYPE_CHECKING:
+    from clvol.base.progress import Progress
+    from clvol.base.uniform import Values
+    from clvol.device import Device
+    from clvol.device.program import Program
+    from clvol.march.options import ResolvedLook
+    from clvol.scene.camera import Camera
+    from clvol.scene.mode import Mode
+    from clvol.scene.scene import Scene
+    from clvol.spline.coefficients import Coefficients, Whole
+    from clvol.spline.evaluator import Evaluator
+    from clvol.spline.minmax import MinMax
 
 __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "frame_block", "tile_of"]
 

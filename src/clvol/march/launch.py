@@ -6,18 +6,21 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator
-from typing import Any, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
-from clvol.base.progress import Progress, part_of
-from clvol.filter.filter import Filter
-from clvol.march.frame import Frame
+from clvol.base.progress import part_of
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, EDGE_RAYS, as_pixel_filter, on_edges, pixel_rays
 from clvol.spline.build import row_reach, row_width
 from clvol.spline.coefficients import Coefficients
+
+if TYPE_CHECKING:
+    from clvol.base.progress import Progress
+    from clvol.filter.filter import Filter
+    from clvol.march.frame import Frame
 
 __all__ = [
     "BEFORE_EDGES",

@@ -12,21 +12,24 @@ import numpy as np
 from clvol.base import memory
 from clvol.base.checks import instance, number, one_of, whole
 from clvol.base.errors import OptionError
-from clvol.device import Device
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
-from clvol.scene.camera import Camera, Viewpoint
+from clvol.scene.camera import Camera
 from clvol.scene.fit import fitted
-from clvol.scene.light import Light, Material
 from clvol.scene.look import look
-from clvol.scene.mode import Mode, as_mode
-from clvol.scene.scene import Box, Medium, Scene
-from clvol.scene.transfer import TransferFunction
-from clvol.volume.volume import Volume
+from clvol.scene.mode import as_mode
+from clvol.scene.scene import Medium
 
 if TYPE_CHECKING:  # clusters need dask
     from clvol.dask.cluster import ClusterLike
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.scene.camera import Viewpoint
+    from clvol.scene.light import Light, Material
+    from clvol.scene.mode import Mode
+    from clvol.scene.scene import Box, Scene
+    from clvol.scene.transfer import TransferFunction
+    from clvol.volume.volume import Volume
 
 __all__ = [
     "KEYWORDS",

@@ -13,13 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
+
+if TYPE_CHECKING:
+    from clvol.filter.filter import Filter
 
 __all__ = ["DEFAULT_PIXEL_FILTER", "EDGE_RAYS", "as_pixel_filter", "on_edges", "pixel_offsets", "pixel_rays"]
 

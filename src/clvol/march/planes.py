@@ -12,15 +12,18 @@ entry. A ray that meets no plane, or is shorter than half a step, has one sample
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from clvol.base.errors import OptionError
-from clvol.base.uniform import FLOAT, INT, Block, Values
-from clvol.scene.camera import Viewpoint
+from clvol.base.uniform import FLOAT, INT, Block
 from clvol.spline.minmax import BLOCK
-from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.base.uniform import Values
+    from clvol.scene.camera import Viewpoint
+    from clvol.volume.volume import Volume
 
 __all__ = ["OBLIQUE", "SEGMENT", "SLAB", "Planes"]
 

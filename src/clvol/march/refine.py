@@ -15,16 +15,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.progress import Progress, part_of
-from clvol.filter.filter import Filter
-from clvol.march.frame import Frame, Subject
+from clvol.base.progress import part_of
 from clvol.march.launch import BEFORE_EDGES, Drawing
 from clvol.show.picture import Picture
+
+if TYPE_CHECKING:
+    from clvol.base.progress import Progress
+    from clvol.filter.filter import Filter
+    from clvol.march.frame import Frame, Subject
 
 __all__ = ["Asked", "Rate", "Rates", "Refined", "Wanted", "refined", "refined_by_levels"]
 

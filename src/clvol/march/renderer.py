@@ -10,38 +10,41 @@ from typing import TYPE_CHECKING, Any, Self, Unpack, cast, overload
 
 from clvol.base.checks import number
 from clvol.base.errors import OptionError
-from clvol.base.progress import Progress, require_callback
-from clvol.bricks.field import BrickedField
-from clvol.device import Device
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
+from clvol.base.progress import require_callback
 from clvol.march.choose import source_of
 from clvol.march.options import (
     OUTPUTS,
     Fineness,
-    Merge,
     Output,
     PictureOptions,
-    RefineOptions,
     RendererOptions,
-    RenderOptions,
     ResolvedLook,
     as_outputs,
     chosen_mode,
     require_room,
 )
-from clvol.march.refine import Asked, Refined
-from clvol.march.source import ByBricks, Drawable, Source
+from clvol.march.refine import Asked
+from clvol.march.source import ByBricks, Source
 from clvol.march.uncertainty import noise_of
-from clvol.scene.camera import Camera
-from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode
-from clvol.scene.scene import Scene
-from clvol.show.picture import Picture, as_pictures
-from clvol.spline.field import Field
-from clvol.volume.volume import Volume
+from clvol.scene.mode import DEFAULT_MODE, as_mode
+from clvol.show.picture import as_pictures
 
 if TYPE_CHECKING:  # clusters need dask
+    from clvol.base.progress import Progress
+    from clvol.bricks.field import BrickedField
     from clvol.dask.cluster import ClusterLike
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.march.options import Merge, RefineOptions, RenderOptions
+    from clvol.march.refine import Refined
+    from clvol.march.source import Drawable
+    from clvol.scene.camera import Camera
+    from clvol.scene.mode import Mode
+    from clvol.scene.scene import Scene
+    from clvol.show.picture import Picture
+    from clvol.spline.field import Field
+    from clvol.volume.volume import Volume
 
 __all__ = ["OUTPUTS", "Output", "Renderer", "render"]
 

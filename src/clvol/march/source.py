@@ -12,23 +12,17 @@ from numpy.typing import ArrayLike
 
 from clvol.base.checks import whole
 from clvol.base.errors import DataError, OptionError
-from clvol.base.progress import Progress
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume
-from clvol.device import Device
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
 from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
-from clvol.march.frame import Frame, Subject
-from clvol.march.options import Fineness, ResolvedLook
-from clvol.march.refine import Asked, Rates, Refined, Wanted, refined, refined_by_levels
+from clvol.march.frame import Subject
+from clvol.march.refine import Rates, Wanted, refined, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
-from clvol.scene.mode import Mode
 from clvol.scene.scene import Medium, Scene
-from clvol.show.picture import Picture, as_pictures
-from clvol.spline.evaluator import DIRECT, Evaluator, choose_evaluator, require_names
+from clvol.show.picture import as_pictures
+from clvol.spline.evaluator import DIRECT, choose_evaluator, require_names
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
@@ -37,7 +31,16 @@ from clvol.volume.stored import RENUMBER, names_beyond
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:  # clusters need dask
-    pass
+    from clvol.base.progress import Progress
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.march.frame import Frame
+    from clvol.march.options import Fineness, ResolvedLook
+    from clvol.march.refine import Asked, Refined
+    from clvol.scene.mode import Mode
+    from clvol.show.picture import Picture
+    from clvol.spline.evaluator import Evaluator
 
 __all__ = ["ByBricks", "Drawable", "InMemory", "Source", "row_for", "single", "usual_filter"]
 

@@ -22,20 +22,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import number
-from clvol.base.uniform import FLOAT, Block, Values
-from clvol.filter.filter import Filter
+from clvol.base.uniform import FLOAT, Block
 from clvol.filter.make import bspline
 from clvol.noise import Noise, colour_power
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT
-from clvol.spline.field import Field
-from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.base.uniform import Values
+    from clvol.filter.filter import Filter
+    from clvol.spline.field import Field
+    from clvol.volume.volume import Volume
 
 __all__ = ["COVERAGE", "Uncertainty", "in_words", "noise_of"]
 

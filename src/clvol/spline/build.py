@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from clvol.device import Device
 from clvol.device.program import literal
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
-from clvol.spline.evaluator import Evaluator
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.evaluator import Evaluator
 
 __all__ = [
     "DefineDict",

@@ -5,19 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.device import Device
 from clvol.device.program import LANES
 from clvol.filter.boundary import as_boundary
-from clvol.spline.build import DefineDict, scalar_defines
+from clvol.spline.build import scalar_defines
 from clvol.spline.prefilter import prefilter_in_place
-from clvol.volume.stored import Reals
-from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, split_at_grids
-from clvol.volume.volume import Volume
+from clvol.volume.transform import AffineTransform, BSplineTransform, split_at_grids
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.spline.build import DefineDict
+    from clvol.volume.stored import Reals
+    from clvol.volume.transform import DisplacementField, Transform
+    from clvol.volume.volume import Volume
 
 __all__ = ["Chain", "Progress"]
 

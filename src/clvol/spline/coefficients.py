@@ -6,22 +6,27 @@ import math
 import threading
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DeviceError, OptionError, OutOfMemoryError
-from clvol.device import Device
-from clvol.device.program import LANES, Program
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
-from clvol.spline.build import DefineDict, evaluator_defines, filter_defines, row_reach, scalar_defines
-from clvol.spline.evaluator import Evaluator
+from clvol.device.program import LANES
+from clvol.spline.build import evaluator_defines, filter_defines, row_reach, scalar_defines
 from clvol.spline.lease import release
 from clvol.spline.prefilter import prefilter_in_place
-from clvol.volume.stored import AS_THEY_ARE, Stored
+from clvol.volume.stored import AS_THEY_ARE
 from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.device.program import Program
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.build import DefineDict
+    from clvol.spline.evaluator import Evaluator
+    from clvol.volume.stored import Stored
 
 __all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "Whole", "addressable", "bundled", "bytes_of", "extent_of"]
 

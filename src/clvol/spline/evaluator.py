@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from clvol.base.checks import one_of
 from clvol.base.errors import DeviceError, OptionError
-from clvol.device import Device
-from clvol.filter.filter import Filter
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.filter.filter import Filter
 
 __all__ = ["DIRECT", "SAMPLE_BITS", "Evaluator", "EvaluatorName", "FetchName", "choose_evaluator", "require_names"]
 

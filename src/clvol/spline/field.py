@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial, wraps
 from importlib import import_module
-from typing import Any, ParamSpec, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -19,18 +19,16 @@ from clvol.base.checks import one_of, warn, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.base.progress import part_of
 from clvol.base.rounding import wide
-from clvol.device import Device, as_device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import Filter
+from clvol.device import as_device
+from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop.dispatch import is_in_parts, with_dask
 from clvol.interop.images import read_array
 from clvol.spline.coefficients import Coefficients, Lattice, bytes_of
-from clvol.spline.evaluator import DIRECT, Evaluator, choose_evaluator
+from clvol.spline.evaluator import DIRECT, choose_evaluator
 from clvol.spline.function import (
     CLOSED,
     ContinuousFunction,
-    Frame,
     Precision,
     as_result,
     described,
@@ -39,17 +37,28 @@ from clvol.spline.function import (
     require_no_transform,
     result_kind,
 )
-from clvol.spline.grids import Anchor, Target, between, beyond, grid_for
+from clvol.spline.grids import Target, between, beyond, grid_for
 from clvol.spline.lease import Lease
 from clvol.spline.points import Floats, Given, Progress, Reals, Transform, sample_coefficients, sample_grid
-from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, nearest_spline, steps_along
+from clvol.spline.reduce import as_anti_aliasing, low_passed, nearest_spline, steps_along
 from clvol.spline.resample import resample_coefficients
-from clvol.volume.missing import Missing, as_missing, touching
+from clvol.volume.missing import as_missing, touching
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import AS_THEY_ARE, Stored, names_beyond
-from clvol.volume.transform import Transforms, as_chain
+from clvol.volume.transform import as_chain
 from clvol.volume.volume import Volume, as_volume
-from clvol.volume.volumes import Volumes
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.evaluator import Evaluator
+    from clvol.spline.function import Frame
+    from clvol.spline.grids import Anchor
+    from clvol.spline.reduce import AntiAliasing
+    from clvol.volume.missing import Missing
+    from clvol.volume.transform import Transforms
+    from clvol.volume.volumes import Volumes
 
 __all__ = [
     "Field",

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -17,19 +17,24 @@ from clvol.base.checks import warn, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.base.frames import flipped, in_frame
 from clvol.base.rounding import as_kind, in_kind
-from clvol.device import Device
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
 from clvol.spline.chain import Chain
-from clvol.spline.grids import Anchor, Target, grid_for
+from clvol.spline.grids import Target, grid_for
 from clvol.spline.lease import Leased
-from clvol.spline.points import Progress, Reals
-from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
-from clvol.volume.missing import Missing
+from clvol.spline.reduce import as_anti_aliasing
 from clvol.volume.stored import RENUMBER, names_beyond
-from clvol.volume.transform import Transforms, as_chain
-from clvol.volume.volume import Volume
-from clvol.volume.volumes import Volumes
+from clvol.volume.transform import as_chain
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.grids import Anchor
+    from clvol.spline.points import Progress, Reals
+    from clvol.spline.reduce import AntiAliasing
+    from clvol.volume.missing import Missing
+    from clvol.volume.transform import Transforms
+    from clvol.volume.volume import Volume
+    from clvol.volume.volumes import Volumes
 
 __all__ = [
     "CLOSED",

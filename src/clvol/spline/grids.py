@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,11 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base import memory
 from clvol.base.checks import one_of
 from clvol.base.errors import OptionError
-from clvol.filter.boundary import Boundary
-from clvol.spline.chain import Chain
-from clvol.spline.reduce import AntiAliasing
 from clvol.volume.volume import Volume
-from clvol.volume.volumes import Volumes, as_grid
+from clvol.volume.volumes import as_grid
+
+if TYPE_CHECKING:
+    from clvol.filter.boundary import Boundary
+    from clvol.spline.chain import Chain
+    from clvol.spline.reduce import AntiAliasing
+    from clvol.volume.volumes import Volumes
 
 __all__ = ["Anchor", "Target", "between", "beyond", "grid_for"]
 

@@ -6,10 +6,12 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from clvol.base.errors import DeviceError, OptionError
-from clvol.device import Device
+
+if TYPE_CHECKING:
+    from clvol.device import Device
 
 __all__ = ["Lease", "Leased", "release"]
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
 from clvol.base.errors import OptionError
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
 from clvol.spline.reduce import Sums, least_squares
+
+if TYPE_CHECKING:
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
 
 __all__ = ["FIXED", "METHODS", "ORDER", "Level", "Method", "filter_at", "levels_of", "require_reducible", "sums_for"]
 

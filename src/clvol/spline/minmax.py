@@ -13,19 +13,24 @@ import threading
 from collections.abc import Callable
 from fractions import Fraction
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device.program import LANES
-from clvol.filter.filter import Filter
-from clvol.spline.build import DefineDict, literals
-from clvol.spline.coefficients import Coefficients
-from clvol.spline.evaluator import DIRECT, Evaluator
+from clvol.spline.build import literals
+from clvol.spline.evaluator import DIRECT
 from clvol.spline.lease import release
-from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.base.uniform import Values
+    from clvol.filter.filter import Filter
+    from clvol.spline.build import DefineDict
+    from clvol.spline.coefficients import Coefficients
+    from clvol.spline.evaluator import Evaluator
+    from clvol.volume.volume import Volume
 
 __all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "Cell", "MinMax", "bernstein", "bytes_beside", "minmax_block"]
 

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.device import Device
-from clvol.device.program import LANES, Program
-from clvol.filter.boundary import Boundary
-from clvol.spline.build import DefineDict, boundary_defines, point_defines
-from clvol.spline.chain import Chain, Progress
-from clvol.spline.coefficients import Coefficients
-from clvol.spline.evaluator import DIRECT, Evaluator
+from clvol.device.program import LANES
+from clvol.spline.build import boundary_defines, point_defines
+from clvol.spline.chain import Progress
+from clvol.spline.evaluator import DIRECT
 from clvol.spline.sort import Sorter, scattered
 from clvol.volume.stored import Reals
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.device.program import Program
+    from clvol.filter.boundary import Boundary
+    from clvol.spline.build import DefineDict
+    from clvol.spline.chain import Chain
+    from clvol.spline.coefficients import Coefficients
+    from clvol.spline.evaluator import Evaluator
 
 __all__ = [
     "NOTHING_GIVEN",

@@ -7,16 +7,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import zip_longest
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.device import Device
 from clvol.device.program import LANES
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
-from clvol.spline.build import DefineDict, scalar_defines
+from clvol.spline.build import scalar_defines
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.build import DefineDict
 
 __all__ = ["gain_along", "prefilter_in_place"]
 

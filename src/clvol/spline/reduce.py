@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -17,14 +17,16 @@ from numpy.typing import NDArray
 from clvol.base import memory
 from clvol.base.checks import one_of
 from clvol.base.errors import DeviceError, OptionError
-from clvol.device import Device
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
 from clvol.filter.make import bspline
 from clvol.spline.build import scalar_defines
 from clvol.volume.smoothing import settled
 from clvol.volume.stored import wide_enough
-from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.volume.volume import Volume
 
 __all__ = [
     "AntiAliasing",

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,13 @@ from numpy.typing import NDArray
 from clvol.base.progress import part_of
 from clvol.device.program import LANES
 from clvol.spline.build import scalar_defines
-from clvol.spline.coefficients import Coefficients
-from clvol.spline.evaluator import DIRECT, Evaluator
-from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Transform, sample_grid
+from clvol.spline.evaluator import DIRECT
+from clvol.spline.points import NOTHING_GIVEN, Transform, sample_grid
+
+if TYPE_CHECKING:
+    from clvol.spline.coefficients import Coefficients
+    from clvol.spline.evaluator import Evaluator
+    from clvol.spline.points import Given, Progress
 
 __all__ = ["Positions", "along_axes", "no_shear", "resample_axes", "resample_coefficients"]
 

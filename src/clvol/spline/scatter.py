@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,15 +14,20 @@ from clvol.base import memory
 from clvol.base.arrays import as_array
 from clvol.base.checks import several, whole
 from clvol.base.errors import DeviceError, OptionError
-from clvol.device import Device, as_device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary, boundaries
-from clvol.filter.filter import Filter
+from clvol.device import as_device
+from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary, boundaries
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.spline.build import boundary_defines, filter_defines, point_defines
-from clvol.spline.field import Precision, precision_kind, prefilter
+from clvol.spline.field import precision_kind, prefilter
 from clvol.spline.points import Transform
-from clvol.volume.stored import Reals
 from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.field import Precision
+    from clvol.volume.stored import Reals
 
 __all__ = ["adjoint", "linear"]
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.device.program import LANES
 from clvol.spline.build import point_defines
-from clvol.spline.coefficients import Coefficients
+
+if TYPE_CHECKING:
+    from clvol.spline.coefficients import Coefficients
 
 __all__ = ["Sorter", "scattered"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,21 +13,28 @@ from clvol.base import memory
 from clvol.base.checks import instance, one_of, several, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.base.progress import part_of
-from clvol.device import Device, as_device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.filter.filter import Filter
+from clvol.device import as_device
+from clvol.filter.boundary import DEFAULT_BOUNDARY
 from clvol.filter.table import DEFAULT_FILTER
 from clvol.spline.chain import Chain
 from clvol.spline.evaluator import DIRECT
-from clvol.spline.field import Field, Precision, opened, resample
+from clvol.spline.field import Field, opened, resample
 from clvol.spline.function import fill_value
-from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Reals, Transform, sample_grid
+from clvol.spline.points import NOTHING_GIVEN, Given, Transform, sample_grid
 from clvol.spline.resample import resample_coefficients
-from clvol.volume.missing import Missing
 from clvol.volume.smoothing import filter_for
-from clvol.volume.transform import Transforms, as_chain
+from clvol.volume.transform import as_chain
 from clvol.volume.volume import Volume, as_volume
 from clvol.volume.volumes import Volumes, as_grid
+
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.spline.field import Precision
+    from clvol.spline.points import Progress, Reals
+    from clvol.volume.missing import Missing
+    from clvol.volume.transform import Transforms
 
 __all__ = ["Warped", "resample_series", "warp"]
 
