@@ -307,10 +307,10 @@ def test_the_exact_sinc_is_measured_where_the_others_are(made: tuple[reports.Rep
     assert table.points == wanted.points > 1000
 
 
-def test_what_the_low_pass_took_is_said(made: tuple[reports.Report, Page, list[float]]) -> None:
+def test_the_loss_from_the_low_pass_is_stated(made: tuple[reports.Report, Page, list[float]]) -> None:
     done, page, _ = made
     assert done.table.lost > 0
-    assert f"The low-pass itself took {done.table.lost:.3g} (RMS) from the samples" in page.text
+    assert f"The low-pass itself removed {done.table.lost:.3g} (RMS) from the samples" in page.text
 
 
 def test_the_advice_of_a_report_is_that_of_advise(made: tuple[reports.Report, Page, list[float]]) -> None:

@@ -44,29 +44,29 @@ _SHOWN = 0.995  # the strongest colour is this quantile of the differences
 _HIGHER = {"psnr", "ssim"}  # the best is the largest; of all others the smallest
 _BEST = " The best of each column is bold."
 _EXPECTED = (
-    "What each filter does to the frequencies that these samples hold, and to their noise: for these numbers nothing is "
-    "blurred or left out. Bias is blur and aliases (0 where the noise may explain all of it); noise is what the filter "
-    "leaves of the samples'; the root of the sum of both squares is the error to expect between the samples, and the advice"
-    " above goes by it. What frequencies the object had beyond those that samples can hold nobody can know: there are none "
-    "here, except at jumps from one sample to the next. Gradients are per world unit. Overshoot is how far values half-way "
-    "between these samples leave their range."
+    "The effect of each filter on the frequencies of these samples, and on their noise: for these numbers nothing is "
+    "blurred or omitted. Bias is blur and aliases (0 if the noise may explain all of it); noise is the part of the samples' "
+    "noise that the filter keeps; the root of the sum of both squares is the expected error between the samples, and the "
+    "advice above is based on it. Frequencies of the object beyond Nyquist cannot be known: they are assumed to be 0, except "
+    "at jumps from one sample to the next. Gradients are per world unit. Overshoot is how far values half-way between these "
+    "samples leave their range."
 )
 _MEASURED = (
-    "A check by experiment, on blurred data: the volume is low-passed, every second sample of that along each axis is kept,"
-    " and what filters make of these is compared with the low-passed volume. The low-pass itself took {lost:.3g} (RMS) from"
-    " the samples. No filter can bring that back, and it is in no column but the second, the difference from the samples "
-    "before the low-pass{share}. The low-pass takes most of the noise, too, and what is left of it counts as data here, so "
-    "filters that smooth look worse than they are. Angles are those to the gradient of the quintic spline through the "
-    "low-passed volume, where it stands out of the noise. A dash means that the number does not exist."
+    "An experiment on blurred data: the volume is low-passed, every second sample of it along each axis is kept, and the "
+    "reconstructions from these are compared with the low-passed volume. The low-pass itself removed {lost:.3g} (RMS) from "
+    "the samples. No filter can restore that, and only the second column includes it, the difference from the samples "
+    "before the low-pass{share}. The low-pass also removes most of the noise, and the rest counts as data here, so filters "
+    "that smooth look worse than they are. Angles are to the gradient of the quintic spline through the low-passed volume, "
+    "where it exceeds the noise. A dash means that the number does not exist."
 )
 _LEFT_OUT = (
-    "Nothing is low-passed here: along one axis every second slice is left out and predicted from the others, RMS{noise}. "
-    "Detail finer than two slices is lost to all filters."
+    "Nothing is low-passed here: along one axis every second slice is omitted and predicted from the others, RMS{noise}. "
+    "All filters lose detail finer than two slices."
 )
 _TURNED = (
-    "Nothing is low-passed here either: the middle slice is turned {turns} times by {degrees:g}°, each time drawn anew, and"
-    " compared with itself within the disc that stays inside. Noise is part of the picture here: filters that smooth lose "
-    "by it."
+    "Nothing is low-passed here either: the middle slice is rotated {turns} times by {degrees:g}°, resampled each time, and "
+    "compared with itself within the disc that stays inside. Noise is part of the picture here: smoothing it counts as an "
+    "error."
 )
 
 
