@@ -106,7 +106,7 @@ def figures() -> dict[str, Figure]:
         "functions with eight parameters or more": Figure(sum(parameters(node) >= 8 for node in functions()), 68),
         "depth of the filter": Figure(depth("clvol.filter.filter"), 4),
         "depth of Field": Figure(depth("clvol.spline.field"), 11),
-        "depth of Renderer": Figure(depth("clvol.march.renderer"), 15),
+        "depth of Renderer": Figure(depth("clvol.march.renderer"), 18),
     }
 
 
