@@ -152,7 +152,7 @@ def test_who_chooses_a_channel_explains_the_pages(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "v.tif", DATA[0, :, 0], photometric="minisblack", metadata=None)
     with warnings.catch_warnings(action="error"):
         np.testing.assert_array_equal(clvol.read(tmp_path / "v.tif", channel=2).data, DATA[0, 2, 0])
-    with pytest.raises(OptionError, match=r"time must be 0 to 2, because v\.tif has 3 times"):
+    with pytest.raises(OptionError, match=r"time must be 0 to 2, because v\.tif holds 3 times"):
         clvol.read(tmp_path / "v.tif", time=3)
     tifffile.imwrite(tmp_path / "w.tif", DATA[0], photometric="minisblack")
     with pytest.warns(ClvolWarning, match=r"taken for channel \(3\), z \(4\)"):

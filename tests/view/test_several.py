@@ -180,7 +180,7 @@ def test_keys_step_from_a_channel_that_is_called_like_a_computed_one(device: Dev
 @pytest.mark.parametrize(
     ("index", "says"),
     [
-        ({"time": 4}, "time must be 0 to 3, because the volume has 4 times; got 4"),
+        ({"time": 4}, "time must be 0 to 3, because the volume holds 4 times; got 4"),
         ({"channel": 2}, "channel must be 0 to 1, of 0 (DAPI), 1 (GFP)"),
         ({"channel": "luminance"}, "channel must be 0 to 1"),
         ({"position": 0}, "index must be of time, channel; got position"),

@@ -36,7 +36,7 @@ def test_a_sequence_of_volumes() -> None:
     with pytest.raises(IndexError):
         volumes[6]
     for wrong, rule in (
-        ({"time": 3, "channel": 0}, "time must be 0 to 2, because the volume has 3 times"),
+        ({"time": 3, "channel": 0}, "time must be 0 to 2, because the volume holds 3 times"),
         ({"time": 0, "channel": "RFP"}, r"0 \(DAPI\), 1 \(GFP\)"),
         ({"time": 0}, "channel must be given"),
         ({"time": 0, "channel": 0, "position": 0}, "got position"),

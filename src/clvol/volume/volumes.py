@@ -127,7 +127,7 @@ class Leading:
         if not 0 <= number < count:
             plural = "place" if axis == "position" else axis
             plural += "s" * (count > 1)
-            raise OptionError(f"{axis} must be {self._choices(axis)}, because {source} has {count} {plural}; got {number}")
+            raise OptionError(f"{axis} must be {self._choices(axis)}, because {source} holds {count} {plural}; got {number}")
         return number
 
     def about(self, place: Sequence[int]) -> dict[str, Any]:
