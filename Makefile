@@ -10,7 +10,7 @@ RUNTIME := $(if $(and $(shell command -v ld),$(shell command -v gcc)),pocl,intel
 MINUTES ?= 60
 HOURS ?= 1
 # What tells whether a version of a dependency is too old
-LOWEST = test_package.py test_picture.py test_interpolator.py ndimage/test_gaps.py $(addprefix formats/test_,medical.py tiff.py hdf5.py)
+LOWEST = test_package.py show/test_picture.py interfaces/test_interpolator.py ndimage/test_gaps.py $(addprefix formats/test_,medical.py tiff.py hdf5.py)
 
 .PHONY: demo test thorough check bench docs fuzz soak lowest sbom clean
 
