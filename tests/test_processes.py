@@ -100,12 +100,6 @@ def test_fields_renderers_and_interpolators_are_made_again(device: Device, way: 
         np.testing.assert_array_equal(other(POINTS[:, ::-1]), at(POINTS[:, ::-1]))
 
 
-def test_former_modules_are_taken_along() -> None:
-    """Cloudpickle, and so joblib, takes every module whose name occurs in a function of a script: clvol.render was one."""
-    module = importlib.import_module("clvol.render")
-    assert pickle.loads(pickle.dumps(module)) is module
-
-
 def test_closed_ones_are_refused(device: Device) -> None:
     field, renderer = Field(DATA, device=device), Renderer(DATA, "bspline3", device=device)
     for one in (field, renderer):

@@ -183,7 +183,20 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "volume.volumes": "Volumes",
 }
 _PLACE = {name: place for place, names in _PLACES.items() for name in names.split()}
-_PARTS = ("analysis", "figures", "formats", "images", "labels", "ndimage", "noise", "phantoms", "reference", "reports", "view")
+_PARTS = (
+    "analysis",
+    "device",
+    "figures",
+    "formats",
+    "images",
+    "labels",
+    "ndimage",
+    "noise",
+    "phantoms",
+    "reference",
+    "reports",
+    "view",
+)
 _OPTIONAL = {"dask": "dask", "torch": "torch", "xarray": "xarray"}  # with what they need
 
 

@@ -415,7 +415,7 @@ SAID: dict[str, Any] = {
     "space": "LPS",
     "name": "cells",
     "color": (1.0, 0.5, 0.0),
-    "window": (0.1, 0.9),
+    "clim": (0.1, 0.9),
     "labels": {1: "liver"},
     "header": {"made by": "us"},
 }

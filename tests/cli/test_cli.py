@@ -688,7 +688,7 @@ def test_info_says_what_the_file_wants_shown(clvol_command: Command) -> None:
     nibabel.save(image, "a.nii")
     out = clvol_command("info", "a.nii").out
     assert "\nclim: 10 to 50 (--window 30 40)\n" in out
-    assert "\nspace: LPS: a patient: x runs to the left, y to the back, z to the head (nibabel's RAS flips x and y)\n" in out
+    assert "\nspace: LPS: a patient: x points to the left, y to the back, z to the head (nibabel's RAS flips x and y)\n" in out
     assert "sform_code" in out
     value, why = clvol.volume.histogram.isovalue_of(clvol.read("a.nii"))
     assert f"\nisovalue: {value:.6g}, {why}\n" in out

@@ -22,6 +22,7 @@ from clvol import ClvolError, DataError, OptionError, ndimage
 from clvol.base.errors import DtypeError, OptionTypeError, RefusedError, UnsupportedError
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
+from clvol.filter.margin import LEFT_OUT
 from clvol.filter.table import as_filter, filters
 from clvol.ndimage.arguments import MODES
 from clvol.ndimage.interpolation import __all__ as SCIPYS
@@ -31,7 +32,7 @@ da = pytest.importorskip("dask.array")
 lazy = pytest.importorskip("clvol.dask")
 
 Array = NDArray[Any]
-EPSILON = {"single": 2.0**-24, "double": 1e-14}  # what `reach` leaves out of a prefilter's weights
+EPSILON = LEFT_OUT
 ROUNDING = {"single": 4e-7, "double": 1e-15}  # of the largest magnitude; of samples, through a prefilter of three axes
 
 
@@ -75,8 +76,8 @@ def test_scipys_functions_are_those_of_ndimage() -> None:
 # -- the margin --------------------------------------------------------------------------------------------------------
 
 
-def test_cubics_reach_12_and_24_samples() -> None:
-    assert (lazy.reach("bspline3"), lazy.reach("bspline3", "double")) == (12, 24)
+def test_cubics_reach_14_and_24_samples() -> None:
+    assert (lazy.reach("bspline3"), lazy.reach("bspline3", "double")) == (14, 24)
 
 
 @pytest.mark.parametrize("name", [*(name for name, row in filters().items() if row.settled), "bspline3(0.1)", "bspline5(0.1)"])
@@ -536,7 +537,7 @@ def test_neighbours_take_few_tasks_and_little_of_what_is_passed_on() -> None:
     assert len(keys) == 27
     passed = sum(sum(part.nbytes for part in one) if isinstance(one, list) else one.nbytes for one in dask.get(made.dask, keys))
     window = (96 + 2 * clvol.dask.reach("bspline3")) ** 3
-    assert window <= passed <= 6 * 96**3
+    assert window <= passed <= 7 * 96**3  # 6.8 for margins of 14
     # windows of small chunks overlap: where they take more of a chunk than it has, it is passed on itself
     part = data[:80, :80, :80].rechunk(16)
     small = clvol.prefilter(part)

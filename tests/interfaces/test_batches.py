@@ -48,7 +48,7 @@ def test_each_picture_is_that_of_render_and_what_fails_fails_alone(files: list[P
 
 def test_names_that_do_not_tell_pictures_apart_are_refused(files: list[Path], tmp_path: Path) -> None:
     for output in ("{name}.png", "all.png"):
-        with pytest.raises(OptionError, match="output must tell pictures apart"):
+        with pytest.raises(OptionError, match="output must give each picture a different name"):
             clvol.batch(files[:2], clvol.Camera.turntable(2), tmp_path / output, size=(8, 8))
     for output in ("{nam}.png", "{0}.png", "{name", "{name.x}.png"):
         with pytest.raises(OptionError, match="output must be a pattern with"):
