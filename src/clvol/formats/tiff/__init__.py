@@ -23,7 +23,7 @@ from clvol.formats._layout import Layout, lay_out
 from clvol.formats.guarded.messages import as_stored, empty
 from clvol.formats.tiff.about import DTYPES, WHITE, About, imagej, ome, ome_color
 from clvol.formats.tiff.checks import check_order, check_samples
-from clvol.formats.tiff.opened import directories_of, opened, require_own_files, strict, tifffile
+from clvol.formats.tiff.file import directories_of, opened, require_own_files, strict, tifffile
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes

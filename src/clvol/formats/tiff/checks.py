@@ -15,7 +15,7 @@ from clvol.base.errors import FormatError
 from clvol.formats._directories import segments
 from clvol.formats._files import inflated_size, xz_size
 from clvol.formats.guarded.limits import announce
-from clvol.formats.tiff.opened import directories_of, tifffile
+from clvol.formats.tiff.file import directories_of, tifffile
 
 __all__ = ["check_order", "check_samples"]
 
