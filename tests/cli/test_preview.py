@@ -18,7 +18,12 @@ from clvol.cli._preview import Preview, Screen, console
 
 pytestmark = pytest.mark.usefixtures("device")
 TERMINAL = {"TERM": "xterm-256color", "COLORTERM": "truecolor", "COLUMNS": "60", "LINES": "20", "PYTHONIOENCODING": "utf-8"}
-EAGER = "from clvol.cli import _preview as preview; preview._WORTH = preview._SURE = -1.0"
+# every wait is worth a preview, and no device is so fast that the final picture comes first
+EAGER = """
+from clvol.cli import _preview as preview, pictures
+preview._WORTH = preview._SURE = -1.0
+pictures._FIRST = 0.001
+"""
 DRAWN = "▀"
 
 
