@@ -183,6 +183,7 @@ HOSTILE: dict[str, tuple[bytes, type[ClvolError], str]] = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    worker._end_all()  # idle ones have read larger files for other tests
     inner = tmp_path_factory.mktemp("hostile") / "inner"
     inner.mkdir()
     (inner.parent / "outside.raw").write_bytes(BYTES)
