@@ -468,7 +468,9 @@ def test_one_of_several_volumes_is_chosen(clvol_command: Command, cells: np.ndar
         assert (done.json["shape"], done.err) == ([4, 5, 6], "")
         np.testing.assert_array_equal(clvol.read("a.npz").data, cells[place])
     clvol_command("convert", "cells.ome.tif", "-o", "b.npz", "--channel", "DPI").fails(1, "--channel must be 0 to 1, of 0 (DAPI)")
-    clvol_command("convert", "cells.ome.tif", "-o", "b.npz", "--time", "3").fails(1, "--time must be 0 to 2", "holds 3 times; got 3")
+    clvol_command("convert", "cells.ome.tif", "-o", "b.npz", "--time", "3").fails(
+        1, "--time must be 0 to 2", "holds 3 times; got 3"
+    )
     clvol_command("convert", "cells.ome.tif", "-o", "b.npz", "--volume", "1.5").fails(2, "--volume", "1.5")
     clvol_command("render", "cells.ome.tif", "-o", "b.png", "--volume", "all").fails(1, "--volume all is for resample and convert")
     assert files() == ["a.npz", "cells.ome.tif"]
