@@ -243,7 +243,8 @@ class LazyVolume(Pictured):
 
     def __repr__(self) -> str:
         smaller = f", {len(self.levels)} smaller" if self.levels else ""
-        return f"<LazyVolume of shape {self.shape}, {self.dtype}, spacing {self.spacing} {self.units}{smaller}>"
+        units = f" {self.units}" if self.units else ""
+        return f"<LazyVolume of shape {self.shape}, {self.dtype}, spacing {self.spacing}{units}{smaller}>"
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """Of a file what opens it again; of an array what pickles that."""

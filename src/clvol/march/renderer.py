@@ -163,6 +163,9 @@ class Renderer:
             arguments, keywords = self._source.recipe()
         return partial(type(self), **keywords) if keywords else type(self), arguments
 
+    def __repr__(self) -> str:
+        return f"<Renderer of {self.field!r}>"
+
     def __enter__(self) -> Self:
         return self
 

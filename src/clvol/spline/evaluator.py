@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from clvol.base.checks import one_of
 from clvol.base.errors import DeviceError, OptionError
@@ -12,10 +12,8 @@ if TYPE_CHECKING:
     from clvol.device import Device
     from clvol.filter.filter import Filter
 
-__all__ = ["DIRECT", "SAMPLE_BITS", "Evaluator", "EvaluatorName", "FetchName", "choose_evaluator", "require_names"]
+__all__ = ["DIRECT", "SAMPLE_BITS", "Evaluator", "choose_evaluator", "require_names"]
 
-EvaluatorName = Literal["auto", "taps", "paired", "eight-fetch"]
-FetchName = Literal["auto", "buffer", "image"]
 
 SAMPLE_BITS = 20.0
 """Least bits of a sampler's fraction for which "auto" chooses it."""

@@ -123,10 +123,6 @@ class Pane3D:
         origin, way = self.ray(x, y)
         return np.asarray(origin + way * (depth / float(way @ self.view.forward)))
 
-    def depth_of(self, point: Vector) -> float:
-        """Distance of a world point from the eye's plane."""
-        return float((point - self.view.eye) @ self.view.forward)
-
     def project(self, point: Any) -> tuple[float, float] | None:
         """The position of a world point, in CSS pixels; None behind the eye."""
         to = np.asarray(point, np.float64) - self.view.eye
