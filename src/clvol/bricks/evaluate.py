@@ -22,13 +22,13 @@ from clvol.volume.stored import wide_enough
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
+    from clvol.base.progress import Progress
     from clvol.bricks.grid import BrickGrid
     from clvol.bricks.store import Part, Store
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.spline.grids import Target
-    from clvol.spline.points import Progress
     from clvol.spline.reduce import Sums
     from clvol.volume.stored import Stored
 

@@ -28,7 +28,7 @@ from clvol.bricks.grid import NEIGHBOURS, BrickGrid
 from clvol.bricks.reduced import Reduced
 from clvol.bricks.residents import Account
 from clvol.bricks.source import LazyVolume, memory_for
-from clvol.bricks.store import Store, require_names
+from clvol.bricks.store import Store, require_distinct_labels
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.margin import reach
@@ -43,6 +43,7 @@ from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
+    from clvol.base.progress import Progress
     from clvol.bricks.residents import Reads
     from clvol.bricks.store import Part
     from clvol.device import Device
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
     from clvol.filter.filter import Filter
     from clvol.spline.function import Precision
     from clvol.spline.grids import Target
-    from clvol.spline.points import Progress, Reals
+    from clvol.spline.points import Reals
     from clvol.volume.missing import Missing
 
 __all__ = ["BrickedField", "as_lazy", "of_lazy", "require_plain"]
@@ -146,7 +147,7 @@ class BrickedField(ContinuousFunction):
         self._asked = row = filter_for(volume.part(), None, DEFAULT_FILTER) if chosen is None else as_filter(chosen)
         known = row.settled and (row.magnified_by is None or row.magnified_by.settled)
         self.filter = row = settled(row, volume.grid if known else volume.part())
-        require_names(row, volume, volume._known)
+        require_distinct_labels(row, volume, volume._known)
         self.boundary = rule = as_boundary(boundary)
         self.device, self.missing = as_device(device), as_missing("error")
         account: Account = Account(own) if beside is None else beside.store.account

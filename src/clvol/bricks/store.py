@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from clvol.volume.stored import Stored
     from clvol.volume.volume import Volume
 
-__all__ = ["Part", "Store", "require_names"]
+__all__ = ["Part", "Store", "require_distinct_labels"]
 
 Part: TypeAlias = tuple[tuple[slice, ...], NDArray[Any], float]
 """Where values of a grid belong, the values, and the fraction done with them."""
@@ -146,7 +146,7 @@ class Store:
         """
         self._count(brick.samples)
         samples = self._gathered(*self._grid.runs(brick))
-        require_names(self._filter, self._volume, lambda: replace(self._volume._known(), data=samples))
+        require_distinct_labels(self._filter, self._volume, lambda: replace(self._volume._known(), data=samples))
         return samples
 
     def _read(self, low: Index, high: Index) -> NDArray[Any]:
@@ -224,7 +224,7 @@ def _chunks_of(volume: LazyVolume, needs: Needs, edge: int, account: Account) ->
     return Chunks(read, needs.lines, volume.dtype, needs.chunks_kept(edge, account.budget), account, one=needs.chunk)
 
 
-def require_names(filter: Filter, volume: LazyVolume, known: Callable[[], Volume]) -> None:
+def require_distinct_labels(filter: Filter, volume: LazyVolume, known: Callable[[], Volume]) -> None:
     """Refuse labels that float32 does not tell apart, in what is `known` of a volume: its limits may be those of a few samples."""
     if filter.support == 1 and volume.dtype.itemsize > 2 and names_beyond(24, found := known(), filter):
         low, high = map(int, found.limits)

@@ -12,7 +12,7 @@ from clvol.filter.table import PICTURE_FILTER
 from clvol.march.options import MERGES
 from clvol.scene.scene import Medium, Scene, as_scene
 from clvol.spline.field import Field, as_field
-from clvol.spline.function import ContinuousFunction
+from clvol.spline.function import CLOSED, ContinuousFunction
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import as_volume
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:  # clusters need dask
 from clvol.march.source import ByBricks, InMemory, row_for, single, usual_filter
 
 __all__ = ["source_of"]
-
-_FIELD_CLOSED = "the field was closed, and its coefficients were released; make a new one"
 
 
 def source_of(
@@ -110,12 +108,12 @@ def _of_field(
                 'keep them filled with nan=Missing("local", most=1)'
             )
         if field.closed:
-            raise OptionError(_FIELD_CLOSED)
+            raise OptionError(CLOSED)
         if field.precision != "single":
             raise OptionError(f"rendering takes a field of single precision; got one of {field.precision} precision")
         return InMemory(as_scene(medium), field, medium.volume, (field,))
     if filter is not None or boundary is not None or device is not None or memory is not None:
         raise OptionError("filter, boundary, device and memory must be left to the field; got them beside it")
     if field.closed:
-        raise OptionError(_FIELD_CLOSED)
+        raise OptionError(CLOSED)
     return ByBricks(as_scene(medium), field, field.volume.preview(), (field,))

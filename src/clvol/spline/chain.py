@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,15 @@ from clvol.spline.prefilter import prefilter_in_place
 from clvol.volume.transform import AffineTransform, BSplineTransform, split_at_grids
 
 if TYPE_CHECKING:
+    from clvol.base.progress import Progress
     from clvol.device import Device
     from clvol.spline.build import DefineDict
     from clvol.volume.stored import Reals
     from clvol.volume.transform import DisplacementField, Transform
     from clvol.volume.volume import Volume
 
-__all__ = ["Chain", "Progress"]
+__all__ = ["Chain"]
 
-Progress: TypeAlias = Callable[[float], None]
 
 _MOST_TAPS = 6  # of chain.cl
 _RUN = 512  # points for each work-item of a CPU

@@ -17,7 +17,7 @@ from clvol.base import memory
 from clvol.base.arrays import as_output
 from clvol.base.checks import one_of, warn, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
-from clvol.base.progress import part_of
+from clvol.base.progress import Progress, part_of
 from clvol.base.rounding import wide
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
@@ -39,7 +39,7 @@ from clvol.spline.function import (
 )
 from clvol.spline.grids import Target, between, beyond, grid_for
 from clvol.spline.lease import Lease
-from clvol.spline.points import Floats, Given, Progress, Reals, Transform, sample_coefficients, sample_grid
+from clvol.spline.points import Floats, Given, Reals, Transform, sample_coefficients, sample_grid
 from clvol.spline.reduce import as_anti_aliasing, low_passed, nearest_spline, steps_along
 from clvol.spline.resample import resample_coefficients
 from clvol.volume.missing import as_missing, touching
@@ -64,7 +64,6 @@ __all__ = [
     "Field",
     "Floats",
     "Precision",
-    "Progress",
     "Reals",
     "as_field",
     "coefficients_of",

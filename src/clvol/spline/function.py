@@ -25,11 +25,12 @@ from clvol.volume.stored import RENUMBER, names_beyond
 from clvol.volume.transform import as_chain
 
 if TYPE_CHECKING:
+    from clvol.base.progress import Progress
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.spline.grids import Anchor
-    from clvol.spline.points import Progress, Reals
+    from clvol.spline.points import Reals
     from clvol.spline.reduce import AntiAliasing
     from clvol.volume.missing import Missing
     from clvol.volume.transform import Transforms

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.progress import Progress
 from clvol.device.program import LANES
 from clvol.spline.build import boundary_defines, point_defines
-from clvol.spline.chain import Progress
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.sort import Sorter, scattered
 from clvol.volume.stored import Reals
@@ -25,17 +25,7 @@ if TYPE_CHECKING:
     from clvol.spline.coefficients import Coefficients
     from clvol.spline.evaluator import Evaluator
 
-__all__ = [
-    "NOTHING_GIVEN",
-    "Floats",
-    "Given",
-    "Progress",
-    "Reals",
-    "Transform",
-    "sample_coefficients",
-    "sample_grid",
-    "sample_into",
-]
+__all__ = ["NOTHING_GIVEN", "Floats", "Given", "Reals", "Transform", "sample_coefficients", "sample_grid", "sample_into"]
 
 Floats: TypeAlias = NDArray[np.float32]
 

@@ -18,9 +18,10 @@ from clvol.spline.evaluator import DIRECT
 from clvol.spline.points import NOTHING_GIVEN, Transform, sample_grid
 
 if TYPE_CHECKING:
+    from clvol.base.progress import Progress
     from clvol.spline.coefficients import Coefficients
     from clvol.spline.evaluator import Evaluator
-    from clvol.spline.points import Given, Progress
+    from clvol.spline.points import Given
 
 __all__ = ["Positions", "along_axes", "no_shear", "resample_axes", "resample_coefficients"]
 

@@ -28,11 +28,12 @@ from clvol.volume.volume import Volume, as_volume
 from clvol.volume.volumes import Volumes, as_grid
 
 if TYPE_CHECKING:
+    from clvol.base.progress import Progress
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.spline.field import Precision
-    from clvol.spline.points import Progress, Reals
+    from clvol.spline.points import Reals
     from clvol.volume.missing import Missing
     from clvol.volume.transform import Transforms
 
