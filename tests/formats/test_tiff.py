@@ -12,7 +12,6 @@ import pytest
 import clvol
 from clvol import ClvolWarning, Volume, Volumes, formats
 from clvol.base.errors import DataError, FormatError, OptionError
-from clvol.formats import tiff
 from clvol.volume.volumes import Leading
 
 tifffile = pytest.importorskip("tifffile")
@@ -223,17 +222,6 @@ def test_writing_colours_and_one_volume(tmp_path: Path) -> None:
     positions = Leading(("position",), (3,))
     with pytest.raises(FormatError, match="times and channels; got 3 positions"):
         clvol.write(Volumes(DATA[0], leading=positions), tmp_path / "p.tif")
-
-
-def test_formats_of_one_volume_refuse_several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def save(volume: Volume, path: Path) -> None:
-        np.save(path.open("wb"), volume.data)
-
-    monkeypatch.setattr("clvol.formats.table.FORMATS", (*formats.FORMATS, formats.Format("plain", (".one",), tiff.read, save)))
-    with pytest.raises(FormatError, match=r"plain holds one volume; got 3 volumes: choose one.*\.tif \.tiff"):
-        clvol.write(Volumes(DATA[0]), tmp_path / "v.one")
-    clvol.write(Volumes(DATA[0, :1]), tmp_path / "v.one")
-    np.testing.assert_array_equal(np.load(tmp_path / "v.one"), DATA[0, 0])
 
 
 def test_complex_samples_are_refused(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from clvol.base.errors import DataError, FormatError
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content, held_as
 from clvol.volume.volume import Volume
+from clvol.volume.volumes import Volumes
 
 __all__ = [
     "Reader",
@@ -36,7 +37,7 @@ __all__ = [
 ]
 
 Reader = Callable[..., Content]
-Writer = Callable[[Volume, Path], None]
+Writer = Callable[[Volume | Volumes, Path], None]
 
 _CHUNK = 1 << 20
 _TRIED = 4096  # chunks to try, in search of a damaged one

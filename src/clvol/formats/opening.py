@@ -19,6 +19,7 @@ from clvol.bricks.source import LazyVolume
 from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, options_of, zarr
 from clvol.formats._choice import Choice, Pick
 from clvol.formats._errors import foreign_errors
+from clvol.formats.reading import sorted_out
 from clvol.formats.zarr.addresses import said, shown
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
@@ -110,10 +111,8 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     >>> volume = clvol.open("s3://bucket/cells.zarr", channel="DAPI", storage_options={"anon": True})
     """
     arguments = {name: value for name, value in locals().items() if name != "path"}
-    wanted = {"volume": volume, "time": time, "position": position, "channel": channel}
-    given = {"series": series, "level": level, "shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None}
-    replaced = {"spacing": spacing, "origin": origin, "direction": direction}
-    choice = Choice({name: v for name, v in wanted.items() if v is not None})
+    choices, given, replaced = sorted_out(arguments)
+    choice = Choice(choices)
     held_to = allowed(trusted, limits)
     if isinstance(path, str) and "://" in path:
         chosen = next(one for one in FORMATS if one.read is zarr.read)
@@ -197,7 +196,7 @@ class _Once(Choice):
         return pick
 
 
-def opened(name: str, contents: Sequence[Content], replaced: Mapping[str, Any], missing: float | None) -> LazyVolume:
+def opened(name: str, contents: Sequence[Content], replaced: dict[str, Any], missing: float | None) -> LazyVolume:
     """A lazy volume from the contents of its levels."""
     try:
         volumes: list[LazyVolume] = []
@@ -206,7 +205,7 @@ def opened(name: str, contents: Sequence[Content], replaced: Mapping[str, Any], 
             bound = known.pop("bounds", None)
             if len(data.shape) == 2:
                 raise DataError(f"{name} holds an image of shape {data.shape}: clvol.read reads images")
-            own = {key: value for key, value in replaced.items() if value is not None}
+            own = replaced
             if number and own:
                 own = _moved(contents[0][1], known, volumes[0].grid)
             coarser = LazyVolume(data, **(known | own), missing=missing, bounds=bound)

@@ -22,7 +22,10 @@ from clvol.formats.table import format_of, options_of
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
-__all__ = ["allowed", "begin_to_read", "called", "leading_of", "read", "read_all", "series_of"]
+__all__ = ["allowed", "begin_to_read", "called", "leading_of", "read", "read_all", "series_of", "sorted_out"]
+
+_CHOICES = ("volume", "time", "position", "channel")
+_GEOMETRY = ("spacing", "origin", "direction")
 
 
 def read(
@@ -119,11 +122,8 @@ def read(
     >>> nuclei = clvol.read("cells.ome.tif", channel="DAPI", time=3)
     >>> volume = clvol.read("engine.raw", shape=(128, 256, 256), dtype="uint8", spacing=(1, 1, 2))
     """
-    choice = Choice(_given(volume=volume, time=time, position=position, channel=channel))
-    options = {"series": series, "level": level, "shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None}
-    replaced = _given(spacing=spacing, origin=origin, direction=direction)
-    result = _read(path, choice, options, replaced, allowed(trusted, limits))
-    assert isinstance(result, Volume)  # `choice` picks one
+    result = _read(locals())
+    assert isinstance(result, Volume)  # one is picked
     return result
 
 
@@ -168,9 +168,7 @@ def read_all(
     >>> pictures = [clvol.render(frame) for frame in bold]
     >>> nuclei = clvol.read_all("cells.ome.tif")["DAPI"]
     """
-    choice = Choice(_given(time=time, position=position, channel=channel), whole=True)
-    replaced = _given(spacing=spacing, origin=origin, direction=direction)
-    result = _read(path, choice, {"series": series, "level": level}, replaced, allowed(trusted, limits))
+    result = _read(locals(), whole=True)
     return Volumes([result]) if isinstance(result, Volume) else result
 
 
@@ -250,10 +248,18 @@ def called(
             return function(*given, **options)
 
 
-def _read(
-    path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any], limits: Limits | None
-) -> Volume | Volumes:
-    path = as_path(path)
+def sorted_out(arguments: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Of the arguments of `read`: the choices of volumes, the options of a format, and the geometry that replaces the file's."""
+    given = {name: value for name, value in arguments.items() if value is not None}
+    options = {name: given.get(name) for name in ("series", "level", "shape", "dtype", "byte_order")}
+    choices, replaced = ({name: given[name] for name in names if name in given} for names in (_CHOICES, _GEOMETRY))
+    return choices, options | {"offset": given.get("offset") or None}, replaced
+
+
+def _read(arguments: Mapping[str, Any], whole: bool = False) -> Volume | Volumes:
+    path = as_path(arguments["path"])
+    choices, given, replaced = sorted_out(arguments)
+    choice, limits = Choice(choices, whole), allowed(arguments["trusted"], arguments["limits"])
     chosen = format_of(path)
     options = options_of(chosen, path, given)
     if chosen.several:
@@ -271,11 +277,6 @@ def _read(
         except GeometryError as error:
             mend = "spacing=, origin= or direction= replace what the file says"
             raise GeometryError(f"{path}: {error}; {mend}") from error
-
-
-def _given(**values: Any) -> dict[str, Any]:
-    """Those values that are not None."""
-    return {name: value for name, value in values.items() if value is not None}
 
 
 def _counted(reader: Reader, path: Path, **options: Any) -> Leading:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from clvol.base.errors import FormatError, OptionError
@@ -14,14 +16,13 @@ from clvol.formats._choice import Series
 from clvol.formats._errors import foreign_errors
 from clvol.formats._files import Reader, Writer
 from clvol.interop.kinds import Content
-from clvol.volume.volumes import Volumes
 
 __all__ = ["FORMATS", "WRITTEN", "Format", "by_suffix", "format_of", "options_of"]
 
 
 @dataclass(frozen=True)
 class Format:
-    """A file format.
+    """A file format: the functions of its module.
 
     Parameters
     ----------
@@ -30,138 +31,71 @@ class Format:
     suffixes : tuple of str
         Endings of file names, in lower case; empty if the format is recognised by content.
     read : callable
-        Returns the samples and their geometry. With `several` it takes ``choose``, a `Choice`, calls it with the file's name and
-        `Leading` axes, loads the samples of the resulting `Pick`, and adds its `about` to the geometry.
+        Returns the samples and their geometry. Its arguments are the path; `choose`, if a file may hold several volumes; and the
+        format's options. It calls `choose`, a `Choice`, with the file's name and `Leading` axes, loads the samples of the resulting
+        `Pick`, and adds its `about` to the geometry.
     write : callable or None
-        None: read only.
-    options : frozenset of str
-        Arguments of `clvol.read` for this format.
-    several : bool
-        Whether a file may hold more than one volume.
-    file : callable or None
-        Recognises a file of unknown suffix by its content.
-    folder : callable or None
-        Recognises a folder; None: files only.
-    series : callable or None
-        Lists the images of a file or folder, as a tuple of `Series`, if ``series=`` chooses one.
-    native : tuple of str
-        Modules with native code that read it: in another process, which imports them, unless the file is trusted. Empty: Python
-        and NumPy read it in this process.
-    write_several : callable or None
-        Writes `Volumes` into one file; None: the format holds one volume.
+        Writes a `Volume` or `Volumes`. None: read only.
     lazily : callable or None
         As `read`, but returns a list of sizes, the largest first, each with a `Window` of its samples; an empty list if this file
         cannot be read in parts. None: no file can.
+    series : callable or None
+        Lists the images of a file or folder, as a tuple of `Series`, if ``series=`` chooses one.
+    file, folder : callable or None
+        Recognise a file of unknown suffix, or a folder, by its content.
+    native : tuple of str
+        Modules with native code that read it: in another process, which imports them, unless the file is trusted. Empty: Python
+        and NumPy read it in this process.
     """
 
     name: str
     suffixes: tuple[str, ...]
     read: Reader
     write: Writer | None = None
-    options: frozenset[str] = frozenset()
-    several: bool = False
+    lazily: Callable[..., list[Content]] | None = None
+    series: Callable[[Path], tuple[Series, ...]] | None = None
     file: Callable[[Path], bool] | None = None
     folder: Callable[[Path], bool] | None = None
-    series: Callable[[Path], tuple[Series, ...]] | None = None
     native: tuple[str, ...] = ()
-    write_several: Callable[[Volumes, Path], None] | None = None
-    lazily: Callable[..., list[Content]] | None = None
+
+    @property
+    def several(self) -> bool:
+        """Whether a file may hold more than one volume."""
+        return "choose" in signature(self.read).parameters
+
+    @property
+    def options(self) -> frozenset[str]:
+        """Arguments of `clvol.read` for this format."""
+        return frozenset(signature(self.read).parameters) - {"path", "choose"}
+
+
+def _of(module: ModuleType, name: str, *suffixes: str, **others: Any) -> Format:
+    """The format of a module whose functions are named as the fields."""
+    own = {field: getattr(module, field) for field in ("read", "write", "lazily", "series") if hasattr(module, field)}
+    return Format(name, suffixes, **own | others)
 
 
 _ITK = ("SimpleITK",)
 _PILLOW = ("imageio.v3", "PIL.Image")
 
 FORMATS = (
-    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write, lazily=npy.lazily),
-    Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive, several=True, write_several=npy.write_archive),
-    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write, lazily=nifti.lazily),
-    Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True, lazily=nifti.lazily_pair),
-    Format(
-        "NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write, several=True, native=_ITK, write_several=nrrd.write, lazily=nrrd.lazily
-    ),
-    Format(
-        "MetaImage",
-        (".mha", ".mhd"),
-        metaimage.read,
-        metaimage.write,
-        several=True,
-        native=_ITK,
-        write_several=metaimage.write,
-        lazily=metaimage.lazily,
-    ),
-    Format("FreeSurfer MGH", (".mgh", ".mgz"), mgz.read, several=True),
-    Format(
-        "Zarr",
-        (".zarr.zip", ".ozx", ".zip"),
-        zarr.read,
-        None,
-        frozenset({"series", "level"}),
-        several=True,
-        folder=zarr.is_one,
-        series=zarr.series,
-        native=("zarr",),
-        lazily=zarr.lazily,
-    ),
-    Format(
-        "DICOM",
-        dicom.SUFFIXES,
-        dicom.read,
-        options=frozenset({"series"}),
-        several=True,
-        file=dicom.is_file,
-        folder=dicom.is_folder,
-        series=dicom.series_of,
-        native=_ITK,
-    ),
-    Format(
-        "TIFF stack",
-        (".tif", ".tiff"),
-        tiff.read,
-        tiff.write,
-        frozenset({"series", "level"}),
-        several=True,
-        series=tiff.series,
-        native=("tifffile",),
-        lazily=tiff.lazily,
-        write_several=tiff.write_several,
-    ),
-    Format(
-        "HDF5",
-        (".h5", ".hdf5", ".hdf", ".he5", ".nc"),
-        hdf5.read,
-        None,
-        frozenset({"series"}),
-        several=True,
-        series=hdf5.series,
-        native=("h5py",),
-        lazily=hdf5.lazily,
-    ),
-    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True, native=("h5py",), lazily=imaris.lazily),
-    Format(
-        "VTK image data",
-        (".vti",),
-        vti.read,
-        None,
-        frozenset({"series"}),
-        several=True,
-        series=vti.series,
-        native=("vtkmodules.vtkIOCore",),
-    ),
-    Format(
-        "microscope makers' files",
-        bioio.SUFFIXES,
-        bioio.read,
-        None,
-        frozenset({"series", "level"}),
-        several=True,
-        series=bioio.series,
-        native=("bioio",),
-    ),
-    Format("image", slices.SUFFIXES, slices.read, several=True, native=_PILLOW),
-    Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in, native=(*_PILLOW, "tifffile")),
-    Format(
-        "raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"}), lazily=raw.lazily
-    ),
+    _of(npy, "NumPy array, no geometry", ".npy"),
+    Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive),
+    _of(nifti, "NIfTI", ".nii", ".nii.gz"),
+    Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, lazily=nifti.lazily_pair),
+    _of(nrrd, "NRRD", ".nrrd", ".nhdr", native=_ITK),
+    _of(metaimage, "MetaImage", ".mha", ".mhd", native=_ITK),
+    _of(mgz, "FreeSurfer MGH", ".mgh", ".mgz"),
+    _of(zarr, "Zarr", ".zarr.zip", ".ozx", ".zip", folder=zarr.is_one, native=("zarr",)),
+    _of(dicom, "DICOM", *dicom.SUFFIXES, series=dicom.series_of, file=dicom.is_file, folder=dicom.is_folder, native=_ITK),
+    _of(tiff, "TIFF stack", ".tif", ".tiff", native=("tifffile",)),
+    _of(hdf5, "HDF5", ".h5", ".hdf5", ".hdf", ".he5", ".nc", native=("h5py",)),
+    _of(imaris, "Imaris", ".ims", native=("h5py",)),
+    _of(vti, "VTK image data", ".vti", native=("vtkmodules.vtkIOCore",)),
+    _of(bioio, "microscope makers' files", *bioio.SUFFIXES, native=("bioio",)),
+    _of(slices, "image", *slices.SUFFIXES, native=_PILLOW),
+    Format("folder of image slices", (), slices.read_folder, folder=slices.are_in, native=(*_PILLOW, "tifffile")),
+    _of(raw, "raw samples", ".raw", ".bin"),
 )
 
 _FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"

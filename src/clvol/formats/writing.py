@@ -10,7 +10,7 @@ from clvol.base.checks import as_path
 from clvol.base.errors import FormatError
 from clvol.base.files import staged
 from clvol.formats._errors import foreign_errors
-from clvol.formats.table import FORMATS, WRITTEN, by_suffix
+from clvol.formats.table import WRITTEN, by_suffix
 from clvol.volume.volume import Volume, as_volume
 from clvol.volume.volumes import Volumes
 
@@ -36,7 +36,7 @@ def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) ->
     Raises
     ------
     FormatError
-        No format with this suffix can be written, the format cannot hold the volume, or only one, or writing failed.
+        No format with this suffix can be written, the format cannot hold the volume or the volumes, or writing failed.
     MissingDependencyError
         The format needs ``clvol[medical]`` or ``clvol[microscopy]``.
     """
@@ -50,15 +50,5 @@ def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) ->
             f"cannot write {path}: {chosen.name} is only read; written are {' '.join(WRITTEN)}, of which .mhd or .nhdr puts raw "
             "samples beside a header that says how they are arranged"
         )
-    if isinstance(what, Volumes) and chosen.write_several is None:
-        holding = " ".join(s for f in FORMATS if f.write_several for s in f.suffixes)
-        raise FormatError(
-            f"cannot write {path}: {chosen.name} holds one volume; got {what.leading}: choose one, as volumes[0]"
-            + (f", or write {holding}" if holding else "")
-        )
     with foreign_errors(f"write {path}"), staged(path, suffix) as file:
-        if isinstance(what, Volumes):
-            assert chosen.write_several is not None
-            chosen.write_several(what, file)
-        else:
-            chosen.write(what, file)
+        chosen.write(what, file)

@@ -28,7 +28,7 @@ from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
-__all__ = ["lazily", "read", "series", "write", "write_several"]
+__all__ = ["lazily", "read", "series", "write"]
 
 _OME_NAMES = {"": "pixel", "um": "µm", "inch": "in"}
 _MEANINGS = {"T": "time", "C": "channel", "S": "channel", "Z": "z", "Y": "y", "X": "x", "R": "position"}  # of tifffile's letters
@@ -70,45 +70,34 @@ def series(path: Path) -> tuple[Series, ...]:
         return _images(path.name, file)
 
 
-def write(volume: Volume, path: Path) -> None:
-    """Write samples, spacing, units, name and colour as OME-TIFF, which cannot hold origin and direction."""
-    leading = Leading(("channel",), (1,), {"channel": (volume.name,)} if volume.name else {}, (volume.color,))
-    _write(path, volume, volume.data, "ZYX"[3 - volume.ndim :], leading)
-
-
-def write_several(volumes: Volumes, path: Path) -> None:
-    """Write one OME-TIFF image with times, and channels with names and colours; volumes of a series become times."""
-    grid, leading, data = volumes.grid, volumes.leading, np.asarray(volumes)
-    letters = {"time": "T", "channel": "C", "volume": "C" if "volume" in leading.names else "T"}
-    axes = "".join(letters.get(axis, "?") for axis in leading.axes)
-    if "?" in axes or len(set(axes)) < len(axes):
-        raise FormatError(f"OME-TIFF holds times and channels; got {leading}: write one file for each")
-    if "volume" in leading.names:
-        leading = Leading(leading.axes, leading.counts, {"channel" if k == "volume" else k: v for k, v in leading.names.items()})
-    order = sorted(range(len(axes)), key=lambda i: "TC".index(axes[i]))
-    data = data.transpose([*order, *range(len(axes), data.ndim)])
-    axes = "".join(axes[i] for i in order)
-    spatial = "ZYX"[3 - grid.ndim :]
-    if leading.rgb:
-        data, axes = np.moveaxis(data, len(axes) - 1, -1), axes[:-1] + spatial + "S"
+def write(what: Volume | Volumes, path: Path) -> None:
+    """Write OME-TIFF: times (also volumes of a series), and channels with names and colours; neither origin nor direction."""
+    if isinstance(what, Volumes):
+        grid, leading, before = what.grid, what.leading, what.leading.axes
     else:
-        axes += spatial
-    _write(path, grid, data, axes, leading)
-
-
-def _write(path: Path, grid: Volume, data: NDArray[Any], axes: str, leading: Leading) -> None:
+        grid, before = what, ()
+        leading = Leading(("channel",), (1,), {"channel": (grid.name,)} if grid.name else {}, (grid.color,))
     require_default(grid, ("origin", "direction"), ".nrrd, .mha, .nii and .npz")
     name = unit_name(grid.units)
     if name and name not in METRES:
         raise FormatError(f"OME-TIFF must have a unit of {', '.join(METRES)}; got {grid.units!r}: .npz holds any")
-    unit = _OME_NAMES.get(name, name)
-    metadata: dict[str, Any] = {"axes": axes}
+    letters = {"time": "T", "channel": "C", "volume": "C" if "volume" in leading.names else "T"}
+    axes = [letters.get(axis, "?") for axis in before]
+    if "?" in axes or len(set(axes)) < len(axes):
+        raise FormatError(f"OME-TIFF holds times and channels; got {leading}: write one file for each")
+    data, order = np.asarray(what), sorted(range(len(axes)), key=lambda i: "TC".index(axes[i]))
+    data = data.transpose([*order, *range(len(axes), data.ndim)])
+    axes = [*(axes[i] for i in order), *"ZYX"[3 - grid.ndim :]]
+    if leading.rgb:
+        data = np.moveaxis(data, axes.index("C"), -1)
+        axes = [axis for axis in axes if axis != "C"] + ["S"]
+    metadata: dict[str, Any] = {"axes": "".join(axes)}
     for axis, spacing in zip("XYZ", grid.spacing, strict=False):  # Z for volumes only, so that an image stays one
-        metadata |= {f"PhysicalSize{axis}": spacing, f"PhysicalSize{axis}Unit": unit}
+        metadata |= {f"PhysicalSize{axis}": spacing, f"PhysicalSize{axis}Unit": _OME_NAMES.get(name, name)}
     if not leading.rgb:
-        names = {"Name": list(names)} if (names := leading.names.get("channel")) else {}
-        colors = {"Color": [ome_color(color or WHITE) for color in leading.colors]} if any(leading.colors) else {}
-        metadata["Channel"] = names | colors
+        named = leading.names.get("channel") or leading.names.get("volume")
+        colors = [ome_color(color or WHITE) for color in leading.colors] if any(leading.colors) else []
+        metadata["Channel"] = ({"Name": list(named)} if named else {}) | ({"Color": colors} if colors else {})
     # Without `photometric` a stack of three or four slices would be read as colours.
     photometric = "rgb" if leading.rgb else "minisblack"
     tifffile().imwrite(path, storable(data, DTYPES), ome=True, photometric=photometric, metadata=metadata)
