@@ -34,27 +34,10 @@ def blocks_of(size: Sequence[int], block: int = BLOCK) -> tuple[int, ...]:
 
 
 class StoredBounds:
-    """Bounds in a store, read on demand and cached.
+    """Bounds in a store, read on demand and cached: `arrays` [z, y, x, 2] of minima and maxima in blocks of `block` cells and more.
 
-    Parameters
-    ----------
-    arrays : sequence of array-like, shape (bz, by, bx, 2)
-        Minima and maxima in blocks, the finest first; each next array has blocks twice as large.
-    size : tuple of int
-        Samples of the volume along x, y and z.
-    filter, boundary : str
-        Of the function.
-    value_range : (float, float)
-        The smallest and the largest sample.
-    block : int
-        Cells along an edge of the finest blocks.
-    filled : bool
-        Whether missing chunks read as zeros, so that a chunk of zeros may be missing.
-
-    Raises
-    ------
-    FormatError
-        The arrays do not fit the volume.
+    Each array has blocks twice as large as the one before. If `filled`, missing chunks read as zeros, so that a chunk of zeros may
+    be missing. Arrays that do not fit the volume, of `size` samples along x, y and z, are a `FormatError`.
     """
 
     def __init__(
@@ -128,13 +111,7 @@ class StoredBounds:
 
 
 def bounds_of(group: Any, about: Mapping[str, Any], path: str, size: Sequence[int], wrapped: Any) -> StoredBounds | None:
-    """The bounds of one level of an image that `clvol.pyramid` wrote, else None; `wrapped` adds names to an array's errors.
-
-    Raises
-    ------
-    FormatError
-        The store lacks what its attributes describe.
-    """
+    """The bounds of one level of an image that `clvol.pyramid` wrote, else None; `wrapped` adds names to an array's errors."""
     if about.get("version") != VERSION:
         return None
     one = next((level for level in about.get("levels", ()) if level.get("path") == path), None)

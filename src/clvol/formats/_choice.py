@@ -42,33 +42,19 @@ class Series:
 
 @dataclass(frozen=True)
 class Pick:
-    """What a `Choice` picks along a file's leading axes.
+    """What a `Choice` picks along a file's leading axes."""
 
-    Parameters
-    ----------
-    index : tuple of int or slice
-        For each leading axis; ``samples[index]`` are to be loaded. A slice keeps its axis.
-    about : dict
-        Arguments of `Volume` for the pick, with `leading` if it is several volumes.
-    finish : callable
-        From the loaded samples to the result: the same, or a channel computed from all.
-    """
-
-    index: tuple[int | slice, ...]
-    about: dict[str, Any]
-    finish: Callable[[NDArray[Any]], NDArray[Any]]
+    index: tuple[int | slice, ...]  # for each leading axis; ``samples[index]`` are to be loaded
+    about: dict[str, Any]  # arguments of `Volume`, with `leading` if it is several volumes
+    finish: Callable[[NDArray[Any]], NDArray[Any]]  # of the loaded samples: the same, or a channel computed from all
 
 
 @dataclass(frozen=True)
 class Choice:
     """What the caller of `clvol.read` or `clvol.read_all` wants of a file that holds several volumes.
 
-    Parameters
-    ----------
-    given : mapping
-        Of "volume" (a number among all of them, or a place along the axis of that name), "time", "position", "channel".
-    whole : bool
-        Whether axes without a choice are kept; else the first place along them is taken, with a `ClvolWarning`.
+    `given` has "volume" (a number among all of them, or a place along the axis of that name), "time", "position", "channel". Axes
+    without a choice are kept if `whole`; else the first place along them is taken, with a `ClvolWarning`.
     """
 
     given: Mapping[str, int | str] = field(default_factory=dict)
@@ -77,12 +63,8 @@ class Choice:
     def __call__(self, source: str, leading: Leading, guessed: str = "") -> Pick:
         """The pick among the volumes of `source` (a name for messages).
 
-        `guessed` says how axes were interpreted that the file does not explain; it is part of the warning.
-
-        Raises
-        ------
-        OptionError
-            The file has no such axis, or the index is out of range; the message says what there is.
+        `guessed` says how axes were interpreted that the file does not explain; it is part of the warning. An `OptionError` says
+        what there is, if the file has no such axis, or the index is out of range.
         """
         places = self._places(source, leading)
         wanted = places.get("channel", "" if self.whole else leading.computed)
@@ -155,19 +137,8 @@ def chosen_series(
 ) -> int:
     """The index in `series` of `choice`, which is a number or an `id`.
 
-    Without a choice, it is the first of the `main` first series; the others must be chosen.
-
-    Raises
-    ------
-    OptionError
-        There is no such series.
-    DataError
-        There are several, none was chosen, and the `first` is not preferred.
-
-    Warns
-    -----
-    ClvolWarning
-        There are several, and the first is taken.
+    Without a choice, it is the first of the `main` first series, with a `ClvolWarning` if there are several, or a `DataError`
+    unless the `first` is preferred; the others must be chosen.
     """
     listed = ", ".join(f"{n}: {one}" for n, one in enumerate(series[:_LISTED]))
     listed += f", … ({len(series)})" if len(series) > _LISTED else ""

@@ -41,13 +41,7 @@ Directory = Mapping[int, tuple[int, ...]]
 
 
 def directories(stream: IO[bytes], size: int, name: str) -> dict[int, Directory]:
-    """The directories of a file of `size` bytes, by offset; pages that are stored alike share one object.
-
-    Raises
-    ------
-    FormatError
-        The file is no TIFF file; a directory or a value lies beyond its end, or directories form a cycle.
-    """
+    """The directories of a file of `size` bytes, by offset; pages that are stored alike share one object."""
     head = stream.read(16)
     order = {b"II": "<", b"MM": ">"}.get(head[:2], "")
     version = struct.unpack(order + "H", head[2:4])[0] if order and len(head) >= 8 else 0

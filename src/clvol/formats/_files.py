@@ -131,13 +131,7 @@ def require_members(source: object, archive: zipfile.ZipFile, *, replaced: bool 
 
 
 def gunzipped_size(stream: IO[bytes], limit: int) -> int:
-    """Unpacked bytes of a gzip stream, which is read to its end, so that its checksums are verified.
-
-    Raises
-    ------
-    FormatError
-        There are more than `limit` bytes.
-    """
+    """Unpacked bytes of a gzip stream, read to its end, where checksums are verified; more than `limit` are a `FormatError`."""
     start = stream.tell()
     head = stream.read(4)
     stream.seek(start)

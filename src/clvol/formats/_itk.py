@@ -34,64 +34,29 @@ _TOLERANCE = 1e-12  # relative, between the geometry to write and the one writte
 
 @dataclass(frozen=True)
 class Flat:
-    """Uncompressed samples, contiguous in a file.
-
-    Parameters
-    ----------
-    path : Path
-    start : int
-        Offset of the first sample in bytes.
-    dtype : dtype
-        As stored.
-    shape : tuple of int
-        The last axis varies fastest.
-    channels : int or None
-        The axis of the values of a voxel.
-    """
+    """Uncompressed samples, contiguous in a file; the last axis varies fastest."""
 
     path: Path
-    start: int
-    dtype: np.dtype[Any]
+    start: int  # offset of the first sample in bytes
+    dtype: np.dtype[Any]  # as stored
     shape: tuple[int, ...]
-    channels: int | None = None
+    channels: int | None = None  # the axis of the values of a voxel
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a format's check found in a file.
+    """What a format's check found in a file."""
 
-    Parameters
-    ----------
-    size : tuple of int
-        Samples along the axes of the file, and values per voxel, in any order.
-    units : str
-        World unit.
-    spacing_known : bool
-        False if the header says that the spacing is unknown; ITK would make it 1.
-    slope, offset : float
-        Values are ``slope * sample + offset``; ITK ignores that.
-    values : {"", "vector", "rgb", "channel", "volume"}
-        What the values of a voxel are; "" if the header does not say.
-    timed : bool
-        Whether the fourth axis is time.
-    bytes : int
-        Of the samples.
-    stored : int
-        Bytes of the file that holds them.
-    flat : Flat, optional
-        Location of the samples, if they are not compressed.
-    """
-
-    size: tuple[int, ...]
+    size: tuple[int, ...]  # samples along the axes of the file, and values per voxel, in any order
     units: str = "mm"
-    spacing_known: bool = True
-    slope: float = 1.0
+    spacing_known: bool = True  # else ITK would make it 1
+    slope: float = 1.0  # values are slope * sample + offset; ITK ignores that
     offset: float = 0.0
-    values: str = ""
-    timed: bool = False
-    bytes: int = 0
-    stored: int = 0
-    flat: Flat | None = None
+    values: str = ""  # what the values of a voxel are: "vector", "rgb", "channel", "volume"; "" if the header does not say
+    timed: bool = False  # the fourth axis is time
+    bytes: int = 0  # of the samples
+    stored: int = 0  # bytes of the file that holds them
+    flat: Flat | None = None  # None: compressed
 
 
 def reason(error: Exception) -> str:

@@ -27,21 +27,11 @@ _OFF = 1e-3  # deviation of evenly spaced coordinates, in steps; float32 has tha
 
 @dataclass(frozen=True)
 class Layout:
-    """The meaning of each axis of an array.
+    """The meaning of each axis of an array."""
 
-    Parameters
-    ----------
-    axes : tuple of str
-        One of `AXES`, "z", "y" or "x" each; "" for an axis of one sample without a meaning.
-    shape : tuple of int
-        Of the array.
-    guessed : str
-        How axes were interpreted that their source does not explain, for messages.
-    """
-
-    axes: tuple[str, ...]
+    axes: tuple[str, ...]  # one of `AXES`, "z", "y" or "x" each; "" for an axis of one sample without a meaning
     shape: tuple[int, ...]
-    guessed: str = ""
+    guessed: str = ""  # how axes were interpreted that their source does not explain, for messages
 
     @property
     def leading(self) -> tuple[str, ...]:
@@ -102,11 +92,6 @@ def lay_out(
     Axes without a known name become the missing ones of x, y and z, from the last axis on, then volumes, times, positions and
     channels; `guessed` says so, unless no axis has a name and there are at most three. An axis that the caller `asked` for exists:
     choosing a channel makes channels of volumes, or of slices. Axes of one sample are dropped, except x, y and those to `keep`.
-
-    Raises
-    ------
-    DataError
-        There are no rows and columns, or too many axes.
     """
     if len(shape) < 2 or len(words) != len(shape):
         raise DataError(f"{source} must hold an image or a volume; got an array of shape {tuple(shape)}")

@@ -36,31 +36,15 @@ _STACK = 2 * _MIB
 
 @dataclass
 class Request:
-    """What to read, and how.
-
-    Parameters
-    ----------
-    function : callable
-        A function of a module.
-    arguments : tuple
-    what : str
-        What is being done, for errors: "read v.nrrd".
-    budget : Budget
-    options : dict
-        Of `function`.
-    modules : tuple of str
-        Modules to import before the clock starts.
-    folder : str
-        The caller's working folder, for relative names.
-    """
+    """What to read, and how: a function of a module, with what it is called with."""
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    what: str
+    what: str  # is being done, for errors: "read v.nrrd"
     budget: Budget
-    options: dict[str, Any] = field(default_factory=dict)
-    modules: tuple[str, ...] = ()
-    folder: str = ""
+    options: dict[str, Any] = field(default_factory=dict)  # of the function
+    modules: tuple[str, ...] = ()  # to import before the clock starts
+    folder: str = ""  # the caller's working folder, for relative names
 
 
 def serve(modules: Sequence[str] = ()) -> None:

@@ -68,29 +68,14 @@ class Limits:
 
 @dataclass
 class Budget:
-    """What one reading may cost.
-
-    Parameters
-    ----------
-    limits : Limits
-    stored : int or None
-        Bytes of the file, or of the files of a folder; None: too many files to count.
-    room : int
-        Bytes of memory available.
-    files : int
-        Number of files.
-    callback : callable, optional
-        Called with the size of the samples in bytes, before they are allocated.
-    samples : int
-        The largest size that was announced.
-    """
+    """What one reading may cost."""
 
     limits: Limits
-    stored: int | None
-    room: int
+    stored: int | None  # bytes of the file, or of the files of a folder; None: too many files to count
+    room: int  # bytes of memory available
     files: int = 1
-    callback: Callable[[int], None] | None = None
-    samples: int = 0
+    callback: Callable[[int], None] | None = None  # called with the bytes of the samples, before they are allocated
+    samples: int = 0  # the most bytes that were announced
 
     @property
     def seconds(self) -> float:
@@ -127,25 +112,11 @@ def is_trusted() -> bool:
 
 
 def announce(source: str, needed: int, stored: int | None = None) -> None:
-    """Check the size of the samples of a file against the limits, before they are allocated.
+    """Check the bytes `needed` for samples of the file `source` (a name) against the limits, before they are allocated.
 
-    Every reader calls it as soon as it knows the size; a child process gets memory and time for it.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file, for errors.
-    needed : int
-        Bytes of the samples.
-    stored : int, optional
-        Bytes of the file that holds them, if it is not the one being read.
-
-    Raises
-    ------
-    FormatError
-        The samples exceed the limits.
-    OutOfMemoryError
-        They exceed the memory available.
+    Every reader calls it as soon as it knows the size; a child process gets memory and time for it. `stored` are the bytes of the
+    file that holds the samples, if it is not the one being read. Samples that exceed the limits are a `FormatError`, those that
+    exceed the memory available an `OutOfMemoryError`.
     """
     budget = _budget.get()
     if budget is None:
@@ -174,13 +145,7 @@ def announce(source: str, needed: int, stored: int | None = None) -> None:
 
 
 def announce_parts(source: str, parts: int) -> None:
-    """Check the number of chunks that will be read against the limits: each takes time, stored or not.
-
-    Raises
-    ------
-    FormatError
-        There are far more than the stored bytes can hold.
-    """
+    """Raise if far more chunks would be read than the stored bytes can hold: each takes time, stored or not."""
     budget = _budget.get()
     if budget is None or budget.stored is None:
         return

@@ -173,13 +173,7 @@ def pack(value: Any, arrays: list[NDArray[Any]]) -> Any:
 
 
 def unpack(value: Any, take: Callable[[np.dtype[Any], tuple[int, ...]], NDArray[Any]]) -> Any:
-    """What `pack` was given; `take` returns the next array.
-
-    Raises
-    ------
-    MessageError
-        `pack` makes no such value.
-    """
+    """What `pack` was given, else a `MessageError`; `take` returns the next array."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, list):
@@ -239,12 +233,7 @@ def send(peer: Connection, name: str, value: Any) -> None:
 def receive(peer: Connection, wait: Callable[[], None]) -> tuple[str, Any]:
     """The name and the value of the child's next message; `wait` returns once there is something to receive.
 
-    Raises
-    ------
-    EOFError
-        The child is gone.
-    MessageError
-        The message is malformed.
+    `EOFError` if the child is gone, `MessageError` if the message is malformed.
     """
 
     def take(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:

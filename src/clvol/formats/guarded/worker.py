@@ -62,31 +62,11 @@ def call(
     budget: Budget,
     options: dict[str, Any] | None = None,
 ) -> Any:
-    """Call `function` in a child process.
+    """What `function` of a module returns in a child process that imports `modules` before the clock starts.
 
-    Parameters
-    ----------
-    function : callable
-        A function of a module. Its arguments and options are pickled; its result is anything that `messages.pack` takes.
-    what : str
-        What is being done, for errors: "read v.nrrd".
-    reader : str
-        What reads, for errors: "NRRD".
-    modules : tuple of str
-        Modules that the child imports before the clock starts.
-    budget : Budget
-
-    Returns
-    -------
-    Any
-        What `function` returns.
-
-    Raises
-    ------
-    FormatError
-        The child crashed, took too long or too much memory, or cannot be started.
-    ClvolError
-        As `function` raises it.
+    `what` is done ("read v.nrrd"), and by which `reader` ("NRRD"), for errors. Arguments are pickled; the result is anything that
+    `messages.pack` takes. A child that crashes, takes too long or too much memory, or cannot be started, is a `FormatError`; errors
+    of clvol that `function` raises keep their class.
     """
     request = Request(function, arguments, what, budget, options or {}, modules, _folder())
     while True:
@@ -153,13 +133,7 @@ class _EndedError(Exception):
 
 
 class _Worker:
-    """A child process that reads files.
-
-    Raises
-    ------
-    FormatError
-        It cannot be started.
-    """
+    """A child process that reads files."""
 
     def __init__(self, what: str, modules: tuple[str, ...] = ()) -> None:
         ours, theirs = socket.socketpair()
@@ -191,15 +165,7 @@ class _Worker:
         self._process.returncode = 0  # never waited for
 
     def ask(self, request: Request, reader: str) -> dict[str, Any]:
-        """The child's answer to a request.
-
-        Raises
-        ------
-        FormatError
-            The child ended, exceeded a limit, or answered nonsense.
-        _EndedError
-            The child ended before it began.
-        """
+        """The child's answer to a request; `_EndedError` if it ended before it began."""
         clock = _Clock(self._process.pid)
         begun = False
 

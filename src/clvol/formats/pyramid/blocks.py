@@ -46,24 +46,10 @@ def margin(filter: Filter) -> int:
 
 
 class Bricks:
-    """The bricks of one size of a volume.
+    """The bricks of one size of a volume of `size` samples along x, y and z, with edges of `edge` blocks.
 
-    Parameters
-    ----------
-    read : callable
-        Samples at three slices, [z, y, x].
-    size : tuple of int
-        Samples along x, y and z.
-    filter, boundary : Filter, Boundary
-        Of the function; `require_bounded` accepts them.
-    edge : int
-        Edge of a brick, in blocks.
-    device : Device
-
-    Attributes
-    ----------
-    count : tuple of int
-        Blocks along x, y and z.
+    `read` returns samples at three slices, [z, y, x]. `require_bounded` accepts filter and boundary rule. There are `count` blocks
+    along x, y and z.
     """
 
     def __init__(
@@ -86,13 +72,7 @@ class Bricks:
 
     @staticmethod
     def edge_for(filter: Filter, budget: int) -> int:
-        """The largest edge of bricks that fits into a budget: 32, 16 or 8 blocks.
-
-        Raises
-        ------
-        OptionError
-            None fits.
-        """
+        """The largest edge of bricks that fits into a budget: 32, 16 or 8 blocks; `OptionError` if none does."""
         for edge in (32, 16, 8):
             needed = Bricks.bytes_of(filter, edge)
             if needed <= (budget if edge == 8 else budget // 2):  # the other half is for chunks that neighbours share

@@ -30,26 +30,10 @@ class Journal:
     The target is what it was, or the whole new store; a kill between two renames leaves nothing there until the next call of any
     command, which first restores what was there.
 
-    Parameters
-    ----------
-    target : Path
-        Of the store, once it is complete.
-    command : mapping
-        All that decides what is written; another command does not resume what this one began.
-    replace : bool
-        Whether to replace what is at the target, and to discard what another command began.
+    `command` is all that decides what is written: another command does not resume what this one began, unless it may `replace`
+    that, and what is at the target. The `store` is written; it is `finished` if the same command was killed after it had moved it.
 
-    Attributes
-    ----------
-    store : Path
-        The store being written.
-    finished : bool
-        Whether the same command was killed after it had moved its store to the target.
-
-    Raises
-    ------
-    FormatError
-        The target exists, another command has begun, another process is at work, or the folder is not writable.
+    A `FormatError`: the target exists, another command has begun, another process is at work, or the folder is not writable.
     """
 
     def __init__(self, target: Path, command: Mapping[str, Any], replace: bool = False) -> None:
@@ -172,13 +156,7 @@ class Journal:
     # -- the end ---------------------------------------------------------------------------------------------------------
 
     def complete(self) -> None:
-        """Sync the store, and move it to its target.
-
-        Raises
-        ------
-        FormatError
-            The target exists by now, and must not be replaced; or the store cannot be moved.
-        """
+        """Sync the store, and move it to its target, unless that exists by now and must not be replaced."""
         self._sync()
         if self._taken() and not self._replace:
             raise FormatError(f"cannot write {self.target}: it is there by now; the store is complete in {self.store}")

@@ -30,13 +30,7 @@ _MIB = 1 << 20
 
 @dataclass(frozen=True)
 class Tile:
-    """A column of the next size.
-
-    Attributes
-    ----------
-    x, y : (int, int)
-        The first sample, and one past the last.
-    """
+    """A column of the next size: its first sample along x and y, and one past its last."""
 
     x: tuple[int, int]
     y: tuple[int, int]
@@ -45,33 +39,9 @@ class Tile:
 class Reduction:
     """From one size to the next.
 
-    Parameters
-    ----------
-    read : callable
-        Samples of the finer size at three slices, [z, y, x].
-    finer, coarser : Level
-    sums : tuple of Sums or None
-        Along x, y and z.
-    dtype : dtype
-        Of the samples.
-    kind : type
-        np.float32 or np.float64, for the sums.
-    units : tuple of int
-        Tiles consist of whole chunks, or shards, of this many coarser samples along x, y and z.
-    deep : int
-        Planes of the finer size to read at a time.
-    budget : int
-        Bytes.
-    device : Device
-    cval : float
-        The value outside, if the boundary rule has one.
-    beside : int
-        Bytes in use beside the budget, for the error message.
-
-    Raises
-    ------
-    OptionError
-        The budget is too small for one column of chunks.
+    `read` returns samples of the finer size at three slices, [z, y, x]; `sums` are along x, y and z, of type `kind`. Tiles
+    consist of whole chunks, or shards, of `units` coarser samples along x, y and z; `deep` planes of the finer size are read at a
+    time. A `budget` (bytes) too small for one column of chunks is an `OptionError`, whose message counts the bytes `beside`.
     """
 
     def __init__(

@@ -20,31 +20,15 @@ __all__ = ["CheckedStore", "open_store"]
 class CheckedStore(WrapperStore[Any]):
     """A store in which what is there must be whole, and what is missing must have a value by the format.
 
-    zarr reads zeros for missing chunks of an array without a fill value.
-
-    Parameters
-    ----------
-    store : zarr.abc.store.Store
-    name : str
-        For messages.
-    files : Files or None
-        The folder or archive on this machine; None: the store is remote.
-    said : callable
-        The message of a library's error, without secrets.
-
-    Attributes
-    ----------
-    required : set of str
-        Key prefixes of arrays that have no fill value.
-    missing : int
-        Number of reads of missing chunks.
+    zarr reads zeros for missing chunks of an array without a fill value. `files` is the folder or archive on this machine, None of
+    a remote store; `said` gives the message of a library's error, without secrets.
     """
 
     def __init__(self, store: Any, name: str, files: Files | None = None, said: Callable[[Exception], str] = str) -> None:
         super().__init__(store)
         self.name, self.files, self._said = name, files, said
-        self.required: set[str] = set()
-        self.missing = 0
+        self.required: set[str] = set()  # key prefixes of arrays that have no fill value
+        self.missing = 0  # reads of missing chunks
 
     def _with_store(self, store: Any) -> CheckedStore:
         return type(self)(store, self.name, self.files, self._said)

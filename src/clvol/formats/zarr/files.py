@@ -55,23 +55,11 @@ class Files:
     zarr treats anything that is not a regular file as a chunk that is not stored, and blocks on pipes. If the files are `watched`,
     a file that is read twice must be the same twice, and one that is read once, or is missing, must not have changed since the
     array was opened, as far as the times of its folder tell.
-
-    Parameters
-    ----------
-    root : Path
-    name : str
-        For messages.
-    watched : bool
-
-    Attributes
-    ----------
-    in_folder : bool
-        Whether the root was a folder when the store was opened.
     """
 
     def __init__(self, root: Path, name: str, watched: bool) -> None:
         self.root, self.name, self._watched = root, name, watched
-        self.in_folder = root.is_dir()
+        self.in_folder = root.is_dir()  # as the store is opened
         self._seen: OrderedDict[str, Signature] = OrderedDict()  # first seen first
         self._folders: dict[str, int | None] = {}  # times at which the entries of watched folders last changed
         self._dated = self.in_folder and watched and _keeps_times(root)
