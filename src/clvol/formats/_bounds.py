@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import threading
 from collections import OrderedDict
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import FormatError
 from clvol.bricks.source import Index
+from clvol.formats._files import chunks_in
 
 __all__ = ["BLOCK", "KEY", "VERSION", "StoredBounds", "blocks_of", "bounds_of"]
 
@@ -93,7 +93,7 @@ class StoredBounds:
         array = self._arrays[number]
         chunks = (getattr(array, "chunks", None) or array.shape)[:3]
         found = []
-        for at in itertools.product(*(range(a // c, -(-b // c)) for (a, b), c in zip(box, chunks, strict=True))):
+        for at, wanted in chunks_in([range(*ends) for ends in box], chunks):
             first = [i * c for i, c in zip(at, chunks, strict=True)]
             with self._lock:
                 part = self._kept.get((number, *at))
@@ -105,8 +105,7 @@ class StoredBounds:
                     self._kept[number, *at] = part
                     while len(self._kept) > _CACHED:
                         self._kept.popitem(last=False)
-            inside = (slice(max(0, a - f), b - f) for (a, b), f in zip(box, first, strict=True))
-            found.append(part[tuple(inside)])
+            found.append(part[tuple(slice(one.start - f, one.stop - f) for one, f in zip(wanted, first, strict=True))])
         return found
 
 

@@ -7,9 +7,9 @@ import itertools
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -24,15 +24,19 @@ __all__ = [
     "Reader",
     "Writer",
     "bytes_at",
+    "chunks_in",
     "damaged_chunk",
     "gunzipped_size",
     "inflated_size",
+    "packed",
     "require_bytes",
     "require_default",
     "require_members",
     "sample_count",
     "scaled",
+    "spans",
     "storable",
+    "unpacked",
     "xz_size",
 ]
 
@@ -95,13 +99,22 @@ def bytes_at(shape: Sequence[int], index: Sequence[int | slice], dtype: np.dtype
     return sample_count([*taken, *shape[len(index) :]]) * dtype.itemsize
 
 
-def damaged_chunk(array: Any, index: Sequence[int | slice]) -> tuple[int, ...] | None:
+def spans(shape: Sequence[int], index: Sequence[int | slice]) -> list[range]:
+    """The samples that an index takes along each axis."""
+    return [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(shape, index, strict=True)]
+
+
+def chunks_in(box: Sequence[range], chunks: Sequence[int]) -> Iterator[tuple[tuple[int, ...], list[range]]]:
+    """The chunks that a box meets, and the samples in both."""
+    for at in itertools.product(*(range(part[0] // n, part[-1] // n + 1) for part, n in zip(box, chunks, strict=True))):
+        yield at, [range(max(p[0], i * n), min(p[-1] + 1, (i + 1) * n)) for p, i, n in zip(box, at, chunks, strict=True)]
+
+
+def damaged_chunk(array: Any, index: Sequence[int | slice], chunks: Sequence[int]) -> tuple[int, ...] | None:
     """The first chunk at an index of an array that cannot be read; None if none is found."""
-    box = [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(array.shape, index, strict=True)]
-    places = (range(part[0] // edge, part[-1] // edge + 1) for part, edge in zip(box, array.chunks, strict=True))
-    for at in itertools.islice(itertools.product(*places), _TRIED):
+    for at, part in itertools.islice(chunks_in(spans(array.shape, index), chunks), _TRIED):
         try:
-            array[tuple(slice(k * edge, (k + 1) * edge) for k, edge in zip(at, array.chunks, strict=True))]
+            array[tuple(slice(one.start, one.stop) for one in part)]
         except Exception:  # of whatever library
             return at
     return None
@@ -128,6 +141,16 @@ def require_members(source: object, archive: zipfile.ZipFile, *, replaced: bool 
         announce(f"{source}[{member.filename[:80]}]", member.file_size, member.compress_size)
         with archive.open(member):  # compares the name with the directory's
             pass
+
+
+def packed(path: Path) -> bool:
+    """Whether a whole file is packed by gzip, by its name."""
+    return path.suffix.lower() in (".gz", ".mgz")
+
+
+def unpacked(path: Path) -> IO[bytes]:
+    """A file, opened to read what it holds once unpacked."""
+    return cast(IO[bytes], gzip.open(path)) if packed(path) else path.open("rb")
 
 
 def gunzipped_size(stream: IO[bytes], limit: int) -> int:

@@ -125,7 +125,7 @@ def _damaged(array: Any, index: Index) -> str:
     """The first damaged chunk at an index, for messages."""
     if not array.chunks:
         return "the samples"
-    at = damaged_chunk(array, index)
+    at = damaged_chunk(array, index, array.chunks)
     return "the chunks" if at is None else f"chunk {at}"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import IO
 
@@ -76,11 +77,8 @@ def check(path: Path) -> _itk.Header:
         expected = math.prod(size) * np.dtype(dtype).itemsize
         place = path if file.upper() == "LOCAL" else data_path(path, file)
         stored = place.stat().st_size
-        if place is path:
-            found = _samples(stream, fields, path, expected)
-        else:
-            with place.open("rb") as samples:
-                found = _samples(samples, fields, path, expected)
+        with nullcontext(stream) if place is path else place.open("rb") as samples:
+            found = _samples(samples, fields, path, expected)
     # -1: the samples end with the file, whatever precedes them
     require_bytes(path.name, found, size[::-1], dtype, exact=fields.get("HeaderSize") != "-1")
     slope, offset = _intensity(fields, path.name)

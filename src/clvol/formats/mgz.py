@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import gzip
 import struct
 from pathlib import Path
-from typing import IO, cast
 
 import numpy as np
 
 from clvol.base.errors import FormatError
 from clvol.formats._choice import Choice
-from clvol.formats._files import gunzipped_size, require_bytes, sample_count
+from clvol.formats._files import gunzipped_size, packed, require_bytes, sample_count, unpacked
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.interop.nibabel import describe_nibabel, nibabel
@@ -28,7 +26,7 @@ def read(path: Path, choose: Choice) -> Content:
     """Samples of the chosen volumes, and geometry, converted from FreeSurfer's RAS to ITK's LPS."""
     library = nibabel()
     _require_samples(path)
-    with _opened(path) as stream:
+    with unpacked(path) as stream:
         with np.errstate(all="ignore"):  # `Volume` refuses a geometry that is not finite
             image = library.freesurfer.MGHImage.from_stream(stream)
             about = describe_nibabel(image)
@@ -41,7 +39,7 @@ def read(path: Path, choose: Choice) -> Content:
 
 def _require_samples(path: Path) -> None:
     """Raise if samples are missing, before memory is allocated for them; nibabel reads beyond their end."""
-    with _opened(path) as stream:
+    with unpacked(path) as stream:
         head = stream.read(_HEADER_BYTES)
     if len(head) < _HEADER_BYTES:
         raise FormatError(f"{path.name} must begin with a header of {_HEADER_BYTES} bytes; found {len(head)}")
@@ -54,15 +52,7 @@ def _require_samples(path: Path) -> None:
         raise FormatError(f"{path.name} must have samples of type {', '.join(_DTYPES.values())}; its header says type {code}")
     found, expected = path.stat().st_size, _HEADER_BYTES + sample_count(shape) * np.dtype(_DTYPES[code]).itemsize
     announce(path.name, expected)
-    if _packed(path):
+    if packed(path):
         with path.open("rb") as stream:
             found = gunzipped_size(stream, expected + _AFTER)
     require_bytes(path.name, max(0, found - _HEADER_BYTES), shape, _DTYPES[code])
-
-
-def _packed(path: Path) -> bool:
-    return path.suffix.lower() == ".mgz"
-
-
-def _opened(path: Path) -> IO[bytes]:
-    return cast(IO[bytes], gzip.open(path)) if _packed(path) else path.open("rb")

@@ -6,13 +6,11 @@ different sform, and drops small slopes. Reading here follows nibabel instead, a
 
 from __future__ import annotations
 
-import gzip
 import math
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +19,7 @@ from clvol.base.errors import DataError, FormatError, GeometryError
 from clvol.base.frames import Placement, affine_parts, from_ras
 from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice
-from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
+from clvol.formats._files import gunzipped_size, packed, require_bytes, require_default, scaled, unpacked
 from clvol.formats._layout import Layout, scaled_part
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
@@ -29,70 +27,42 @@ from clvol.interop.nibabel import NIFTI_MILLIMETRES, describe_nifti, same_place
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
-__all__ = ["check", "lazily", "lazily_pair", "read", "read_pair", "write"]
+__all__ = ["lazily", "lazily_pair", "read", "read_pair", "write"]
 
 
-def _record(fields: Sequence[tuple[str, str, int]], size: int) -> np.dtype[Any]:
-    names, kinds, offsets = zip(*fields, strict=True)
-    return np.dtype({"names": list(names), "formats": list(kinds), "offsets": list(offsets), "itemsize": size})
+_FIELDS = """
+    dim          8i2  40   8i8  16
+    intent_p1     f4  56    f8  80
+    intent_p2     f4  60    f8  88
+    intent_p3     f4  64    f8  96
+    intent_code   i2  68    i4 504
+    datatype      i2  70    i2  12
+    pixdim       8f4  76   8f8 104
+    vox_offset    f4 108    i8 168
+    scl_slope     f4 112    f8 176
+    scl_inter     f4 116    f8 184
+    xyzt_units    u1 123    i4 500
+    cal_max       f4 124    f8 192
+    cal_min       f4 128    f8 200
+    descrip      S80 148   S80 240
+    aux_file     S24 228   S24 320
+    qform_code    i2 252    i4 344
+    sform_code    i2 254    i4 348
+    quaternion   6f4 256   6f8 352
+    srow        12f4 280  12f8 400
+    intent_name  S16 328   S16 508
+    magic         V4 344    V8   4
+"""  # those that are read, by nibabel's names: type and offset in NIfTI-1, and in NIfTI-2
 
 
-def _numbered(names: str, kind: str, start: int) -> list[tuple[str, str, int]]:
-    step = np.dtype(kind).itemsize
-    return [(name, kind, start + step * n) for n, name in enumerate(names.split())]
+def _record(column: int, size: int) -> np.dtype[Any]:
+    """A header of `size` bytes, as one of the two columns has it."""
+    rows = [line.split() for line in _FIELDS.strip().splitlines()]
+    kinds, offsets = [row[column] for row in rows], [int(row[column + 1]) for row in rows]
+    return np.dtype({"names": [row[0] for row in rows], "formats": kinds, "offsets": offsets, "itemsize": size})
 
 
-_INTENT = "intent_p1 intent_p2 intent_p3"
-_HEADERS = {  # by the length at the start of a header; the fields that are read, by nibabel's names
-    348: _record(
-        [
-            ("dim", "8i2", 40),
-            *_numbered(_INTENT, "f4", 56),
-            ("intent_code", "i2", 68),
-            ("datatype", "i2", 70),
-            ("pixdim", "8f4", 76),
-            ("vox_offset", "f4", 108),
-            ("scl_slope", "f4", 112),
-            ("scl_inter", "f4", 116),
-            ("xyzt_units", "u1", 123),
-            ("cal_max", "f4", 124),
-            ("cal_min", "f4", 128),
-            ("descrip", "S80", 148),
-            ("aux_file", "S24", 228),
-            ("qform_code", "i2", 252),
-            ("sform_code", "i2", 254),
-            ("quaternion", "6f4", 256),
-            ("srow", "12f4", 280),
-            ("intent_name", "S16", 328),
-            ("magic", "V4", 344),
-        ],
-        348,
-    ),
-    540: _record(
-        [
-            ("magic", "V8", 4),
-            ("datatype", "i2", 12),
-            ("dim", "8i8", 16),
-            *_numbered(_INTENT, "f8", 80),
-            ("pixdim", "8f8", 104),
-            ("vox_offset", "i8", 168),
-            ("scl_slope", "f8", 176),
-            ("scl_inter", "f8", 184),
-            ("cal_max", "f8", 192),
-            ("cal_min", "f8", 200),
-            ("descrip", "S80", 240),
-            ("aux_file", "S24", 320),
-            ("qform_code", "i4", 344),
-            ("sform_code", "i4", 348),
-            ("quaternion", "6f8", 352),
-            ("srow", "12f8", 400),
-            ("xyzt_units", "i4", 500),
-            ("intent_code", "i4", 504),
-            ("intent_name", "S16", 508),
-        ],
-        540,
-    ),
-}
+_HEADERS = {348: _record(1, 348), 540: _record(3, 540)}  # by the length at the start of a header
 _MAGIC = {348: (b"n+1\0", b"ni1\0"), 540: (b"n+2\0\r\n\x1a\n", b"ni2\0\r\n\x1a\n")}  # in one file, and in two
 _AFTER = 4  # bytes between header and samples in one file, which say whether extensions follow
 _DTYPES = {
@@ -161,7 +131,7 @@ def read_pair(path: Path, choose: Choice) -> Content:
 
 def lazily(path: Path, choose: Choice) -> list[Content]:
     """As `read`, but samples are read on demand; empty for a packed file, which has no random access."""
-    return [] if _packed(path) else [_lazily(path, _header(path), choose)]
+    return [] if packed(path) else [_lazily(path, _header(path), choose)]
 
 
 def lazily_pair(path: Path, choose: Choice) -> list[Content]:
@@ -169,13 +139,8 @@ def lazily_pair(path: Path, choose: Choice) -> list[Content]:
     return [_lazily(_beside(path, ".img"), _header(path, pair=True), choose)]
 
 
-def check(path: Path) -> None:
-    """Read the header, and count the samples."""
-    _count(path, _header(path))
-
-
 def _header(path: Path, pair: bool = False) -> _Header:
-    with _beside(path, ".hdr").open("rb") if pair else _opened(path) as stream:
+    with _beside(path, ".hdr").open("rb") if pair else unpacked(path) as stream:
         return _parse(stream, path.name, pair)
 
 
@@ -206,7 +171,7 @@ def _beside(path: Path, suffix: str) -> Path:
 def _read(path: Path, header: _Header, choose: Choice) -> Content:
     size = path.stat().st_size
     believed = max(_TRUSTED, _PACKED * size)
-    if not _packed(path) or header.volumes > believed:
+    if not packed(path) or header.volumes > believed:
         _count(path, header)  # raises if samples are missing, before memory is allocated for them
     pick = choose(path.name, header.leading, header.guessed)
     # colours are interleaved in the file, and separated in memory
@@ -214,10 +179,10 @@ def _read(path: Path, header: _Header, choose: Choice) -> Content:
     wanted = np.arange(header.volumes).reshape(header.leading.counts[:own])[pick.index[:own]]
     needed = wanted.size * header.step
     announce(path.name, needed)
-    if _packed(path) and needed > believed:
+    if packed(path) and needed > believed:
         _count(path, header)
     raw = np.empty(needed, np.uint8)
-    with _opened(path) as stream:
+    with unpacked(path) as stream:
         found = _fill(raw, stream, header, wanted.ravel())
     shape = header.size[::-1]
     require_bytes(path.name, found, (header.volumes, header.parts, *shape), header.dtype, exact=True)
@@ -245,7 +210,7 @@ def write(what: Volume | Volumes, path: Path) -> None:
 
 
 def _count(path: Path, header: _Header) -> None:
-    if _packed(path):
+    if packed(path):
         with path.open("rb") as file:
             found = gunzipped_size(file, header.end)
     else:
@@ -254,15 +219,7 @@ def _count(path: Path, header: _Header) -> None:
     require_bytes(path.name, max(0, found - header.start), shape, header.dtype, exact=True)
 
 
-def _packed(path: Path) -> bool:
-    return path.suffix.lower() == ".gz"
-
-
-def _opened(path: Path) -> BinaryIO:
-    return cast(BinaryIO, gzip.open(path)) if _packed(path) else path.open("rb")
-
-
-def _fill(raw: NDArray[np.uint8], stream: BinaryIO, header: _Header, wanted: NDArray[np.intp]) -> int:
+def _fill(raw: NDArray[np.uint8], stream: IO[bytes], header: _Header, wanted: NDArray[np.intp]) -> int:
     """Fill `raw` with the `wanted` volumes of a stream. Returns the bytes of all samples in it, and one more if more follow."""
     room = memoryview(raw.data)
     for n, volume in enumerate(wanted):
@@ -278,7 +235,7 @@ def _fill(raw: NDArray[np.uint8], stream: BinaryIO, header: _Header, wanted: NDA
     return stream.tell() - header.start if surplus else max(0, min(stream.tell(), header.end) - header.start)
 
 
-def _parse(stream: BinaryIO, name: str, pair: bool = False) -> _Header:
+def _parse(stream: IO[bytes], name: str, pair: bool = False) -> _Header:
     head = stream.read(max(_HEADERS))
     lengths = {struct.unpack(order + "i", head[:4])[0]: order for order in "<>"} if len(head) >= 4 else {}
     length = next((n for n in lengths if n in _HEADERS), min(_HEADERS))

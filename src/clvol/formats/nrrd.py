@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import IO
 
@@ -75,11 +76,8 @@ def check(path: Path) -> _itk.Header:
         expected = math.prod(size) * np.dtype(dtype).itemsize
         place = data_path(path, fields["data file"]) if "data file" in fields else path
         stored = place.stat().st_size
-        if place is not path:
-            with place.open("rb") as samples:
-                found = _samples(samples, fields, path.name, expected)
-        else:
-            found = _samples(stream, fields, path.name, expected)
+        with nullcontext(stream) if place is path else place.open("rb") as samples:
+            found = _samples(samples, fields, path.name, expected)
     # -1: the samples end with the file, whatever precedes them
     require_bytes(path.name, found, size[::-1], dtype, exact=fields.get("byte skip") != "-1")
     _check_numbers(fields, path.name, len(size))

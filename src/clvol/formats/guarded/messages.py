@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from clvol.bricks.sliced import mapped
 from clvol.formats._choice import Series
 from clvol.volume.volumes import Leading
 
@@ -85,13 +86,8 @@ def as_stored(samples: NDArray[Any]) -> NDArray[Any]:
 
 def _location(array: NDArray[Any]) -> tuple[str, int] | None:
     """The file that a large array is mapped from, and the byte where it begins; None if it is not mapped, or not contiguous."""
-    base: Any = array
-    while isinstance(base, np.ndarray) and not (isinstance(base, np.memmap) and not isinstance(base.base, np.ndarray)):
-        base = base.base
-    if not isinstance(base, np.memmap) or not array.flags.c_contiguous or array.nbytes < _LARGE:
-        return None
-    name = getattr(base, "filename", None)
-    return (os.fspath(name), base.offset + array.ctypes.data - base.ctypes.data) if name else None
+    large = array.nbytes >= _LARGE and array.flags.c_contiguous
+    return (str(file.path), file.offset) if large and (file := mapped(array)) is not None else None
 
 
 def _memory_file(size: int) -> _MemoryFile:

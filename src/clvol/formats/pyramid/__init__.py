@@ -4,8 +4,7 @@
 |-----------|-----------------------------------------------------------------|
 | `reduce`  | the next size, streamed along z                                 |
 | `blocks`  | minima and maxima of the function in blocks of cells, by bricks |
-| `source`  | what identifies the source                                      |
-| `journal` | the unfinished store, and which of its parts are done           |
+| `journal` | the unfinished store, its source, and which parts are done      |
 | `make`    | `pyramid`                                                       |
 """
 

@@ -104,13 +104,10 @@ class Bricks:
         taken = [self._places(a * BLOCK - m, b * BLOCK + m + 1, n) for (a, b), n in zip(place, self._size, strict=True)]
         runs = [runs_of(one) for one in taken]
         data = gathered(self._read, runs[::-1])
-        data = _taken(
-            data,
-            [
-                np.searchsorted(np.concatenate([np.arange(*part) for part in run]), one)
-                for one, run in zip(taken[::-1], runs[::-1], strict=True)
-            ],
-        )
+        for axis, (run, places) in enumerate(zip(runs[::-1], taken[::-1], strict=True)):
+            at = np.searchsorted(np.concatenate([np.arange(*part) for part in run]), places)
+            if not np.array_equal(at, np.arange(data.shape[axis])):
+                data = np.take(data, at, axis)
         inside = data[tuple(slice(m, m + b - a) for a, b in own[::-1])]
         value_range = float(inside.min()), float(inside.max())
         volume = Volume(data)
@@ -163,32 +160,6 @@ def _merged(found: NDArray[Any], axis: int, rows: list[tuple[int, int]]) -> NDAr
     """Bounds of ranges of blocks along an axis."""
     parts = (found[(slice(None),) * axis + (slice(a, b),)] for a, b in rows)
     return np.stack([np.stack([part[..., 0].min(axis), part[..., 1].max(axis)], -1) for part in parts], axis)
-
-
-def _taken(data: NDArray[Any], places: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """``data[np.ix_(*places)]``, fast where most places along each axis are consecutive."""
-    if all(np.array_equal(at, np.arange(n)) for at, n in zip(places, data.shape, strict=True)):
-        return data
-    result = np.empty([len(at) for at in places], data.dtype)
-    for spans in itertools.product(*map(_spans, places)):
-        part = data[tuple(at if isinstance(at, slice) else slice(None) for _, at in spans)]
-        for axis, (_, at) in enumerate(spans):
-            if not isinstance(at, slice):
-                part = np.take(part, at, axis)
-        result[tuple(place for place, _ in spans)] = part
-    return result
-
-
-def _spans(at: NDArray[Any]) -> list[tuple[slice, slice | NDArray[Any]]]:
-    """The longest run of consecutive places as a slice, and the places before and after it; each with its slice of the result."""
-    ends = np.flatnonzero(np.diff(at) != 1) + 1
-    runs = np.split(at, ends)
-    longest = int(np.argmax([len(run) for run in runs]))
-    first = sum(len(run) for run in runs[:longest])
-    last = first + len(runs[longest])
-    spans = [(slice(first, last), slice(int(at[first]), int(at[last - 1]) + 1))]
-    rest = [slice(0, first), slice(last, len(at))]
-    return [*spans, *((place, at[place]) for place in rest if place.stop > place.start)]
 
 
 def outwards(values: NDArray[np.float64], dtype: np.dtype[Any]) -> NDArray[Any]:

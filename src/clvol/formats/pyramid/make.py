@@ -28,9 +28,8 @@ from clvol.formats._errors import foreign_errors
 from clvol.formats.opening import WholeOnlyError
 from clvol.formats.opening import open as open_lazily
 from clvol.formats.pyramid.blocks import Bricks, coarser, outwards, require_bounded
-from clvol.formats.pyramid.journal import Journal
+from clvol.formats.pyramid.journal import Journal, require_apart, said_of
 from clvol.formats.pyramid.reduce import Reduction
-from clvol.formats.pyramid.source import require_apart, said_of
 from clvol.formats.zarr.addresses import shown
 from clvol.spline.levels import FIXED, METHODS, Level, Method, filter_at, levels_of, require_reducible, sums_for
 from clvol.volume.smoothing import filter_for, settled

@@ -22,8 +22,7 @@ from clvol.formats._files import damaged_chunk, require_default, sample_count, s
 from clvol.formats._layout import Layout, lay_out
 from clvol.formats.guarded.messages import as_stored, empty
 from clvol.formats.tiff.about import DTYPES, WHITE, About, imagej, ome, ome_color
-from clvol.formats.tiff.checks import check_order, check_samples
-from clvol.formats.tiff.file import directories_of, opened, require_own_files, strict, tifffile
+from clvol.formats.tiff.file import check_order, check_samples, directories_of, opened, require_own_files, strict, tifffile
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
@@ -281,7 +280,7 @@ def _is_whole(page: Any, size: int) -> bool:
 def _damaged(name: str, array: Any, image: Any, index: Index) -> str:
     """The first strip or tile at an index that cannot be read, with its page and file."""
     with strict():
-        at = damaged_chunk(array, index)
+        at = damaged_chunk(array, index, array.chunks)
     if at is None:
         return f"strips or tiles of {name}"
     counts = [-(-n // edge) for n, edge in zip(array.shape, array.chunks, strict=True)]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 import zlib
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import ClvolError, DataError, FormatError
 from clvol.bricks.sliced import FlatFile, Index, Window, said_of_file, said_of_folder
-from clvol.formats._files import bytes_at, sample_count
+from clvol.formats._files import bytes_at, chunks_in, damaged_chunk, sample_count, spans
 from clvol.formats.guarded.limits import announce, announce_parts
 from clvol.formats.zarr.files import has_chunks
 
@@ -25,7 +23,6 @@ __all__ = ["loaded", "part_of", "require_chunks"]
 
 _SECONDS = 10.0  # after which a remote store's metadata are compared again
 _LARGE = 1 << 24  # bytes of a chunk that is read by parts, if it is not compressed
-_TRIED = 4096  # chunks tried in search of a damaged one
 
 
 def loaded(source: str, array: Any, index: Index = ()) -> NDArray[Any]:
@@ -132,13 +129,8 @@ class _Chunked:
     def _damaged(self, index: Index) -> str:
         """Key of the first chunk (or shard) at an index that cannot be read."""
         array = self._array
-        box = _ranges(array.shape, index)
-        for at, part in itertools.islice(_chunks(box, array.shards or array.chunks), _TRIED):
-            try:
-                array[tuple(slice(one.start, one.stop) for one in part)]
-            except Exception:
-                return self._key(array.metadata.encode_chunk_key(at))
-        return f"{array.path or '.'} (one of several)"
+        at = damaged_chunk(array, index, array.shards or array.chunks)
+        return f"{array.path or '.'} (one of several)" if at is None else self._key(array.metadata.encode_chunk_key(at))
 
 
 class _Uncompressed(_Chunked):
@@ -151,9 +143,9 @@ class _Uncompressed(_Chunked):
     def __call__(self, index: Index) -> NDArray[Any]:
         self._require_the_same()
         array = self._array
-        box = _ranges(array.shape, index)
+        box = spans(array.shape, index)
         result = np.empty([len(part) for part in box], array.dtype)
-        for chunk, parts in _chunks(box, array.chunks):
+        for chunk, parts in chunks_in(box, array.chunks):
             inside = tuple(slice(p.start - i * n, p.stop - i * n) for p, i, n in zip(parts, chunk, array.chunks, strict=True))
             target = tuple(slice(p.start - whole[0], p.stop - whole[0]) for p, whole in zip(parts, box, strict=True))
             result[target] = self._of_chunk(chunk, inside)
@@ -177,17 +169,6 @@ class _Uncompressed(_Chunked):
         if (found := file.stat().st_size) != whole:
             raise FormatError(f"cannot read chunk {key} of {self._source}: it must have {whole} bytes; it has {found}")
         return FlatFile(file, array.chunks, self._dtype, 0)(inside)
-
-
-def _ranges(shape: Sequence[int], index: Index) -> list[range]:
-    """The samples that an index takes along each axis."""
-    return [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(shape, index, strict=True)]
-
-
-def _chunks(box: Sequence[range], chunks: Sequence[int]) -> Iterator[tuple[tuple[int, ...], list[range]]]:
-    """The chunks that a box meets, and the samples in both."""
-    for at in itertools.product(*(range(part[0] // n, part[-1] // n + 1) for part, n in zip(box, chunks, strict=True))):
-        yield at, [range(max(p[0], i * n), min(p[-1] + 1, (i + 1) * n)) for p, i, n in zip(box, at, chunks, strict=True)]
 
 
 def _uncompressed(array: Any) -> np.dtype[Any] | None:
