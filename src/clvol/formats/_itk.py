@@ -27,7 +27,7 @@ from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
-__all__ = ["Flat", "Header", "open_image", "quiet", "read_image", "reason", "write_image"]
+__all__ = ["Flat", "Header", "information", "open_image", "quiet", "read_image", "reason", "write_image"]
 
 _TOLERANCE = 1e-12  # relative, between the geometry to write and the one written
 
@@ -77,6 +77,15 @@ def quiet() -> Iterator[None]:
         process.SetGlobalWarningDisplay(shown)
 
 
+def information(path: Path, image_io: str = "") -> Any:
+    """A reader of SimpleITK that has read the metadata of a file."""
+    reader = simpleitk().ImageFileReader()
+    reader.SetFileName(str(path))
+    reader.SetImageIO(image_io)
+    reader.ReadImageInformation()
+    return reader
+
+
 def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Content:
     """Samples and geometry of the chosen volumes of a file whose header was checked."""
     sitk = simpleitk()
@@ -85,9 +94,7 @@ def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Con
         image = sitk.ReadImage(str(path), imageIO=image_io)
     data, geometry = from_simpleitk(image, header.units, copy=False)
     _require_alike(path, header, data.shape)
-    if not header.spacing_known:
-        geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
-    leading, guessed = _leading(geometry.pop("leading", {}), header)
+    leading, guessed = _leading(geometry, header)
     pick = choose(path.name, leading, guessed)
     chosen = scaled(copied(data[pick.index]), header.slope, header.offset)
     return pick.finish(chosen), geometry | pick.about
@@ -100,19 +107,14 @@ def open_image(path: Path, image_io: str, header: Header, choose: Choice) -> lis
         return []
     sitk = simpleitk()
     with quiet(), foreign_errors(f"open {path}", reason):
-        reader = sitk.ImageFileReader()
-        reader.SetFileName(str(path))
-        reader.SetImageIO(image_io)
-        reader.ReadImageInformation()
+        reader = information(path, image_io)
         about = _Information(reader, sitk.GetPixelIDValueAsString(reader.GetPixelIDValue()))
     geometry = describe_simpleitk(about, header.units)
     _require_alike(path, header, (*about.GetSize()[::-1], about.GetNumberOfComponentsPerPixel()))
     kind = {"u": "unsigned integer", "i": "signed integer", "f": "float"}[flat.dtype.kind]
     if f"{8 * flat.dtype.itemsize}-bit {kind}" not in about.kind:
         raise FormatError(f"cannot open {path}: its header says {flat.dtype}, ITK finds {about.kind}")
-    if not header.spacing_known:
-        geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
-    leading, guessed = _leading(geometry.pop("leading", {}), header)
+    leading, guessed = _leading(geometry, header)
     names, own = [""] * len(flat.shape), [axis for axis in range(len(flat.shape)) if axis != flat.channels]
     for axis, name in zip(own[::-1], ("x", "y", "z", *(one for one in leading.axes if one != "channel")), strict=False):
         names[axis] = name
@@ -146,8 +148,14 @@ def _require_alike(path: Path, header: Header, shape: Sequence[int]) -> None:
         raise FormatError(f"cannot read {path}: its header says {header.size}, ITK finds {tuple(shape[::-1])} samples")
 
 
-def _leading(found: dict[str, Any], header: Header) -> tuple[Leading, str]:
-    """The leading axes that ITK finds, with the header's meaning; and how they were interpreted if it has none."""
+def _leading(geometry: dict[str, Any], header: Header) -> tuple[Leading, str]:
+    """The leading axes that ITK finds, with the header's meaning; and how they were interpreted if it has none.
+
+    They are taken out of `geometry`, and so is a spacing that the header does not know.
+    """
+    if not header.spacing_known:
+        geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
+    found = geometry.pop("leading", {})
     axes, counts, values = found.get("axes", ()), found.get("counts", ()), header.values
     if header.timed:
         axes = tuple("time" if axis == "volume" else axis for axis in axes)
@@ -181,10 +189,7 @@ def write_image(what: Volume | Volumes, path: Path, image_io: str, check: Callab
             check(path)
         except FormatError as error:
             raise FormatError(f"what was written could not be read back: {error}") from error
-        reader = sitk.ImageFileReader()
-        reader.SetFileName(str(path))
-        reader.SetImageIO(image_io)
-        reader.ReadImageInformation()
+        reader = information(path, image_io)
     for name in ("Size", "Spacing", "Origin", "Direction"):
         ours, theirs = (np.asarray(getattr(one, f"Get{name}")()) for one in (image, reader))
         if ours.shape != theirs.shape or np.abs(ours - theirs).max() > _TOLERANCE * np.abs(ours).max():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,10 +19,14 @@ from clvol.formats._files import scaled
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
-__all__ = ["Layout", "decoded", "lay_out", "place", "scaled_part", "shrunk", "uniform", "unnamed"]
+__all__ = ["Layout", "by_names", "decoded", "lay_out", "place", "scaled_part", "shrunk", "uniform", "unnamed"]
 
 _UNNAMED = {1: ("volume",), 2: ("time", "channel"), 3: ("time", "position", "channel")}
 _OFF = 1e-3  # deviation of evenly spaced coordinates, in steps; float32 has that on long axes
+
+
+Lines: TypeAlias = tuple[dict[str, tuple[float, float]], dict[str, str]]
+"""First coordinate and step, and unit, of axes."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +138,22 @@ def unnamed(shape: Sequence[int], dtype: np.dtype[Any]) -> list[str]:
     short = (3, 4) if len(shape) == 3 and dtype == np.uint8 else (2, 3, 4) if len(shape) > 3 else ()
     last = len(shape) > 2 and shape[-1] in short and min(shape[-3:-1]) > max(short)
     return [""] * (len(shape) - last) + ["channel"] * last
+
+
+def by_names(
+    source: str, words: Sequence[str], array: Any, choose: Choice, load: Callable[..., Any], lines_of: Callable[[Layout], Lines]
+) -> Content:
+    """The chosen volumes of an array of netCDF's kind, whose axes may have names, and attributes say how samples are decoded.
+
+    `load` returns its samples at an index, `lines_of` first coordinates, steps and units of axes, as `place` takes them.
+    """
+    named = any(words)
+    words = words if named else unnamed(array.shape, array.dtype)
+    layout = lay_out(source, words, array.shape, asked=choose.given)
+    placed = place(layout, *lines_of(layout))
+    leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
+    data, chosen = layout.chosen(source, choose, lambda index: decoded(load(source, array, index), dict(array.attrs)), leading)
+    return data, placed | chosen
 
 
 def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:

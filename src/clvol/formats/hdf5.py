@@ -15,7 +15,7 @@ from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.bricks.sliced import Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at, damaged_chunk, sample_count
-from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
+from clvol.formats._layout import Layout, by_names, lay_out, uniform
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
@@ -55,18 +55,19 @@ def _content(path: Path, file: Any, choose: Choice, series: int | str | None, lo
     if _is_of_itk(array):
         return _itk(path.name, array, choose, load)
     words, lines, units = _axes(array)
-    named = any(words)
-    words = words if named else unnamed(array.shape, array.dtype)
-    layout = lay_out(path.name, words, array.shape, asked=choose.given)
-    leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
-    by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
-    units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
-    space = {"space": "image"} if "um" in units_by_axis.values() else {}
-    data, chosen = layout.chosen(
-        path.name, choose, lambda index: decoded(load(path.name, array, index), dict(array.attrs)), leading
+    data, known = by_names(
+        path.name,
+        words,
+        array,
+        choose,
+        load,
+        lambda layout: (
+            {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines},
+            {axis: units[i] for i, axis in enumerate(layout.axes) if i in units},
+        ),
     )
-    known = {"name": array.name.rpartition("/")[2]} | space | place(layout, by_axis, units_by_axis)
-    return data, known | chosen
+    space = {"space": "image"} if "um" in units.values() else {}
+    return data, {"name": array.name.rpartition("/")[2]} | space | known
 
 
 def series(path: Path) -> tuple[Series, ...]:

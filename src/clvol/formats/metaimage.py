@@ -40,17 +40,8 @@ _ORDERS = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
 _STEEPEST = 1.01  # largest direction cosine, after rounding
 _UNITS = {"?": "mm", "um": "um", "mm": "mm", "cm": "cm"}
 # Numbers in a field, as a power of the number of axes: ITK reads beyond a field that is too short.
-_NUMBERS = {
-    "TransformMatrix": 2,
-    "Rotation": 2,
-    "Orientation": 2,
-    "Offset": 1,
-    "Position": 1,
-    "Origin": 1,
-    "CenterOfRotation": 1,
-    "ElementSpacing": 1,
-    "ElementSize": 1,
-}
+_NUMBERS = dict.fromkeys(("TransformMatrix", "Rotation", "Orientation"), 2)
+_NUMBERS |= dict.fromkeys(("Offset", "Position", "Origin", "CenterOfRotation", "ElementSpacing", "ElementSize"), 1)
 
 
 def read(path: Path, choose: Choice) -> Content:

@@ -283,7 +283,8 @@ def _counted(reader: Reader, path: Path, **options: Any) -> Leading:
     try:
         reader(path, choose=_Counting(whole=True), **options)
     except _KnownError as known:
-        return known.leading
+        (leading,) = known.args
+        return leading  # type: ignore[no-any-return]  # what `_Counting` raises
     return Leading()
 
 
@@ -296,7 +297,3 @@ class _Counting(Choice):
 
 class _KnownError(ClvolError):
     """Carries the leading axes out of a reader."""
-
-    def __init__(self, leading: Leading) -> None:
-        super().__init__(str(leading))
-        self.leading = leading

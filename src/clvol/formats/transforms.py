@@ -12,7 +12,7 @@ from clvol.base.checks import as_path
 from clvol.base.errors import FormatError
 from clvol.formats import Limits, allowed, called
 from clvol.formats._errors import foreign_errors
-from clvol.formats._itk import quiet, reason
+from clvol.formats._itk import information, quiet, reason
 from clvol.formats.guarded.limits import announce
 from clvol.interop.itk import simpleitk
 from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, displacements_of, from_simpleitk
@@ -75,9 +75,7 @@ def _parts(file: Path) -> list[tuple[Any, ...]]:
         if file.name.lower().endswith(_TRANSFORMS):
             announce(file.name, _UNPACKED * file.stat().st_size)
             return [_taken_apart(one) for one in from_simpleitk(sitk.ReadTransform(str(file)))]
-        reader = sitk.ImageFileReader()
-        reader.SetFileName(str(file))
-        reader.ReadImageInformation()
+        reader = information(file)
         announce(file.name, math.prod(reader.GetSize()) * reader.GetNumberOfComponents() * 8)
         return [_taken_apart(displacements_of(reader.Execute()))]
 

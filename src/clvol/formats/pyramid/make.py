@@ -147,7 +147,17 @@ def pyramid(
     room = _room(memory, given)
     volume, cache = _kept(given, room)
     storage = _Storage.of(chunks, shards, compressor, version)
-    plan = _plan(volume, filter, boundary, method, levels, storage, bounds, as_device(device))
+    if method is not None and method not in METHODS:
+        raise one_of("method", method, METHODS)
+    rule, part, labels = as_boundary(boundary), volume.part(), volume.is_labels
+    row = settled(filter_for(part, filter, PICTURE_FILTER), part)
+    how: Method = method or ("nearest" if labels else "least-squares")
+    if flag("bounds", bounds):
+        require_bounded(row, rule)
+    require_reducible(how, row, rule)
+    count = None if levels is None else whole("levels", levels, 1)
+    sizes = levels_of(volume.size, volume.spacing, count, max(storage.chunks))
+    plan = _Plan(row, rule, how, sizes, storage, bounds, as_device(device), labels)
     if plan.bounds:
         Bricks.edge_for(plan.filter, room)
     with foreign_errors(f"write {path}"), Journal(target, plan.command(volume), flag("overwrite", overwrite)) as journal:
@@ -239,31 +249,6 @@ class _Plan:
             "compressor": self.storage.compressor,
             "bounds": self.bounds,
         }
-
-
-def _plan(
-    volume: LazyVolume,
-    filter: str | Filter | None,
-    boundary: str | Boundary,
-    method: str | None,
-    levels: int | None,
-    storage: _Storage,
-    bounds: bool,
-    device: Device,
-) -> _Plan:
-    if method is not None and method not in METHODS:
-        raise one_of("method", method, METHODS)
-    rule = as_boundary(boundary)
-    part = volume.part()
-    labels = volume.is_labels
-    row = settled(filter_for(part, filter, PICTURE_FILTER), part)
-    how: Method = method or ("nearest" if labels else "least-squares")
-    if flag("bounds", bounds):
-        require_bounded(row, rule)
-    require_reducible(how, row, rule)
-    count = None if levels is None else whole("levels", levels, 1)
-    sizes = levels_of(volume.size, volume.spacing, count, max(storage.chunks))
-    return _Plan(row, rule, how, sizes, storage, bool(bounds), device, labels)
 
 
 @dataclass(frozen=True)
@@ -411,16 +396,15 @@ class _Writing:
         copy = arrays[0].__setitem__ if number == 1 else None
         for tile in reduction.tiles():
             blocks = reduction.blocks()
-            cost = (
-                reduction.cost * (tile.x[1] - tile.x[0]) * (tile.y[1] - tile.y[0]) / (level.size[0] * level.size[1]) / len(blocks)
-            )
+            share = (tile.x[1] - tile.x[0]) * (tile.y[1] - tile.y[0]) / (level.size[0] * level.size[1])
+            cost = _COST["reduce"] * math.prod(finer.size) * share / len(blocks)
             names = [f"{number}/{tile.x[0]}-{tile.x[1]}/{tile.y[0]}-{tile.y[1]}/{first}-{last}" for first, last in blocks]
             left = next((k for k, name in enumerate(names) if name not in self._journal), len(names))
-            self._advance(_COST["reduce"] * cost * left)
+            self._advance(cost * left)
             for name, (place, made) in zip(names[left:], reduction.run(tile, blocks[left:], copy), strict=False):
                 arrays[number][place] = made
                 self._journal.done(name)
-                self._advance(_COST["reduce"] * cost)
+                self._advance(cost)
         if self._cache is not None:  # the source is not read again
             self._cache.close()
             self._read_out = True

@@ -8,7 +8,6 @@ along z needs them. Each sum has the same terms in the same order as without til
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -181,8 +180,3 @@ class Reduction:
                 at += b - a
         made = planes if along.sums is None else sum_along(planes, {0: along.sums}, self._kind, self._device, self._cval)
         return (slice(along.first, along.last), slice(*tile.y), slice(*tile.x)), in_kind(made, self._dtype)
-
-    @property
-    def cost(self) -> int:
-        """Number of samples read, about."""
-        return math.prod(self.finer.size)

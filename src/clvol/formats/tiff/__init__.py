@@ -19,7 +19,7 @@ from clvol.base.units import METRES, unit_name
 from clvol.bricks.sliced import FlatFile, Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import damaged_chunk, require_default, sample_count, scaled, storable
-from clvol.formats._layout import Layout, lay_out
+from clvol.formats._layout import Layout, lay_out, scaled_part
 from clvol.formats.guarded.messages import as_stored, empty
 from clvol.formats.tiff.about import DTYPES, WHITE, About, imagej, ome, ome_color
 from clvol.formats.tiff.file import check_order, check_samples, directories_of, opened, require_own_files, strict, tifffile
@@ -133,12 +133,8 @@ def _content(path: Path, file: Any, number: int, level: int, choose: Choice, loa
         geometry["clim"] = about.clims[0]
     if level:  # the first sample of a level lies at the centre of those it replaces
         geometry["origin"] = layout.of({axis: (shrunk[axis] - 1) / 2 * spacing[axis] for axis in "xyz"})
-    if isinstance(data, Window) and (about.slope, about.offset) != (1, 0):
-        data = data.mapped(lambda part: scaled(part, about.slope, about.offset))
-    if isinstance(data, Window):
-        lazy: Any = data
-        return lazy, geometry | known
-    return scaled(data, about.slope, about.offset), geometry | known
+    values: Any = scaled_part if isinstance(data, Window) else scaled
+    return values(data, about.slope, about.offset), geometry | known
 
 
 def _images(name: str, file: Any) -> tuple[Series, ...]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._bounds import KEY, bounds_of
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
-from clvol.formats._layout import decoded, lay_out, place, shrunk, uniform, unnamed
+from clvol.formats._layout import Layout, Lines, by_names, shrunk, uniform
 from clvol.formats.zarr import ome
 from clvol.formats.zarr.addresses import shown
 from clvol.formats.zarr.array import loaded, part_of, require_chunks
@@ -183,20 +183,19 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Lo
 
 def _plain(source: str, image: _Image, choose: Choice, load: Load) -> Content:
     """An array as it is; its axes by name and coordinate, if it has them, as xarray stores these."""
-    array = image.node
-    words = _dimensions(array)
-    named = any(words)
-    words = words if named else unnamed(array.shape, array.dtype)
-    layout = lay_out(source, words, array.shape, asked=choose.given)
-    lines, units = {}, {}
-    for axis, word in zip(layout.axes, words, strict=True):
-        values = _beside(image, word) if axis in ("x", "y", "z") and word else None
-        if values is not None and values.shape == (layout.shape[layout.axes.index(axis)],):
-            lines[axis] = uniform(loaded(source, values)) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
-            units[axis] = str(values.attrs.get("units", ""))
-    leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
-    data, chosen = layout.chosen(source, choose, lambda index: decoded(load(source, array, index), dict(array.attrs)), leading)
-    return data, {"name": image.id.rpartition("/")[2].strip(".")} | place(layout, lines, units) | chosen
+    words = _dimensions(image.node)
+
+    def lines_of(layout: Layout) -> Lines:
+        lines, units = {}, {}
+        for axis, word, n in zip(layout.axes, words, layout.shape, strict=True):
+            values = _beside(image, word) if axis in ("x", "y", "z") and word else None
+            if values is not None and values.shape == (n,):
+                lines[axis] = uniform(loaded(source, values)) or (0.0, float("nan") if n > 1 else 1.0)
+                units[axis] = str(values.attrs.get("units", ""))
+        return lines, units
+
+    data, known = by_names(source, words, image.node, choose, load, lines_of)
+    return data, {"name": image.id.rpartition("/")[2].strip(".")} | known
 
 
 def _dimensions(array: Any) -> list[str]:
