@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import binascii
 import lzma
-import math
 import re
 import struct
 import zlib
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import sample_count
+from clvol.formats._headers import numbers
 from clvol.formats._layout import lay_out
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
@@ -35,6 +35,7 @@ __all__ = ["read", "series"]
 _DTYPES = {f"{kind}{bits}": f"{kind.lower()}{bits}" for kind in ("Int", "UInt") for bits in (8, 16, 32, 64)}
 _DTYPES |= {"Float32": "float32", "Float64": "float64"}
 _ORDERS = {"LittleEndian": "<", "BigEndian": ">"}
+_USUAL = {"Spacing": "1 1 1", "Origin": "0 0 0", "Direction": "1 0 0 0 1 0 0 0 1"}
 _LENGTHS = {"UInt32": "I", "UInt64": "Q"}
 _COMPRESSORS = ("", "vtkZLibDataCompressor", "vtkLZMADataCompressor", "vtkLZ4DataCompressor")
 _APPENDED = re.compile(rb"<AppendedData\s+encoding\s*=\s*[\"'](raw|base64)[\"']\s*>\s*_")
@@ -85,8 +86,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
     listed = [array.series for array in file.arrays]
     array = file.arrays[chosen_series(path.name, listed, series, what="arrays", first=active == 1)]
     channels, names = array.components, array.names
-    words = [*"zyx", "channel"]
-    layout = lay_out(path.name, words, (*array.shape, channels))
+    layout = lay_out(path.name, [*"zyx", "channel"], (*array.shape, channels))
     leading = Leading(
         layout.leading,
         layout.counts,
@@ -131,12 +131,14 @@ def _parsed(path: Path) -> _File:
         found_in = {key: root.get(key) for key in ("byte_order", "header_type", "compressor")}
         raise FormatError(f"{path.name} must be written in a way of {_ORDERS}, {_LENGTHS}, {_COMPRESSORS}; it has {found_in}")
     extent = _extent(path.name, grid.get("WholeExtent", ""))
-    numbers = {key: _numbers(path.name, key, grid.get(key, usual)) for key, usual in _USUAL.items()}
+    spacing, origin, direction = (
+        np.array(numbers(path.name, key, grid.get(key, usual), len(usual.split()))) for key, usual in _USUAL.items()
+    )
     return _File(
         path.name,
-        np.array(numbers["Spacing"]),
-        np.array(numbers["Origin"]),
-        np.array(numbers["Direction"]).reshape(3, 3),
+        spacing,
+        origin,
+        direction.reshape(3, 3),
         extent,
         _arrays(path.name, grid, extent),
         order,
@@ -145,20 +147,6 @@ def _parsed(path: Path) -> _File:
         appended,
         found is not None and found[1] == b"base64",
     )
-
-
-_USUAL = {"Spacing": "1 1 1", "Origin": "0 0 0", "Direction": "1 0 0 0 1 0 0 0 1"}
-
-
-def _numbers(name: str, key: str, text: str) -> list[float]:
-    """Finite numbers, as many as the attribute has by default."""
-    try:
-        values = [float(word) for word in text.split()] if text.isascii() else []
-    except ValueError:
-        values = []
-    if len(values) != len(_USUAL[key].split()) or not all(map(math.isfinite, values)):
-        raise FormatError(f"{name} must give {len(_USUAL[key].split())} finite numbers for {key}; got {text[:80]!r}")
-    return values
 
 
 def _extent(name: str, text: str) -> tuple[int, ...]:

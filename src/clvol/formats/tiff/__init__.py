@@ -22,7 +22,7 @@ from clvol.formats._files import damaged_chunk, require_default, sample_count, s
 from clvol.formats._layout import Layout, lay_out, scaled_part
 from clvol.formats.guarded.messages import as_stored, empty
 from clvol.formats.tiff.about import DTYPES, WHITE, About, imagej, ome, ome_color
-from clvol.formats.tiff.file import check_order, check_samples, directories_of, opened, require_own_files, strict, tifffile
+from clvol.formats.tiff.file import check_order, check_samples, opened, strict, tifffile
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
@@ -52,11 +52,7 @@ def lazily(path: Path, choose: Choice, series: int | str | None = None, level: i
 
     Contiguous samples are read from the file, others by strips and tiles, by way of zarr.
     """
-    library = tifffile()
-    directories_of(path)
-    with strict():
-        file = library.TiffFile(path)  # stays open as long as it is read from
-        require_own_files(path, file)
+    with opened(path, stay=True) as file:  # as long as it is read from
         number = chosen_series(path.name, _images(path.name, file), series)
         sizes = [one.shape for one in file.series[number].levels]
         first = chosen_level(path.name, sizes, level)

@@ -14,7 +14,7 @@ import struct
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,7 +24,7 @@ from clvol.base.errors import FormatError, MissingDependencyError
 from clvol.formats._files import inflated_size, xz_size
 from clvol.formats.guarded.limits import announce
 
-__all__ = ["check_order", "check_samples", "directories_of", "opened", "require_own_files", "strict", "tifffile"]
+__all__ = ["check_order", "check_samples", "opened", "strict", "tifffile"]
 
 _DECLARED = re.compile(r"<!(DOCTYPE|ENTITY)")
 _NAMED = re.compile(r"""FileName\s*=\s*(?:"([^"]*)"|'([^']*)')""")
@@ -40,16 +40,18 @@ def tifffile() -> Any:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """The file, opened by tifffile after its directories are checked. Warnings that tifffile logs are raised."""
+def opened(path: Path, stay: bool = False) -> Iterator[Any]:
+    """The file, opened by tifffile after its directories are checked; warnings that tifffile logs are raised. It may `stay` open."""
     library = tifffile()
-    directories_of(path)
-    with strict(), library.TiffFile(path) as file:
-        require_own_files(path, file)
-        yield file
+    _directories_of(path)
+    with strict():
+        file = library.TiffFile(path)
+        with nullcontext() if stay else file:
+            _require_own_files(path, file)
+            yield file
 
 
-def require_own_files(path: Path, file: Any) -> None:
+def _require_own_files(path: Path, file: Any) -> None:
     """Raise before tifffile opens files named in OME-XML: it would block on a pipe, and read any file."""
     text = file.ome_metadata or ""
     if _DECLARED.search(text):
@@ -132,7 +134,7 @@ Directory = Mapping[int, tuple[int, ...]]
 """How the samples of a page are stored: values by tag."""
 
 
-def directories_of(path: Path) -> dict[int, Directory]:
+def _directories_of(path: Path) -> dict[int, Directory]:
     with path.open("rb") as stream:
         return _directories(stream, path.stat().st_size, path.name)
 
@@ -225,7 +227,7 @@ def check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int, re
     Nothing is allocated before that. Of `count` samples only `read` may be read at a time.
     """
     files = {page.parent.filehandle.path: page.parent.filehandle.size for page in pages if page is not None}
-    walked = {file: directories_of(Path(file)) for file in files}
+    walked = {file: _directories_of(Path(file)) for file in files}
     first = walked.get(keyframe.parent.filehandle.path, {}).get(keyframe.offset)
     sizes = _segments(first) if first is not None and not keyframe.parent.is_stk else None  # a page of STK holds several slices
     for page in pages:
