@@ -41,7 +41,7 @@ def tifffile() -> Any:
 
 @contextmanager
 def opened(path: Path, stay: bool = False) -> Iterator[Any]:
-    """The file, opened by tifffile after its directories are checked; warnings that tifffile logs are raised. It may `stay` open."""
+    """The file, opened by tifffile once its directories are checked; warnings that tifffile logs are raised. It may `stay` open."""
     library = tifffile()
     _directories_of(path)
     with strict():
