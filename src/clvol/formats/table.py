@@ -111,7 +111,7 @@ FORMATS = (
         file=dicom.is_file,
         folder=dicom.is_folder,
         series=dicom.series_of,
-        native=_ITK,
+        native=("pydicom.pixels", *_ITK),
     ),
     Format(
         "TIFF stack",
