@@ -1146,13 +1146,14 @@ def test_missing_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module:
     with pytest.raises(MissingDependencyError, match=rf"pip install clvol\[{extra}\]"):
         formats.write(samples("u1"), tmp_path / f"w{suffix}")
     if module == "SimpleITK":
+        monkeypatch.setitem(sys.modules, "pydicom", None)
         (tmp_path / "v.dcm").write_bytes(bytes(128) + b"DICM")
         with pytest.raises(MissingDependencyError):
             formats.read(tmp_path, trusted=True)
 
 
 def test_importing_formats_imports_no_extra() -> None:
-    code = "import sys, clvol.formats; print([m for m in ('SimpleITK', 'tifffile', 'pyopencl') if m in sys.modules])"
+    code = "import sys, clvol.formats; print([m for m in ('SimpleITK', 'pydicom', 'tifffile', 'pyopencl') if m in sys.modules])"
     run = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True)
     assert run.stdout == "[]\n"
 

@@ -157,18 +157,17 @@ HOSTILE: dict[str, tuple[bytes, type[ClvolError], str]] = {
     "folder.nhdr": (nrrd("data file: .", data=b""), FormatError, "not there"),
     "zero.mhd": (mha("LOCAL", "/dev/zero", b""), FormatError, "not there"),
     # DICOM
-    "element-4-gb.dcm": (dicom(between=element(0x29, 0x10, "OB", b"", 0xFFFFFFF0)), FormatError, r"\(0029,0010\) has 4294967280"),
+    "element-4-gb.dcm": (dicom(between=element(0x29, 0x10, "OB", b"", 0xFFFFFFF0)), FormatError, "damaged or cut short"),
     "element-60-kb.dcm": (dicom(between=element(0x29, 0x10, "LO", b"", 60_000)), FormatError, "damaged or cut short"),
-    "pixels-4-gb.dcm": (dicom(length=0xFFFFFFF0), FormatError, r"\(7fe0,0010\) has 4294967280"),
-    "rows.dcm": (dicom(rows=65535, columns=65535), FormatError, "8589672450 bytes of samples"),
-    "rows-too-few.dcm": (dicom(rows=3), FormatError, "36 bytes of samples.*found 48"),
-    "frames.dcm": (dicom(frames="2147483647"), FormatError, "bytes of samples"),
-    "bits.dcm": (dicom(bits=32), FormatError, "96 bytes of samples"),
-    "photometric.dcm": (dicom(photometric=b"M\0\0OCHROME2"), FormatError, "what its samples are"),
+    "pixels-4-gb.dcm": (dicom(length=0xFFFFFFF0), FormatError, "damaged or cut short"),
+    "rows.dcm": (dicom(rows=65535, columns=65535), FormatError, "says 8589672450 bytes"),
+    "frames.dcm": (dicom(frames="2147483647"), FormatError, "says 103079215056 bytes"),
+    "bits.dcm": (dicom(bits=32), FormatError, "48 vs 96 bytes"),
+    "photometric.dcm": (dicom(photometric=b"M\0\0OCHROME2"), FormatError, "Photometric Interpretation"),
     "packed-absurdly.dcm": (
         dicom(syntax="1.2.840.10008.1.2.4.90", rows=65535, columns=65535, pixels=COMPRESSED, length=0xFFFFFFFF),
         FormatError,
-        "1000 bytes of samples for each",
+        "at most 1000 times as large",
     ),
     "packed-nonsense.dcm": (
         dicom(syntax="1.2.840.10008.1.2.4.90", pixels=COMPRESSED, length=0xFFFFFFFF), FormatError, "cannot read"
@@ -176,7 +175,7 @@ HOSTILE: dict[str, tuple[bytes, type[ClvolError], str]] = {
     "sequences.dcm": (
         dicom(between=(element(0x40, 0x275, "SQ", b"", 0xFFFFFFFF) + b"\xfe\xff\x00\xe0\xff\xff\xff\xff") * 2000),
         FormatError,
-        "sequences up to 32 deep",
+        "recursion depth",
     ),
 }  # fmt: skip
 

@@ -76,6 +76,7 @@ def _of(module: ModuleType, name: str, *suffixes: str, **others: Any) -> Format:
 
 
 _ITK = ("SimpleITK",)
+_DICOM = ("pydicom.pixels", *_ITK)
 _PILLOW = ("imageio.v3", "PIL.Image")
 
 FORMATS = (
@@ -87,7 +88,7 @@ FORMATS = (
     _of(metaimage, "MetaImage", ".mha", ".mhd", native=_ITK),
     _of(mgz, "FreeSurfer MGH", ".mgh", ".mgz"),
     _of(zarr, "Zarr", ".zarr.zip", ".ozx", ".zip", folder=zarr.is_one, native=("zarr",)),
-    _of(dicom, "DICOM", *dicom.SUFFIXES, series=dicom.series_of, file=dicom.is_file, folder=dicom.is_folder, native=_ITK),
+    _of(dicom, "DICOM", *dicom.SUFFIXES, series=dicom.series_of, file=dicom.is_file, folder=dicom.is_folder, native=_DICOM),
     _of(tiff, "TIFF stack", ".tif", ".tiff", native=("tifffile",)),
     _of(hdf5, "HDF5", ".h5", ".hdf5", ".hdf", ".he5", ".nc", native=("h5py",)),
     _of(imaris, "Imaris", ".ims", native=("h5py",)),

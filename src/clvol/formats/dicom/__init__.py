@@ -1,0 +1,212 @@
+"""DICOM: a folder of slices, or a file of one or many frames, each by its own header.
+
+Source: DICOM PS3.3, A.51 and C.8.20 (segmentations).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clvol.base.errors import FormatError, OptionError
+from clvol.formats._choice import Choice, Pick, Series, chosen_series
+from clvol.formats._errors import foreign_errors
+from clvol.formats.dicom.header import ROOT, SUFFIXES, Frame, frames_of, has_pictures, leniently, names_of, numbers_of, read_header
+from clvol.formats.dicom.samples import decoded, samples_of
+from clvol.formats.dicom.stack import finite, geometry_of, grid_of, order_of, require_alike
+from clvol.formats.guarded.limits import announce
+from clvol.formats.guarded.messages import empty
+from clvol.interop.kinds import Content
+from clvol.volume.volumes import Leading
+
+__all__ = ["SUFFIXES", "is_file", "is_folder", "read", "series_of"]
+
+_SEGMENTATION = ROOT + "5.1.4.1.1.66.4"
+_STACKED = ("CT", "MR", "PT")  # modalities whose slices make volumes
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file says that it is DICOM."""
+    with path.open("rb") as stream:
+        return stream.read(132)[128:] == b"DICM"
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a folder holds DICOM files itself, not in folders below."""
+    return any(file.suffix.lower() in SUFFIXES or is_file(file) for file in _files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    """Those in a folder that may be slices, by their names; systems leave hidden files beside them, such as ._1.dcm."""
+    return sorted(file for file in path.iterdir() if not file.name.startswith(".") and file.is_file())
+
+
+def series_of(path: Path) -> tuple[Series, ...]:
+    """The series in a folder, by their numbers; none of a file, which holds one."""
+    if not path.is_dir():
+        return ()
+    with foreign_errors(f"read {path}"), leniently(path):
+        return _listed(_found(path))
+
+
+def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
+    """The slices of one series, ordered by where they lie in the patient and not by their names; or those of one file."""
+    with foreign_errors(f"read {path}"), leniently(path):
+        if path.is_dir():
+            headers = _series(path, series)
+            return _volumes(path, headers, choose, alone=len(headers) == 1)
+        if series is not None:
+            raise OptionError(f"series is for a folder of DICOM files; {path.name} is one file")
+        return _volumes(path, [(path, read_header(path))], choose)
+
+
+def _found(path: Path) -> dict[str, list[tuple[Path, Any]]]:
+    """The files of each series in a folder, the series by their numbers."""
+    found: dict[str, list[tuple[Path, Any]]] = defaultdict(list)
+    for file in _files(path):
+        if file.suffix.lower() in SUFFIXES or is_file(file):
+            header = read_header(file)
+            if has_pictures(header):
+                if "Rows" not in header or "Columns" not in header:
+                    raise FormatError(f"{path} must hold sound DICOM files; {file.name} is damaged or cut short")
+                found[str(header.get("SeriesInstanceUID") or "")].append((file, header))
+    if not found:
+        raise FormatError(f"{path} must be a folder that holds DICOM files itself (not in folders below); found none with pictures")
+    return dict(sorted(found.items(), key=lambda item: (*finite(numbers_of(item[1][0][1], "SeriesNumber")[:1]), item[0])))
+
+
+def _series(path: Path, choice: int | str | None) -> list[tuple[Path, Any]]:
+    """The files of the series that is chosen, by its number in the listing or its id."""
+    found = _found(path)
+    chosen = list(found)[chosen_series(path.name, _listed(found), choice, what="series", first=False)]
+    if not chosen and len(found) > 1:
+        raise FormatError(f"{path} holds slices without a series id beside other series: part them into folders")
+    return found[chosen]
+
+
+def _listed(found: dict[str, list[tuple[Path, Any]]]) -> tuple[Series, ...]:
+    return tuple(
+        Series(uid, ", ".join(filter(None, (*names_of(files[0][1]), f"{len(files)} file{'s' * (len(files) > 1)}"))))
+        for uid, files in found.items()
+    )
+
+
+def _volumes(path: Path, headers: Sequence[tuple[Path, Any]], choose: Choice, alone: bool = False) -> Content:
+    """The volumes of a series; `alone`: a folder in which no other file lies beside one slice."""
+    frames = [frame for file, header in headers for frame in frames_of(file, header)]
+    require_alike(path, frames)
+    first = headers[0][1]
+    if first.get("SOPClassUID") == _SEGMENTATION:
+        return _segments(path, headers, frames, choose)
+    placed = all(frame.position for frame in frames)
+    film = _film(first) if len(headers) == 1 and len(frames) > 1 and not placed else None
+    leading, guessed = Leading(), ""
+    about: dict[str, Any] = {"header": {"modality": names_of(first)[0]}}
+    if first.get("PhotometricInterpretation") == "MONOCHROME1":  # shown inverted
+        about["header"]["photometric"] = "MONOCHROME1"
+    if film is not None:
+        order = np.arange(len(frames))[:, None]
+        leading = Leading(("time",), (len(frames),))
+        if film > 0:
+            about["header"] |= {"time_step": film, "time_unit": "msec"}
+    elif placed:
+        order, leading, guessed, more = order_of(path, frames)
+        about["header"] |= more
+    else:
+        order = np.lexsort(([frame.index for frame in frames], finite([frame.number for frame in frames])))[None]
+        if len(headers) > 1 and len(frames) > len(headers):
+            raise FormatError(
+                f"{path} holds {len(headers)} files of several frames, which do not say where these lie: read one file"
+            )
+        if len(headers) == 1 and len(frames) > 1:
+            guessed = f"it does not say where its {len(frames)} frames lie, they were taken for slices"
+        elif len({frame.number for frame in frames}) < len(frames):
+            guessed = (
+                f"its {len(frames)} files say neither where they lie nor their numbers; they were taken in the order of their names"
+            )
+    if len(frames) == 1 and not alone and names_of(first)[0] in _STACKED and (more_files := _beside(path)):
+        guessed = f"it is one slice, and {more_files} more DICOM files lie beside it: give the folder to read a volume of all"
+    middle = frames[int(order[0][len(order[0]) // 2])]
+    channels = middle.kind[2]
+    if channels > 1:
+        leading = Leading((*leading.axes, "channel"), (*leading.counts, channels), leading.names, rgb=channels in (3, 4))
+    about |= geometry_of(path, [frames[int(n)] for n in order[0]], film is not None)
+    pick = choose(path.name, leading, guessed)
+    wanted = order[pick.index[0]] if len(order) > 1 else order[0]
+    samples = samples_of([frames[int(n)] for n in np.ravel(wanted)], dict(headers))
+    samples = samples.reshape(*wanted.shape, *samples.shape[1:])
+    if channels > 1:
+        lead = samples.ndim - 4
+        samples = np.moveaxis(samples, -1, lead)[(slice(None),) * lead + (pick.index[-1],)]
+    return pick.finish(samples), _merged(about | _about(first, middle), pick)
+
+
+def _film(header: Any) -> float | None:
+    """Milliseconds from frame to frame of a film, 0 if they are uneven; None if it is none."""
+    if times := numbers_of(header, "FrameTime"):
+        return times[0] if times[0] > 0 else 0.0
+    if times := numbers_of(header, "FrameTimeVector"):
+        return float(times[-1]) if len(set(times[1:])) == 1 else 0.0
+    for name in ("CineRate", "RecommendedDisplayFrameRate"):
+        if (rate := numbers_of(header, name)) and rate[0] > 0:
+            return 1000 / rate[0]
+    return None
+
+
+def _beside(path: Path) -> int:
+    """How many other files of a folder may be slices."""
+    return sum(file != path and file.suffix == path.suffix and is_file(file) for file in _files(path.parent))
+
+
+def _about(header: Any, middle: Frame) -> dict[str, Any]:
+    about: dict[str, Any] = {}
+    if description := names_of(header)[1]:
+        about["name"] = description
+    if middle.clim is not None:
+        about["clim"] = middle.clim
+    return about
+
+
+def _merged(geometry: dict[str, Any], pick: Pick) -> dict[str, Any]:
+    """What is known of a volume; the name of a channel stands behind that of its series."""
+    names = [about["name"] for about in (geometry, pick.about) if "name" in about]
+    merged = {name: value for name, value in (geometry | pick.about).items() if name != "name"}
+    if names and "leading" not in pick.about:
+        merged["name"] = ", ".join(names)
+    return merged
+
+
+def _segments(path: Path, headers: Sequence[tuple[Path, Any]], frames: Sequence[Frame], choose: Choice) -> Content:
+    """A segmentation: labels with names; or if segments overlap or are fractions, a channel for each.
+
+    There are no frames where nothing of a segment lies.
+    """
+    if len(headers) > 1:
+        raise FormatError(f"{path} holds {len(headers)} segmentations: read one file")
+    file, header = headers[0]
+    names = {int(numbers_of(one, "SegmentNumber")[0]): str(one.get("SegmentLabel") or "") for one in header.SegmentSequence}
+    numbers = list(names)
+    segments = [numbers.index(int((frame.keys.get("segment") or (numbers[0],))[0])) for frame in frames]
+    stack, at = grid_of(frames)
+    about = {"header": {"modality": "SEG"}} | _about(header, frames[0]) | geometry_of(path, stack)
+    shape = (len(stack), *frames[0].kind[:2])
+    announce(path.name, len(numbers) * math.prod(shape))
+    fractions = header.get("SegmentationType") == "FRACTIONAL"
+    parts = np.zeros((len(numbers), *shape), np.float32 if fractions else np.uint8)
+    largest = (numbers_of(header, "MaximumFractionalValue") or (255.0,))[0] if fractions else 1
+    for segment, place, stored in zip(segments, at, decoded(file, range(len(frames))), strict=True):
+        parts[segment, place] = stored / largest if fractions else stored
+    if fractions or (parts.sum(axis=0, dtype=np.uint16) > 1).any():
+        pick = choose(path.name, Leading(("channel",), (len(numbers),), {"channel": tuple(names.values())}))
+        samples = empty(parts[pick.index[0]].shape, parts.dtype)
+        samples[...] = parts[pick.index[0]]
+        return pick.finish(samples), _merged(about, pick)
+    pick = choose(path.name, Leading())
+    labels = empty(shape, np.min_scalar_type(max(numbers)))
+    np.copyto(labels, np.tensordot(np.array(numbers, labels.dtype), parts.astype(labels.dtype, copy=False), 1), "unsafe")
+    return pick.finish(labels), _merged(about | {"labels": names}, pick)

@@ -1,0 +1,95 @@
+"""The samples of frames: decoded by pydicom, or by GDCM (in SimpleITK) where pydicom has no decoder; each by its own scale.
+
+Source: DICOM PS3.5, annex A (transfer syntaxes); PS3.3, C.11.1 (modality LUT).
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base.errors import FormatError
+from clvol.formats import _itk
+from clvol.formats._errors import foreign_errors
+from clvol.formats._files import scaled
+from clvol.formats.dicom.header import ROOT, Frame, opened, pydicom
+from clvol.formats.guarded.messages import empty
+from clvol.interop.itk import simpleitk
+
+__all__ = ["decoded", "samples_of"]
+
+_UNDEFINED = 0xFFFFFFFF  # length of what a mark ends
+
+
+def samples_of(frames: Sequence[Frame], headers: dict[Path, Any]) -> NDArray[Any]:
+    """The values of frames, [frame, y, x] or [frame, y, x, channel], each by its own scale, in a dtype that holds all."""
+    dtype = None if any(frame.dtype is None for frame in frames) else np.result_type(*{frame.dtype for frame in frames})
+    result = empty((0,), np.uint8)
+    at: dict[tuple[Path, int], list[int]] = defaultdict(list)
+    for n, frame in enumerate(frames):
+        at[frame.path, frame.index].append(n)
+    for path in dict.fromkeys(frame.path for frame in frames):
+        indices = sorted(index for one, index in at if one == path)
+        for index, stored in zip(indices, decoded(path, indices), strict=True):
+            for n in at[path, index]:
+                values = _values(frames[n], stored[frames[n].tile], headers[path])
+                if not len(result):
+                    result = empty((len(frames), *values.shape), dtype or values.dtype)
+                result[n] = values
+    return result
+
+
+def decoded(path: Path, indices: Sequence[int]) -> Iterator[NDArray[Any]]:
+    """Stored samples of frames of a file, in ascending order."""
+    with foreign_errors(f"read {path}: {path.name} is damaged or cut short", _itk.reason), opened(path) as stream:
+        whole = pydicom().dcmread(stream, force=True)
+        for raw in whole.values():
+            if raw.is_raw and raw.length != _UNDEFINED and len(raw.value or b"") < raw.length:
+                raise FormatError(
+                    f"{path.name} is damaged or cut short: {raw.tag} has {raw.length} bytes, {len(raw.value or b'')} are there"
+                )
+        if "TransferSyntaxUID" not in whole.file_meta:
+            implicit, little = whole.original_encoding
+            whole.file_meta.TransferSyntaxUID = ROOT + ("1.2" if implicit else "1.2.1" if little else "1.2.2")
+        frames = pydicom().pixels.iter_pixels(whole, indices=list(indices))
+        try:
+            yield next(frames)
+        except (RuntimeError, NotImplementedError):  # none of pydicom's decoders reads it
+            if not whole.file_meta.TransferSyntaxUID.is_encapsulated:
+                raise
+            every = _by_gdcm(whole)
+            frames = (every[index] for index in indices)
+        yield from frames
+
+
+def _by_gdcm(whole: Any) -> NDArray[Any]:
+    """Stored samples of all frames: GDCM reads a copy without the elements that it would apply."""
+    bare = pydicom().Dataset()
+    bare.update({e.tag: e for e in whole if (e.tag.group == 0x0028 and e.tag.element < 0x1000) or e.tag.group == 0x7FE0})
+    bare.SOPClassUID, bare.SOPInstanceUID = ROOT + "5.1.4.1.1.7", "1.2.3"
+    if bare.get("SamplesPerPixel") == 1:
+        bare.PhotometricInterpretation = "MONOCHROME2"
+    bare.file_meta = whole.file_meta
+    bare.file_meta.MediaStorageSOPClassUID, bare.file_meta.MediaStorageSOPInstanceUID = bare.SOPClassUID, bare.SOPInstanceUID
+    with tempfile.TemporaryDirectory() as folder, _itk.quiet():
+        file = str(Path(folder) / "bare.dcm")
+        bare.save_as(file, enforce_file_format=True)
+        return np.asarray(simpleitk().GetArrayFromImage(simpleitk().ReadImage(file, imageIO="GDCMImageIO")))
+
+
+def _values(frame: Frame, stored: NDArray[Any], header: Any) -> NDArray[Any]:
+    """What stored samples stand for: rescaled, or from the lookup table of the modality or of the colours."""
+    pixels = pydicom().pixels
+    if header.get("PhotometricInterpretation") == "PALETTE COLOR":
+        return np.asarray(pixels.apply_color_lut(stored, header))[..., :3]
+    if frame.scale is None:
+        return np.asarray(pixels.apply_modality_lut(stored, header))
+    if stored.dtype.kind in "iu" and frame.dtype != np.float64:
+        return stored if frame.scale == (1, 0) else stored.astype(np.int64) * int(frame.scale[0]) + int(frame.scale[1])
+    return scaled(stored, *frame.scale)
