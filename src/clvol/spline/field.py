@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import as_output
-from clvol.base.checks import one_of, warn, whole
+from clvol.base.checks import one_of, suggests_options, warn, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.base.progress import Progress, part_of
 from clvol.base.rounding import wide
@@ -24,7 +24,7 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop.dispatch import is_in_parts, with_dask
 from clvol.interop.images import read_array
-from clvol.spline.coefficients import Coefficients, Lattice, bytes_of
+from clvol.spline.coefficients import Coefficients, bytes_of
 from clvol.spline.evaluator import DIRECT, choose_evaluator
 from clvol.spline.function import (
     CLOSED,
@@ -198,6 +198,7 @@ class Field(ContinuousFunction):
     ...     gradients = field.gradient(points)
     """
 
+    @suggests_options
     def __init__(
         self,
         volume: Volume | ArrayLike,
@@ -533,6 +534,7 @@ def require_both(
 # -- functions -------------------------------------------------------------------------------------------------------
 
 
+@suggests_options
 @_else_by_bricks
 def sample(
     volume: Volume | ArrayLike | ContinuousFunction,
@@ -604,6 +606,7 @@ def sample(
         return evaluate(points, frame=frame, fill=fill, progress=progress, out=out)
 
 
+@suggests_options
 @with_dask("volume")
 @_else_by_bricks
 def resample(
@@ -688,6 +691,7 @@ def resample(
         )
 
 
+@suggests_options
 @with_dask("volume")
 @_else_by_bricks
 def magnify(
@@ -735,6 +739,7 @@ def magnify(
         return field.magnify(factor, progress=progress)
 
 
+@suggests_options
 @with_dask("data")
 def prefilter(
     data: ArrayLike,
@@ -790,7 +795,7 @@ def prefilter(
     if line:
         volume.require_finite()
         stored = Stored.of(volume, chosen, boundary) if kind == np.float32 else AS_THEY_ARE
-        made = Coefficients(Lattice(array.shape), chosen, boundary, device, stored, kind)
+        made = Coefficients(array.shape, chosen, boundary, device, stored, kind)
         made.fill(array)
     else:
         made = coefficients_of(volume, chosen, boundary, device, kind)

@@ -108,11 +108,12 @@ def _axis_taps(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The indices of the stored coefficients along an axis for `positions` in samples, and their weights; (N, taps)."""
     boundary, n, row = coefficients.boundary, int(coefficients.size[axis]), coefficients.filter
+    past = 1 + coefficients.pad + coefficients.reach  # up to here all taps are stored
     inside = (positions >= -edge) & (positions <= n - 1 + edge)
     if not inside.all():
         brought = np.where(np.isfinite(positions), positions, 0.0)
         brought, _ = boundary.position(brought, n, coefficients.pad, coefficients.reach)
-        positions = np.where(inside, positions, np.clip(brought, *coefficients.reached(axis)))
+        positions = np.where(inside, positions, np.clip(brought, -past, n - 1 + past))
     base, t = row.cell(positions)
     weights = row.weights(t).T
     return base.astype(np.int64)[:, None] + (np.arange(row.support) + int(coefficients.extent[3])), weights
