@@ -24,24 +24,9 @@ def as_array(
 ) -> NDArray[Any]:
     """Convert nested sequences and any object with `__array__`, `__array_interface__`, `__dlpack__` or a buffer to an array.
 
-    The result shares the object's memory where its protocol allows it. PyTorch tensors are detached from their graph;
-    bfloat16, which NumPy lacks, becomes float32 without loss.
-
-    Parameters
-    ----------
-    source : object
-        In the host's memory.
-    what : str
-        Its name in messages.
-    error : type
-        The class of the error.
-    rule : str
-        The rule in messages.
-
-    Raises
-    ------
-    ClvolError
-        The object is on a device, ragged, sparse, or has masked elements.
+    The result shares the object's memory where its protocol allows it. PyTorch tensors are detached from their graph; bfloat16,
+    which NumPy lacks, becomes float32 without loss. Raises `error`, which names `what` and states the `rule`, for an object that
+    is on a device, ragged, sparse, or has masked elements.
     """
     if type(source) is np.ndarray:
         return source

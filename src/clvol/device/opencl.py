@@ -33,14 +33,10 @@ _AGAIN = "'clvol doctor' tries again"
 
 
 def opencl() -> Any:
-    """The module pyopencl. Which runtimes may be loaded was tried in another process.
+    """The module pyopencl; `DeviceError` if it is not installed, or the runtimes that it would load abort the process.
 
-    OpenCL's loader looks for runtimes once in a process: here, unless the program used pyopencl before clvol.
-
-    Raises
-    ------
-    DeviceError
-        pyopencl is not installed, or the runtimes that it would load abort the process.
+    Which runtimes may be loaded was tried in another process. OpenCL's loader looks for runtimes once in a process: here, unless
+    the program used pyopencl before clvol.
     """
     return _module or _loaded()
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from clvol.spline.evaluator import Evaluator
     from clvol.volume.stored import Stored
 
-__all__ = ["OPENCL_TYPES", "Coefficients", "Whole", "addressable", "bundled", "bytes_of", "extent_of"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Whole", "addressable", "bundled", "bytes_of", "extent_of", "require_kind"]
 
 OPENCL_TYPES = {  # NumPy to OpenCL
     "b1": "uchar",
@@ -49,6 +49,12 @@ def addressable(array: NDArray[Any], device: Device) -> bool:
     name = OPENCL_TYPES.get(array.dtype.str[1:])
     known = name is not None and array.dtype.isnative and (name != "double" or device.has_double)
     return known and array.flags.aligned and not any(stride % array.itemsize for stride in array.strides)
+
+
+def require_kind(kind: type[np.generic], device: Device) -> None:
+    """Raise `DeviceError` for float64 on a device without it."""
+    if kind == np.float64 and not device.has_double:
+        raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {device.name} has none: use 'single'")
 
 
 def bundled(array: NDArray[Any], apart: tuple[int, int]) -> tuple[NDArray[Any], int, tuple[int, int]]:
@@ -78,44 +84,15 @@ def _slabs(data: NDArray[Any]) -> list[tuple[slice, ...]]:
 
 
 class Coefficients:
-    """Storage on a device for a volume's coefficients and their halo.
+    """Storage on a device for a volume's coefficients and their halo; `clvol.spline.field.coefficients_of` makes one and fills it.
 
-    A new one is empty; `clvol.spline.field.coefficients_of` makes one and fills it.
+    A tuple of samples along x(, y, z) in place of a volume is one without a position in the world; a `batch` of them, of one or
+    two axes, is stored as slices. Coefficients are those of ``(sample - offset) * 2**-exponent``, as `stored` says, in numbers of
+    `kind`, np.float32 or np.float64.
 
-    Parameters
-    ----------
-    volume : Volume or tuple of int
-        Or only the samples along x(, y, z), where these have no position in the world.
-    filter, boundary : Filter, Boundary
-        They determine the width and content of the halo.
-    device : Device
-        Where the coefficients are stored.
-    stored : Stored
-        How values are stored: coefficients are those of ``(sample - offset) * 2**-exponent``.
-    kind : type
-        Type of the coefficients, np.float32 or np.float64.
-    batch : int
-        Number of independent 1-D or 2-D arrays, stored as slices.
-
-    Attributes
-    ----------
-    buffer : Buffer
-        Numbers of `kind`, [z, y, x], halo included; None once released.
-    extent : ndarray of int32, shape (4,)
-        Row pitch, rows, slices and halo: an argument of every kernel that reads coefficients.
-    size : ndarray of int32, shape (4,)
-        Samples along (x, y, z), then 0.
-    period : ndarray of int32, shape (4,)
-        The period of the boundary rule along (x, y, z), 0 if it has none, then 0.
-    reach : int
-        Samples past the padding from which on the function is constant.
-
-    Raises
-    ------
-    DeviceError
-        float64 on a device without it.
-    OutOfMemoryError
-        The coefficients do not fit on the device.
+    `buffer` is [z, y, x], halo included; None once released. Kernels take `extent`: row pitch, rows, slices and halo; `size`:
+    samples along (x, y, z), then 0; and `period`, that of the boundary rule along (x, y, z), 0 if it has none. The function is
+    constant from `reach` samples past the padding, `pad`, on.
     """
 
     def __init__(
@@ -128,8 +105,7 @@ class Coefficients:
         kind: type[np.generic] = np.float32,
         batch: int = 1,
     ) -> None:
-        if kind == np.float64 and not device.has_double:
-            raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {device.name} has none: use 'single'")
+        require_kind(kind, device)
         self._volume = volume
         size = volume.size if isinstance(volume, Volume) else volume
         self.filter = filter
@@ -315,15 +291,7 @@ class Coefficients:
     # -- reading -----------------------------------------------------------------------------------------------
 
     def argument(self, evaluator: Evaluator) -> Any:
-        """The buffer or image that kernels read with this evaluator. The image is made on first use.
-
-        Raises
-        ------
-        OptionError
-            The coefficients were released.
-        OutOfMemoryError
-            The device cannot hold an image of this shape.
-        """
+        """The buffer or image that kernels read with this evaluator. The image is made on first use."""
         if self.buffer is None:
             raise OptionError("the coefficients were released; make new ones")
         if not evaluator.image:
@@ -352,15 +320,7 @@ class Coefficients:
 
 
 class Whole:
-    """Metadata stand-in for the `Coefficients` of a whole volume of which only bricks are resident.
-
-    Attributes
-    ----------
-    volume : Volume
-        Geometry and value range of the samples, without data.
-    filter, device, stored, size, extent, ndim
-        As for `Coefficients`.
-    """
+    """Metadata stand-in for the `Coefficients` of a whole volume of which only bricks are resident; the volume has no data."""
 
     def __init__(self, volume: Volume, filter: Filter, extent: tuple[int, ...], device: Device, stored: Stored) -> None:
         self.volume, self.filter, self.device, self.stored, self.ndim = volume, filter, device, stored, volume.ndim

@@ -34,6 +34,7 @@ from clvol.spline.function import (
     described,
     fill_value,
     points_in_world,
+    put,
     require_no_transform,
     result_kind,
 )
@@ -88,15 +89,6 @@ def coefficients_of(
     """A volume's coefficients on a device, of type `kind`: prefiltered, with their halo, ready to sample.
 
     The coefficients of a hybrid (section 4.3) are samples of the spline on a grid of twice the density.
-
-    Raises
-    ------
-    DataError
-        A sample is NaN, infinite or too large for float64.
-    DeviceError
-        Coefficients of float64 on a device without it.
-    OutOfMemoryError
-        The device has no room for them.
     """
     device.buffers.require_room(bytes_of(volume.size, filter, boundary, kind))  # before reading samples
     volume.require_finite()
@@ -217,7 +209,8 @@ class Field(ContinuousFunction):
         self.volume = as_volume(volume)
         row = filter_for(self.volume, filter, DEFAULT_FILTER)
         self.boundary = as_boundary(boundary)
-        kind = precision_kind(_precision_for(self.volume, row) if precision is None else precision)
+        usual = "double" if names_beyond(24, self.volume, row) else "single"  # float32 would round labels to others
+        kind = precision_kind(usual if precision is None else precision)
         self.device = as_device(device)
         self.missing = as_missing(nan)
         where = self.missing.of(self.volume.data)
@@ -311,7 +304,8 @@ class Field(ContinuousFunction):
     def _on(self, target: Target, progress: Progress | None, out: Any) -> NDArray[Any]:
         if target.anti_aliasing:
             fewer = _low_passed_on(target, self.volume, self.filter, self.boundary, self.device, self.precision, progress)
-            return _put(fewer, None if out is None else as_output(out, target.shape))
+            room = None if out is None else as_output(out, target.shape)
+            return put(fewer, room, room)
         device, made, given, count = self.device, self.coefficients, Given(target.fill), math.prod(target.shape)
         room = None if out is None else as_output(out, target.shape)
         converted = 0 if target.kind is None or target.kind == made.kind else target.kind.itemsize
@@ -324,7 +318,7 @@ class Field(ContinuousFunction):
             outside, room_for_share = Given(None if target.fill is None else 0.0), np.empty(target.shape, np.float32)
             share = _values_on(self.gaps.coefficients, DIRECT, target, room_for_share, outside, second)
             final[share > self.missing.most] = np.nan
-        return _put(final, room)
+        return put(final, room, room)
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
         """Whether kernels can write results directly into an array."""
@@ -371,15 +365,6 @@ def _low_passed_on(
         for axis, outside in enumerate(beyond(target.matrix, target.offset, volume.shape, target.shape, boundary)):
             np.moveaxis(data, axis, 0)[outside] = target.fill
     return data
-
-
-def _put(results: NDArray[Any], target: NDArray[Any] | None) -> NDArray[Any]:
-    """Copy results into `target`, if given, unless they are already in its memory."""
-    if target is None:
-        return results
-    if not np.may_share_memory(results, target):
-        target[...] = results
-    return target
 
 
 def _halves(progress: Progress | None) -> tuple[Progress | None, Progress | None]:
@@ -673,7 +658,8 @@ def resample(
             require_no_transform(transform)
             target = Target(*between(plain, grid), grid.shape, None, fill_value(fill), low_pass, kind)
             options = row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device), precision or "single"
-            data = _put(_low_passed_on(target, plain, *options, progress), None if out is None else as_output(out, grid.shape))
+            room = None if out is None else as_output(out, grid.shape)
+            data = put(_low_passed_on(target, plain, *options, progress), room, room)
             return as_result(plain, data, grid, kind, row)
         results = grid.shape if out is None else ()
     with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
@@ -814,8 +800,3 @@ def precision_kind(precision: str) -> type[np.generic]:
     if precision not in _PRECISIONS:
         raise one_of("precision", precision, _PRECISIONS)
     return _PRECISIONS[precision]
-
-
-def _precision_for(volume: Volume, row: Filter) -> Precision:
-    """The default: "double" for labels that float32 cannot hold."""
-    return "double" if names_beyond(24, volume, row) else "single"

@@ -127,26 +127,11 @@ def prefilter_in_place(
     kind: type[np.generic] = np.float32,
     axes: Sequence[int] | None = None,
 ) -> None:
-    """Convert samples to coefficients in place (section 4.2).
+    """Convert samples to coefficients in place (section 4.2), with a filter that has a prefilter.
 
-    Parameters
-    ----------
-    device : Device
-        The device of the buffer.
-    buffer : Buffer
-        Numbers of `kind`, [z, y, x], with a halo on every side, which is overwritten.
-    filter, boundary : Filter, Boundary
-        The filter has a prefilter.
-    extent : (int, int, int, int)
-        Row pitch, a multiple of `LANES`; stored rows; stored slices; halo.
-    size : (int, int, int)
-        Samples along x, y and z.
-    dimensions : int
-        The first `dimensions` of x, y and z are filtered.
-    kind : type
-        np.float32 or np.float64.
-    axes : sequence of int, optional
-        Filter only these axes, 0 for x. Without x, the samples must already be multiplied by `gain_along`.
+    The buffer holds numbers of `kind`, [z, y, x], with a halo on every side, which is overwritten. `extent` is the row pitch (a
+    multiple of `LANES`), stored rows, stored slices and halo; `size` the samples along x, y and z. The first `dimensions` axes
+    are filtered, or `axes`, 0 for x: without x, the samples must already be multiplied by `gain_along`.
     """
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size

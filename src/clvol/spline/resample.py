@@ -66,24 +66,9 @@ def resample_coefficients(
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
 ) -> None:
-    """Write values in stored units at index positions ``matrix @ (i, j, k) + offset`` to a buffer.
+    """Write values in stored units at index positions ``matrix @ (i, j, k) + offset`` to a buffer, [z, y, x].
 
-    Parameters
-    ----------
-    coefficients : Coefficients
-        Of the function.
-    evaluator : Evaluator
-        How it is evaluated.
-    matrix, offset : ndarray of float64, shapes (d, d) and (d,)
-        From the grid's indices, x first, to those of the volume.
-    shape : (int, int, int)
-        Points of the grid along z, y and x.
-    buffer : Buffer
-        For the values, [z, y, x], of the coefficients' type.
-    given : Given
-        The values outside the domain.
-    progress : callable, optional
-        Called with the fraction done.
+    `shape` is the grid's along z, y and x; the buffer holds numbers of the coefficients' type.
     """
     if along_axes(coefficients, evaluator) and no_shear(matrix, shape):
         positions = [_Steps(float(o), float(s), n) for o, s, n in zip(offset, np.diag(matrix), shape[::-1], strict=False)]
@@ -126,19 +111,11 @@ def resample_axes(
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
 ) -> None:
-    """Write values in stored units on a grid whose axes are the volume's, one axis after the other.
+    """Write values in stored units on a grid whose axes are the volume's, one axis after the other, on a CPU.
 
-    Parameters
-    ----------
-    coefficients, buffer, given, progress
-        As in `resample_coefficients`, on a CPU.
-    positions : sequence of Positions
-        Positions of the grid along x, y and z, in samples, anywhere.
-
-    Notes
-    -----
-    Each point along an axis has an index and a weight for every tap, and work-items keep rows of coefficients. So grids with long
-    axes, and grids that skip most of a long row, are computed in parts, each in its own memory, and copied.
+    `positions` are the grid's along x, y and z, in samples, anywhere. Each has an index and a weight for every tap, and
+    work-items keep rows of coefficients. So grids with long axes, and grids that skip most of a long row, are computed in parts,
+    each in its own memory, and copied.
     """
     device, kind = coefficients.device, coefficients.kind
     counts = [len(along) for along in positions]
