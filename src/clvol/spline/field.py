@@ -294,7 +294,7 @@ class Field(ContinuousFunction):
         self, points: NDArray[Any], derivative: int, fill: float | None, progress: Progress | None, out: NDArray[Any] | None
     ) -> Reals:
         made, direct = self.coefficients, out if self._writes(out) else None
-        first, second = _halves(progress) if self.gaps else (progress, None)
+        first, second = self._halves(progress)
         flat = sample_coefficients(made, self._evaluator(), points, derivative, fill, first, direct)
         if self.gaps:
             share = sample_coefficients(self.gaps.coefficients, DIRECT, points, 0, None if fill is None else 0.0, second)
@@ -312,13 +312,17 @@ class Field(ContinuousFunction):
         device.buffers.require_room(np.dtype(made.kind).itemsize * count, held=True)
         memory.require(self._bytes_at(count, 0, into=out is not None) + converted * count, described(target.shape))
         result = room if self._writes(room) else np.empty(target.shape, made.kind)
-        first, second = _halves(progress) if self.gaps else (progress, None)
+        first, second = self._halves(progress)
         final = _values_on(made, self._evaluator(), target, result, given, first)
         if self.gaps:
             outside, room_for_share = Given(None if target.fill is None else 0.0), np.empty(target.shape, np.float32)
             share = _values_on(self.gaps.coefficients, DIRECT, target, room_for_share, outside, second)
             final[share > self.missing.most] = np.nan
         return put(final, room, room)
+
+    def _halves(self, progress: Progress | None) -> tuple[Progress | None, Progress | None]:
+        """Callbacks for the values, and for the share of missing samples, which takes as long."""
+        return (part_of(progress, 0, 0.5), part_of(progress, 0.5, 1)) if self.gaps else (progress, None)
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
         """Whether kernels can write results directly into an array."""
@@ -365,11 +369,6 @@ def _low_passed_on(
         for axis, outside in enumerate(beyond(target.matrix, target.offset, volume.shape, target.shape, boundary)):
             np.moveaxis(data, axis, 0)[outside] = target.fill
     return data
-
-
-def _halves(progress: Progress | None) -> tuple[Progress | None, Progress | None]:
-    """Callbacks for the first and the second half of the work."""
-    return part_of(progress, 0, 0.5), part_of(progress, 0.5, 1)
 
 
 # -- fields of any input -----------------------------------------------------------------------------------------
