@@ -98,13 +98,7 @@ def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[An
 
 
 def memory_of(out: Any, what: str) -> NDArray[Any]:
-    """Like `as_output`, for any dtype and shape; read-only memory is allowed.
-
-    Raises
-    ------
-    OptionError
-        It cannot become an array without a copy, or is a tensor that requires a gradient.
-    """
+    """Like `as_output`, for any dtype and shape; read-only memory is allowed."""
     if type(out) is np.ndarray:
         return out
     if getattr(out, "requires_grad", False):

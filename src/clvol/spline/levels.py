@@ -52,21 +52,11 @@ _ALIKE = 1.5  # times the smallest spacing; axes with a larger one are not reduc
 
 @dataclass(frozen=True)
 class Level:
-    """One size of a pyramid.
-
-    Parameters
-    ----------
-    size : tuple of int
-        Samples along x, y and z.
-    steps : tuple of int
-        Samples of the size before per sample, 1 or 2, along x, y and z.
-    factors : tuple of int
-        Samples of the first size per sample.
-    """
+    """One size of a pyramid, along x, y and z."""
 
     size: tuple[int, int, int]
-    steps: tuple[int, int, int] = (1, 1, 1)
-    factors: tuple[int, int, int] = (1, 1, 1)
+    steps: tuple[int, int, int] = (1, 1, 1)  # samples of the size before per sample, 1 or 2
+    factors: tuple[int, int, int] = (1, 1, 1)  # samples of the first size per sample
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -134,22 +124,12 @@ def sums_for(method: Method, filter: Filter, boundary: Boundary, step: int, n: i
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Some rows of the sums along an axis, or of an unchanged axis, and the samples that they read.
-
-    Attributes
-    ----------
-    first, last : int
-        The rows, `last` excluded.
-    runs : Runs
-        The samples that they read.
-    sums : Sums or None
-        The same sums over these samples, concatenated; None for an unchanged axis.
-    """
+    """Some rows of the sums along an axis, or of an unchanged axis, and the samples that they read."""
 
     first: int
-    last: int
+    last: int  # excluded
     runs: Runs
-    sums: Sums | None
+    sums: Sums | None  # the same sums over these samples, concatenated; None for an unchanged axis
 
     @classmethod
     def of(cls, sums: Sums | None, first: int, last: int, beside: tuple[int, int] = (0, 0)) -> Rows:

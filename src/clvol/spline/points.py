@@ -37,22 +37,15 @@ _POINT_TAPS = 16  # cost of a point besides its taps, in taps
 
 @dataclass(frozen=True)
 class Given:
-    """Values outside the volume's domain that override the boundary rule.
+    """What overrides the boundary rule outside the volume's domain; None: as the rule says.
 
-    Attributes
-    ----------
-    fill : float, optional
-        The value outside; None: as the boundary rule says.
-    missing : bool
-        Whether `fill` applies only to positions that are not finite, which are NaN otherwise. It is then also the constant of
-        rules that have one.
-    edge : float, optional
-        Distance from the outer samples to the edge of the domain; None: as the boundary rule says.
+    If `missing`, `fill` applies only to positions that are not finite, which are NaN otherwise, and is also the constant of rules
+    that have one.
     """
 
     fill: float | None = None
     missing: bool = False
-    edge: float | None = None
+    edge: float | None = None  # distance from the outer samples to the edge of the domain
 
     def defines(self, boundary: Boundary) -> DefineDict:
         """The `#define`s of outside.cl."""
@@ -87,19 +80,11 @@ NOTHING_GIVEN = Given()
 
 @dataclass(frozen=True, eq=False)
 class Transform:
-    """From positions to indices.
-
-    Attributes
-    ----------
-    matrix, offset : ndarray of float64, shapes (d, d) and (d,)
-        Index = matrix @ position + offset, x first.
-    slopes : ndarray of float64, shape (d, d)
-        Derivatives per world unit are those per index times this matrix.
-    """
+    """From positions to indices, x first: ``matrix @ position + offset``."""
 
     matrix: NDArray[np.float64]
     offset: NDArray[np.float64]
-    slopes: NDArray[np.float64]
+    slopes: NDArray[np.float64]  # derivatives per world unit are those per index times this matrix
 
     @classmethod
     def into(cls, grid: Volume) -> Transform:

@@ -32,27 +32,16 @@ _START_ERRORS: dict[type[np.generic], float] = {np.float32: 1e-9, np.float64: 1e
 class _Plan:
     """How the lines of one axis are filtered.
 
-    Attributes
-    ----------
-    stages : list of (float, float)
-        a1 and a2 of the recursions of each stage.
-    gain : float
-        Factor of the samples.
-    sums : ndarray, shape (stages, 2, order, 2, ends)
-        Weights of the starting values of causal and anticausal recursions: for samples from the first on, then from the last
-        backwards.
-    head, tail : int
-        Number of samples used at each end.
-    left_out : float
-        Contribution of the samples further in, relative to the data.
+    `sums` are the weights of the starting values of causal and anticausal recursions, for samples from the first on, then from the
+    last backwards; shape (stages, 2, order, 2, ends).
     """
 
-    stages: list[tuple[float, float]]
-    gain: float
+    stages: list[tuple[float, float]]  # a1 and a2 of the recursions of each stage
+    gain: float  # factor of the samples
     sums: NDArray[np.float64]
-    head: int
+    head: int  # number of samples used at this end
     tail: int
-    left_out: float
+    left_out: float  # contribution of the samples further in, relative to the data
 
     @property
     def split(self) -> bool:

@@ -59,18 +59,10 @@ _NO_STEP = 1e-9  # samples
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Weighted sums of the `n` samples of an axis, one for each row.
-
-    Attributes
-    ----------
-    n : int
-    places : ndarray of int32, shape (m, taps)
-        The samples of each sum; index `n` is the constant outside the volume.
-    weights : ndarray of float64, shape (m, taps)
-    """
+    """Weighted sums of the `n` samples of an axis, one for each row."""
 
     n: int
-    places: NDArray[np.int32]
+    places: NDArray[np.int32]  # the samples of each sum, shape (m, taps); index `n` is the constant outside the volume
     weights: Array
 
     @classmethod

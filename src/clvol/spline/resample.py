@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from clvol.spline.evaluator import Evaluator
     from clvol.spline.points import Given
 
-__all__ = ["Positions", "along_axes", "no_shear", "resample_axes", "resample_coefficients"]
+__all__ = ["along_axes", "no_shear", "resample_axes", "resample_coefficients"]
 
 _BLOCK = 16  # rows that resample.cl computes at once
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
@@ -31,14 +31,6 @@ _NO_SHEAR = 1e-9  # samples
 _LONG = 1 << 16  # points along an axis, and coefficients of a row that they read: more are computed in parts
 _PART = 1 << 24  # approximate points of such a part
 _SCRATCH = 64 << 20  # bytes for all work-items, unless these would be fewer than cores
-
-
-class Positions(Protocol):
-    """Positions along an axis, in samples: an array, or a sequence that computes slices."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, part: slice, /) -> NDArray[np.float64]: ...
 
 
 @dataclass(frozen=True)
@@ -54,6 +46,10 @@ class _Steps:
 
     def __getitem__(self, part: slice, /) -> NDArray[np.float64]:
         return np.asarray(self.first + self.step * np.arange(*part.indices(self.count)))
+
+
+Positions: TypeAlias = NDArray[np.float64] | _Steps
+"""Positions along an axis, in samples."""
 
 
 def resample_coefficients(

@@ -218,13 +218,12 @@ def _scattered(
     lists = sparse.coo_array((np.ones(finite.size, np.int8), (brick_of[finite].astype(np.int32), finite)), (total, count))
     rows = lists.tocsr()
     order, starts = device.buffers.upload(rows.indices.astype(np.int32)), device.buffers.upload(rows.indptr.astype(np.int32))
-    half = [-(-int(n) // 2) for n in bricks[:3]]
     with device.buffers.lent(result, write=True) as buffer:
         for z, y, x in itertools.product(*(range(2 if n > 1 else 1) for n in bricks[2::-1].tolist())):
             with device.errors:
                 built.kernel("scatter_points")(
                     device.queue,
-                    tuple(half),
+                    tuple(-(-n // 2) for n in bricks[:3].tolist()),
                     device.alone(3),
                     stored,
                     bricks,
