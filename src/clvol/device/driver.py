@@ -45,14 +45,11 @@ def require_unforked(process: int | None) -> None:
         raise DeviceError("OpenCL devices cannot be used after a fork; start processes with 'spawn' or 'forkserver'")
 
 
-class Driver(ABC):
-    """What an OpenCL device reports about itself, and its context and queue, both created at first use."""
+class Identity:
+    """What an OpenCL device reports about itself; every quirk that needs no context is a named predicate here."""
 
     def __init__(self, handle: Any) -> None:
         self.handle = handle
-        self._process = os.getpid()
-        self._lock = threading.RLock()
-        self._gone = ""
 
     def __repr__(self) -> str:
         return f"<Device {self.name!r} on {self.platform!r}>"
@@ -111,6 +108,16 @@ class Driver(ABC):
         PoCL compiles a kernel for each work-group size, and would choose another one for almost every global size.
         """
         return (1,) * dimensions if self.kind == "cpu" else None
+
+
+class Driver(Identity, ABC):
+    """An OpenCL device with its context and queue, both created at first use."""
+
+    def __init__(self, handle: Any) -> None:
+        super().__init__(handle)
+        self._process = os.getpid()
+        self._lock = threading.RLock()
+        self._gone = ""
 
     @Once
     def context(self) -> Any:
