@@ -352,17 +352,16 @@ def main() -> None:
 
 
 def _soak(options: argparse.Namespace, folder: Path) -> int:
-    import clvol
+    import clvol.device.device
     from bench.deeds import World
     from bench.machine import describe
-    from clvol.device import programs
     from clvol.device.choose import as_device
     from clvol.formats.guarded import worker
 
     console = Console(width=120)
     device = as_device()
     if not options.new:
-        setattr(programs, "_KEPT", _ALL)  # noqa: B010  # mypy lets nobody assign to it
+        setattr(clvol.device.device, "_KEPT", _ALL)  # noqa: B010  # mypy lets nobody assign to it
     buffers = Buffers()
     buffers.watch()
     counted = _programs_counted()

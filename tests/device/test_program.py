@@ -21,7 +21,7 @@ import pytest
 
 import clvol
 from clvol.base.errors import DeviceError
-from clvol.device import Device, launches, program, programs
+from clvol.device import Device, launches, program
 from clvol.device.opencl import kernel_cache
 from clvol.filter.table import as_filter, filters
 from clvol.march.frame import frame_block
@@ -211,7 +211,7 @@ def test_a_kernel_has_one_size_of_groups_whatever_the_shape(device: Device, monk
 
 
 def test_programs_not_used_for_long_are_freed_unless_in_use(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(programs, "_KEPT", 2)
+    monkeypatch.setattr("clvol.device.device._KEPT", 2)
     monkeypatch.setattr(device.programs, "_built", OrderedDict())
     first, second = tiny(device, 1), tiny(device, 2)
     kernel, freed = first.kernel("tiny"), [weakref.ref(first), weakref.ref(second.kernel("tiny"))]
@@ -405,7 +405,7 @@ def test_the_end_of_the_process_while_kernels_are_built_is_no_crash(device: Devi
 @pytest.mark.thorough
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_memory_is_flat_over_ever_new_programs(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(programs, "_KEPT", 20)
+    monkeypatch.setattr("clvol.device.device._KEPT", 20)
     values, resident = np.zeros(64, np.float32), []
     for number in range(100, 300):
         with device.buffers.lent(values, write=True) as buffer:

@@ -559,3 +559,11 @@ def test_samples_that_are_stored_as_they_are_are_copied_at_once(device: Device, 
     monkeypatch.setattr(Stored, "samples", lambda *_: pytest.fail("samples were mapped one slice at a time"))
     for layout in (np.asfortranarray(data), np.repeat(data, 2, 0)[::2], data.astype(">f8"), data[:, ::-1][:, ::-1]):
         np.testing.assert_array_equal(prefilter(layout, "linear", device=device), want)
+
+
+def test_an_unknown_keyword_is_answered_with_the_option_that_it_resembles() -> None:
+    volume = np.zeros((2, 2, 2), np.float32)
+    with pytest.raises(TypeError, match=r"unexpected keyword argument 'bondary'.*[Dd]id you mean '?boundary'?"):
+        Field(volume, bondary="wrap")  # type: ignore[call-arg]  # that is the question
+    with pytest.raises(TypeError, match=r"unexpected keyword argument 'shap'.*[Dd]id you mean '?shape'?"):
+        resample(volume, shap=(3, 3, 3))  # type: ignore[call-arg]  # that is the question

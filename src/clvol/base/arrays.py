@@ -24,24 +24,9 @@ def as_array(
 ) -> NDArray[Any]:
     """Convert nested sequences and any object with `__array__`, `__array_interface__`, `__dlpack__` or a buffer to an array.
 
-    The result shares the object's memory where its protocol allows it. PyTorch tensors are detached from their graph;
-    bfloat16, which NumPy lacks, becomes float32 without loss.
-
-    Parameters
-    ----------
-    source : object
-        In the host's memory.
-    what : str
-        Its name in messages.
-    error : type
-        The class of the error.
-    rule : str
-        The rule in messages.
-
-    Raises
-    ------
-    ClvolError
-        The object is on a device, ragged, sparse, or has masked elements.
+    The result shares the object's memory where its protocol allows it. PyTorch tensors are detached from their graph; bfloat16,
+    which NumPy lacks, becomes float32 without loss. Raises `error`, which names `what` and states the `rule`, for an object that
+    is on a device, ragged, sparse, or has masked elements.
     """
     if type(source) is np.ndarray:
         return source
@@ -113,13 +98,7 @@ def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[An
 
 
 def memory_of(out: Any, what: str) -> NDArray[Any]:
-    """Like `as_output`, for any dtype and shape; read-only memory is allowed.
-
-    Raises
-    ------
-    OptionError
-        It cannot become an array without a copy, or is a tensor that requires a gradient.
-    """
+    """Like `as_output`, for any dtype and shape; read-only memory is allowed."""
     if type(out) is np.ndarray:
         return out
     if getattr(out, "requires_grad", False):

@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import math
 import os
+import re
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import wraps
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
 from clvol.base.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
 
-__all__ = ["as_path", "enough_memory", "flag", "instance", "number", "one_of", "require_room", "several", "warn", "whole"]
+__all__ = [
+    "as_path",
+    "did_you_mean",
+    "enough_memory",
+    "flag",
+    "instance",
+    "number",
+    "one_of",
+    "require_room",
+    "several",
+    "suggests_options",
+    "warn",
+    "whole",
+]
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 _MAX_SAMPLES = 1 << 36  # samples; no machine holds the float64 positions of more
 
@@ -37,6 +57,29 @@ def flag(what: str, value: object) -> bool:
 def one_of(what: str, value: object, allowed: Iterable[str]) -> OptionError:
     """The error for an unknown name: states the rule, the allowed names and the given value."""
     return OptionError(f"{what} must be one of {', '.join(allowed)}; got {value!r}")
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The known name that resembles an unknown one, as the end of a message; "" if none does."""
+    near = difflib.get_close_matches(name, list(known), 1)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def suggests_options(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Decorate a function to suggest the option that an unknown keyword resembles, as Python does itself from 3.13 on."""
+
+    @wraps(function)
+    def suggesting(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+        try:
+            return function(*arguments, **options)
+        except TypeError as error:
+            unknown = re.search(r"unexpected keyword argument '(\w+)'$", str(error))
+            known = inspect.signature(function).parameters
+            if unknown is None or unknown[1] in known or unknown[1] not in options:  # not of this call
+                raise
+            raise TypeError(f"{error}{did_you_mean(unknown[1], known)}") from None
+
+    return suggesting
 
 
 def number(

@@ -23,15 +23,7 @@ _NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)  # errors of file systems
 
 
 def require_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> str:
-    """The suffix of `path`, one of `allowed`, in lower case; `what` is the plural for the message.
-
-    Raises
-    ------
-    FormatError
-        The name ends in none of `allowed`.
-    OptionError
-        `path` is not a path.
-    """
+    """The suffix of `path`, one of `allowed`, in lower case; else `FormatError`, in which `what` is the plural."""
     name = as_path(path).name.lower()
     suffix = max((s for s in allowed if name.endswith(s) and name != s), key=len, default=None)
     if suffix is None:
@@ -48,13 +40,9 @@ def require_folder(target: Path) -> None:
 def staged(path: Path, suffix: str) -> Iterator[Path]:
     """A path to write to, in a hidden folder beside `path`. The file moves into place once the block succeeds and it is synced.
 
-    Other files that the writer leaves there (the samples beside a header) move first, the header last. It is a
-    folder, not a temporary name, because libraries choose formats by suffix, and headers name their data file.
-
-    Raises
-    ------
-    FormatError
-        `path` is a folder, its folder is missing, or writing failed with an `OSError` or a `ValueError`.
+    Other files that the writer leaves there (the samples beside a header) move first, the header last. It is a folder, not a
+    temporary name, because libraries choose formats by suffix, and headers name their data file. Raises `FormatError` if `path`
+    is a folder, its folder is missing, or writing failed with an `OSError` or a `ValueError`.
     """
     try:
         target = path.resolve()  # replace the link's target and keep the link

@@ -31,21 +31,10 @@ def flipped(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def in_frame(points: NDArray[np.float64], frame: str, space: str) -> NDArray[np.float64]:
-    """Convert points between a volume's world and a frame of its patient, in either direction.
+    """Convert points (..., d), x first, between a volume's world and a frame of its patient, in either direction.
 
-    Parameters
-    ----------
-    points : array of float64, shape (..., d)
-        In (x, y, z).
-    frame : {"LPS", "RAS"}
-        "LPS": the volume's world, whatever it is; returns the points unchanged. "RAS": negates x and y.
-    space : str
-        `Volume.space`; only "LPS" converts to RAS.
-
-    Raises
-    ------
-    OptionError
-        `frame` is neither, or the world has no patient.
+    "LPS" is the volume's world, whatever it is: the points are unchanged. "RAS" negates x and y; it is an `OptionError` for a
+    world whose `space` is not "LPS", which has no patient.
     """
     if not isinstance(frame, str) or frame not in FRAMES:
         raise one_of("frame", frame, FRAMES)
@@ -69,10 +58,7 @@ def affine_parts(matrix: NDArray[np.float64], origin: NDArray[np.float64]) -> Pl
 def from_ras(placement: Placement, d: int, unit: float) -> dict[str, Any]:
     """`Volume` arguments, in LPS and millimetres, for a grid of `d` axes placed in a RAS world whose unit is `unit` mm.
 
-    Raises
-    ------
-    GeometryError
-        A 2-d image is not parallel to the world's xy plane, as `Volume` requires.
+    `GeometryError` for a 2-d image that is not parallel to the world's xy plane, as `Volume` requires.
     """
     spacing, origin, direction = placement
     if d == 2 and np.abs(direction[2, :2]).max() > _FLAT:

@@ -104,12 +104,7 @@ def histogram(data: NDArray[Any], low: float, high: float) -> str:
 def strip(values: Sequence[float], colors: Sequence[Sequence[float]], opacities: Sequence[tuple[float, float]]) -> str:
     """A transfer function: a strip of its colours from the lowest value to the highest, and the curve of its opacity.
 
-    Parameters
-    ----------
-    values, colors : sequence
-        Values in ascending order, and the colour of each, three numbers in 0..1.
-    opacities : sequence of (value, opacity)
-        Points of the curve, in ascending order.
+    Each of the ascending `values` has a colour, three numbers in 0..1; `opacities` are the points (value, opacity) of the curve.
     """
     ends = [*values, *(v for v, _ in opacities)]
     low, high = min(ends), max(ends)

@@ -39,14 +39,7 @@ _WIDEST = 16  # bytes of the widest sample
 
 
 class Room(NamedTuple):
-    """Memory that may still be allocated.
-
-    Attributes
-    ----------
-    nbytes : int
-    limit : str
-        What sets the limit, for messages.
-    """
+    """Memory that may still be allocated, in bytes, and what sets the limit, for messages."""
 
     nbytes: int
     limit: str
@@ -70,16 +63,9 @@ def room() -> Room:
 
 
 def require(nbytes: int, what: str) -> None:
-    """Raise `OutOfMemoryError` if `what` needs more bytes than this process may allocate. Allocates nothing.
+    """Raise `OutOfMemoryError` if `what` needs more bytes, at its peak, than this process may allocate. Allocates nothing.
 
     A measurement is cached for a tenth of a second, minus the bytes granted since; a refusal always measures again.
-
-    Parameters
-    ----------
-    nbytes : int
-        Peak memory of the call: its results and temporary copies.
-    what : str
-        The subject of the message.
     """
     global _answer
     if nbytes < _SMALL:

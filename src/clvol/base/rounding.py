@@ -28,13 +28,7 @@ def as_kind(dtype: DTypeLike, same: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def in_kind(values: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
-    """Convert values to a type. For an integer type, round to nearest, halves to even, and clip to its range.
-
-    Raises
-    ------
-    DataError
-        A value is NaN, and the type has no NaN.
-    """
+    """Convert values to a type. For an integer type, round to nearest, halves to even, and clip; `DataError` for NaN."""
     if values.dtype == kind:
         return values
     result = np.empty(values.shape, kind)

@@ -24,19 +24,7 @@ Kind: TypeAlias = "type[np.float32 | np.int32] | Block | tuple[type[np.float32 |
 
 
 class Block:
-    """The fields of a block.
-
-    Parameters
-    ----------
-    name : str
-        The type's name in OpenCL C.
-    **fields : FLOAT, INT, (FLOAT, n), (INT, n) or Block
-        Numbers, arrays of numbers, and nested blocks.
-
-    Attributes
-    ----------
-    dtype : numpy.dtype
-    """
+    """The fields of a block: numbers, arrays of numbers, and nested blocks; `name` is the type's in OpenCL C."""
 
     def __init__(self, name: str, **fields: Kind) -> None:
         self.name = name

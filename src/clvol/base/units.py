@@ -37,13 +37,7 @@ def ome_unit(name: str) -> str:
 
 
 def one_unit(source: str, units: Sequence[str]) -> str:
-    """The common unit of a file's axes; axes without a unit are ignored. "" if none has a unit.
-
-    Raises
-    ------
-    FormatError
-        The axes have different units.
-    """
+    """The common unit of a file's axes, of which some may have none; "" if none has one. `FormatError` if they differ."""
     names = {unit_name(unit) for unit in units} - {""}
     if len(names) > 1:
         raise FormatError(f"{source} must have one unit along all axes; got {sorted(names)}")
@@ -51,13 +45,7 @@ def one_unit(source: str, units: Sequence[str]) -> str:
 
 
 def axes_unit(units: Sequence[str]) -> str:
-    """The common unit of an image's axes; "" if they differ and one is not a length.
-
-    Raises
-    ------
-    GeometryError
-        The axes have different units of length.
-    """
+    """The common unit of an image's axes; "" if they differ and one is no length. `GeometryError` if all are, and they differ."""
     known = {unit_name(unit) for unit in units}
     if len(known) > 1 and known <= METRES.keys():
         raise GeometryError(f"all axes must be in one unit of length; got {', '.join(units)}")
@@ -70,13 +58,7 @@ def scale(unit: str, to: str) -> float:
 
 
 def millimetres(unit: str) -> float:
-    """Millimetres per unit; no unit means millimetres.
-
-    Raises
-    ------
-    GeometryError
-        The unit is not a length.
-    """
+    """Millimetres per unit; no unit means millimetres. `GeometryError` if it is not a length."""
     if unit and unit not in METRES:
         raise GeometryError(f"units must be a length, {', '.join(METRES)}, for a library that measures in mm; got {unit!r}")
     return scale(unit or "mm", "mm")

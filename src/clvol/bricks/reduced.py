@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
+from clvol.spline.levels import GAP, Rows, gathered
 from clvol.spline.reduce import order_of, sum_along
-from clvol.spline.rows import GAP, Rows, gathered
 
 if TYPE_CHECKING:
     from clvol.bricks.source import Index, LazyVolume

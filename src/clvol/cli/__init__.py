@@ -9,7 +9,6 @@ from __future__ import annotations
 from clvol.cli import ahead as ahead  # before all that takes long to import
 
 # isort: split
-import difflib
 import io
 import os
 import sys
@@ -19,6 +18,7 @@ from typing import Any, NoReturn
 
 from cyclopts import CycloptsError, UnknownCommandError
 
+from clvol.base.checks import did_you_mean
 from clvol.base.errors import ClvolError, ClvolWarning
 from clvol.cli import files, lists, pictures, view
 from clvol.cli.root import app
@@ -84,9 +84,7 @@ def _caused_by_interrupt(error: BaseException) -> bool:
 def _unknown(error: UnknownCommandError) -> str:
     token = (error.unused_tokens or [""])[0]
     known = [name for name in app if not name.startswith("-") and app[name].show]
-    near = difflib.get_close_matches(token, known, 1)
-    hint = f" (did you mean {near[0]}?)" if near else ""
-    return f"unknown command \"{token}\"{hint}; commands are {', '.join(sorted(known))}: see 'clvol --help'"
+    return f"unknown command \"{token}\"{did_you_mean(token, known)}; commands are {', '.join(sorted(known))}: see 'clvol --help'"
 
 
 def _discard_output() -> None:

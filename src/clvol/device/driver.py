@@ -1,4 +1,4 @@
-"""The context and queue of a device, its errors, and the guard against runtimes that hang or abort the process."""
+"""A device: what it reports, its context and queue, its errors, and the guard against runtimes that hang or abort the process."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
 from clvol.base.errors import DeviceError, OutOfMemoryError
-from clvol.device.identity import Identity
 from clvol.device.opencl import kernel_cache, opencl, why_not
 from clvol.device.runtimes import processor
 
@@ -44,6 +43,71 @@ def require_unforked(process: int | None) -> None:
     """Raise `DeviceError` in a fork of `process`: a runtime's threads do not survive it, and even a new context hangs."""
     if process not in (None, os.getpid()):
         raise DeviceError("OpenCL devices cannot be used after a fork; start processes with 'spawn' or 'forkserver'")
+
+
+class Identity:
+    """What an OpenCL device reports about itself; every quirk that needs no context is a named predicate here."""
+
+    def __init__(self, handle: Any) -> None:
+        self.handle = handle
+
+    def __repr__(self) -> str:
+        return f"<Device {self.name!r} on {self.platform!r}>"
+
+    @cached_property
+    def name(self) -> str:
+        return str(self.handle.name).strip()
+
+    @cached_property
+    def platform(self) -> str:
+        return str(self.handle.platform.name).strip()
+
+    @cached_property
+    def kind(self) -> str:
+        """Kind of device: "cpu", "gpu" or "accelerator"."""
+        kinds = opencl().device_type
+        return "cpu" if self.handle.type & kinds.CPU else "gpu" if self.handle.type & kinds.GPU else "accelerator"
+
+    @property
+    def is_pocl(self) -> bool:
+        return "portable computing language" in self.platform.lower()
+
+    @cached_property
+    def has_double(self) -> bool:
+        return "cl_khr_fp64" in str(self.handle.extensions)
+
+    @property
+    def shares_memory(self) -> bool:
+        """Whether mapped buffers are host memory."""
+        return bool(self.handle.host_unified_memory)
+
+    @cached_property
+    def units(self) -> int:
+        """Number of compute units: the cores of a processor."""
+        return int(self.handle.max_compute_units)
+
+    @property
+    def largest(self) -> int:
+        """Size of the largest buffer, in bytes."""
+        return int(self.handle.max_mem_alloc_size)
+
+    @property
+    def total(self) -> int:
+        """Size of the device's memory, in bytes."""
+        return int(self.handle.global_mem_size)
+
+    @cached_property
+    def image_limit(self) -> int:
+        """Largest extent of a 3-D image along any axis."""
+        h = self.handle
+        return int(min(h.image3d_max_width, h.image3d_max_height, h.image3d_max_depth))
+
+    def alone(self, dimensions: int) -> tuple[int, ...] | None:
+        """Work-group size: one work-item on a processor; elsewhere the runtime chooses.
+
+        PoCL compiles a kernel for each work-group size, and would choose another one for almost every global size.
+        """
+        return (1,) * dimensions if self.kind == "cpu" else None
 
 
 class Driver(Identity, ABC):

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
@@ -35,14 +33,10 @@ _AGAIN = "'clvol doctor' tries again"
 
 
 def opencl() -> Any:
-    """The module pyopencl. Which runtimes may be loaded was tried in another process.
+    """The module pyopencl; `DeviceError` if it is not installed, or the runtimes that it would load abort the process.
 
-    OpenCL's loader looks for runtimes once in a process: here, unless the program used pyopencl before clvol.
-
-    Raises
-    ------
-    DeviceError
-        pyopencl is not installed, or the runtimes that it would load abort the process.
+    Which runtimes may be loaded was tried in another process. OpenCL's loader looks for runtimes once in a process: here, unless
+    the program used pyopencl before clvol.
     """
     return _module or _loaded()
 
@@ -88,7 +82,10 @@ def _load() -> Any:
     for library, why in verdict.libraries.items():
         message = f"the OpenCL runtime {library} is left out: a trial of it in another process {why}. {_AGAIN}"
         warnings.warn(message, ClvolWarning, stacklevel=4)
-    with intel.known_to_the_loader(verdict.libraries), _variables(kernels):
+    # Child processes do not inherit these. pyopencl would cache how arguments are set, which gains a millisecond and fails if the
+    # folder cannot be written; and programs of runtimes other than PoCL, unchecked: `clvol.device.program` stores those.
+    variables = {"PYOPENCL_NO_CACHE": "1", **({"POCL_CACHE_DIR": str(kernels.folder)} if kernels else {})}
+    with intel.known_to_the_loader(verdict.libraries), intel.variables(variables):
         try:
             import pyopencl
         except ImportError as error:
@@ -98,23 +95,3 @@ def _load() -> Any:
                 with suppress(pyopencl.Error):
                     found.get_devices()  # PoCL reads its variables at the first query
     return pyopencl
-
-
-@contextmanager
-def _variables(kernels: KernelCache | None) -> Iterator[None]:
-    """Environment variables that pyopencl and PoCL read when they are loaded; child processes do not inherit them.
-
-    pyopencl would cache how arguments are set, which gains a millisecond and fails if the folder cannot be written; and programs
-    of runtimes other than PoCL, unchecked: `clvol.device.program` stores those.
-    """
-    changes = {"PYOPENCL_NO_CACHE": "1", **({"POCL_CACHE_DIR": str(kernels.folder)} if kernels else {})}
-    before = {name: os.environ.get(name) for name in changes}
-    os.environ.update(changes)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

@@ -83,21 +83,11 @@ os._exit(0)
 
 @dataclass
 class Verdict:
-    """Result of a trial.
+    """Result of a trial: why something is unusable, or "" if it is usable."""
 
-    Attributes
-    ----------
-    unloadable : str
-        Why no runtime can be loaded at all; "" if one can.
-    libraries : dict of str to str
-        Vendors' libraries that must be hidden from the loader, and why.
-    devices : dict of str to str
-        Why each device (by its `identity`) is unusable; "" if it is usable.
-    """
-
-    unloadable: str = ""
-    libraries: dict[str, str] = field(default_factory=dict)
-    devices: dict[str, str] = field(default_factory=dict)
+    unloadable: str = ""  # all runtimes
+    libraries: dict[str, str] = field(default_factory=dict)  # vendors' libraries, which must be hidden from the loader
+    devices: dict[str, str] = field(default_factory=dict)  # by their `identity`
 
     @property
     def sound(self) -> bool:

@@ -183,25 +183,10 @@ class Variants:
 
 
 def build(device: Any, context: Any, text: str, kernels: KernelCache | None, note: Callable[[Variants], None]) -> Program:
-    """The program of a text in a context, from the store if it was built before; errors are the runtime's.
+    """The program of a text (of `source`) in a context, from the store if it was built before; errors are the runtime's.
 
-    Parameters
-    ----------
-    device : pyopencl.Device
-        The only one of the context.
-    context : pyopencl.Context
-        Where it is built.
-    text : str
-        Of `source`.
-    kernels : KernelCache or None
-        Built programs, and PoCL's folder; None: nothing is kept.
-    note : callable
-        Called before launches for which the runtime may have to compile a kernel.
-
-    Raises
-    ------
-    DeviceError
-        PoCL would have to build it, and has no room to.
+    `note` is called before launches for which the runtime may have to compile a kernel. Without a `KernelCache` nothing is kept.
+    Raises `DeviceError` if PoCL would have to build the program, and has no room to.
     """
     key = hashlib.sha256("\0".join((identity(device), *_OPTIONS, text)).encode()).hexdigest()
     with _building, warnings.catch_warnings():

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
-from clvol.base.checks import one_of, several
+from clvol.base.checks import did_you_mean, one_of, several
 from clvol.base.errors import OptionError
 from clvol.base.shown import Named
 from clvol.filter.filter import ALIASES, Filter, also_called
@@ -106,12 +105,9 @@ def as_filter(choice: str | Filter) -> Filter:
         return bspline(int(match[1]))
     if match := re.fullmatch(r"(?:bspline|cubic)\(([^()]*)\)|bspline(\d)\(([^()]*)\)", name):
         return _smoothed_by_name(choice, int(match[2] or 3), match[1] or match[3] or "")
-    near = difflib.get_close_matches(name, [*_TABLE, *ALIASES], 1)
-    hint = f" (did you mean {near[0]}?)" if near else ""
     known = [f"{row} ({', '.join(also_called(row))})" if also_called(row) else row for row in _TABLE]
-    raise OptionError(
-        f"filter must be one of {', '.join([*known, *written, 'bspline3(λ)', 'bspline3(auto)'])}; got {choice!r}{hint}"
-    )
+    known += [*written, "bspline3(λ)", "bspline3(auto)"]
+    raise OptionError(f"filter must be one of {', '.join(known)}; got {choice!r}{did_you_mean(name, [*_TABLE, *ALIASES])}")
 
 
 def _smoothed_by_name(choice: str, degree: int, text: str) -> Filter:

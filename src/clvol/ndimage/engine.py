@@ -19,7 +19,7 @@ from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 from clvol.ndimage.arguments import BOUNDARIES, Array, Spline
 from clvol.spline.build import DefineDict, scalar_defines
-from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, Lattice, addressable, bundled
+from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, addressable, bundled
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import precision_kind
 from clvol.spline.points import Given, Transform, sample_grid, sample_into
@@ -131,10 +131,10 @@ def evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, sp
     try:
         for number, (index, part) in enumerate(tasks):
             count = part.stop - part.start
-            if made is None or made.slices != count:
+            if made is None or made.shape[0] != count:
                 if made is not None:
                     made.release()
-                made = Coefficients(Lattice(size), row, boundary, chosen, kind=kind, batch=count)
+                made = Coefficients(size, row, boundary, chosen, kind=kind, batch=count)
             at = index if outer == batch else (*index, part)
             made.fill(moved[at])
             for done in _evaluated(made, target, onto[at], store, given):
@@ -178,7 +178,7 @@ def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store,
             else:
                 transform = Transform(target.matrix[::-1, ::-1], target.offset[::-1], np.eye(made.ndim))
                 rows = None if batch or (len(target.shape) == 3 and target.shape[0] == 1) else part  # of the first that has several
-                shape = (made.slices, *target.shape) if batch else (1, *target.shape)[-3:]
+                shape = (made.shape[0], *target.shape) if batch else (1, *target.shape)[-3:]
                 sample_grid(made, DIRECT, transform, shape, buffer, given, part=rows)
         yield part.stop / max(1, len(output))
 
@@ -226,7 +226,7 @@ def coefficients(data: Array, axes: Sequence[int], output: Array, spline: Spline
     along = sorted(len(held) - 1 - held.index(axis) for axis in filtered)
     gain = gain_along(row, boundary, size, along, kind) if row.prefilter and along else 1.0
     store, batch = _Store(chosen, kind), moved.shape[: len(kept)]
-    with Coefficients(Lattice(size), row, boundary, chosen, kind=kind) as made:
+    with Coefficients(size, row, boundary, chosen, kind=kind) as made:
         extent = made.extent.tolist()
         for number, index in enumerate(np.ndindex(batch), 1):
             made.copy_samples(moved[index], gain)

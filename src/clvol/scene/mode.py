@@ -6,7 +6,6 @@ mode raises an error that names it.
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
 import re
@@ -16,7 +15,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from clvol.base.checks import number, one_of, whole
+from clvol.base.checks import did_you_mean, number, one_of, whole
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import share_of
@@ -397,8 +396,7 @@ def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None =
     for name in options or {}:
         if name not in known:
             having = [other for other, mode in _TABLE.items() if name in _option_names(mode)]
-            near = difflib.get_close_matches(name, [*known, *others], 1)
-            hint = f", but of {' and '.join(having)}" if having else f" (did you mean {near[0]}?)" if near else ""
+            hint = f", but of {' and '.join(having)}" if having else did_you_mean(name, [*known, *others])
             raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(known) or 'none'}")
     return replace(choice, **(options or {}))
 

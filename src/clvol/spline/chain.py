@@ -34,25 +34,11 @@ _EDGE = {np.float64: 1e-9, np.float32: 1e-4}  # cells; positions this far past t
 
 
 class Chain:
-    """A chain of transforms of the points of a grid, in the layout that kernels read.
+    """A chain of transforms (of `as_chain`: the last is applied first) of the points of a grid, in the layout that kernels read.
 
-    Adjacent affine maps are joined, and the first one includes the map from the grid's indices to the world. A chain without
-    displacement grids is just `end`, and needs no extra kernel.
-
-    Parameters
-    ----------
-    transforms : sequence of transforms
-        From `clvol.volume.transform.as_chain`: the last one is applied first.
-    grid : Volume
-        The grid whose points are mapped.
-    device : Device
-
-    Attributes
-    ----------
-    end : AffineTransform
-        The affine map after the kernel's stages.
-    stages : int
-        The number of displacement grids.
+    Adjacent affine maps are joined, and the first one includes the map from the grid's indices to the world. `stages` counts the
+    displacement grids, and `end` is the affine map after them: all there is of a chain without grids, which needs no extra
+    kernel.
     """
 
     def __init__(self, transforms: Sequence[Transform], grid: Volume, device: Device) -> None:

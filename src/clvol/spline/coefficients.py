@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from clvol.spline.evaluator import Evaluator
     from clvol.volume.stored import Stored
 
-__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "Whole", "addressable", "bundled", "bytes_of", "extent_of"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Whole", "addressable", "bundled", "bytes_of", "extent_of", "require_kind"]
 
 OPENCL_TYPES = {  # NumPy to OpenCL
     "b1": "uchar",
@@ -50,6 +49,12 @@ def addressable(array: NDArray[Any], device: Device) -> bool:
     name = OPENCL_TYPES.get(array.dtype.str[1:])
     known = name is not None and array.dtype.isnative and (name != "double" or device.has_double)
     return known and array.flags.aligned and not any(stride % array.itemsize for stride in array.strides)
+
+
+def require_kind(kind: type[np.generic], device: Device) -> None:
+    """Raise `DeviceError` for float64 on a device without it."""
+    if kind == np.float64 and not device.has_double:
+        raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {device.name} has none: use 'single'")
 
 
 def bundled(array: NDArray[Any], apart: tuple[int, int]) -> tuple[NDArray[Any], int, tuple[int, int]]:
@@ -78,68 +83,21 @@ def _slabs(data: NDArray[Any]) -> list[tuple[slice, ...]]:
     return [(slice(None),) * axis + (slice(first, first + some),) for first in range(0, n, some)]
 
 
-@dataclass(frozen=True)
-class Lattice:
-    """The shape of samples without a position in the world.
-
-    Attributes
-    ----------
-    size : tuple of int
-        Samples along x, y and z; one to three numbers.
-    """
-
-    size: tuple[int, ...]
-
-    @property
-    def ndim(self) -> int:
-        """1 to 3."""
-        return len(self.size)
-
-
 class Coefficients:
-    """Storage on a device for a volume's coefficients and their halo.
+    """Storage on a device for a volume's coefficients and their halo; `clvol.spline.field.coefficients_of` makes one and fills it.
 
-    A new one is empty; `clvol.spline.field.coefficients_of` makes one and fills it.
+    A tuple of samples along x(, y, z) in place of a volume is one without a position in the world; a `batch` of them, of one or
+    two axes, is stored as slices. Coefficients are those of ``(sample - offset) * 2**-exponent``, as `stored` says, in numbers of
+    `kind`, np.float32 or np.float64.
 
-    Parameters
-    ----------
-    volume : Volume or Lattice
-        With 1 to 3 axes.
-    filter, boundary : Filter, Boundary
-        They determine the width and content of the halo.
-    device : Device
-        Where the coefficients are stored.
-    stored : Stored
-        How values are stored: coefficients are those of ``(sample - offset) * 2**-exponent``.
-    kind : type
-        Type of the coefficients, np.float32 or np.float64.
-    batch : int
-        Number of independent 1-D or 2-D arrays, stored as slices.
-
-    Attributes
-    ----------
-    buffer : Buffer
-        Numbers of `kind`, [z, y, x], halo included; None once released.
-    extent : ndarray of int32, shape (4,)
-        Row pitch, rows, slices and halo: an argument of every kernel that reads coefficients.
-    size : ndarray of int32, shape (4,)
-        Samples along (x, y, z), then 0.
-    period : ndarray of int32, shape (4,)
-        The period of the boundary rule along (x, y, z), 0 if it has none, then 0.
-    reach : int
-        Samples past the padding from which on the function is constant.
-
-    Raises
-    ------
-    DeviceError
-        float64 on a device without it.
-    OutOfMemoryError
-        The coefficients do not fit on the device.
+    `buffer` is [z, y, x], halo included; None once released. Kernels take `extent`: row pitch, rows, slices and halo; `size`:
+    samples along (x, y, z), then 0; and `period`, that of the boundary rule along (x, y, z), 0 if it has none. The function is
+    constant from `reach` samples past the padding, `pad`, on.
     """
 
     def __init__(
         self,
-        volume: Volume | Lattice,
+        volume: Volume | tuple[int, ...],
         filter: Filter,
         boundary: Boundary,
         device: Device,
@@ -147,16 +105,16 @@ class Coefficients:
         kind: type[np.generic] = np.float32,
         batch: int = 1,
     ) -> None:
-        if kind == np.float64 and not device.has_double:
-            raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {device.name} has none: use 'single'")
+        require_kind(kind, device)
         self._volume = volume
+        size = volume.size if isinstance(volume, Volume) else volume
         self.filter = filter
         self.boundary = boundary
         self.device = device
         self.stored = stored
         self.kind = kind
-        self.ndim = volume.ndim
-        sizes = (*volume.size, 1, 1)[:3]
+        self.ndim = len(size)
+        sizes = (*size, 1, 1)[:3]
         if filter.scale * max(sizes) > _MOST_ALONG:
             raise OutOfMemoryError(
                 f"out of memory: there must be at most {_MOST_ALONG // filter.scale} samples along each axis; got {max(sizes)}"
@@ -167,9 +125,8 @@ class Coefficients:
         self.size = np.array([*sizes, 0], np.int32)
         self.period = np.array([*(boundary.length(n) for n in sizes), 0], np.int32)
         past = filter.scale * (self.pad + self.reach)
-        self.extent = extent_of(filter, self.ndim, tuple(filter.scale * n for n in sizes), past)
-        if self.ndim < 3:
-            self.extent[2] = batch
+        pitch, rows, slices, halo = extent_of(filter, self.ndim, tuple(filter.scale * n for n in sizes), past)
+        self.extent = np.array([pitch, rows, slices if self.ndim == 3 else batch, halo], np.int32)
         self.buffer: Any = device.buffers.allocate(self.nbytes)
         device.buffers.clear(self.buffer, math.prod(self.shape), LANES, kind)  # bounds read vectors past the last row
         self._image: Any = None
@@ -179,7 +136,7 @@ class Coefficients:
     @property
     def volume(self) -> Volume:
         """The volume."""
-        assert isinstance(self._volume, Volume)  # a lattice has no position in the world
+        assert isinstance(self._volume, Volume)
         return self._volume
 
     @property
@@ -189,13 +146,8 @@ class Coefficients:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Stored coefficients along z, y, x, halo included."""
+        """Stored coefficients along z (for a batch, its size), y and x, halo included."""
         return int(self.extent[2]), int(self.extent[1]), int(self.extent[0])
-
-    @property
-    def slices(self) -> int:
-        """Stored slices; for a batch, its size."""
-        return int(self.extent[2])
 
     @property
     def inner(self) -> tuple[slice, ...]:
@@ -217,11 +169,6 @@ class Coefficients:
             else slice(0, int(self.extent[axis]))
             for axis in (2, 1, 0)
         )
-
-    def reached(self, axis: int) -> tuple[float, float]:
-        """Positions along an axis, in samples, between which all taps are stored."""
-        past = float(1 + self.pad + self.reach)
-        return -past, float(self.size[axis]) - 1 + past
 
     # -- filling -----------------------------------------------------------------------------------------------
 
@@ -343,27 +290,16 @@ class Coefficients:
 
     # -- reading -----------------------------------------------------------------------------------------------
 
-    @property
-    def image(self) -> Any:
-        """The coefficients as an OpenCL image, made on first use."""
+    def argument(self, evaluator: Evaluator) -> Any:
+        """The buffer or image that kernels read with this evaluator. The image is made on first use."""
+        if self.buffer is None:
+            raise OptionError("the coefficients were released; make new ones")
+        if not evaluator.image:
+            return self.buffer
         with self._lock:
             if self._image is None:
                 self._image = self.device.buffers.image_of(self.buffer, self.shape)
             return self._image
-
-    def argument(self, evaluator: Evaluator) -> Any:
-        """The buffer or image that kernels read with this evaluator.
-
-        Raises
-        ------
-        OptionError
-            The coefficients were released.
-        OutOfMemoryError
-            The device cannot hold an image of this shape.
-        """
-        if self.buffer is None:
-            raise OptionError("the coefficients were released; make new ones")
-        return self.image if evaluator.image else self.buffer
 
     def defines(self, evaluator: Evaluator) -> DefineDict:
         """The `#define`s of every kernel that samples these coefficients; the same for all boundary rules."""
@@ -384,20 +320,12 @@ class Coefficients:
 
 
 class Whole:
-    """Metadata stand-in for the `Coefficients` of a whole volume of which only bricks are resident.
+    """Metadata stand-in for the `Coefficients` of a whole volume of which only bricks are resident; the volume has no data."""
 
-    Attributes
-    ----------
-    volume : Volume
-        Geometry and value range of the samples, without data.
-    filter, device, stored, size, extent, ndim
-        As for `Coefficients`.
-    """
-
-    def __init__(self, volume: Volume, filter: Filter, extent: NDArray[np.int32], device: Device, stored: Stored) -> None:
+    def __init__(self, volume: Volume, filter: Filter, extent: tuple[int, ...], device: Device, stored: Stored) -> None:
         self.volume, self.filter, self.device, self.stored, self.ndim = volume, filter, device, stored, volume.ndim
         self.size = np.array([*volume.size, 0], np.int32)
-        self.extent = extent
+        self.extent = np.array(extent, np.int32)
 
     def defines(self, evaluator: Evaluator) -> DefineDict:
         """As for `Coefficients`."""
@@ -408,14 +336,11 @@ def bytes_of(size: tuple[int, ...], filter: Filter, boundary: Boundary, kind: ty
     """Bytes of the coefficients of `size` samples along x, y(, z), halo included; for a hybrid the peak while it is computed."""
     past = boundary.padding((filter.magnified_by or filter).prefilter, filter.support) + boundary.reach(filter.support)
     sizes = (*(filter.scale * n for n in size), 1, 1)[:3]
-    halo = 2 * (filter.support // 2 + 1 + filter.scale * (1 + past))
-    reach = max(0, row_reach(filter) - filter.support) + LANES
-    stored = math.prod(n + halo + (reach if axis == 0 else 0) if axis < len(size) else 1 for axis, n in enumerate(sizes))
-    nbytes = np.dtype(kind).itemsize * stored
+    nbytes = np.dtype(kind).itemsize * (math.prod(extent_of(filter, len(size), sizes, filter.scale * past)[:3]) + LANES)
     return nbytes if filter.magnified_by is None else nbytes + bytes_of(size, filter.magnified_by, boundary, kind)
 
 
-def extent_of(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int) -> NDArray[np.int32]:
+def extent_of(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int) -> tuple[int, int, int, int]:
     """(row pitch, rows, slices, halo) of the storage for `sizes` coefficients along x, y and z.
 
     The halo covers the taps of every point of the domain and up to a sample outside, for central differences, and `past` more.
@@ -424,4 +349,4 @@ def extent_of(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int
     halo = filter.support // 2 + 1 + filter.scale + past
     x, y, z = sizes
     pitch = -(-(x + 2 * halo + row_reach(filter) - filter.support) // LANES) * LANES
-    return np.array([pitch, y + 2 * halo if dimensions > 1 else 1, z + 2 * halo if dimensions > 2 else 1, halo], np.int32)
+    return pitch, y + 2 * halo if dimensions > 1 else 1, z + 2 * halo if dimensions > 2 else 1, halo

@@ -56,27 +56,10 @@ def require_names(evaluator: str, fetch: str) -> None:
 def choose_evaluator(device: Device, filter: Filter, *, bits: float = SAMPLE_BITS, double: bool = False) -> Evaluator:
     """The evaluator that the device's limits name, else the one that suits the device and the filter.
 
-    CPUs sample images in software, so they use direct taps from a buffer. Other devices use paired fetches from the texture
-    unit if it was measured to interpolate with at least `bits` bits.
-
-    Parameters
-    ----------
-    device : Device
-        Where the coefficients are. ``with device.limited(evaluator="taps", fetch="buffer"):`` forces a choice.
-    filter : Filter
-        Direct taps are used, whatever the limits say, if its weights change sign within a pair of taps.
-    bits : float
-        Bits of the sampler that "auto" requires.
-    double : bool
-        Whether coefficients are float64, which images cannot hold.
-
-    Raises
-    ------
-    OptionError
-        The limits name an unknown evaluator or fetch, or images for double precision.
-    DeviceError
-        ``fetch="image"`` on a device without float images, or paired fetches from an image on a device whose sampler
-        does not interpolate.
+    CPUs sample images in software, so they use direct taps from a buffer. Other devices use paired fetches from the texture unit
+    if it was measured to interpolate with at least `bits` bits. ``with device.limited(evaluator="taps", fetch="buffer"):`` forces
+    a choice; but a filter whose weights change sign within a pair of taps is evaluated by direct taps, and images hold no float64
+    (`double`).
     """
     evaluator, fetch = device.limits.evaluator, device.limits.fetch
     require_names(evaluator, fetch)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import as_output
-from clvol.base.checks import one_of, warn, whole
+from clvol.base.checks import one_of, suggests_options, warn, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.base.progress import Progress, part_of
 from clvol.base.rounding import wide
@@ -24,7 +24,7 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop.dispatch import is_in_parts, with_dask
 from clvol.interop.images import read_array
-from clvol.spline.coefficients import Coefficients, Lattice, bytes_of
+from clvol.spline.coefficients import Coefficients, bytes_of
 from clvol.spline.evaluator import DIRECT, choose_evaluator
 from clvol.spline.function import (
     CLOSED,
@@ -34,6 +34,7 @@ from clvol.spline.function import (
     described,
     fill_value,
     points_in_world,
+    put,
     require_no_transform,
     result_kind,
 )
@@ -88,15 +89,6 @@ def coefficients_of(
     """A volume's coefficients on a device, of type `kind`: prefiltered, with their halo, ready to sample.
 
     The coefficients of a hybrid (section 4.3) are samples of the spline on a grid of twice the density.
-
-    Raises
-    ------
-    DataError
-        A sample is NaN, infinite or too large for float64.
-    DeviceError
-        Coefficients of float64 on a device without it.
-    OutOfMemoryError
-        The device has no room for them.
     """
     device.buffers.require_room(bytes_of(volume.size, filter, boundary, kind))  # before reading samples
     volume.require_finite()
@@ -198,6 +190,7 @@ class Field(ContinuousFunction):
     ...     gradients = field.gradient(points)
     """
 
+    @suggests_options
     def __init__(
         self,
         volume: Volume | ArrayLike,
@@ -216,7 +209,8 @@ class Field(ContinuousFunction):
         self.volume = as_volume(volume)
         row = filter_for(self.volume, filter, DEFAULT_FILTER)
         self.boundary = as_boundary(boundary)
-        kind = precision_kind(_precision_for(self.volume, row) if precision is None else precision)
+        usual = "double" if names_beyond(24, self.volume, row) else "single"  # float32 would round labels to others
+        kind = precision_kind(usual if precision is None else precision)
         self.device = as_device(device)
         self.missing = as_missing(nan)
         where = self.missing.of(self.volume.data)
@@ -300,7 +294,7 @@ class Field(ContinuousFunction):
         self, points: NDArray[Any], derivative: int, fill: float | None, progress: Progress | None, out: NDArray[Any] | None
     ) -> Reals:
         made, direct = self.coefficients, out if self._writes(out) else None
-        first, second = _halves(progress) if self.gaps else (progress, None)
+        first, second = self._halves(progress)
         flat = sample_coefficients(made, self._evaluator(), points, derivative, fill, first, direct)
         if self.gaps:
             share = sample_coefficients(self.gaps.coefficients, DIRECT, points, 0, None if fill is None else 0.0, second)
@@ -310,20 +304,25 @@ class Field(ContinuousFunction):
     def _on(self, target: Target, progress: Progress | None, out: Any) -> NDArray[Any]:
         if target.anti_aliasing:
             fewer = _low_passed_on(target, self.volume, self.filter, self.boundary, self.device, self.precision, progress)
-            return _put(fewer, None if out is None else as_output(out, target.shape))
+            room = None if out is None else as_output(out, target.shape)
+            return put(fewer, room, room)
         device, made, given, count = self.device, self.coefficients, Given(target.fill), math.prod(target.shape)
         room = None if out is None else as_output(out, target.shape)
         converted = 0 if target.kind is None or target.kind == made.kind else target.kind.itemsize
         device.buffers.require_room(np.dtype(made.kind).itemsize * count, held=True)
         memory.require(self._bytes_at(count, 0, into=out is not None) + converted * count, described(target.shape))
         result = room if self._writes(room) else np.empty(target.shape, made.kind)
-        first, second = _halves(progress) if self.gaps else (progress, None)
+        first, second = self._halves(progress)
         final = _values_on(made, self._evaluator(), target, result, given, first)
         if self.gaps:
             outside, room_for_share = Given(None if target.fill is None else 0.0), np.empty(target.shape, np.float32)
             share = _values_on(self.gaps.coefficients, DIRECT, target, room_for_share, outside, second)
             final[share > self.missing.most] = np.nan
-        return _put(final, room)
+        return put(final, room, room)
+
+    def _halves(self, progress: Progress | None) -> tuple[Progress | None, Progress | None]:
+        """Callbacks for the values, and for the share of missing samples, which takes as long."""
+        return (part_of(progress, 0, 0.5), part_of(progress, 0.5, 1)) if self.gaps else (progress, None)
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
         """Whether kernels can write results directly into an array."""
@@ -370,20 +369,6 @@ def _low_passed_on(
         for axis, outside in enumerate(beyond(target.matrix, target.offset, volume.shape, target.shape, boundary)):
             np.moveaxis(data, axis, 0)[outside] = target.fill
     return data
-
-
-def _put(results: NDArray[Any], target: NDArray[Any] | None) -> NDArray[Any]:
-    """Copy results into `target`, if given, unless they are already in its memory."""
-    if target is None:
-        return results
-    if not np.may_share_memory(results, target):
-        target[...] = results
-    return target
-
-
-def _halves(progress: Progress | None) -> tuple[Progress | None, Progress | None]:
-    """Callbacks for the first and the second half of the work."""
-    return part_of(progress, 0, 0.5), part_of(progress, 0.5, 1)
 
 
 # -- fields of any input -----------------------------------------------------------------------------------------
@@ -533,6 +518,7 @@ def require_both(
 # -- functions -------------------------------------------------------------------------------------------------------
 
 
+@suggests_options
 @_else_by_bricks
 def sample(
     volume: Volume | ArrayLike | ContinuousFunction,
@@ -604,6 +590,7 @@ def sample(
         return evaluate(points, frame=frame, fill=fill, progress=progress, out=out)
 
 
+@suggests_options
 @with_dask("volume")
 @_else_by_bricks
 def resample(
@@ -670,7 +657,8 @@ def resample(
             require_no_transform(transform)
             target = Target(*between(plain, grid), grid.shape, None, fill_value(fill), low_pass, kind)
             options = row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device), precision or "single"
-            data = _put(_low_passed_on(target, plain, *options, progress), None if out is None else as_output(out, grid.shape))
+            room = None if out is None else as_output(out, grid.shape)
+            data = put(_low_passed_on(target, plain, *options, progress), room, room)
             return as_result(plain, data, grid, kind, row)
         results = grid.shape if out is None else ()
     with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
@@ -688,6 +676,7 @@ def resample(
         )
 
 
+@suggests_options
 @with_dask("volume")
 @_else_by_bricks
 def magnify(
@@ -735,6 +724,7 @@ def magnify(
         return field.magnify(factor, progress=progress)
 
 
+@suggests_options
 @with_dask("data")
 def prefilter(
     data: ArrayLike,
@@ -790,7 +780,7 @@ def prefilter(
     if line:
         volume.require_finite()
         stored = Stored.of(volume, chosen, boundary) if kind == np.float32 else AS_THEY_ARE
-        made = Coefficients(Lattice(array.shape), chosen, boundary, device, stored, kind)
+        made = Coefficients(array.shape, chosen, boundary, device, stored, kind)
         made.fill(array)
     else:
         made = coefficients_of(volume, chosen, boundary, device, kind)
@@ -809,8 +799,3 @@ def precision_kind(precision: str) -> type[np.generic]:
     if precision not in _PRECISIONS:
         raise one_of("precision", precision, _PRECISIONS)
     return _PRECISIONS[precision]
-
-
-def _precision_for(volume: Volume, row: Filter) -> Precision:
-    """The default: "double" for labels that float32 cannot hold."""
-    return "double" if names_beyond(24, volume, row) else "single"

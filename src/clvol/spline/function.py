@@ -47,6 +47,7 @@ __all__ = [
     "described",
     "fill_value",
     "points_in_world",
+    "put",
     "require_no_transform",
     "result_kind",
 ]
@@ -102,18 +103,7 @@ class ContinuousFunction(Leased, ABC):
     def _at(
         self, points: NDArray[Any], derivative: int, fill: float | None, progress: Progress | None, out: NDArray[Any] | None
     ) -> Reals:
-        """Derivatives of this order at points of the world.
-
-        Parameters
-        ----------
-        points : ndarray, shape (N, d)
-        out : ndarray, optional
-            An array of N * d**derivative numbers, to which kernels may write directly.
-
-        Returns
-        -------
-        ndarray of N * d**derivative numbers
-        """
+        """N * d**derivative numbers: derivatives at world points (N, d). Kernels may write directly to `out`, of as many."""
 
     @abstractmethod
     def _on(self, target: Target, progress: Progress | None, out: Any) -> NDArray[Any]:
@@ -229,7 +219,7 @@ class ContinuousFunction(Leased, ABC):
             if frame == "RAS" and derivative:
                 signs = flipped(np.ones(d))
                 np.multiply(results, signs if derivative == 1 else np.outer(signs, signs), out=results, casting="same_kind")
-            return results if target is None else _put(results, target, out)
+            return put(results, target, out)
 
     # -- on other grids ----------------------------------------------------------------------------------------------------
 
@@ -373,13 +363,7 @@ def as_points(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[np.gen
 
 
 def points_in_world(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[np.generic]:
-    """Points of a frame in a volume's world, of any type; LPS points are not converted.
-
-    Raises
-    ------
-    OptionError
-        They are not real numbers of shape (..., d), or the frame is unknown or does not apply to the volume.
-    """
+    """Points (..., d) of a frame in a volume's world, of any type; LPS points are not converted."""
     d = volume.ndim
     array = as_array(points, "points", OptionError, f"numbers of shape (..., {d})")
     if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
@@ -445,8 +429,10 @@ def described(shape: tuple[int, ...]) -> str:
     return f"a result of {' × '.join(map(str, shape))} numbers"
 
 
-def _put(results: Reals, target: NDArray[Any], out: Any) -> Reals:
-    """Copy results into `target`, a view of `out`, unless they are already there; returns `out`."""
+def put(results: Reals, target: NDArray[Any] | None, out: Any) -> Reals:
+    """Copy results into `target`, a view of `out`, unless they are already there; returns `out`, or the results without one."""
+    if target is None:
+        return results
     if not np.may_share_memory(results, target):
         target[...] = results
     return out  # type: ignore[no-any-return]  # whatever the caller gave

@@ -31,28 +31,16 @@ _CHANNELS = 4  # most channels of a colour image
 class Target:
     """A grid on which a function is evaluated, and how.
 
-    Attributes
-    ----------
-    matrix, offset : ndarray of float64, shapes (d, d) and (d,)
-        From the grid's indices, x first, or the points that `chain` maps them to, to indices of the function's samples.
-    shape : tuple of int
-        Array shape of the grid.
-    chain : Chain, optional
-        Transforms with displacement grids, applied to the grid's points first.
-    fill : float, optional
-        The result outside the domain; None: as the boundary rule says.
-    anti_aliasing : {None, "gaussian", "least-squares"}
-    kind : dtype, optional
-        Type of the result; None: the type in which it is computed.
+    Matrix and offset map the grid's indices, x first, or the points that `chain` maps them to, to indices of the samples.
     """
 
     matrix: NDArray[np.float64]
     offset: NDArray[np.float64]
-    shape: tuple[int, ...]
-    chain: Chain | None = None
-    fill: float | None = None
+    shape: tuple[int, ...]  # of the grid's array
+    chain: Chain | None = None  # transforms with displacement grids, applied to the grid's points first
+    fill: float | None = None  # the result outside the domain; None: as the boundary rule says
     anti_aliasing: AntiAliasing = None
-    kind: np.dtype[Any] | None = None
+    kind: np.dtype[Any] | None = None  # type of the result; None: the type in which it is computed
 
 
 def between(volume: Volume, grid: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

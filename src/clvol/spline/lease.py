@@ -20,17 +20,7 @@ class Lease:
     """The uses of something that can be closed, by any number of threads.
 
     `close` does not wait, so it cannot deadlock, even in a callback during a use: work in progress runs to its end, the last use
-    frees the memory, and later uses are refused.
-
-    Parameters
-    ----------
-    refusal : str
-        Message of the error for uses after `close`.
-
-    Attributes
-    ----------
-    closed : bool
-        Whether `close` was called.
+    frees the memory, and later uses are refused with the error message `refusal`.
     """
 
     def __init__(self, refusal: str) -> None:
@@ -48,13 +38,7 @@ class Lease:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """A use: nothing is freed before the block ends. Nested uses of a thread are one.
-
-        Raises
-        ------
-        OptionError
-            It is closed.
-        """
+        """A use: nothing is freed before the block ends; `OptionError` if it is closed. Nested uses of a thread are one."""
         thread, within = threading.get_ident(), None
         try:
             with self._lock:

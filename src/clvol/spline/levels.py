@@ -1,12 +1,13 @@
-"""The sizes of a pyramid, and how an axis is reduced from one to the next."""
+"""The sizes of a pyramid, how an axis is reduced from one to the next, and the samples that a part of a size reads."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
 from clvol.spline.reduce import Sums, least_squares
@@ -15,7 +16,22 @@ if TYPE_CHECKING:
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
 
-__all__ = ["FIXED", "METHODS", "ORDER", "Level", "Method", "filter_at", "levels_of", "require_reducible", "sums_for"]
+__all__ = [
+    "FIXED",
+    "GAP",
+    "METHODS",
+    "ORDER",
+    "Level",
+    "Method",
+    "Rows",
+    "Runs",
+    "filter_at",
+    "gathered",
+    "levels_of",
+    "require_reducible",
+    "runs_of",
+    "sums_for",
+]
 
 Method: TypeAlias = Literal["least-squares", "average", "nearest"]
 METHODS: tuple[Method, ...] = ("least-squares", "average", "nearest")
@@ -24,28 +40,23 @@ ORDER = (1, 2, 0)
 """Axes of [z, y, x] in the order of their reduction, the same for every part: sums round alike."""
 
 FIXED = 96 << 20
-"""Bytes of a budget for what Zarr and the device take uncounted."""
+"""Bytes of the memory limit for what Zarr and the device take uncounted."""
+
+Runs: TypeAlias = tuple[tuple[int, int], ...]
+"""Ranges of an axis, as (first, past the last)."""
+
+GAP = 32  # samples; smaller gaps are read too
 
 _ALIKE = 1.5  # times the smallest spacing; axes with a larger one are not reduced yet
 
 
 @dataclass(frozen=True)
 class Level:
-    """One size of a pyramid.
-
-    Parameters
-    ----------
-    size : tuple of int
-        Samples along x, y and z.
-    steps : tuple of int
-        Samples of the size before per sample, 1 or 2, along x, y and z.
-    factors : tuple of int
-        Samples of the first size per sample.
-    """
+    """One size of a pyramid, along x, y and z."""
 
     size: tuple[int, int, int]
-    steps: tuple[int, int, int] = (1, 1, 1)
-    factors: tuple[int, int, int] = (1, 1, 1)
+    steps: tuple[int, int, int] = (1, 1, 1)  # samples of the size before per sample, 1 or 2
+    factors: tuple[int, int, int] = (1, 1, 1)  # samples of the first size per sample
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -109,3 +120,54 @@ def sums_for(method: Method, filter: Filter, boundary: Boundary, step: int, n: i
         return Sums(n, first[:, None].astype(np.int32), np.ones((m, 1)))
     places = np.minimum(first[:, None] + np.arange(step), n - 1).astype(np.int32)  # of an odd number, the last stands alone
     return Sums(n, places, np.full(places.shape, 1 / step))
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Some rows of the sums along an axis, or of an unchanged axis, and the samples that they read."""
+
+    first: int
+    last: int  # excluded
+    runs: Runs
+    sums: Sums | None  # the same sums over these samples, concatenated; None for an unchanged axis
+
+    @classmethod
+    def of(cls, sums: Sums | None, first: int, last: int, beside: tuple[int, int] = (0, 0)) -> Rows:
+        """The rows from `first` to before `last`; their runs also include the range `beside`."""
+        if sums is None:
+            return cls(first, last, ((first, last),), None)
+        places = sums.places[first:last]
+        within = np.concatenate([places[places < sums.n], np.arange(*beside)])
+        runs = runs_of(within if within.size else np.zeros(1, np.int32))  # sums of just the constant read any sample
+        taken = np.concatenate([np.arange(a, b) for a, b in runs])
+        local = np.where(places < sums.n, np.searchsorted(taken, places), taken.size).astype(np.int32)
+        return cls(first, last, runs, Sums(taken.size, local, sums.weights[first:last]))
+
+    @property
+    def count(self) -> int:
+        """The number of samples read."""
+        return sum(b - a for a, b in self.runs)
+
+
+def runs_of(places: NDArray[Any]) -> Runs:
+    """The ranges that contain `places`, and small gaps between them."""
+    sorted_places = np.unique(places)
+    ends = np.flatnonzero(np.diff(sorted_places) > GAP)
+    firsts, lasts = sorted_places[np.concatenate([[0], ends + 1])], sorted_places[np.append(ends, sorted_places.size - 1)]
+    return tuple((int(a), int(b) + 1) for a, b in zip(firsts, lasts, strict=True))
+
+
+def gathered(read: Callable[[tuple[slice, slice, slice]], NDArray[Any]], runs: Sequence[Runs]) -> NDArray[Any]:
+    """Read the samples in runs along z, y and x into one array."""
+    z, y, x = runs
+    parts = [
+        [
+            np.concatenate([read((slice(*k), slice(*j), slice(*i))) for i in x], 2)
+            if len(x) > 1
+            else read((slice(*k), slice(*j), slice(*x[0])))
+            for j in y
+        ]
+        for k in z
+    ]
+    rows = [part[0] if len(part) == 1 else np.concatenate(part, 1) for part in parts]
+    return rows[0] if len(rows) == 1 else np.concatenate(rows, 0)

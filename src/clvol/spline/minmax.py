@@ -101,28 +101,14 @@ def _defines(filter: Filter, blur: float) -> DefineDict:
 
 
 class MinMax:
-    """The min-max pyramid of a volume's coefficients, on their device.
+    """The min-max pyramid of a 3-D volume's coefficients, on their device.
 
-    Parameters
-    ----------
-    coefficients : Coefficients
-        Of a volume with 3 axes.
-    evaluator : Evaluator
-        How they will be evaluated: texture units are less exact than arithmetic, so bounds for them are wider.
-    part : ((int, int, int), (int, int, int)), optional
-        The first cell and past the last, along x, y and z; a cell is numbered by the index of its first tap among the stored
-        coefficients. All by default.
+    Texture units are less exact than arithmetic, so bounds for an evaluator that uses them are wider. `part` is the first cell
+    and past the last, along x, y and z; a cell is numbered by the index of its first tap among the stored coefficients.
 
-    Attributes
-    ----------
-    buffer : Buffer
-        (min, max) as float2 for every block, [z, y, x], the finest level first.
-    blocks : tuple of int
-        Blocks along (x, y, z) on the finest level; halved, rounded up, on each next level.
-    offsets : tuple of int
-        The start of each level in the buffer, in blocks.
-    first : tuple of int
-        The first cell.
+    `buffer` holds (min, max) as float2 for every block, [z, y, x], the finest level first; `offsets` are the starts of the levels
+    in it, in blocks. `blocks` are those along (x, y, z) on the finest level; halved, rounded up, on each next level. `first` is
+    the first cell.
     """
 
     def __init__(self, coefficients: Coefficients, evaluator: Evaluator, part: tuple[Cell, Cell] | None = None) -> None:

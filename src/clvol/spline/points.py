@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from clvol.spline.chain import Chain
     from clvol.spline.coefficients import Coefficients
     from clvol.spline.evaluator import Evaluator
+    from clvol.volume.volume import Volume
 
 __all__ = ["NOTHING_GIVEN", "Floats", "Given", "Reals", "Transform", "sample_coefficients", "sample_grid", "sample_into"]
 
@@ -36,22 +37,15 @@ _POINT_TAPS = 16  # cost of a point besides its taps, in taps
 
 @dataclass(frozen=True)
 class Given:
-    """Values outside the volume's domain that override the boundary rule.
+    """What overrides the boundary rule outside the volume's domain; None: as the rule says.
 
-    Attributes
-    ----------
-    fill : float, optional
-        The value outside; None: as the boundary rule says.
-    missing : bool
-        Whether `fill` applies only to positions that are not finite, which are NaN otherwise. It is then also the constant of
-        rules that have one.
-    edge : float, optional
-        Distance from the outer samples to the edge of the domain; None: as the boundary rule says.
+    If `missing`, `fill` applies only to positions that are not finite, which are NaN otherwise, and is also the constant of rules
+    that have one.
     """
 
     fill: float | None = None
     missing: bool = False
-    edge: float | None = None
+    edge: float | None = None  # distance from the outer samples to the edge of the domain
 
     def defines(self, boundary: Boundary) -> DefineDict:
         """The `#define`s of outside.cl."""
@@ -86,19 +80,17 @@ NOTHING_GIVEN = Given()
 
 @dataclass(frozen=True, eq=False)
 class Transform:
-    """From positions to indices.
-
-    Attributes
-    ----------
-    matrix, offset : ndarray of float64, shapes (d, d) and (d,)
-        Index = matrix @ position + offset, x first.
-    slopes : ndarray of float64, shape (d, d)
-        Derivatives per world unit are those per index times this matrix.
-    """
+    """From positions to indices, x first: ``matrix @ position + offset``."""
 
     matrix: NDArray[np.float64]
     offset: NDArray[np.float64]
-    slopes: NDArray[np.float64]
+    slopes: NDArray[np.float64]  # derivatives per world unit are those per index times this matrix
+
+    @classmethod
+    def into(cls, grid: Volume) -> Transform:
+        """From the world to a grid's indices."""
+        inverse = grid.world_to_index_matrix
+        return cls(inverse, -inverse @ np.asarray(grid.origin), inverse)
 
     def upload(self, device: Device) -> Any:
         """Upload as the transform of points.cl."""
@@ -119,36 +111,16 @@ def sample_coefficients(
     progress: Progress | None = None,
     out: NDArray[Any] | None = None,
 ) -> Reals:
-    """The function or its derivatives at world positions.
+    """The function or its derivatives at world positions (N, d), in units of the data, per world unit: (N,), (N, d) or (N, d * d).
 
-    Parameters
-    ----------
-    coefficients : Coefficients
-        Of a volume.
-    evaluator : Evaluator
-        How the function is evaluated. Second derivatives always use direct taps.
-    points : ndarray, shape (N, d)
-        World positions (x, y[, z]). float32 is used unchanged, other types as float64 if the device supports it.
-    derivative : {0, 1, 2}
-        0 for values, 1 for gradients, 2 for Hessians.
-    fill : float, optional
-        The result outside the domain; None: as the boundary rule says.
-    progress : callable, optional
-        Called with the fraction done.
-    out : ndarray, optional
-        Contiguous array of the coefficients' type, for the results of kernels.
-
-    Returns
-    -------
-    ndarray of float32 or float64, shape (N,), (N, d) or (N, d * d)
-        In units of the data, per world unit; float64 if samples are not stored unchanged. It is `out` if no conversion is needed.
+    float64 if samples are not stored unchanged. Positions in float32 are used as they are, others as float64 if the device
+    supports it. Second derivatives always use direct taps. Kernels write into `out`, contiguous and of the coefficients' type; it
+    is returned if nothing has to be converted.
     """
-    inverse = coefficients.volume.world_to_index_matrix
-    transform = Transform(inverse, -inverse @ np.asarray(coefficients.volume.origin), inverse)
     shape = points.shape[:1] + (() if derivative == 0 else (coefficients.ndim**derivative,))
     results = np.empty(shape, coefficients.kind) if out is None else out.reshape(shape)
     given = Given(fill)
-    sample_into(coefficients, evaluator, points, results, transform, derivative, given, progress)
+    sample_into(coefficients, evaluator, points, results, Transform.into(coefficients.volume), derivative, given, progress)
     return given.in_units_of_data(coefficients, results, derivative)
 
 
@@ -162,21 +134,9 @@ def sample_into(
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
 ) -> None:
-    """The function or its derivatives at positions, in stored units.
+    """The function or its derivatives at positions, in stored units; `results` are contiguous and of the coefficients' type.
 
-    Parameters
-    ----------
-    coefficients, evaluator, derivative, progress
-        As in `sample_coefficients`.
-    points : ndarray, shape (N, d) or (d, N)
-        Positions (x, y[, z]), point by point, with a `transform`; otherwise indices, axis by axis, in the order of the array's
-        axes.
-    results : ndarray
-        Contiguous, of the coefficients' type.
-    transform : Transform, optional
-        From positions to indices.
-    given : Given
-        The values outside the domain.
+    With a `transform`, points are positions (N, d), x first. Otherwise they are indices (d, N), in the order of the array's axes.
     """
     device, d, planar = coefficients.device, coefficients.ndim, transform is None
     count = points.shape[1 if planar else 0]

@@ -32,27 +32,16 @@ _START_ERRORS: dict[type[np.generic], float] = {np.float32: 1e-9, np.float64: 1e
 class _Plan:
     """How the lines of one axis are filtered.
 
-    Attributes
-    ----------
-    stages : list of (float, float)
-        a1 and a2 of the recursions of each stage.
-    gain : float
-        Factor of the samples.
-    sums : ndarray, shape (stages, 2, order, 2, ends)
-        Weights of the starting values of causal and anticausal recursions: for samples from the first on, then from the last
-        backwards.
-    head, tail : int
-        Number of samples used at each end.
-    left_out : float
-        Contribution of the samples further in, relative to the data.
+    `sums` are the weights of the starting values of causal and anticausal recursions, for samples from the first on, then from the
+    last backwards; shape (stages, 2, order, 2, ends).
     """
 
-    stages: list[tuple[float, float]]
-    gain: float
+    stages: list[tuple[float, float]]  # a1 and a2 of the recursions of each stage
+    gain: float  # factor of the samples
     sums: NDArray[np.float64]
-    head: int
+    head: int  # number of samples used at this end
     tail: int
-    left_out: float
+    left_out: float  # contribution of the samples further in, relative to the data
 
     @property
     def split(self) -> bool:
@@ -127,26 +116,11 @@ def prefilter_in_place(
     kind: type[np.generic] = np.float32,
     axes: Sequence[int] | None = None,
 ) -> None:
-    """Convert samples to coefficients in place (section 4.2).
+    """Convert samples to coefficients in place (section 4.2), with a filter that has a prefilter.
 
-    Parameters
-    ----------
-    device : Device
-        The device of the buffer.
-    buffer : Buffer
-        Numbers of `kind`, [z, y, x], with a halo on every side, which is overwritten.
-    filter, boundary : Filter, Boundary
-        The filter has a prefilter.
-    extent : (int, int, int, int)
-        Row pitch, a multiple of `LANES`; stored rows; stored slices; halo.
-    size : (int, int, int)
-        Samples along x, y and z.
-    dimensions : int
-        The first `dimensions` of x, y and z are filtered.
-    kind : type
-        np.float32 or np.float64.
-    axes : sequence of int, optional
-        Filter only these axes, 0 for x. Without x, the samples must already be multiplied by `gain_along`.
+    The buffer holds numbers of `kind`, [z, y, x], with a halo on every side, which is overwritten. `extent` is the row pitch (a
+    multiple of `LANES`), stored rows, stored slices and halo; `size` the samples along x, y and z. The first `dimensions` axes
+    are filtered, or `axes`, 0 for x: without x, the samples must already be multiplied by `gain_along`.
     """
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size

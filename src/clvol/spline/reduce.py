@@ -59,18 +59,10 @@ _NO_STEP = 1e-9  # samples
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Weighted sums of the `n` samples of an axis, one for each row.
-
-    Attributes
-    ----------
-    n : int
-    places : ndarray of int32, shape (m, taps)
-        The samples of each sum; index `n` is the constant outside the volume.
-    weights : ndarray of float64, shape (m, taps)
-    """
+    """Weighted sums of the `n` samples of an axis, one for each row."""
 
     n: int
-    places: NDArray[np.int32]
+    places: NDArray[np.int32]  # the samples of each sum, shape (m, taps); index `n` is the constant outside the volume
     weights: Array
 
     @classmethod
@@ -323,24 +315,8 @@ def nearest_spline(
 ) -> NDArray[Any]:
     """Samples of the spline on a grid along the volume's axes that is nearest to the volume's spline; `least_squares` by axis.
 
-    Parameters
-    ----------
-    volume, filter, boundary
-        The reconstructed function.
-    kind : type
-        np.float32 or np.float64; float64 is also used if float32 would lose digits of the samples.
-    device : Device
-    matrix, offset : ndarray, shapes (d, d) and (d,)
-        From the grid's indices, x first, to those of the volume.
-    shape : tuple of int
-        Array shape of the grid.
-    progress : callable, optional
-
-    Raises
-    ------
-    OptionError
-        The grid's axes are not the volume's; the boundary rule is "zero", which does not continue the samples; or as
-        `least_squares` raises it.
+    `matrix` and `offset` map the grid's indices, x first, to the volume's. Sums are in float64 if `kind` is, or if float32 would
+    lose digits of the samples.
     """
     volume.require_finite()
     sums, kind = nearest_sums(volume, settled(filter, volume), boundary, kind, matrix, offset, shape)
@@ -386,30 +362,10 @@ def sum_along(
     progress: Callable[[float], Any] | None = None,
     order: Sequence[int] | None = None,
 ) -> NDArray[Any]:
-    """Replace axes of an array by sums along them.
+    """Replace axes of an array, of any layout, by sums along them; `kind` is the type of the result and of what is between.
 
-    Parameters
-    ----------
-    data : ndarray of real numbers
-        With any number of axes, any layout and byte order.
-    sums : mapping from axes to Sums
-    kind : type
-        np.float32 or np.float64, for the result and all intermediate arrays.
-    device : Device
-    outside : float
-        The constant outside.
-    progress : callable, optional
-        Called with the fraction done.
-    order : sequence of int, optional
-        The order of the axes, by default `order_of`. Sums of a part equal sums of the whole to the last bit if the order is the
-        same.
-
-    Raises
-    ------
-    DeviceError
-        float64 on a device without it.
-    OutOfMemoryError
-        The arrays do not fit on the device.
+    `outside` is the constant outside. Sums of a part equal sums of the whole to the last bit if the `order` of the axes is the
+    same; by default it is `order_of`.
     """
     if kind == np.float64 and not device.has_double:
         raise DeviceError(f"sums of float64 need a device with double precision; got {device.name!r}, which has none")

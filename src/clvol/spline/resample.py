@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from clvol.spline.evaluator import Evaluator
     from clvol.spline.points import Given
 
-__all__ = ["Positions", "along_axes", "no_shear", "resample_axes", "resample_coefficients"]
+__all__ = ["along_axes", "no_shear", "resample_axes", "resample_coefficients"]
 
 _BLOCK = 16  # rows that resample.cl computes at once
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
@@ -31,14 +31,6 @@ _NO_SHEAR = 1e-9  # samples
 _LONG = 1 << 16  # points along an axis, and coefficients of a row that they read: more are computed in parts
 _PART = 1 << 24  # approximate points of such a part
 _SCRATCH = 64 << 20  # bytes for all work-items, unless these would be fewer than cores
-
-
-class Positions(Protocol):
-    """Positions along an axis, in samples: an array, or a sequence that computes slices."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, part: slice, /) -> NDArray[np.float64]: ...
 
 
 @dataclass(frozen=True)
@@ -56,6 +48,10 @@ class _Steps:
         return np.asarray(self.first + self.step * np.arange(*part.indices(self.count)))
 
 
+Positions: TypeAlias = NDArray[np.float64] | _Steps
+"""Positions along an axis, in samples."""
+
+
 def resample_coefficients(
     coefficients: Coefficients,
     evaluator: Evaluator,
@@ -66,24 +62,9 @@ def resample_coefficients(
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
 ) -> None:
-    """Write values in stored units at index positions ``matrix @ (i, j, k) + offset`` to a buffer.
+    """Write values in stored units at index positions ``matrix @ (i, j, k) + offset`` to a buffer, [z, y, x].
 
-    Parameters
-    ----------
-    coefficients : Coefficients
-        Of the function.
-    evaluator : Evaluator
-        How it is evaluated.
-    matrix, offset : ndarray of float64, shapes (d, d) and (d,)
-        From the grid's indices, x first, to those of the volume.
-    shape : (int, int, int)
-        Points of the grid along z, y and x.
-    buffer : Buffer
-        For the values, [z, y, x], of the coefficients' type.
-    given : Given
-        The values outside the domain.
-    progress : callable, optional
-        Called with the fraction done.
+    `shape` is the grid's along z, y and x; the buffer holds numbers of the coefficients' type.
     """
     if along_axes(coefficients, evaluator) and no_shear(matrix, shape):
         positions = [_Steps(float(o), float(s), n) for o, s, n in zip(offset, np.diag(matrix), shape[::-1], strict=False)]
@@ -108,11 +89,12 @@ def _axis_taps(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The indices of the stored coefficients along an axis for `positions` in samples, and their weights; (N, taps)."""
     boundary, n, row = coefficients.boundary, int(coefficients.size[axis]), coefficients.filter
+    past = 1 + coefficients.pad + coefficients.reach  # up to here all taps are stored
     inside = (positions >= -edge) & (positions <= n - 1 + edge)
     if not inside.all():
         brought = np.where(np.isfinite(positions), positions, 0.0)
         brought, _ = boundary.position(brought, n, coefficients.pad, coefficients.reach)
-        positions = np.where(inside, positions, np.clip(brought, *coefficients.reached(axis)))
+        positions = np.where(inside, positions, np.clip(brought, -past, n - 1 + past))
     base, t = row.cell(positions)
     weights = row.weights(t).T
     return base.astype(np.int64)[:, None] + (np.arange(row.support) + int(coefficients.extent[3])), weights
@@ -125,19 +107,11 @@ def resample_axes(
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
 ) -> None:
-    """Write values in stored units on a grid whose axes are the volume's, one axis after the other.
+    """Write values in stored units on a grid whose axes are the volume's, one axis after the other, on a CPU.
 
-    Parameters
-    ----------
-    coefficients, buffer, given, progress
-        As in `resample_coefficients`, on a CPU.
-    positions : sequence of Positions
-        Positions of the grid along x, y and z, in samples, anywhere.
-
-    Notes
-    -----
-    Each point along an axis has an index and a weight for every tap, and work-items keep rows of coefficients. So grids with long
-    axes, and grids that skip most of a long row, are computed in parts, each in its own memory, and copied.
+    `positions` are the grid's along x, y and z, in samples, anywhere. Each has an index and a weight for every tap, and
+    work-items keep rows of coefficients. So grids with long axes, and grids that skip most of a long row, are computed in parts,
+    each in its own memory, and copied.
     """
     device, kind = coefficients.device, coefficients.kind
     counts = [len(along) for along in positions]

@@ -13,12 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base import memory
 from clvol.base.arrays import as_array
 from clvol.base.checks import several, whole
-from clvol.base.errors import DeviceError, OptionError
+from clvol.base.errors import OptionError
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary, boundaries
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.spline.build import boundary_defines, filter_defines, point_defines
+from clvol.spline.coefficients import require_kind
 from clvol.spline.field import precision_kind, prefilter
+from clvol.spline.function import points_in_world
 from clvol.spline.points import Transform
 from clvol.volume.volume import Volume
 
@@ -94,9 +96,7 @@ def adjoint(
     derivative = whole("derivative", derivative, minimum=0, maximum=1)
     grid = like if isinstance(like, Volume) else _grid(like)
     d = grid.ndim
-    at = as_array(points, "points", OptionError, f"numbers of shape (..., {d})")
-    if at.dtype.kind not in "biuf" or at.ndim == 0 or at.shape[-1] != d:
-        raise OptionError(f"points must be numbers of shape (..., {d}); got {at.dtype} of shape {at.shape}")
+    at = points_in_world(points, "LPS", grid)
     added = as_array(values, "values", OptionError, "real numbers")
     expected = at.shape[:-1] + (d,) * derivative
     if added.dtype.kind not in "biuf" or added.shape != expected:
@@ -107,8 +107,7 @@ def adjoint(
     if not np.isfinite(added).all():
         raise OptionError("values must be finite; got NaN or infinite ones")
     (row, rule), kind, chosen = linear(filter, boundary), precision_kind(precision), as_device(device)
-    if kind == np.float64 and not chosen.has_double:
-        raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {chosen.name} has none: use 'single'")
+    require_kind(kind, chosen)
     stored = _scattered(added.reshape(-1, d**derivative), at.reshape(-1, d), grid, row, rule, derivative, kind, chosen)
     for axis, n in enumerate(grid.shape):
         stored = _brought_back(stored, axis, n, row.support + 1, rule)
@@ -185,8 +184,7 @@ def _scattered(
             "COORD_DOUBLE": int(device.has_double),
         },
     )
-    inverse = grid.world_to_index_matrix
-    transform = Transform(inverse, -inverse @ np.asarray(grid.origin), inverse).upload(device)
+    transform = Transform.into(grid).upload(device)
     item, components = np.dtype(scalar).itemsize, d**derivative
     places, fractions, weights = (device.buffers.allocate(n * count) for n in (8, item * d, item * components))
     brick_of = np.empty(count, np.uint32)
@@ -220,13 +218,12 @@ def _scattered(
     lists = sparse.coo_array((np.ones(finite.size, np.int8), (brick_of[finite].astype(np.int32), finite)), (total, count))
     rows = lists.tocsr()
     order, starts = device.buffers.upload(rows.indices.astype(np.int32)), device.buffers.upload(rows.indptr.astype(np.int32))
-    half = [-(-int(n) // 2) for n in bricks[:3]]
     with device.buffers.lent(result, write=True) as buffer:
         for z, y, x in itertools.product(*(range(2 if n > 1 else 1) for n in bricks[2::-1].tolist())):
             with device.errors:
                 built.kernel("scatter_points")(
                     device.queue,
-                    tuple(half),
+                    tuple(-(-n // 2) for n in bricks[:3].tolist()),
                     device.alone(3),
                     stored,
                     bricks,

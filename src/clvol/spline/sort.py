@@ -43,24 +43,7 @@ def scattered(coefficients: Coefficients, points: NDArray[Any], matrix: NDArray[
 
 
 class Sorter:
-    """Sorts points by the brick of the volume that contains them.
-
-    Parameters
-    ----------
-    coefficients : Coefficients
-        Of the volume.
-    kind : type
-        Type of the points, np.float32 or np.float64.
-    count : int
-        Number of points.
-    planar : bool
-        Whether they are indices, axis by axis.
-
-    Attributes
-    ----------
-    room : int
-        Points sorted at a time, `Limits.sorted_bytes` of them.
-    """
+    """Sorts points by the brick of the volume that contains them, `room` at a time: `Limits.sorted_bytes` of them."""
 
     def __init__(self, coefficients: Coefficients, kind: type[np.generic], count: int, *, planar: bool) -> None:
         self._device, self._size = coefficients.device, coefficients.size

@@ -10,11 +10,11 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["known_to_the_loader", "library", "vendors"]
+__all__ = ["known_to_the_loader", "library", "variables", "vendors"]
 
 _NAMES = ("libintelocl.so", "intelocl64.dll")
 
@@ -53,7 +53,7 @@ def known_to_the_loader(without: Collection[str] = ()) -> Iterator[None]:
         _add_to_path(runtime.parent)
         os.environ.setdefault("CL_CONFIG_TBB_DLL_PATH", str(runtime.parent))
         others = os.environ.get("OCL_ICD_FILENAMES")
-        with _set("OCL_ICD_FILENAMES", os.pathsep.join([str(runtime), *([others] if others else [])])):
+        with variables({"OCL_ICD_FILENAMES": os.pathsep.join(filter(None, (str(runtime), others)))}):
             yield
         return
     found = vendors()
@@ -70,7 +70,7 @@ def _only(libraries: list[str]) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="clvol-vendors-") as folder:
         for i, text in enumerate(libraries):  # loaders sort them by name, or take them in directory order
             Path(folder, f"{i:03}.icd").write_bytes(os.fsencode(text) + b"\n")
-        with _set("OCL_ICD_VENDORS", folder), _set("OPENCL_VENDOR_PATH", folder):
+        with variables({"OCL_ICD_VENDORS": folder, "OPENCL_VENDOR_PATH": folder}):
             yield
 
 
@@ -109,13 +109,15 @@ def _add_to_path(folder: Path) -> None:
 
 
 @contextmanager
-def _set(name: str, value: str) -> Iterator[None]:
-    before = os.environ.get(name)
-    os.environ[name] = value
+def variables(values: Mapping[str, str]) -> Iterator[None]:
+    """Environment variables for the duration of a block."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
     try:
         yield
     finally:
-        if before is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = before
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -33,15 +33,10 @@ _TRIAL = 1 << 20  # bytes linked on trial before a kernel is built, which has so
 
 
 class KernelCache:
-    """The store of built kernels, and the folder of this process in which PoCL builds.
+    """The store of built kernels, shared between processes, and the folder of this process in which PoCL builds.
 
-    Attributes
-    ----------
-    store : Store
-        Shared between processes.
-    folder : Path
-        Value of ``POCL_CACHE_DIR`` when PoCL first looks for devices. Removed when the process ends; the next process removes the
-        folder of one that was killed.
+    The folder is the value of ``POCL_CACHE_DIR`` when PoCL first looks for devices. It is removed when the process ends; the next
+    process removes the folder of one that was killed.
     """
 
     def __init__(self, root: Path, *, temporary: bool = False) -> None:
@@ -115,10 +110,7 @@ class KernelCache:
 def open_cache() -> KernelCache | None:
     """A cache where ``POCL_CACHE_DIR`` says, or in clvol's folder; None if PoCL is to keep nothing, or there is no PoCL.
 
-    Raises
-    ------
-    DeviceError
-        Not even a temporary folder can be written.
+    `DeviceError` if not even a temporary folder can be written.
     """
     if fcntl is None or os.environ.get("POCL_KERNEL_CACHE") == "0":
         return None

@@ -32,17 +32,9 @@ _NAMES = {name: ctypes.create_string_buffer(name) for name, _ in _KNOWN}  # kept
 
 
 def name_processor(address: int) -> str | None:
-    """Name a processor that PoCL calls "generic".
+    """Name a processor that PoCL calls "generic", given the address of its device record (``pyopencl.Device.int_ptr``).
 
-    Parameters
-    ----------
-    address : int
-        Address of PoCL's device record, ``pyopencl.Device.int_ptr``.
-
-    Returns
-    -------
-    str or None
-        The name; None if PoCL has one already, or none fits.
+    Returns the name; None if PoCL has one already, or none fits.
     """
     if not sys.platform.startswith("linux") or platform.machine() not in ("x86_64", "AMD64"):
         return None

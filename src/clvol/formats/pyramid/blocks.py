@@ -18,10 +18,9 @@ from clvol.filter.margin import reach_within
 from clvol.formats._bounds import BLOCK, blocks_of
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import coefficients_of
-from clvol.spline.levels import FIXED, filter_at
+from clvol.spline.levels import FIXED, filter_at, gathered, runs_of
 from clvol.spline.minmax import BLOCK as CELLS
 from clvol.spline.minmax import Cell, MinMax
-from clvol.spline.rows import gathered, runs_of
 from clvol.volume.volume import Volume
 
 __all__ = ["Bricks", "coarser", "outwards", "require_bounded"]

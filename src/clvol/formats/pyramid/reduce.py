@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from clvol.base.errors import OptionError
 from clvol.base.rounding import in_kind
 from clvol.device import Device
-from clvol.spline.levels import FIXED, ORDER, Level
+from clvol.spline.levels import FIXED, ORDER, Level, Rows, gathered
 from clvol.spline.reduce import Sums, sum_along
-from clvol.spline.rows import Rows, gathered
 
 __all__ = ["Reduction", "Tile"]
 
