@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 from clvol.base.errors import ClvolError, DataError, DtypeError, OptionError, OptionTypeError, UnsupportedError
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
+from clvol.filter.margin import reach
+from clvol.spline.function import Precision
 
 __all__ = [
     "AnyDevice",
@@ -29,6 +32,7 @@ __all__ = [
     "Chunks",
     "Floats",
     "Gathering",
+    "Margin",
     "OutputBlock",
     "Reads",
     "Span",
@@ -39,6 +43,7 @@ __all__ = [
     "checked_device",
     "gathered",
     "located",
+    "margin",
     "named",
     "no_memory",
     "one_at_a_time",
@@ -180,6 +185,26 @@ def support_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[i
             start, stop = min(start, 2 * (n - 1) - high), n - 1
     span = max(math.floor(start) - before, 0), min(math.floor(stop) + after + 1, n)
     return Support(span, positions - span[0])
+
+
+Margin: TypeAlias = tuple[int, int]
+"""Samples before and after."""
+
+
+def margin(filter: Filter, precision: Precision) -> Margin:
+    """How many samples before and after the one before a position its value depends on: its taps, and what these depend on."""
+    low, high = _taps(filter)
+    row = filter.magnified_by
+    if row is not None:  # its taps lie between two samples
+        (low, high), more = _taps(row), 1
+    else:
+        row, more = filter, 0
+    depth = reach(row, precision) + more
+    return low + depth, high + depth
+
+
+def _taps(row: Filter) -> Margin:
+    return (row.support - 1) // 2, (row.support + 1) // 2
 
 
 def supports_along(

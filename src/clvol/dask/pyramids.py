@@ -12,8 +12,8 @@ from clvol.base.arrays import reals
 from clvol.base.checks import one_of, whole
 from clvol.base.rounding import in_kind, wide
 from clvol.dask.blocks import AnyDevice, Array, Chunks, OutputBlock, as_chunks, checked_device, located
-from clvol.dask.coefficients import as_volumes, settled_row
 from clvol.dask.reduced import axis_by_axis
+from clvol.dask.volumes import as_volumes, settled_row
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
@@ -76,7 +76,7 @@ def pyramid(
     Raises
     ------
     DataError
-        As `clvol.dask.prefilter` raises it.
+        As `clvol.prefilter` raises it.
     GeometryError, OptionError
         As `clvol.pyramid` raises them.
 

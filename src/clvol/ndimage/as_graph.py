@@ -16,6 +16,7 @@ from clvol.dask.blocks import (
     Array,
     Chunks,
     Floats,
+    Margin,
     OutputBlock,
     Reads,
     Span,
@@ -32,7 +33,6 @@ from clvol.dask.blocks import (
     supports_along,
     touches,
 )
-from clvol.dask.margins import Margin
 from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import as_boundary

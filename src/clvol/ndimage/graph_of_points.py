@@ -24,17 +24,18 @@ from clvol.dask.blocks import (
     Chunks,
     Floats,
     Gathering,
+    Margin,
     OutputBlock,
     Span,
     blockwise,
     gathered,
     located,
+    margin,
     named,
     one_at_a_time,
     spans,
     support_along,
 )
-from clvol.dask.margins import Margin, margin
 from clvol.device import as_device
 from clvol.filter.boundary import Boundary
 from clvol.interop.dispatch import is_lazy
@@ -192,7 +193,7 @@ class _Reads:
             return low, high
         boundary, n = self._work.spline.boundary, self._source.shape[axis]
         # a point that belongs to the last sample of a chunk lies before the first one of the next
-        last = high - 0.5 if boundary.name == "wrap" else min(high - 0.5, n - 1)
+        last = high - 0.5 if boundary.outside == "rule" else min(high - 0.5, n - 1)
         return support_along(np.array([low, last], np.float64), n, boundary, self._margin).span
 
     def tasks(self) -> dict[Any, Any]:

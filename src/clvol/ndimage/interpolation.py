@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.base.errors import OptionError, RefusedError, UnsupportedError
-from clvol.interop.dispatch import is_in_parts, is_lazy
+from clvol.base.errors import RefusedError, UnsupportedError
+from clvol.interop.dispatch import is_in_parts, is_lazy, require_lazy
 from clvol.ndimage.antialiasing import widths
 from clvol.ndimage.arguments import AnyDevice, Array, Nan, Progress, Spline, as_axes, as_axis, as_order, as_shape, warn
 from clvol.ndimage.geometry import diagonal, magnified, placed, require_rank, shifted, turned, zoomed
@@ -384,8 +384,7 @@ def _substrate(input: Any, chunks: Any = None, coordinates: Any = None) -> Subst
         from clvol.ndimage.as_graph import AsGraph
 
         return AsGraph(input, chunks)
-    if chunks is not None:
-        raise OptionError(f"chunks must be None where input is no array of dask; got {chunks!r}")
+    require_lazy("input", chunks=chunks)
     if is_in_parts(input):
         from clvol.ndimage.by_bricks import ByBricks
 
