@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from hashlib import blake2b
 from itertools import pairwise, product
 from typing import Any, TypeAlias
@@ -107,19 +108,10 @@ def no_memory(output: object) -> None:
 
 
 def as_chunks(chunks: Chunks, source: Any, shape: Sequence[int], alike: Sequence[int | None], dtype: Any) -> tuple[Any, ...]:
-    """The chunks of a result.
+    """The chunks of a result of a shape and dtype, as given, or by default as those of `source`.
 
-    Parameters
-    ----------
-    chunks : as `dask.array.normalize_chunks` takes it, or None
-        None: those of `source` along axes of the same length, else chunks as long as its longest.
-    source : dask.array.Array
-    shape : sequence of int
-        Of the result.
-    alike : sequence of int or None
-        For each axis of the result the one of `source` that it follows, if any.
-    dtype : dtype
-        Of the result.
+    Those are the same along axes of the same length, and as long as the longest along others. `alike` has for each axis of the
+    result the one of `source` that it follows, if any.
     """
     if chunks is None:
         chunks = []
@@ -146,14 +138,7 @@ def spans(sizes: Sequence[int]) -> list[Span]:
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """The samples that positions along an axis need.
-
-    Attributes
-    ----------
-    span : (int, int)
-    positions : ndarray of float64
-        In samples from the span's start on.
-    """
+    """The samples that positions along an axis need; the positions count from the span's start."""
 
     span: Span
     positions: Floats
@@ -270,22 +255,9 @@ def own_part(block: OutputBlock) -> tuple[slice, ...]:
 
 @dataclass(frozen=True, eq=False)
 class OutputBlock:
-    """One block of a result.
+    """One block of a result, of the function `name`, and where it lies in that.
 
-    Attributes
-    ----------
-    name : str
-        The function that makes the array.
-    index : tuple of int
-        Which block it is.
-    start, shape : tuple of int
-        Where it lies in the result.
-    spans : tuple of (int, int), optional
-        The part that it reads; None: nothing.
-    limits : tuple of int
-        The lengths of the axes that it reads from.
-    extra : object
-        Other input of its computation.
+    It reads the part `spans` (None: nothing) of axes as long as `limits`; `extra` is other input of its computation.
     """
 
     name: str
@@ -310,21 +282,9 @@ def blockwise(
 ) -> Any:
     """An array of dask whose blocks are computed from parts of another.
 
-    Parameters
-    ----------
-    name : str
-        Of the function, for keys and errors.
-    source : dask.array.Array
-    chunks : tuple of tuples of int
-        Of the result.
-    dtype : dtype
-        Of the result.
-    plan : callable
-        From the index of a block and its place in the result to the part that it reads (None: nothing) and its `extra`.
-    compute : callable
-        From the part (None where nothing is read) and the `OutputBlock` to its samples.
-    identity : sequence
-        All else that determines the result: equal calls have equal keys.
+    `plan` goes from the index of a block and its place in the result to the part that it reads (None: nothing) and its `extra`;
+    `compute` from this part (None where nothing is read) and the `OutputBlock` to its samples. `name`, for keys and errors, is the
+    function's. `identity` is all else that determines the result: equal calls have equal keys.
     """
     places = [spans(sizes) for sizes in chunks]
     gathering = Gathering(source, f"{name}-read-")
@@ -411,7 +371,7 @@ class Gathering:
                 continue
             several = list(wanted)
             made = (f"{self._prefix}-{blake2b(repr(several).encode(), digest_size=8).hexdigest()}", *index)
-            tasks[made] = (_cut, key, _Pieces(several, sizes))
+            tasks[made] = (partial(_cut, several, sizes), key)
             self._found.update({(index, cuts): (made, number) for number, cuts in enumerate(several)})
         return tasks
 
@@ -447,16 +407,10 @@ class Gathering:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Pieces:
-    cuts: list[Cuts]
-    sizes: tuple[int, ...]
-
-
-def _cut(chunk: Array, pieces: _Pieces) -> list[Array]:
+def _cut(pieces: list[Cuts], sizes: tuple[int, ...], chunk: Array) -> list[Array]:
     """Copies of parts of a chunk, so that the chunk can be freed."""
-    _require_shape(chunk, pieces.sizes)
-    return [np.ascontiguousarray(chunk[tuple(slice(*span) for span in cuts)]) for cuts in pieces.cuts]
+    _require_shape(chunk, sizes)
+    return [np.ascontiguousarray(chunk[tuple(slice(*span) for span in cuts)]) for cuts in pieces]
 
 
 def _require_shape(chunk: Any, shape: tuple[int, ...]) -> None:

@@ -83,19 +83,8 @@ def axis_by_axis(
     Sums have so many terms that a block of sums along all axes would read 8 chunks for one of its own. Along one axis it reads the
     row that it lies in, and the next axis has fewer blocks.
 
-    Parameters
-    ----------
-    name, source, chunks, dtype, identity
-        As of `clvol.dask.blocks.blockwise`.
-    axes : sequence of (int, Summed)
-        In the order in which they are summed up; none: blocks begin and end as they are.
-    kind : type
-        Of sums, as far as that is known before samples are.
-    begin, end : callable
-    outside : float
-        The samples where a boundary rule puts none.
-    device : object
-        As of `as_device`, in each process.
+    `axes` are in the order in which they are summed up; without any, blocks begin and end as they are. `kind` is that of sums, as
+    far as it is known before samples are; `outside` the samples where a boundary rule puts none.
     """
     if not axes:
         return blockwise(name, source, chunks, dtype, lambda _, where: (where, None), _Unsummed(begin, end), identity)

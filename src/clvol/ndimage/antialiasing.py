@@ -18,25 +18,12 @@ __all__ = ["low_passed", "nearest_splines", "nearest_sums", "widths"]
 
 
 def widths(shape: tuple[int, ...], finer: tuple[int, ...]) -> dict[int, float]:
-    """Standard deviations of the Gaussian that precedes a coarser grid.
-
-    By scikit-image's rule: (f - 1) / 2 samples along an axis that is reduced f times.
-    """
+    """Standard deviations of a Gaussian, by scikit-image's rule: (f - 1) / 2 samples along an axis that is reduced f times."""
     return {axis: max(0.0, (n / m - 1) / 2) for axis, (n, m) in enumerate(zip(finer, shape, strict=True)) if m}
 
 
 def low_passed(data: Array, sigma: Mapping[int, float], spline: Spline) -> Array:
-    """An array after a Gaussian, as `scipy.ndimage.gaussian_filter` computes it, in float32 or float64; `data` without one.
-
-    Parameters
-    ----------
-    data : ndarray
-        Real or complex.
-    sigma : mapping from axes to float
-        Standard deviations in samples; 0 leaves an axis alone.
-    spline : Spline
-        Its mode, `cval`, precision and device.
-    """
+    """An array after a Gaussian, as `scipy.ndimage.gaussian_filter` computes it, in float32 or float64; `data` without one."""
     if data.dtype.kind == "c":
         return low_passed(data.real, sigma, spline.of_part("real", 0)) + 1j * low_passed(
             data.imag, sigma, spline.of_part("imag", 1)
@@ -51,19 +38,7 @@ def low_passed(data: Array, sigma: Mapping[int, float], spline: Spline) -> Array
 def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], output: Array, spline: Spline) -> None:
     """Write the least-squares spline on a coarser grid into `output`: see `clvol.spline.reduce.least_squares`.
 
-    Parameters
-    ----------
-    data : ndarray
-        Real or complex, not empty.
-    positions : mapping from axes to ndarray
-        Of the new samples along each axis, in samples, evenly spaced. A single one stands for the whole axis.
-    output : ndarray
-    spline : Spline
-
-    Raises
-    ------
-    OptionError
-        ``nan="local"``: here a missing sample reaches as far as the prefilter does.
+    `positions` are evenly spaced along each axis, in samples; a single one stands for the whole axis.
     """
     if spline.local:
         raise OptionError('nan must be "propagate" or "error" with least squares, which spreads missing samples; got "local"')

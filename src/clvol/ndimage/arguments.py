@@ -88,18 +88,7 @@ class Samples(Protocol):
 class Spline:
     """How an array is interpolated: the options that all functions share. It can be pickled, for tasks of dask.
 
-    Attributes
-    ----------
-    order : int
-    mode : str
-    cval : float or complex
-        Complex for complex arrays only.
-    prefilter : bool
-    precision : {"single", "double"}
-    device : Device, str, int or None
-        As `as_device` takes it.
-    progress : callable or None
-    nan : {"propagate", "error", "local"}
+    `cval` is complex for complex arrays only; `device` is as `as_device` takes it, `nan` as `affine_transform` does.
     """
 
     order: int
@@ -311,17 +300,9 @@ def require_coordinates(shape: Sequence[int], count: int) -> None:
 
 
 def as_output(output: Any, dtype: np.dtype[Any], shape: Sequence[int], *, copied: bool = False) -> Array:
-    """The array that results are written into: a new one, or `output`.
+    """The array that results of a shape are written into, for an input of a dtype: a new one, or `output`.
 
-    Parameters
-    ----------
-    output : None, dtype, str or array
-    dtype : dtype
-        Of the input.
-    shape : sequence of int
-        Of the result.
-    copied : bool
-        Whether samples are copied unchanged; real samples then may have complex results.
+    Real samples that are copied unchanged may have complex results.
     """
     shape = tuple(shape)
     if output is None or isinstance(output, (type, np.dtype, str)):

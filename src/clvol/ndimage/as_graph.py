@@ -64,14 +64,7 @@ _ROUNDING = 1e-12
 
 
 class AsGraph(Substrate):
-    """An array of dask; or one in memory, for coordinates of dask.
-
-    Parameters
-    ----------
-    input : dask.array.Array or array-like
-    chunks : as of `dask.array.normalize_chunks`, or None
-        Of the result.
-    """
+    """An array of dask; or one in memory, for coordinates of dask. `chunks` are those of the result."""
 
     def __init__(self, input: Any, chunks: Chunks) -> None:
         self.source: Any = as_lazy(input) if is_lazy(input) else as_array(input)

@@ -18,13 +18,8 @@ __all__ = ["evaluate"]
 def evaluate(data: Array, axes: Sequence[int], target: engine.Target, output: Array, spline: Spline) -> None:
     """`engine.evaluate` by the rule "local" of `clvol.Missing`: NaN where a sample that is not finite has weight, and nowhere else.
 
-    Parameters are those of `engine.evaluate`. A sample has weight where the B-spline of the order, whose weights are positive, is
-    not 0 in float32. All other results are bit for bit those of the filled array.
-
-    Raises
-    ------
-    OptionError
-        `output` cannot hold NaN, and samples are missing.
+    A sample has weight where the B-spline of the order, whose weights are positive, is not 0 in float32. All other results are bit
+    for bit those of the filled array.
     """
     where = Missing("local").of(data)
     if where is None:

@@ -203,13 +203,7 @@ class _Reads:
 
 
 class _Chunks:
-    """The chunks of an input along the axes that points have coordinates for.
-
-    Attributes
-    ----------
-    numbers : list of ndarray
-        Of the chunks that are not empty, along each axis.
-    """
+    """The chunks of an input along the axes that points have coordinates for; `numbers`: of those that are not empty."""
 
     def __init__(self, source: Any, along: Sequence[int], boundary: Boundary) -> None:
         places = [spans(source.chunks[axis]) for axis in along]
@@ -271,17 +265,9 @@ def _at_array(work: _Work, block: OutputBlock, held: Array, at: Array, filtered:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The points of a block that lie in one chunk.
+    """The points of a block that lie in one chunk: they are `known` where coordinates are in memory.
 
-    Attributes
-    ----------
-    work : _Work
-    block : OutputBlock
-        Its spans are those of the chunk with its margin.
-    chunk : tuple of int
-        Which chunk it is.
-    known : (ndarray, ndarray), optional
-        The points, where coordinates are in memory.
+    The spans of the block are those of the chunk with its margin.
     """
 
     work: _Work

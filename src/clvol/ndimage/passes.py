@@ -47,16 +47,7 @@ _Pass = tuple[list[int], Axes | Affine]
 
 
 def along_axes(data: Array, positions: Sequence[_Floats | None], output: Array, spline: Spline) -> None:
-    """The spline on a grid along the axes, into `output`.
-
-    Parameters
-    ----------
-    data : ndarray
-    positions : sequence of ndarray or None
-        For each axis of `data`; None are those of its samples.
-    output : ndarray
-    spline : Spline
-    """
+    """The spline on a grid along the axes, into `output`. None are the positions of an axis's samples."""
     if not spline.interpolates:
         positions = [_samples(n) if p is None else p for p, n in zip(positions, data.shape, strict=True)]
     _along({axis: p for axis, p in enumerate(positions) if p is not None}, data, output, spline)
@@ -76,15 +67,7 @@ def _along(moved: dict[int, _Floats], data: Array, output: Array, spline: Spline
 def affinely(data: Array, axes: Sequence[int], matrix: _Floats, offset: _Floats, output: Array, spline: Spline) -> None:
     """The spline at ``matrix @ i + offset`` for each index of `output` along some axes, the others being left as they are.
 
-    Parameters
-    ----------
-    data : ndarray
-    axes : sequence of int
-        As many as the matrix has rows, ascending.
-    matrix, offset : ndarray of float64
-    output : ndarray
-        Where the matrix is not square, `axes` are all of them, and `output` has as many axes as it has columns.
-    spline : Spline
+    The axes are ascending, as many as the matrix has rows. Where it is not square they are all, and `output` has an axis a column.
     """
     rows, columns = matrix.shape
     if columns > rows:

@@ -20,18 +20,7 @@ _Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Plan(ABC):
-    """What to evaluate, its arguments checked.
-
-    Attributes
-    ----------
-    function : str
-        The name of the function that was called.
-    spline : Spline
-    output : None, dtype, str or array
-        As SciPy takes it.
-    shape : tuple of int
-        Of the result.
-    """
+    """What to evaluate, its arguments checked: the function that was called, `output` as SciPy takes it, the result's shape."""
 
     function: str
     spline: Spline
@@ -45,18 +34,10 @@ class Plan(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Grid(Plan):
-    """A grid along the axes.
+    """A grid along the axes, at positions in samples; None: those of the samples.
 
-    Attributes
-    ----------
-    positions : sequence of ndarray or None
-        Along each axis, in samples; None: those of the samples.
-    sigma : mapping from axes to float
-        Standard deviations of a Gaussian that precedes it, in samples.
-    nearest : bool
-        Whether the result is the least-squares spline on this grid.
-    copied : bool
-        Whether the result is a copy of the samples.
+    A Gaussian of standard deviations `sigma`, in samples, precedes it. `nearest`: the result is the least-squares spline on this
+    grid. `copied`: it is a copy of the samples.
     """
 
     positions: Sequence[_Floats | None]
@@ -127,12 +108,7 @@ class Coefficients(Plan):
 class Substrate(ABC):
     """The samples of an input, and how plans are evaluated on them. Results are arrays, of dask where the input is one.
 
-    Attributes
-    ----------
-    shape : tuple of int
-    dtype : dtype
-    precision : {"single", "double"} or None
-        The default of `Spline.of`; None: by the dtype.
+    `precision` is the default of `Spline.of`; None: by the dtype.
     """
 
     shape: tuple[int, ...]
