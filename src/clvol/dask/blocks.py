@@ -7,7 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import blake2b
 from itertools import pairwise, product
@@ -40,6 +40,7 @@ __all__ = [
     "around",
     "as_chunks",
     "as_lazy",
+    "blocks_of",
     "blockwise",
     "checked_device",
     "gathered",
@@ -268,13 +269,27 @@ class OutputBlock:
     limits: tuple[int, ...]
     extra: Any = None
 
+    @property
+    def place(self) -> tuple[Span, ...]:
+        """Where it lies in the result."""
+        return tuple((first, first + n) for first, n in zip(self.start, self.shape, strict=True))
+
     def __str__(self) -> str:
-        ranges = ", ".join(f"{first}:{first + n}" for first, n in zip(self.start, self.shape, strict=True))
+        ranges = ", ".join(f"{first}:{stop}" for first, stop in self.place)
         return f"in block {self.index} of {self.name}, which is [{ranges}] of the result"
 
 
 Compute: TypeAlias = Callable[[Any, OutputBlock], Array]
 Reads: TypeAlias = Callable[[tuple[int, ...], tuple[Span, ...]], tuple[tuple[Span, ...] | None, Any]]
+
+
+def blocks_of(name: str, chunks: Sequence[Sequence[int]], limits: tuple[int, ...]) -> Iterator[OutputBlock]:
+    """The blocks of a result, which read nothing yet."""
+    places = [spans(sizes) for sizes in chunks]
+    for index in np.ndindex(*map(len, places)):
+        where = [axis[i] for axis, i in zip(places, index, strict=True)]
+        start, shape = tuple(low for low, _ in where), tuple(high - low for low, high in where)
+        yield OutputBlock(f"clvol.dask.{name}", index, start, shape, None, limits)
 
 
 def blockwise(
@@ -286,15 +301,11 @@ def blockwise(
     `compute` from this part (None where nothing is read) and the `OutputBlock` to its samples. `name`, for keys and errors, is the
     function's. `identity` is all else that determines the result: equal calls have equal keys.
     """
-    places = [spans(sizes) for sizes in chunks]
     gathering = Gathering(source, f"{name}-read-")
     tasks: list[tuple[OutputBlock, Asked | None]] = []
-    for index in np.ndindex(*(len(sizes) for sizes in chunks)):
-        where = tuple(axis[i] for axis, i in zip(places, index, strict=True))
-        shape = tuple(stop - start for start, stop in where)
-        wanted, extra = plan(index, where) if all(shape) else (None, None)
-        block = OutputBlock(f"clvol.dask.{name}", index, tuple(start for start, _ in where), shape, wanted, source.shape, extra)
-        tasks.append((block, None if wanted is None else gathering.ask(wanted)))
+    for block in blocks_of(name, chunks, source.shape):
+        wanted, extra = plan(block.index, block.place) if all(block.shape) else (None, None)
+        tasks.append((replace(block, spans=wanted, extra=extra), None if wanted is None else gathering.ask(wanted)))
     own = f"{name}-{tokenize(name, source.name, chunks, str(dtype), *identity)}"
     layer = gathering.settled()
     for block, asked in tasks:

@@ -116,7 +116,7 @@ class _Stage:
     def __call__(self, samples: Array, block: OutputBlock) -> Array:
         assert block.spans is not None
         kind = samples.dtype.type if self.begin is None else self.begin(samples, block)
-        place = block.start[self.axis], block.start[self.axis] + block.shape[self.axis]
+        place = block.place[self.axis]
         sums = {self.axis: _sums_within(self.own.sums, place, block.spans[self.axis])}
         values = sum_along(samples, sums, kind, as_device(self.device), self.outside)
         return values if self.end is None else self.end(values, block)

@@ -27,6 +27,7 @@ from clvol.dask.blocks import (
     Margin,
     OutputBlock,
     Span,
+    blocks_of,
     blockwise,
     gathered,
     located,
@@ -39,7 +40,7 @@ from clvol.dask.blocks import (
 from clvol.device import as_device
 from clvol.filter.boundary import Boundary
 from clvol.interop.dispatch import is_lazy
-from clvol.ndimage import engine, passes
+from clvol.ndimage import engine, in_memory
 from clvol.ndimage.arguments import FINITE, Spline, require_finite
 from clvol.ndimage.plan import Points
 from clvol.spline.field import Precision
@@ -107,9 +108,9 @@ class _Work:
         kept = [n for axis, n in enumerate(data.shape) if axis not in self.along]
         chunks = (*((n,) for n in kept), *at.chunks[1:])
         layer: dict[Any, Any] = {}
-        for index, block in _blocks(chunks, data.shape):
-            points = (at.name, 0, *index[len(kept) :])
-            layer[(name, *index)] = (_at_array, work, block, (held.name, *[0] * data.ndim), points, held is not source)
+        for block in blocks_of("map_coordinates", chunks, data.shape):
+            points = (at.name, 0, *block.index[len(kept) :])
+            layer[(name, *block.index)] = (_at_array, work, block, (held.name, *[0] * data.ndim), points, held is not source)
         graph = HighLevelGraph.from_collections(name, layer, dependencies=[held, at])
         return da.Array(graph, name, chunks, dtype=self.dtype)
 
@@ -118,7 +119,7 @@ class _Work:
         spline, part = self.spline, samples.real if samples.dtype.kind == "c" else samples
         kind = np.dtype(engine.kind_for(spline.precision, part, np.empty(0), as_device(spline.device)))
         made = np.empty(samples.shape, np.result_type(kind, np.complex64) if samples.dtype.kind == "c" else kind)
-        passes.filtered(samples, self.along, made, spline)
+        in_memory.filtered(samples, self.along, made, spline)
         return made
 
     def of_chunks(self, source: Any, at: Any, pieces: tuple[Any, ...]) -> Any:
@@ -131,11 +132,12 @@ class _Work:
         kept = [axis for axis in range(source.ndim) if axis not in self.along]
         result = (*(source.chunks[axis] for axis in kept), *pieces)
         partitions: dict[tuple[int, ...], Any] = {}
-        for index, block in _blocks(result, source.shape):
+        for block in blocks_of("map_coordinates", result, source.shape):
+            index = block.index
             batch, piece = index[: len(kept)], index[len(kept) :]
             if piece not in partitions:
                 if known:
-                    own = at[(slice(None), *(slice(i, i + n) for i, n in _places(block, len(kept))))]
+                    own = at[(slice(None), *(slice(*place) for place in block.place[len(kept) :]))]
                     partitions[piece] = chunks.parted(own)
                 else:
                     partitions[piece] = (f"{name}-parted", *piece)
@@ -151,21 +153,6 @@ class _Work:
         layer.update(reads.tasks())
         graph = HighLevelGraph.from_collections(name, layer, dependencies=[source] if known else [source, at])
         return da.Array(graph, name, result, dtype=self.dtype)
-
-
-def _blocks(chunks: Sequence[Sequence[int]], limits: tuple[int, ...]) -> list[tuple[tuple[int, ...], OutputBlock]]:
-    """The blocks of a result, by index."""
-    places, made = [spans(sizes) for sizes in chunks], []
-    for index in np.ndindex(*map(len, places)):
-        where = [axis[i] for axis, i in zip(places, index, strict=True)]
-        start, shape = tuple(a for a, _ in where), tuple(b - a for a, b in where)
-        made.append((index, OutputBlock("clvol.dask.map_coordinates", index, start, shape, None, limits)))
-    return made
-
-
-def _places(block: OutputBlock, kept: int) -> list[tuple[int, int]]:
-    """First index and length of a block along the axes of the points."""
-    return list(zip(block.start[kept:], block.shape[kept:], strict=True))
 
 
 class _Reads:
@@ -259,7 +246,7 @@ def _at_array(work: _Work, block: OutputBlock, held: Array, at: Array, filtered:
         if filtered:
             spline = replace(spline, precision="single" if held.dtype in (np.float32, np.complex64) else "double")
         with named(block), one_at_a_time():
-            passes.at_points(held, work.along, at, made, spline)
+            in_memory.at_points(held, work.along, at, made, spline)
     return made
 
 
@@ -287,14 +274,14 @@ class _Part:
         with named(block), one_at_a_time():
             with located(samples, block, FINITE):
                 require_finite(samples, work.spline.nan)
-            passes.at_points(samples, work.along, at - first, values, work.spline)
+            in_memory.at_points(samples, work.along, at - first, values, work.spline)
         return which, values
 
 
 def _joined(work: _Work, block: OutputBlock, kept: int, parts: Sequence[_Some | None]) -> Array:
     """A block of the result: the values of its points, and the constant where they lie in no chunk."""
     made = np.empty((*block.shape[:kept], math.prod(block.shape[kept:])), work.dtype)
-    made[...] = passes.stored(work.spline.cval, work.dtype)
+    made[...] = in_memory.stored(work.spline.cval, work.dtype)
     for part in parts:
         if part is not None:
             which, values = part

@@ -13,8 +13,7 @@ from clvol.interop.dispatch import is_in_parts, is_lazy, require_lazy
 from clvol.ndimage.antialiasing import widths
 from clvol.ndimage.arguments import AnyDevice, Array, Nan, Progress, Spline, as_axes, as_axis, as_order, as_shape, warn
 from clvol.ndimage.geometry import diagonal, magnified, placed, require_rank, shifted, turned, zoomed
-from clvol.ndimage.in_memory import InMemory
-from clvol.ndimage.passes import require_few
+from clvol.ndimage.in_memory import InMemory, require_few
 from clvol.ndimage.plan import Affine, Coefficients, Grid, Mapped, Points, Substrate
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
