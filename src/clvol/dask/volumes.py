@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ from clvol.dask.blocks import (
     refused,
     supports_along,
 )
-from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
+from clvol.dask.reduced import axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
@@ -45,7 +46,7 @@ from clvol.spline.field import Precision, coefficients_of, precision_kind
 from clvol.spline.function import fill_value
 from clvol.spline.grids import Anchor, beyond, grid_for
 from clvol.spline.points import Given
-from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed
+from clvol.spline.reduce import AntiAliasing, Sums, as_anti_aliasing, least_squares, low_passed
 from clvol.spline.resample import along_axes, resample_axes, resample_coefficients
 from clvol.volume.smoothing import settled
 from clvol.volume.stored import wide_enough
@@ -211,7 +212,7 @@ def _on_grid(
     leading = source.ndim - work.count
     shape = (*source.shape[:leading], *(len(p) for p in positions))
     sizes = as_chunks(chunks, source, shape, range(source.ndim), work.dtype)
-    reductions: list[Reduction] = []
+    reductions: list[partial[Sums]] = []
     supports: list[list[Any]] = []
     sigma = np.maximum(0, (steps - 1) / 2) if low_pass == "gaussian" else np.zeros(work.count)
     for k, (along, n) in enumerate(zip(positions, source.shape[leading:], strict=True)):
@@ -234,17 +235,17 @@ def _on_grid(
     if not reductions:
         return blockwise(name, source, sizes, work.dtype, plan, _Sampled(work, steps, low_pass == "gaussian", past), about)
     # as in one piece: the axis that shrinks most goes first, x before y and z
-    order = sorted(range(work.count - 1, -1, -1), key=lambda k: reductions[k].m / reductions[k].n)
+    order = sorted(range(work.count - 1, -1, -1), key=lambda k: len(positions[k]) / source.shape[leading + k])
     axes, kind, ends = [(leading + k, reductions[k]) for k in order], precision_kind(work.precision), _LeastSquares(work, past)
-    return axis_by_axis(name, source, sizes, work.dtype, axes, kind, ends.begin, ends.end, work.boundary.cval, work.device, about)
+    return axis_by_axis(name, source, sizes, work.dtype, axes, kind, ends, work.boundary.cval, work.device, about)
 
 
-def _reduction(row: Filter, along: Floats, step: float, n: int, work: _Work) -> Reduction:
+def _reduction(row: Filter, along: Floats, step: float, n: int, work: _Work) -> partial[Sums]:
     if row.prefilter and work.boundary.period is None:
         raise OptionError(f"least-squares reduction takes a boundary rule that continues the samples; got {work.boundary.name!r}")
     if row.magnified_by is not None:
         raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {row.name!r}")
-    return Reduction(row, float(along[0]), step, len(along), n, work.boundary, work.precision == "double", True)
+    return partial(least_squares, row, float(along[0]), step, len(along), n, work.boundary, work.precision == "double")
 
 
 @dataclass(frozen=True, eq=False)

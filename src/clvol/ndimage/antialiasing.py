@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from clvol.ndimage import engine
 from clvol.ndimage.arguments import Array, Spline
 from clvol.spline.reduce import Sums, gaussian, least_squares, sum_along
 
-__all__ = ["low_passed", "nearest_splines", "nearest_sums", "widths"]
+__all__ = ["low_passed", "nearest_along", "nearest_splines", "nearest_sums", "widths"]
 
 
 def widths(shape: tuple[int, ...], finer: tuple[int, ...]) -> dict[int, float]:
@@ -58,9 +59,11 @@ def nearest_sums(
     shape: tuple[int, ...], positions: Mapping[int, NDArray[np.float64]], spline: Spline, kind: type[np.generic]
 ) -> dict[int, Sums]:
     """The sums of `nearest_splines` along each axis of an array of a shape, in float32 or float64."""
-    boundary, sums = spline.boundary, {}
-    for axis, x in positions.items():
-        n, m = shape[axis], len(x)
-        step = float(x[-1] - x[0]) / (m - 1) if m > 1 else float(n)
-        sums[axis] = least_squares(bspline(spline.order), float(x[0]), step, m, n, boundary, kind == np.float64, spline.prefilter)
-    return sums
+    return {axis: nearest_along(x, shape[axis], spline, kind == np.float64)() for axis, x in positions.items()}
+
+
+def nearest_along(x: NDArray[np.float64], n: int, spline: Spline, double: bool) -> partial[Sums]:
+    """What computes the sums of `nearest_splines` along an axis of `n` samples."""
+    m = len(x)
+    step = float(x[-1] - x[0]) / (m - 1) if m > 1 else float(n)
+    return partial(least_squares, bspline(spline.order), float(x[0]), step, m, n, spline.boundary, double, spline.prefilter)

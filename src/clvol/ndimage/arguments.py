@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, Protocol, TypeAlias, get_args
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,11 +26,11 @@ __all__ = [
     "BOUNDARIES",
     "FINITE",
     "MODES",
+    "NAN",
     "AnyDevice",
     "Array",
     "Nan",
     "Progress",
-    "Samples",
     "Spline",
     "as_array",
     "as_axes",
@@ -70,18 +70,11 @@ BOUNDARIES = {
 """The boundary rule of each of SciPy's modes."""
 MODES = tuple(BOUNDARIES)
 FINITE = 'with nan="error" all samples must be finite'
-_NAN = ("propagate", "error", "local")
+NAN = ("propagate", "error", "local")
 _REAL = "?bBhHiIlLqQefd"  # NumPy's type codes; no long double
 _COMPLEX = "FD"
 _SINGLE = "?bBhHefF"  # types that float32 holds exactly
 _KNOWN = "bool, integers, float16, float32, float64, complex64 or complex128"
-
-
-class Samples(Protocol):
-    """What options depend on: the samples' dtype, and the default precision, if it does not follow from that."""
-
-    dtype: np.dtype[Any]
-    precision: Precision | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,26 +92,6 @@ class Spline:
     device: AnyDevice = None
     progress: Progress = None
     nan: Nan = "propagate"
-
-    @classmethod
-    def of(
-        cls,
-        samples: Samples,
-        order: int,
-        mode: str,
-        cval: complex,
-        prefilter: bool,
-        precision: Precision | None,
-        device: AnyDevice,
-        nan: Nan,
-        progress: Progress,
-    ) -> Spline:
-        """The options of a call, checked. The device is not looked up."""
-        number, rule, outside = as_order(order), as_mode(mode), as_cval(cval, samples.dtype.kind == "c")
-        if nan not in _NAN:
-            raise one_of("nan", nan, _NAN)
-        chosen = as_precision(samples.precision if precision is None else precision, samples.dtype)
-        return cls(number, rule, outside, bool(prefilter), chosen, device, progress, nan)
 
     @property
     def local(self) -> bool:

@@ -33,13 +33,13 @@ from clvol.dask.blocks import (
     supports_along,
     touches,
 )
-from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
+from clvol.dask.reduced import axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.make import bspline
 from clvol.filter.margin import reach
 from clvol.interop.dispatch import is_lazy
 from clvol.ndimage import engine, in_memory
+from clvol.ndimage.antialiasing import nearest_along
 from clvol.ndimage.arguments import (
     BOUNDARIES,
     FINITE,
@@ -250,17 +250,14 @@ def _nearest(source: Any, plan: Grid, chunks: tuple[Any, ...], dtype: np.dtype[A
             for k, part in enumerate(("real", "imag"))
         ]
         return da.map_blocks(_complex, *parts, dtype=dtype, meta=np.empty((0,) * source.ndim, dtype))
-    row, double = bspline(spline.order), spline.precision == "double" or dtype.kind == "b"  # as `clvol.ndimage.engine.kind_for`
-    reductions = {
-        axis: Reduction.at(row, p, source.shape[axis], spline.boundary, double, spline.prefilter)
-        for axis, p in enumerate(plan.positions)
-        if p is not None
-    }
+    double = spline.precision == "double" or dtype.kind == "b"  # as `clvol.ndimage.engine.kind_for`
+    shrunk = {axis: p for axis, p in enumerate(plan.positions) if p is not None}
     # as in one piece: the axis that shrinks most goes first
-    axes = sorted(reductions.items(), key=lambda one: one[1].m / one[1].n)
+    order = sorted(shrunk, key=lambda axis: len(shrunk[axis]) / source.shape[axis])
+    axes = [(axis, nearest_along(shrunk[axis], source.shape[axis], spline, double)) for axis in order]
     kind, ends, outside = precision_kind(spline.precision), _Ends(spline, dtype), float(spline.cval.real)
     about = [*spline.identity, axes, str(dtype)]
-    return axis_by_axis(plan.function, source, chunks, dtype, axes, kind, ends.begin, ends.end, outside, spline.device, about)
+    return axis_by_axis(plan.function, source, chunks, dtype, axes, kind, ends, outside, spline.device, about)
 
 
 def _complex(real: Array, imag: Array) -> Array:

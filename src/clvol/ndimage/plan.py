@@ -10,7 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.ndimage.arguments import Array, Spline, as_coordinates
+from clvol.base.checks import one_of
+from clvol.ndimage.arguments import (
+    NAN,
+    AnyDevice,
+    Array,
+    Nan,
+    Progress,
+    Spline,
+    as_coordinates,
+    as_cval,
+    as_mode,
+    as_order,
+    as_precision,
+)
 from clvol.spline.field import Precision
 
 __all__ = ["Affine", "Coefficients", "Grid", "Mapped", "Plan", "Points", "Substrate"]
@@ -108,7 +121,7 @@ class Coefficients(Plan):
 class Substrate(ABC):
     """The samples of an input, and how plans are evaluated on them. Results are arrays, of dask where the input is one.
 
-    `precision` is the default of `Spline.of`; None: by the dtype.
+    `precision` is the default of `spline`; None: by the dtype.
     """
 
     shape: tuple[int, ...]
@@ -119,6 +132,24 @@ class Substrate(ABC):
     def ndim(self) -> int:
         """The number of axes."""
         return len(self.shape)
+
+    def spline(
+        self,
+        order: int,
+        mode: str,
+        cval: complex,
+        prefilter: bool,
+        precision: Precision | None,
+        device: AnyDevice,
+        nan: Nan,
+        progress: Progress,
+    ) -> Spline:
+        """The options of a call, checked. The device is not looked up."""
+        number, rule, outside = as_order(order), as_mode(mode), as_cval(cval, self.dtype.kind == "c")
+        if nan not in NAN:
+            raise one_of("nan", nan, NAN)
+        chosen = as_precision(self.precision if precision is None else precision, self.dtype)
+        return Spline(number, rule, outside, bool(prefilter), chosen, device, progress, nan)
 
     def as_coordinates(self, coordinates: Any, count: int) -> Any:
         """Positions along `count` axes, checked."""
