@@ -48,13 +48,13 @@ __all__ = [
     "margin",
     "named",
     "no_memory",
-    "one_at_a_time",
     "own_part",
     "refused",
     "spans",
     "support_along",
     "supports_along",
     "touches",
+    "turn",
 ]
 
 AnyDevice: TypeAlias = Device | str | int | None
@@ -462,11 +462,9 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_new_turn)  # the thread that had it is not there
 
 
-@contextmanager
-def one_at_a_time() -> Iterator[None]:
-    """Work on the device."""
-    with _turn:
-        yield
+def turn() -> threading.Lock:
+    """The lock to hold while a block is computed on the device."""
+    return _turn
 
 
 def _computed(compute: Compute, block: OutputBlock, dtype: np.dtype[Any], layout: Layout | None, parts: Sequence[Array]) -> Array:
@@ -475,7 +473,7 @@ def _computed(compute: Compute, block: OutputBlock, dtype: np.dtype[Any], layout
         return np.empty(block.shape, dtype)
     with named(block):
         samples = None if layout is None else gathered(layout, parts)
-        with one_at_a_time():
+        with turn():
             return compute(samples, block)
 
 

@@ -33,9 +33,9 @@ from clvol.dask.blocks import (
     located,
     margin,
     named,
-    one_at_a_time,
     spans,
     support_along,
+    turn,
 )
 from clvol.device import as_device
 from clvol.filter.boundary import Boundary
@@ -245,7 +245,7 @@ def _at_array(work: _Work, block: OutputBlock, held: Array, at: Array, filtered:
         spline = work.spline
         if filtered:
             spline = replace(spline, precision="single" if held.dtype in (np.float32, np.complex64) else "double")
-        with named(block), one_at_a_time():
+        with named(block), turn():
             in_memory.at_points(held, work.along, at, made, spline)
     return made
 
@@ -271,7 +271,7 @@ class _Part:
         kept = [n for axis, n in enumerate(samples.shape) if axis not in work.along]
         values = np.empty((*kept, which.size), work.dtype)
         first = np.array([[block.spans[axis][0]] for axis in work.along], np.float64)
-        with named(block), one_at_a_time():
+        with named(block), turn():
             with located(samples, block, FINITE):
                 require_finite(samples, work.spline.nan)
             in_memory.at_points(samples, work.along, at - first, values, work.spline)

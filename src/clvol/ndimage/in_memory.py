@@ -16,12 +16,13 @@ from clvol.base.errors import DataError, OptionError, OptionTypeError, OutOfMemo
 from clvol.device import as_device
 from clvol.filter.make import bspline
 from clvol.filter.margin import reach_within
-from clvol.ndimage import engine, gaps
+from clvol.ndimage import engine
 from clvol.ndimage import plan as plans
 from clvol.ndimage.antialiasing import low_passed, nearest_splines
 from clvol.ndimage.arguments import Array, Spline, as_array, as_output, require_finite
 from clvol.ndimage.engine import Affine, Axes, Points, Target
 from clvol.ndimage.plan import Coefficients, Grid, Mapped, Plan, Substrate
+from clvol.volume.missing import Missing, filled_smoothly
 
 __all__ = [
     "NATIVE",
@@ -29,6 +30,7 @@ __all__ = [
     "along_axes",
     "as_rows",
     "at_points",
+    "evaluate_locally",
     "filtered",
     "require_few",
     "require_global",
@@ -235,7 +237,33 @@ def _evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, s
             raise DataError(f'input must have samples where mode is not "constant" or "grid-constant"; got shape {data.shape}')
         output[...] = stored(spline.cval, output.dtype)
         return
-    (gaps if spline.local else engine).evaluate(data, axes, target, output, spline)
+    (evaluate_locally if spline.local else engine.evaluate)(data, axes, target, output, spline)
+
+
+def evaluate_locally(data: Array, axes: Sequence[int], target: engine.Target, output: Array, spline: Spline) -> None:
+    """`engine.evaluate` by the rule "local" of `clvol.Missing`: NaN where a sample that is not finite has weight, and nowhere else.
+
+    A sample has weight where the B-spline of the order, whose weights are positive, is not 0 in float32. All other results are bit
+    for bit those of the filled array.
+    """
+    where = Missing("local").of(data)
+    if where is None:
+        engine.evaluate(data, axes, target, output, spline)
+        return
+    if output.dtype.kind != "f":
+        raise OptionError(f'output must be floating where nan="local" leaves results missing; got {output.dtype}')
+    kept = [axis for axis in range(data.ndim) if axis not in axes]
+    filled = data.copy()
+    target_of, samples, gaps = (array.transpose((*kept, *axes)) for array in (filled, data, where))
+    for index in np.ndindex(target_of.shape[: len(kept)]):
+        if gaps[index].any():
+            target_of[index] = filled_smoothly(samples[index], gaps[index])
+
+    engine.evaluate(filled, axes, target, output, spline.stage(0, 2))
+    share = np.empty(output.shape, np.float32)
+    weights = replace(spline.stage(1, 2), cval=0.0, prefilter=False, precision="single")
+    engine.evaluate(where.view(np.uint8), axes, target, share, weights)
+    output[share != 0] = np.nan
 
 
 def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) -> None:
