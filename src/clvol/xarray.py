@@ -27,6 +27,7 @@ from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.margin import reach
 from clvol.filter.table import DEFAULT_FILTER, as_filter
+from clvol.interop.dispatch import is_lazy
 from clvol.ndimage.arguments import Spline
 from clvol.ndimage.engine import Axes, Points, evaluate
 from clvol.spline.field import Precision
@@ -350,23 +351,34 @@ class _Spline:
 
     def _grid(self, data: Any, axes: Sequence[int], positions: Sequence[Positions]) -> Any:
         """Interpolate an array at positions along some of its axes."""
-        if not _is_lazy(data):
-            spans = [self._span(p, data.shape[axis]) for axis, p in zip(axes, positions, strict=True)]
-            return self._grid_here(data[_slices(data.ndim, axes, spans)], axes, positions, spans, data.shape)
-        kind = self._kind(data.dtype)
-        runs = [_runs(np.clip(p, 0, data.shape[axis] - 1), max(data.chunks[axis])) for axis, p in zip(axes, positions, strict=True)]
 
-        def block(index: tuple[int, ...]) -> Any:
-            some = [p[run[i]] for p, run, i in zip(positions, runs, index, strict=True)]
-            spans = [self._span(p, data.shape[axis]) for axis, p in zip(axes, some, strict=True)]
-            slab = data[_slices(data.ndim, axes, spans)].rechunk(dict.fromkeys(axes, -1))
-            chunks = list(slab.chunks)
-            for axis, p in zip(axes, some, strict=True):
-                chunks[axis] = (p.size,)
-            call = partial(self._grid_here, axes=axes, positions=some, spans=spans, shape=data.shape)
-            return slab.map_blocks(call, chunks=chunks, dtype=kind, meta=_nothing(data.ndim, kind))
+        def spans(some: Sequence[Positions]) -> list[tuple[int, int]]:
+            return [self._span(p, data.shape[axis]) for axis, p in zip(axes, some, strict=True)]
 
-        return _joined(block, axes, [len(run) for run in runs])
+        if not is_lazy(data):
+            near = spans(positions)
+            return self._grid_here(data[_within(data.shape, axes, near)], axes, positions, near, data.shape)
+        chunks = list(data.chunks)
+        for axis, p in zip(axes, positions, strict=True):
+            chunks[axis] = _runs(np.clip(p, 0, data.shape[axis] - 1), max(chunks[axis]))
+
+        def reads(_: Any, where: tuple[tuple[int, int], ...]) -> tuple[tuple[tuple[int, int], ...], Any]:
+            some = [p[slice(*where[axis])] for axis, p in zip(axes, positions, strict=True)]
+            near = spans(some)
+            part = dict(enumerate(where)) | dict(zip(axes, near, strict=True))
+            return tuple(part.values()), {"positions": some, "spans": near}
+
+        return self._by_blocks(data, chunks, reads, partial(self._grid_here, axes=axes, shape=data.shape), [axes, positions])
+
+    def _by_blocks(
+        self, data: Any, chunks: Sequence[Any], reads: Callable[..., Any], call: Callable[..., Array], about: Any
+    ) -> Any:
+        """An array of dask whose blocks are calls with the part of the samples that each reads."""
+        from clvol.dask.blocks import as_lazy, blockwise
+
+        own = [self._filter, self._boundary, repr(self.fill), self.precision, repr(self._device)]
+        compute = partial(_called, call)
+        return blockwise("interp", as_lazy(data), tuple(chunks), self._kind(data.dtype), reads, compute, [*own, *about])
 
     def _grid_here(
         self,
@@ -396,20 +408,11 @@ class _Spline:
         axes = range(data.ndim - k, data.ndim)
         shape = data.shape[-k:]
         spans = [self._span(p, n) for p, n in zip(points, shape, strict=True)]
-        near = data[_slices(data.ndim, axes, spans)]
         call = partial(self._points_here, points=points, spans=spans, shape=shape)
-        if not _is_lazy(data):
-            return call(near)
-        kind, kept = self._kind(data.dtype), data.ndim - k
-        near = near.rechunk(dict.fromkeys(axes, -1))
-        return near.map_blocks(
-            call,
-            drop_axis=list(axes),
-            new_axis=kept,
-            chunks=(*near.chunks[:kept], (points.shape[1],)),
-            dtype=kind,
-            meta=_nothing(kept + 1, kind),
-        )
+        if not is_lazy(data):
+            return call(data[_within(data.shape, axes, spans)])
+        chunks = (*data.chunks[:-k], (points.shape[1],))
+        return self._by_blocks(data, chunks, lambda _, where: ((*where[:-1], *spans), {}), call, [points])
 
     def _points_here(self, data: Array, points: Positions, spans: Sequence[tuple[int, int]], shape: tuple[int, ...]) -> Array:
         k = len(points)
@@ -478,43 +481,24 @@ def _groups(targets: Mapping[Hashable, xarray.Variable]) -> list[list[Hashable]]
     return [members for members, _ in groups]
 
 
-def _runs(positions: Positions, longest: int) -> list[slice]:
-    """Runs of successive positions, each of at most `longest` positions and samples."""
-    runs, first = [], 0
+def _runs(positions: Positions, longest: int) -> tuple[int, ...]:
+    """The lengths of runs of successive positions, each of at most `longest` positions and samples."""
+    cuts = [0]
     low = high = positions[0] if positions.size else 0.0
     for i, x in enumerate(positions.tolist()):
         low, high = min(low, x), max(high, x)
-        if i - first >= longest or (high - low > longest and i > first):
-            runs.append(slice(first, i))
-            first, low, high = i, x, x
-    return [*runs, slice(first, positions.size)]
+        if i - cuts[-1] >= longest or (high - low > longest and i > cuts[-1]):
+            cuts.append(i)
+            low = high = x
+    return tuple(np.diff([*cuts, positions.size]).tolist())
 
 
-def _slices(ndim: int, axes: Sequence[int], spans: Sequence[tuple[int, int]]) -> tuple[slice, ...]:
-    every = [slice(None)] * ndim
-    for axis, (low, high) in zip(axes, spans, strict=True):
-        every[axis] = slice(low, high)
-    return tuple(every)
+def _within(shape: Sequence[int], axes: Sequence[int], spans: Sequence[tuple[int, int]]) -> tuple[slice, ...]:
+    part = [slice(None)] * len(shape)
+    for axis, span in zip(axes, spans, strict=True):
+        part[axis] = slice(*span)
+    return tuple(part)
 
 
-def _is_lazy(data: Any) -> bool:
-    """Whether `data` is a dask array."""
-    return hasattr(data, "dask") and hasattr(data, "map_blocks")
-
-
-def _nothing(ndim: int, kind: np.dtype[Any]) -> Array:
-    return np.empty((0,) * ndim, kind)
-
-
-def _joined(block: Callable[[tuple[int, ...]], Any], axes: Sequence[int], counts: Sequence[int]) -> Any:
-    """Join blocks along some axes to a dask array."""
-    import dask.array
-
-    def along(done: tuple[int, ...]) -> Any:
-        i = len(done)
-        if i == len(axes):
-            return block(done)
-        parts = [along((*done, part)) for part in range(counts[i])]
-        return parts[0] if len(parts) == 1 else dask.array.concatenate(parts, axes[i])
-
-    return along(())
+def _called(call: Callable[..., Array], samples: Array, block: Any) -> Array:
+    return call(samples, **block.extra)

@@ -73,6 +73,15 @@ def test_scipys_functions_are_those_of_ndimage() -> None:
         ndimage.zoom(samples((5, 5)), 2, chunks=3)
 
 
+def test_functions_of_volumes_are_those_of_clvol() -> None:
+    assert (lazy.prefilter, lazy.resample, lazy.magnify) == (clvol.prefilter, clvol.resample, clvol.magnify)
+    with pytest.raises(OptionError, match="chunks must be None where volume is no array of dask; got 3"):
+        clvol.resample(samples((5, 5)), spacing=2.0, chunks=3)
+    for function in (clvol.prefilter, clvol.magnify):
+        with pytest.raises(OptionError, match=r"dimensions must be None where .* is no array of dask; got 2"):
+            function(samples((5, 5)), dimensions=2)
+
+
 # -- the margin --------------------------------------------------------------------------------------------------------
 
 
@@ -226,6 +235,12 @@ def test_grids_and_points_are_those_of_the_whole_array(name: str, mode: str, dat
         return
     allowed = 2e-5 if kind == "f4" else 3e-11
     np.testing.assert_allclose(got, wanted, rtol=0, atol=allowed)
+
+
+def test_points_past_a_last_chunk_of_one_sample_read_what_they_are_mirrored_to() -> None:
+    whole, at = samples((2, 14)), [[0.8], [13.9]]
+    made = ndimage.map_coordinates(da.from_array(whole, chunks=(2, 13)), at, order=0, mode="mirror")
+    np.testing.assert_array_equal(made.compute(), ndimage.map_coordinates(whole, at, order=0, mode="mirror"))
 
 
 @pytest.mark.one_in(4)

@@ -9,8 +9,9 @@ import pytest
 
 from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.ndimage import engine, gaps
+from clvol.ndimage import engine
 from clvol.ndimage.arguments import Spline
+from clvol.ndimage.in_memory import evaluate_locally
 from clvol.volume.missing import filled_smoothly
 
 
@@ -28,7 +29,7 @@ def test_local_leaves_out_what_has_weight(device: Device, order: int, mode: str)
     got, whole = np.empty((2, 3, points.shape[1]))
     seen: list[float] = []
     spline = Spline(order, mode, 2.0, order > 1, "double", device, seen.append, "local")
-    gaps.evaluate(data, (1, 2), engine.Points(points), got, spline)
+    evaluate_locally(data, (1, 2), engine.Points(points), got, spline)
     filled = data.copy()
     filled[1] = filled_smoothly(data[1], np.isnan(data[1]))
     engine.evaluate(filled, (1, 2), engine.Points(points), whole, replace(spline, progress=None))
@@ -46,8 +47,8 @@ def test_whole_numbers_hold_no_nan(device: Device) -> None:
     data, points = np.ones((5, 5)), engine.Points(np.zeros((2, 1)))
     spline = Spline(1, "mirror", 0.0, True, "double", device, nan="local")
     output = np.empty(1, np.int16)
-    gaps.evaluate(data, (0, 1), points, output, spline)
+    evaluate_locally(data, (0, 1), points, output, spline)
     assert output[0] == 1
     data[0, 0] = np.nan
     with pytest.raises(OptionError, match="output must be floating"):
-        gaps.evaluate(data, (0, 1), points, output, spline)
+        evaluate_locally(data, (0, 1), points, output, spline)

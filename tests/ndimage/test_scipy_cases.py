@@ -447,9 +447,9 @@ def test_input_and_output_may_overlap(device: Device, name: str) -> None:
 
 
 def test_points_are_taken_piece_by_piece(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    from clvol.ndimage import passes
+    from clvol.ndimage import in_memory
 
-    monkeypatch.setattr(passes, "_PIECE", 7)
+    monkeypatch.setattr(in_memory, "_PIECE", 7)
     data = samples(9, "F", (4, 5), "c")
     seen: list[tuple[int, ...]] = []
     told: list[float] = []

@@ -1,12 +1,11 @@
-"""Arrays of dask, lazily, an extra: `prefilter`, `resample`, `magnify`, `pyramid`, and SciPy's functions of `clvol.ndimage`.
+"""Arrays of dask, an extra: the functions of clvol that take them, `pyramid`, and `reach`.
 
 >>> import clvol, dask.array
 >>> volume = dask.array.from_zarr("scan.zarr")
 >>> clvol.resample(volume, spacing=2.0, anti_aliasing="least-squares")  # an array of dask; nothing has been read
 
-`clvol.prefilter`, `clvol.resample` and `clvol.magnify` hand arrays of dask to the functions here, whose results are arrays of dask.
-These have two more parameters: `chunks`, those of the result, and `dimensions`, the number of last axes that span a volume; each
-index of the others is a separate volume. SciPy's functions are those of `clvol.ndimage`.
+`prefilter`, `resample` and `magnify` are those of clvol, and SciPy's functions those of `clvol.ndimage`: for an array of dask their
+result is one.
 
 Each block of a result reads the samples in the support of its own, and around them the margin that the prefilter needs until less
 than rounding is left (`reach`): 14 for cubic splines in single precision, 24 in double. At the array's own edges blocks end by the
@@ -26,10 +25,9 @@ try:
 except ImportError as missing:
     raise MissingDependencyError("clvol.dask needs dask: pip install clvol[dask]") from missing
 
-from clvol.dask.coefficients import prefilter
 from clvol.dask.pyramids import pyramid
-from clvol.dask.volumes import magnify, resample
 from clvol.filter.margin import reach
+from clvol.spline.field import magnify, prefilter, resample
 
 _SCIPY = (
     "affine_transform", "geometric_transform", "map_coordinates", "rotate", "shift", "spline_filter", "spline_filter1d", "zoom",

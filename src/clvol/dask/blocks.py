@@ -7,7 +7,8 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from hashlib import blake2b
 from itertools import pairwise, product
 from typing import Any, TypeAlias
@@ -21,6 +22,9 @@ from numpy.typing import NDArray
 from clvol.base.errors import ClvolError, DataError, DtypeError, OptionError, OptionTypeError, UnsupportedError
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
+from clvol.filter.margin import reach
+from clvol.spline.function import Precision
 
 __all__ = [
     "AnyDevice",
@@ -29,25 +33,28 @@ __all__ = [
     "Chunks",
     "Floats",
     "Gathering",
+    "Margin",
     "OutputBlock",
     "Reads",
     "Span",
     "around",
     "as_chunks",
     "as_lazy",
+    "blocks_of",
     "blockwise",
     "checked_device",
     "gathered",
     "located",
+    "margin",
     "named",
     "no_memory",
-    "one_at_a_time",
     "own_part",
     "refused",
     "spans",
     "support_along",
     "supports_along",
     "touches",
+    "turn",
 ]
 
 AnyDevice: TypeAlias = Device | str | int | None
@@ -102,19 +109,10 @@ def no_memory(output: object) -> None:
 
 
 def as_chunks(chunks: Chunks, source: Any, shape: Sequence[int], alike: Sequence[int | None], dtype: Any) -> tuple[Any, ...]:
-    """The chunks of a result.
+    """The chunks of a result of a shape and dtype, as given, or by default as those of `source`.
 
-    Parameters
-    ----------
-    chunks : as `dask.array.normalize_chunks` takes it, or None
-        None: those of `source` along axes of the same length, else chunks as long as its longest.
-    source : dask.array.Array
-    shape : sequence of int
-        Of the result.
-    alike : sequence of int or None
-        For each axis of the result the one of `source` that it follows, if any.
-    dtype : dtype
-        Of the result.
+    Those are the same along axes of the same length, and as long as the longest along others. `alike` has for each axis of the
+    result the one of `source` that it follows, if any.
     """
     if chunks is None:
         chunks = []
@@ -141,14 +139,7 @@ def spans(sizes: Sequence[int]) -> list[Span]:
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """The samples that positions along an axis need.
-
-    Attributes
-    ----------
-    span : (int, int)
-    positions : ndarray of float64
-        In samples from the span's start on.
-    """
+    """The samples that positions along an axis need; the positions count from the span's start."""
 
     span: Span
     positions: Floats
@@ -180,6 +171,26 @@ def support_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[i
             start, stop = min(start, 2 * (n - 1) - high), n - 1
     span = max(math.floor(start) - before, 0), min(math.floor(stop) + after + 1, n)
     return Support(span, positions - span[0])
+
+
+Margin: TypeAlias = tuple[int, int]
+"""Samples before and after."""
+
+
+def margin(filter: Filter, precision: Precision) -> Margin:
+    """How many samples before and after the one before a position its value depends on: its taps, and what these depend on."""
+    low, high = _taps(filter)
+    row = filter.magnified_by
+    if row is not None:  # its taps lie between two samples
+        (low, high), more = _taps(row), 1
+    else:
+        row, more = filter, 0
+    depth = reach(row, precision) + more
+    return low + depth, high + depth
+
+
+def _taps(row: Filter) -> Margin:
+    return (row.support - 1) // 2, (row.support + 1) // 2
 
 
 def supports_along(
@@ -245,22 +256,9 @@ def own_part(block: OutputBlock) -> tuple[slice, ...]:
 
 @dataclass(frozen=True, eq=False)
 class OutputBlock:
-    """One block of a result.
+    """One block of a result, of the function `name`, and where it lies in that.
 
-    Attributes
-    ----------
-    name : str
-        The function that makes the array.
-    index : tuple of int
-        Which block it is.
-    start, shape : tuple of int
-        Where it lies in the result.
-    spans : tuple of (int, int), optional
-        The part that it reads; None: nothing.
-    limits : tuple of int
-        The lengths of the axes that it reads from.
-    extra : object
-        Other input of its computation.
+    It reads the part `spans` (None: nothing) of axes as long as `limits`; `extra` is other input of its computation.
     """
 
     name: str
@@ -271,8 +269,13 @@ class OutputBlock:
     limits: tuple[int, ...]
     extra: Any = None
 
+    @property
+    def place(self) -> tuple[Span, ...]:
+        """Where it lies in the result."""
+        return tuple((first, first + n) for first, n in zip(self.start, self.shape, strict=True))
+
     def __str__(self) -> str:
-        ranges = ", ".join(f"{first}:{first + n}" for first, n in zip(self.start, self.shape, strict=True))
+        ranges = ", ".join(f"{first}:{stop}" for first, stop in self.place)
         return f"in block {self.index} of {self.name}, which is [{ranges}] of the result"
 
 
@@ -280,36 +283,29 @@ Compute: TypeAlias = Callable[[Any, OutputBlock], Array]
 Reads: TypeAlias = Callable[[tuple[int, ...], tuple[Span, ...]], tuple[tuple[Span, ...] | None, Any]]
 
 
+def blocks_of(name: str, chunks: Sequence[Sequence[int]], limits: tuple[int, ...]) -> Iterator[OutputBlock]:
+    """The blocks of a result, which read nothing yet."""
+    places = [spans(sizes) for sizes in chunks]
+    for index in np.ndindex(*map(len, places)):
+        where = [axis[i] for axis, i in zip(places, index, strict=True)]
+        start, shape = tuple(low for low, _ in where), tuple(high - low for low, high in where)
+        yield OutputBlock(f"clvol.dask.{name}", index, start, shape, None, limits)
+
+
 def blockwise(
     name: str, source: Any, chunks: tuple[Any, ...], dtype: Any, plan: Reads, compute: Compute, identity: Sequence[object]
 ) -> Any:
     """An array of dask whose blocks are computed from parts of another.
 
-    Parameters
-    ----------
-    name : str
-        Of the function, for keys and errors.
-    source : dask.array.Array
-    chunks : tuple of tuples of int
-        Of the result.
-    dtype : dtype
-        Of the result.
-    plan : callable
-        From the index of a block and its place in the result to the part that it reads (None: nothing) and its `extra`.
-    compute : callable
-        From the part (None where nothing is read) and the `OutputBlock` to its samples.
-    identity : sequence
-        All else that determines the result: equal calls have equal keys.
+    `plan` goes from the index of a block and its place in the result to the part that it reads (None: nothing) and its `extra`;
+    `compute` from this part (None where nothing is read) and the `OutputBlock` to its samples. `name`, for keys and errors, is the
+    function's. `identity` is all else that determines the result: equal calls have equal keys.
     """
-    places = [spans(sizes) for sizes in chunks]
     gathering = Gathering(source, f"{name}-read-")
     tasks: list[tuple[OutputBlock, Asked | None]] = []
-    for index in np.ndindex(*(len(sizes) for sizes in chunks)):
-        where = tuple(axis[i] for axis, i in zip(places, index, strict=True))
-        shape = tuple(stop - start for start, stop in where)
-        wanted, extra = plan(index, where) if all(shape) else (None, None)
-        block = OutputBlock(f"clvol.dask.{name}", index, tuple(start for start, _ in where), shape, wanted, source.shape, extra)
-        tasks.append((block, None if wanted is None else gathering.ask(wanted)))
+    for block in blocks_of(name, chunks, source.shape):
+        wanted, extra = plan(block.index, block.place) if all(block.shape) else (None, None)
+        tasks.append((replace(block, spans=wanted, extra=extra), None if wanted is None else gathering.ask(wanted)))
     own = f"{name}-{tokenize(name, source.name, chunks, str(dtype), *identity)}"
     layer = gathering.settled()
     for block, asked in tasks:
@@ -386,7 +382,7 @@ class Gathering:
                 continue
             several = list(wanted)
             made = (f"{self._prefix}-{blake2b(repr(several).encode(), digest_size=8).hexdigest()}", *index)
-            tasks[made] = (_cut, key, _Pieces(several, sizes))
+            tasks[made] = (partial(_cut, several, sizes), key)
             self._found.update({(index, cuts): (made, number) for number, cuts in enumerate(several)})
         return tasks
 
@@ -422,16 +418,10 @@ class Gathering:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Pieces:
-    cuts: list[Cuts]
-    sizes: tuple[int, ...]
-
-
-def _cut(chunk: Array, pieces: _Pieces) -> list[Array]:
+def _cut(pieces: list[Cuts], sizes: tuple[int, ...], chunk: Array) -> list[Array]:
     """Copies of parts of a chunk, so that the chunk can be freed."""
-    _require_shape(chunk, pieces.sizes)
-    return [np.ascontiguousarray(chunk[tuple(slice(*span) for span in cuts)]) for cuts in pieces.cuts]
+    _require_shape(chunk, sizes)
+    return [np.ascontiguousarray(chunk[tuple(slice(*span) for span in cuts)]) for cuts in pieces]
 
 
 def _require_shape(chunk: Any, shape: tuple[int, ...]) -> None:
@@ -472,11 +462,9 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_new_turn)  # the thread that had it is not there
 
 
-@contextmanager
-def one_at_a_time() -> Iterator[None]:
-    """Work on the device."""
-    with _turn:
-        yield
+def turn() -> threading.Lock:
+    """The lock to hold while a block is computed on the device."""
+    return _turn
 
 
 def _computed(compute: Compute, block: OutputBlock, dtype: np.dtype[Any], layout: Layout | None, parts: Sequence[Array]) -> Array:
@@ -485,7 +473,7 @@ def _computed(compute: Compute, block: OutputBlock, dtype: np.dtype[Any], layout
         return np.empty(block.shape, dtype)
     with named(block):
         samples = None if layout is None else gathered(layout, parts)
-        with one_at_a_time():
+        with turn():
             return compute(samples, block)
 
 

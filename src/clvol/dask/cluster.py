@@ -74,21 +74,7 @@ def version() -> str:
 
 
 class Cluster:
-    """A client's cluster, whose workers all have this version of clvol.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Connected and synchronous.
-    owned : sequence of objects with `close`
-        Closed with the cluster.
-
-    Attributes
-    ----------
-    client : distributed.Client
-    workers : tuple of str
-        Addresses, sorted by host and port.
-    """
+    """A connected, synchronous client's cluster, whose workers all have this version of clvol. `owned` are closed with it."""
 
     def __init__(self, client: distributed.Client, owned: Sequence[Any] = ()) -> None:
         self.client = client
@@ -121,6 +107,7 @@ class Cluster:
 
     @property
     def workers(self) -> tuple[str, ...]:
+        """Their addresses, sorted by host and port."""
         if self.client.status != "running":
             raise self._gone()
         return tuple(sorted(self._census(), key=_host_and_port))
@@ -223,22 +210,8 @@ class Cluster:
     def as_completed(self, futures: Sequence[Any], *, keep_errors: bool = False) -> Iterator[tuple[int, Any]]:
         """The index and the result of each future, in the order in which they finish.
 
-        Results are fetched one at a time, so that those that the caller is not ready for stay on the workers.
-
-        Parameters
-        ----------
-        futures : sequence of distributed.Future
-        keep_errors : bool
-            Whether a task's error is yielded in place of its result.
-
-        Raises
-        ------
-        ClusterError
-            The scheduler is gone or has no workers any more, or a result cannot be fetched.
-        PoisonError
-            Every worker that ran a task died.
-        ClvolError
-            A task raised it.
+        Results are fetched one at a time, so that those that the caller is not ready for stay on the workers. With `keep_errors` a
+        task's error is yielded in place of its result.
         """
         import distributed
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,15 +13,14 @@ from clvol.base.arrays import reals
 from clvol.base.checks import one_of, whole
 from clvol.base.rounding import in_kind, wide
 from clvol.dask.blocks import AnyDevice, Array, Chunks, OutputBlock, as_chunks, checked_device, located
-from clvol.dask.coefficients import as_volumes, settled_row
 from clvol.dask.reduced import axis_by_axis
+from clvol.dask.volumes import as_volumes, settled_row
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.spline.field import Precision, precision_kind
 from clvol.spline.levels import METHODS, ORDER, Method, filter_at, levels_of, require_reducible, sums_for
-from clvol.spline.reduce import Sums
 from clvol.volume.volume import Volume
 
 __all__ = ["pyramid"]
@@ -76,7 +76,7 @@ def pyramid(
     Raises
     ------
     DataError
-        As `clvol.dask.prefilter` raises it.
+        As `clvol.prefilter` raises it.
     GeometryError, OptionError
         As `clvol.pyramid` raises them.
 
@@ -112,44 +112,12 @@ def pyramid(
             k = axis - (3 - count)
             if k >= 0 and steps[k] > 1:
                 n = before.shape[leading + k]
-                axes.append((leading + k, _Axis(how, made.along(count - 1 - k), rule, steps[k], n, chosen == "double")))
+                axes.append((leading + k, partial(sums_for, how, made.along(count - 1 - k), rule, steps[k], n, chosen == "double")))
         ends = _Ends(count, chosen, more, checked_device(device), before.dtype)
         about = [axes, chosen, more, repr(device)]
-        found.append(
-            axis_by_axis(
-                "pyramid",
-                before,
-                into,
-                before.dtype,
-                axes,
-                precision_kind(chosen),
-                ends.begin,
-                ends.end,
-                rule.cval,
-                ends.device,
-                about,
-            )
-        )
+        kind, outside = precision_kind(chosen), rule.cval
+        found.append(axis_by_axis("pyramid", before, into, before.dtype, axes, kind, ends, outside, ends.device, about))
     return found
-
-
-@dataclass(frozen=True)
-class _Axis:
-    """The arguments of `sums_for`; each process computes the sums."""
-
-    method: Method
-    filter: Filter
-    boundary: Boundary
-    step: int
-    n: int
-    double: bool
-
-    @property
-    def sums(self) -> Sums:
-        """Of all of the axis."""
-        made = sums_for(self.method, self.filter, self.boundary, self.step, self.n, self.double)
-        assert made is not None  # it is halved
-        return made
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,13 +8,11 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from clvol.dask.blocks import Array, Floats, OutputBlock, Span, blockwise
+from clvol.dask.blocks import Array, OutputBlock, Span, blockwise
 from clvol.device import as_device
-from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter
-from clvol.spline.reduce import TRUNCATE, Sums, least_squares, sum_along
+from clvol.spline.reduce import TRUNCATE, Sums, sum_along
 
-__all__ = ["Reduction", "Summed", "axis_by_axis", "gaussian_radius"]
+__all__ = ["axis_by_axis", "gaussian_radius"]
 
 
 def gaussian_radius(sigma: float) -> int:
@@ -22,47 +20,18 @@ def gaussian_radius(sigma: float) -> int:
     return int(TRUNCATE * sigma + 0.5) if sigma > 0 else 0
 
 
-@dataclass(frozen=True)
-class Reduction:
-    """The arguments of `clvol.spline.reduce.least_squares` for an axis; each process computes the sums once, and caches them."""
-
-    filter: Filter
-    start: float
-    step: float
-    m: int
-    n: int
-    boundary: Boundary
-    double: bool
-    prefilter: bool
-
-    @classmethod
-    def at(cls, filter: Filter, positions: Floats, n: int, boundary: Boundary, double: bool, prefilter: bool = True) -> Reduction:
-        """For evenly spaced samples; a single one stands for the whole axis."""
-        m = len(positions)
-        step = float(positions[-1] - positions[0]) / (m - 1) if m > 1 else float(n)
-        return cls(filter, float(positions[0]), step, m, n, boundary, double, prefilter)
-
-    @property
-    def sums(self) -> Sums:
-        """Of all of the axis."""
-        return least_squares(self.filter, self.start, self.step, self.m, self.n, self.boundary, self.double, self.prefilter)
+Axis: TypeAlias = tuple[int, Callable[[], Sums | None]]
+"""An axis, and the sums that replace it; each process computes them once, and caches them."""
 
 
-# -- one axis after the other ----------------------------------------------------------------------------------------
+class Ends(Protocol):
+    """How sums begin, and what becomes of them."""
 
+    def begin(self, samples: Array, block: OutputBlock) -> type[np.generic]:
+        """From the samples that a block reads to the type that sums are made in; refuses samples that are not finite."""
 
-class Summed(Protocol):
-    """An axis that is replaced by sums along it."""
-
-    @property
-    def sums(self) -> Sums:
-        """Of all of the axis."""
-
-
-Begin: TypeAlias = Callable[[Array, OutputBlock], type[np.generic]]
-"""From the samples that a block reads to the type that sums are made in; refuses samples that are not finite."""
-End: TypeAlias = Callable[[Array, OutputBlock], Array]
-"""From sums along all axes to a block of the result."""
+    def end(self, values: Array, block: OutputBlock) -> Array:
+        """From sums along all axes to a block of the result."""
 
 
 def axis_by_axis(
@@ -70,10 +39,9 @@ def axis_by_axis(
     source: Any,
     chunks: tuple[Any, ...],
     dtype: np.dtype[Any],
-    axes: Sequence[tuple[int, Summed]],
+    axes: Sequence[Axis],
     kind: type[np.generic],
-    begin: Begin,
-    end: End,
+    ends: Ends,
     outside: float,
     device: Any,
     identity: Sequence[object],
@@ -83,27 +51,16 @@ def axis_by_axis(
     Sums have so many terms that a block of sums along all axes would read 8 chunks for one of its own. Along one axis it reads the
     row that it lies in, and the next axis has fewer blocks.
 
-    Parameters
-    ----------
-    name, source, chunks, dtype, identity
-        As of `clvol.dask.blocks.blockwise`.
-    axes : sequence of (int, Summed)
-        In the order in which they are summed up; none: blocks begin and end as they are.
-    kind : type
-        Of sums, as far as that is known before samples are.
-    begin, end : callable
-    outside : float
-        The samples where a boundary rule puts none.
-    device : object
-        As of `as_device`, in each process.
+    `axes` are in the order in which they are summed up; without any, blocks begin and end as they are. `kind` is that of sums, as
+    far as it is known before samples are; `outside` the samples where a boundary rule puts none.
     """
     if not axes:
-        return blockwise(name, source, chunks, dtype, lambda _, where: (where, None), _Unsummed(begin, end), identity)
+        return blockwise(name, source, chunks, dtype, lambda _, where: (where, None), _Unsummed(ends), identity)
     made = source
-    for number, (axis, own) in enumerate(axes, 1):
-        first, last = number == 1, number == len(axes)
+    for number, (axis, sums) in enumerate(axes, 1):
+        last = number == len(axes)
         sizes = chunks if last else (*made.chunks[:axis], chunks[axis], *made.chunks[axis + 1 :])
-        stage = _Stage(axis, own, outside, device, begin if first else None, end if last else None)
+        stage = _Stage(axis, sums, outside, device, ends, number == 1, last)
         about = [*identity, axis, number, len(axes)]
         made = blockwise(f"{name}-along-{axis}", made, sizes, dtype if last else np.dtype(kind), stage.plan, stage, about)
     return made
@@ -114,34 +71,39 @@ class _Stage:
     """Sums along one of the axes. The dtype of its result is that of the sums along the next."""
 
     axis: int
-    own: Summed
+    sums: Callable[[], Sums | None]
     outside: float
     device: Any
-    begin: Begin | None
-    end: End | None
+    ends: Ends
+    first: bool
+    last: bool
 
     def plan(self, _: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...], None]:
         """What a block reads."""
-        return (*where[: self.axis], _span_of(self.own.sums, where[self.axis]), *where[self.axis + 1 :]), None
+        return (*where[: self.axis], _span_of(self._all(), where[self.axis]), *where[self.axis + 1 :]), None
 
     def __call__(self, samples: Array, block: OutputBlock) -> Array:
         assert block.spans is not None
-        kind = samples.dtype.type if self.begin is None else self.begin(samples, block)
-        place = block.start[self.axis], block.start[self.axis] + block.shape[self.axis]
-        sums = {self.axis: _sums_within(self.own.sums, place, block.spans[self.axis])}
+        kind = self.ends.begin(samples, block) if self.first else samples.dtype.type
+        place = block.place[self.axis]
+        sums = {self.axis: _sums_within(self._all(), place, block.spans[self.axis])}
         values = sum_along(samples, sums, kind, as_device(self.device), self.outside)
-        return values if self.end is None else self.end(values, block)
+        return self.ends.end(values, block) if self.last else values
+
+    def _all(self) -> Sums:
+        sums = self.sums()
+        assert sums is not None  # an axis that gets shorter has some
+        return sums
 
 
 @dataclass(frozen=True, eq=False)
 class _Unsummed:
     """A block without sums."""
 
-    begin: Begin
-    end: End
+    ends: Ends
 
     def __call__(self, samples: Array, block: OutputBlock) -> Array:
-        return self.end(np.asarray(samples, self.begin(samples, block)), block)
+        return self.ends.end(np.asarray(samples, self.ends.begin(samples, block)), block)
 
 
 def _span_of(sums: Sums, place: Span) -> Span:

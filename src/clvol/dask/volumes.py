@@ -1,16 +1,20 @@
-"""Volumes on other grids, block by block."""
+"""Coefficients of volumes and volumes on other grids, block by block: `clvol.prefilter`, `resample` and `magnify` for dask.
+
+`clvol.interop.dispatch.with_dask` calls these with every argument of the function of the same name, which documents them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clvol.base.checks import whole
-from clvol.base.errors import OptionError, UnsupportedError
+from clvol.base.errors import DataError, OptionError, UnsupportedError
 from clvol.base.rounding import as_kind, in_kind, wide
 from clvol.dask.blocks import (
     AnyDevice,
@@ -19,92 +23,67 @@ from clvol.dask.blocks import (
     Floats,
     OutputBlock,
     Span,
+    around,
     as_chunks,
+    as_lazy,
     blockwise,
     checked_device,
     located,
+    margin,
+    own_part,
     refused,
     supports_along,
 )
-from clvol.dask.coefficients import as_volumes, settled_row
-from clvol.dask.margins import margin
-from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
+from clvol.dask.reduced import axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
+from clvol.filter.margin import reach, require_settled
 from clvol.filter.table import DEFAULT_FILTER, as_filter
+from clvol.spline import field
 from clvol.spline.evaluator import DIRECT, choose_evaluator
 from clvol.spline.field import Precision, coefficients_of, precision_kind
 from clvol.spline.function import fill_value
-from clvol.spline.grids import beyond, grid_for
+from clvol.spline.grids import Anchor, beyond, grid_for
 from clvol.spline.points import Given
-from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed
+from clvol.spline.reduce import AntiAliasing, Sums, as_anti_aliasing, least_squares, low_passed
 from clvol.spline.resample import along_axes, resample_axes, resample_coefficients
+from clvol.volume.smoothing import settled
 from clvol.volume.stored import wide_enough
 from clvol.volume.volume import Volume
 
-__all__ = ["magnify", "resample"]
+__all__ = ["as_volumes", "magnify", "prefilter", "resample", "settled_row"]
+
+
+def prefilter(
+    data: Any, filter: str | Filter, boundary: str | Boundary, device: AnyDevice, precision: Precision, dimensions: int | None
+) -> Any:
+    """Coefficients, in the chunks of the samples."""
+    kind = precision_kind(precision)
+    source, count = as_volumes(data, dimensions, least=1)
+    row, rule = as_filter(filter), as_boundary(boundary)
+    row = settled_row(row.magnified_by or row, source.shape[-count:])
+    compute = _Prefilter(row, rule, precision, checked_device(device), count, np.dtype(kind))
+    margins = [0] * (source.ndim - count) + [reach(row.along(axis), precision) for axis in reversed(range(count))]
+    plan = around(source.shape, margins, rule)
+    return blockwise("prefilter", source, source.chunks, kind, plan, compute, [row, rule, precision, repr(device), count])
 
 
 def resample(
     volume: Any,
-    shape: Sequence[int] | None = None,
-    spacing: Sequence[float] | float | None = None,
-    like: None = None,
-    filter: str | Filter | None = None,
-    boundary: str | Boundary | None = None,
-    *,
-    anchor: str = "center",
-    transform: None = None,
-    anti_aliasing: AntiAliasing | bool = False,
-    dtype: DTypeLike | None = None,
-    fill: float | None = None,
-    device: AnyDevice = None,
-    precision: Precision | None = None,
-    nan: str | None = None,
-    progress: None = None,
-    out: None = None,
-    chunks: Chunks = None,
-    dimensions: int | None = None,
+    shape: Sequence[int] | None,
+    spacing: Sequence[float] | float | None,
+    like: object,
+    anchor: Anchor,
+    transform: object,
+    anti_aliasing: AntiAliasing | bool,
+    progress: object,
+    out: object,
+    chunks: Chunks,
+    dimensions: int | None,
+    **options: Any,
 ) -> Any:
-    """Volumes on another grid, as `clvol.resample` computes them, as an array of dask.
-
-    A block reads the samples in the support of its own, the margin that the prefilter needs, and with `anti_aliasing` the reach of
-    the low-pass.
-
-    Parameters
-    ----------
-    volume : dask.array.Array
-        Its spacing is 1.
-    shape, spacing, filter, boundary, anchor, anti_aliasing, dtype, fill, device, precision
-        As for `clvol.resample`; `filter` is "bspline3" by default also for labels, since samples are not read before the graph is
-        computed, and its smoothing is not "auto". `shape` is that of a volume.
-    nan : {"error"}, optional
-        Missing samples are refused.
-    like, transform, progress, out
-        Only None.
-    chunks : as of `dask.array.normalize_chunks`, optional
-        Of the result. By default, along axes of another length, chunks as long as the longest of `volume`.
-    dimensions : int, optional
-        The number of last axes that span a volume, 2 or 3; each index of the others is a separate volume. By default all, at
-        most 3.
-
-    Returns
-    -------
-    dask.array.Array of float32, or of float64 in double precision, or of `dtype`
-        Where the filter has no prefilter it is bit for bit the result in one piece; where it has one, coefficients differ as those
-        of `clvol.dask.prefilter` do. With "least-squares" no bit differs either, but where samples lie so far from zero that
-        single precision would lose digits of some blocks and not of others: there sums differ by rounding.
-
-    Raises
-    ------
-    DataError
-        As `clvol.dask.prefilter` raises it.
-    OptionError
-        As `clvol.resample` raises it.
-    UnsupportedError
-        An option that an array of dask cannot have.
-    """
+    """Volumes on another grid."""
     refused("resample", like=like, transform=transform, progress=progress, out=out)
     source, count = as_volumes(volume, dimensions, least=2)
     own = source.shape[-count:]
@@ -114,62 +93,62 @@ def resample(
     positions = []
     for start, step, m in zip(starts.tolist(), steps.tolist(), grid.shape, strict=True):
         positions.append(np.asarray(start + step * np.arange(m), np.float64))
-    work = _Work.of(source, filter, boundary, dtype, fill, device, precision, nan, count)
+    work = _Work.of(source, count, **options)
     return _on_grid("resample", source, positions, steps, as_anti_aliasing(anti_aliasing), work, chunks)
 
 
-def magnify(
-    volume: Any,
-    factor: int = 2,
-    filter: str | Filter | None = None,
-    boundary: str | Boundary | None = None,
-    *,
-    device: AnyDevice = None,
-    precision: Precision | None = None,
-    nan: str | None = None,
-    progress: None = None,
-    chunks: Chunks = None,
-    dimensions: int | None = None,
-) -> Any:
-    """Volumes with `factor` times the samples along each axis, the given ones among them, as `clvol.magnify` computes them.
-
-    Parameters
-    ----------
-    volume : dask.array.Array
-    factor : int
-        At least 1.
-    filter, boundary, device, precision, nan, progress, chunks, dimensions
-        As for `clvol.dask.resample`.
-
-    Returns
-    -------
-    dask.array.Array of float32, or of float64 in double precision
-    """
+def magnify(volume: Any, factor: int, progress: object, chunks: Chunks, dimensions: int | None, **options: Any) -> Any:
+    """Volumes with `factor` times the samples along each axis."""
     refused("magnify", progress=progress)
     factor = whole("factor", factor, minimum=1)
     source, count = as_volumes(volume, dimensions, least=2)
     positions = [np.asarray(1 / factor * np.arange(factor * n), np.float64) for n in source.shape[-count:]]
-    work = _Work.of(source, filter, boundary, None, None, device, precision, nan, count)
+    work = _Work.of(source, count, **options)
     return _on_grid("magnify", source, positions, np.full(count, 1 / factor), None, work, chunks)
+
+
+def as_volumes(data: Any, dimensions: int | None, least: int) -> tuple[Any, int]:
+    """An array of dask of real samples, and the number of its last axes that span a volume."""
+    source = as_lazy(data, "data", "biuf")
+    if source.ndim < least or not source.size:
+        raise DataError(f"data must have at least {least} axes and one sample; got shape {source.shape}")
+    if dimensions is None:
+        return source, min(source.ndim, 3)
+    return source, whole("dimensions", dimensions, least, min(source.ndim, 3))
+
+
+def settled_row(row: Filter, shape: Sequence[int], spacing: Sequence[float] = ()) -> Filter:
+    """The filter for samples at distances of 1, or of `spacing`; smoothing "auto" is refused."""
+    for one in (row, row.magnified_by):
+        if one is not None and one.smoothing == "auto":
+            require_settled(one)
+    if len(shape) < 2 and row.settled and not isinstance(row.smoothing, tuple):
+        return row
+    return settled(row, Volume(np.broadcast_to(np.float32(0), shape if len(shape) > 1 else (1, *shape)), tuple(spacing)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Prefilter:
+    filter: Filter
+    boundary: Boundary
+    precision: Precision
+    device: Any
+    count: int
+    dtype: np.dtype[Any]
+
+    def __call__(self, samples: Array, block: OutputBlock) -> Array:
+        made = np.empty(block.shape, self.dtype)
+        own = own_part(block)[-self.count :]
+        with located(samples, block, "samples must be finite"):
+            for index in np.ndindex(samples.shape[: -self.count]):
+                one = field.prefilter(samples[index], self.filter, self.boundary, self.device, precision=self.precision)
+                made[index] = one[own]
+        return made
 
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """Options that all blocks share.
-
-    Attributes
-    ----------
-    filter, boundary : Filter, Boundary
-    precision : {"single", "double"}
-    wide : bool
-        Whether single precision gives way to double on devices that have it.
-    dtype : dtype
-        Of the result.
-    fill : float or None
-    device : object
-    count : int
-        The number of last axes that span a volume.
-    """
+    """Options that all blocks share; `wide`: single precision gives way to double on devices that have it."""
 
     filter: Filter
     boundary: Boundary
@@ -184,14 +163,14 @@ class _Work:
     def of(
         cls,
         source: Any,
+        count: int,
         filter: str | Filter | None,
         boundary: str | Boundary | None,
-        dtype: DTypeLike | None,
-        fill: float | None,
         device: AnyDevice,
         precision: Precision | None,
-        nan: str | None,
-        count: int,
+        nan: object,
+        dtype: DTypeLike | None = None,
+        fill: float | None = None,
     ) -> _Work:
         """Options, checked; no device is looked up."""
         if nan not in (None, "error"):
@@ -233,7 +212,7 @@ def _on_grid(
     leading = source.ndim - work.count
     shape = (*source.shape[:leading], *(len(p) for p in positions))
     sizes = as_chunks(chunks, source, shape, range(source.ndim), work.dtype)
-    reductions: list[Reduction] = []
+    reductions: list[partial[Sums]] = []
     supports: list[list[Any]] = []
     sigma = np.maximum(0, (steps - 1) / 2) if low_pass == "gaussian" else np.zeros(work.count)
     for k, (along, n) in enumerate(zip(positions, source.shape[leading:], strict=True)):
@@ -256,17 +235,17 @@ def _on_grid(
     if not reductions:
         return blockwise(name, source, sizes, work.dtype, plan, _Sampled(work, steps, low_pass == "gaussian", past), about)
     # as in one piece: the axis that shrinks most goes first, x before y and z
-    order = sorted(range(work.count - 1, -1, -1), key=lambda k: reductions[k].m / reductions[k].n)
+    order = sorted(range(work.count - 1, -1, -1), key=lambda k: len(positions[k]) / source.shape[leading + k])
     axes, kind, ends = [(leading + k, reductions[k]) for k in order], precision_kind(work.precision), _LeastSquares(work, past)
-    return axis_by_axis(name, source, sizes, work.dtype, axes, kind, ends.begin, ends.end, work.boundary.cval, work.device, about)
+    return axis_by_axis(name, source, sizes, work.dtype, axes, kind, ends, work.boundary.cval, work.device, about)
 
 
-def _reduction(row: Filter, along: Floats, step: float, n: int, work: _Work) -> Reduction:
+def _reduction(row: Filter, along: Floats, step: float, n: int, work: _Work) -> partial[Sums]:
     if row.prefilter and work.boundary.period is None:
         raise OptionError(f"least-squares reduction takes a boundary rule that continues the samples; got {work.boundary.name!r}")
     if row.magnified_by is not None:
         raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {row.name!r}")
-    return Reduction(row, float(along[0]), step, len(along), n, work.boundary, work.precision == "double", True)
+    return partial(least_squares, row, float(along[0]), step, len(along), n, work.boundary, work.precision == "double")
 
 
 @dataclass(frozen=True, eq=False)

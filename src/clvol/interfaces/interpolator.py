@@ -271,8 +271,9 @@ def _coordinates(axis: int, given: ArrayLike) -> Array:
     x = reals(f"points of axis {axis}", kept, "an array of coordinates", GeometryError)
     if x.ndim != 1 or x.size == 0:
         raise GeometryError(f"points of axis {axis} must be a non-empty array of one axis; got shape {x.shape}")
-    if not np.isfinite(x).all():
-        raise GeometryError(f"points of axis {axis} must be finite; got {x[~np.isfinite(x)][0]} at index {_first(~np.isfinite(x))}")
+    if not (known := np.isfinite(x)).all():
+        first = int(np.argmin(known))
+        raise GeometryError(f"points of axis {axis} must be finite; got {x[first]} at index {first}")
     rise = np.diff(x)
     if not ((rise > 0).all() or (rise < 0).all()):
         raise GeometryError(f"points of axis {axis} must rise or fall strictly; got {x!r}")
@@ -287,10 +288,6 @@ def _coordinates(axis: int, given: ArrayLike) -> Array:
                 "SciPy's RegularGridInterpolator takes uneven spacing"
             )
     return x
-
-
-def _first(bad: NDArray[np.bool_]) -> int:
-    return int(np.argmax(bad))
 
 
 def _points(xi: ArrayLike | tuple[ArrayLike, ...], d: int) -> Array:

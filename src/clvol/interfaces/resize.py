@@ -18,7 +18,7 @@ from clvol.device import Device, as_device
 from clvol.interop.images import read_array
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import Spline, as_cval, as_precision
-from clvol.ndimage.passes import along_axes
+from clvol.ndimage.in_memory import along_axes
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 

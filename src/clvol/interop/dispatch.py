@@ -6,9 +6,12 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
+from inspect import signature
 from typing import ParamSpec, TypeVar
 
-__all__ = ["is_in_parts", "is_lazy", "with_dask"]
+from clvol.base.errors import OptionError
+
+__all__ = ["is_in_parts", "is_lazy", "require_lazy", "with_dask"]
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -27,23 +30,28 @@ def is_in_parts(source: object) -> bool:
     return isinstance(source, kinds)
 
 
-def with_dask(*names: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """A function that hands arrays of dask to the function of its name in `clvol.dask`, whose result is an array of dask too.
+def require_lazy(what: str, **options: object) -> None:
+    """Refuse options that only arrays of dask have."""
+    for name, value in options.items():
+        if value is not None:
+            raise OptionError(f"{name} must be None where {what} is no array of dask; got {value!r}")
 
-    Parameters
-    ----------
-    *names : str
-        The function's first parameters, which may be arrays of dask.
+
+def with_dask(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """A function whose first argument may be an array of dask: it then calls that of its name in `clvol.dask.volumes`.
+
+    That one gets every argument by name, so signature, defaults and documentation are in one place.
     """
+    known = signature(function)
+    first = next(iter(known.parameters))
 
-    def decorator(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        @wraps(function)
-        def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
-            if any(map(is_lazy, (*arguments[: len(names)], *(options.get(name) for name in names)))):
-                by_dask: Callable[Arguments, Result] = getattr(import_module("clvol.dask"), function.__name__)
-                return by_dask(*arguments, **options)
+    @wraps(function)
+    def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+        if not is_lazy(arguments[0] if arguments else options.get(first)):
             return function(*arguments, **options)
+        call = known.bind(*arguments, **options)
+        call.apply_defaults()
+        by_dask: Callable[..., Result] = getattr(import_module("clvol.dask.volumes"), function.__name__)
+        return by_dask(**call.arguments)
 
-        return either
-
-    return decorator
+    return either

@@ -15,7 +15,7 @@ The input is one of
   `progress` is dask's own. Without a prefilter (orders 0 and 1, or ``prefilter=False``) the result is bit for bit that in memory,
   but for the last bits of positions: where a matrix mixes axes, and within a margin of the seam under "grid-wrap". (Samples far
   from zero compared with their range are computed in double precision; each block decides that for itself.) With a prefilter,
-  coefficients differ as those of `clvol.dask.prefilter` do, and integers cut off from them by 1 where a coefficient is that near to
+  coefficients differ as those of `clvol.prefilter` do, and integers cut off from them by 1 where a coefficient is that near to
   one.
 
 `patched` puts the functions into SciPy's place for programs that cannot be changed, as does ``python -m clvol.ndimage script.py``.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +15,16 @@ from clvol.ndimage import engine
 from clvol.ndimage.arguments import Array, Spline
 from clvol.spline.reduce import Sums, gaussian, least_squares, sum_along
 
-__all__ = ["low_passed", "nearest_splines", "nearest_sums", "widths"]
+__all__ = ["low_passed", "nearest_along", "nearest_splines", "nearest_sums", "widths"]
 
 
 def widths(shape: tuple[int, ...], finer: tuple[int, ...]) -> dict[int, float]:
-    """Standard deviations of the Gaussian that precedes a coarser grid.
-
-    By scikit-image's rule: (f - 1) / 2 samples along an axis that is reduced f times.
-    """
+    """Standard deviations of a Gaussian, by scikit-image's rule: (f - 1) / 2 samples along an axis that is reduced f times."""
     return {axis: max(0.0, (n / m - 1) / 2) for axis, (n, m) in enumerate(zip(finer, shape, strict=True)) if m}
 
 
 def low_passed(data: Array, sigma: Mapping[int, float], spline: Spline) -> Array:
-    """An array after a Gaussian, as `scipy.ndimage.gaussian_filter` computes it, in float32 or float64; `data` without one.
-
-    Parameters
-    ----------
-    data : ndarray
-        Real or complex.
-    sigma : mapping from axes to float
-        Standard deviations in samples; 0 leaves an axis alone.
-    spline : Spline
-        Its mode, `cval`, precision and device.
-    """
+    """An array after a Gaussian, as `scipy.ndimage.gaussian_filter` computes it, in float32 or float64; `data` without one."""
     if data.dtype.kind == "c":
         return low_passed(data.real, sigma, spline.of_part("real", 0)) + 1j * low_passed(
             data.imag, sigma, spline.of_part("imag", 1)
@@ -51,19 +39,7 @@ def low_passed(data: Array, sigma: Mapping[int, float], spline: Spline) -> Array
 def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], output: Array, spline: Spline) -> None:
     """Write the least-squares spline on a coarser grid into `output`: see `clvol.spline.reduce.least_squares`.
 
-    Parameters
-    ----------
-    data : ndarray
-        Real or complex, not empty.
-    positions : mapping from axes to ndarray
-        Of the new samples along each axis, in samples, evenly spaced. A single one stands for the whole axis.
-    output : ndarray
-    spline : Spline
-
-    Raises
-    ------
-    OptionError
-        ``nan="local"``: here a missing sample reaches as far as the prefilter does.
+    `positions` are evenly spaced along each axis, in samples; a single one stands for the whole axis.
     """
     if spline.local:
         raise OptionError('nan must be "propagate" or "error" with least squares, which spreads missing samples; got "local"')
@@ -83,9 +59,11 @@ def nearest_sums(
     shape: tuple[int, ...], positions: Mapping[int, NDArray[np.float64]], spline: Spline, kind: type[np.generic]
 ) -> dict[int, Sums]:
     """The sums of `nearest_splines` along each axis of an array of a shape, in float32 or float64."""
-    boundary, sums = spline.boundary, {}
-    for axis, x in positions.items():
-        n, m = shape[axis], len(x)
-        step = float(x[-1] - x[0]) / (m - 1) if m > 1 else float(n)
-        sums[axis] = least_squares(bspline(spline.order), float(x[0]), step, m, n, boundary, kind == np.float64, spline.prefilter)
-    return sums
+    return {axis: nearest_along(x, shape[axis], spline, kind == np.float64)() for axis, x in positions.items()}
+
+
+def nearest_along(x: NDArray[np.float64], n: int, spline: Spline, double: bool) -> partial[Sums]:
+    """What computes the sums of `nearest_splines` along an axis of `n` samples."""
+    m = len(x)
+    step = float(x[-1] - x[0]) / (m - 1) if m > 1 else float(n)
+    return partial(least_squares, bspline(spline.order), float(x[0]), step, m, n, spline.boundary, double, spline.prefilter)

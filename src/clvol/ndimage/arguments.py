@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, Protocol, TypeAlias, get_args
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,11 +26,11 @@ __all__ = [
     "BOUNDARIES",
     "FINITE",
     "MODES",
+    "NAN",
     "AnyDevice",
     "Array",
     "Nan",
     "Progress",
-    "Samples",
     "Spline",
     "as_array",
     "as_axes",
@@ -70,36 +70,18 @@ BOUNDARIES = {
 """The boundary rule of each of SciPy's modes."""
 MODES = tuple(BOUNDARIES)
 FINITE = 'with nan="error" all samples must be finite'
-_NAN = ("propagate", "error", "local")
+NAN = ("propagate", "error", "local")
 _REAL = "?bBhHiIlLqQefd"  # NumPy's type codes; no long double
 _COMPLEX = "FD"
 _SINGLE = "?bBhHefF"  # types that float32 holds exactly
 _KNOWN = "bool, integers, float16, float32, float64, complex64 or complex128"
 
 
-class Samples(Protocol):
-    """What options depend on: the samples' dtype, and the default precision, if it does not follow from that."""
-
-    dtype: np.dtype[Any]
-    precision: Precision | None
-
-
 @dataclass(frozen=True, slots=True)
 class Spline:
     """How an array is interpolated: the options that all functions share. It can be pickled, for tasks of dask.
 
-    Attributes
-    ----------
-    order : int
-    mode : str
-    cval : float or complex
-        Complex for complex arrays only.
-    prefilter : bool
-    precision : {"single", "double"}
-    device : Device, str, int or None
-        As `as_device` takes it.
-    progress : callable or None
-    nan : {"propagate", "error", "local"}
+    `cval` is complex for complex arrays only; `device` is as `as_device` takes it, `nan` as `affine_transform` does.
     """
 
     order: int
@@ -110,26 +92,6 @@ class Spline:
     device: AnyDevice = None
     progress: Progress = None
     nan: Nan = "propagate"
-
-    @classmethod
-    def of(
-        cls,
-        samples: Samples,
-        order: int,
-        mode: str,
-        cval: complex,
-        prefilter: bool,
-        precision: Precision | None,
-        device: AnyDevice,
-        nan: Nan,
-        progress: Progress,
-    ) -> Spline:
-        """The options of a call, checked. The device is not looked up."""
-        number, rule, outside = as_order(order), as_mode(mode), as_cval(cval, samples.dtype.kind == "c")
-        if nan not in _NAN:
-            raise one_of("nan", nan, _NAN)
-        chosen = as_precision(samples.precision if precision is None else precision, samples.dtype)
-        return cls(number, rule, outside, bool(prefilter), chosen, device, progress, nan)
 
     @property
     def local(self) -> bool:
@@ -311,17 +273,9 @@ def require_coordinates(shape: Sequence[int], count: int) -> None:
 
 
 def as_output(output: Any, dtype: np.dtype[Any], shape: Sequence[int], *, copied: bool = False) -> Array:
-    """The array that results are written into: a new one, or `output`.
+    """The array that results of a shape are written into, for an input of a dtype: a new one, or `output`.
 
-    Parameters
-    ----------
-    output : None, dtype, str or array
-    dtype : dtype
-        Of the input.
-    shape : sequence of int
-        Of the result.
-    copied : bool
-        Whether samples are copied unchanged; real samples then may have complex results.
+    Real samples that are copied unchanged may have complex results.
     """
     shape = tuple(shape)
     if output is None or isinstance(output, (type, np.dtype, str)):

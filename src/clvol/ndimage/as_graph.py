@@ -16,6 +16,7 @@ from clvol.dask.blocks import (
     Array,
     Chunks,
     Floats,
+    Margin,
     OutputBlock,
     Reads,
     Span,
@@ -32,14 +33,13 @@ from clvol.dask.blocks import (
     supports_along,
     touches,
 )
-from clvol.dask.margins import Margin
-from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
+from clvol.dask.reduced import axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.make import bspline
 from clvol.filter.margin import reach
 from clvol.interop.dispatch import is_lazy
-from clvol.ndimage import engine, passes
+from clvol.ndimage import engine, in_memory
+from clvol.ndimage.antialiasing import nearest_along
 from clvol.ndimage.arguments import (
     BOUNDARIES,
     FINITE,
@@ -64,14 +64,7 @@ _ROUNDING = 1e-12
 
 
 class AsGraph(Substrate):
-    """An array of dask; or one in memory, for coordinates of dask.
-
-    Parameters
-    ----------
-    input : dask.array.Array or array-like
-    chunks : as of `dask.array.normalize_chunks`, or None
-        Of the result.
-    """
+    """An array of dask; or one in memory, for coordinates of dask. `chunks` are those of the result."""
 
     def __init__(self, input: Any, chunks: Chunks) -> None:
         self.source: Any = as_lazy(input) if is_lazy(input) else as_array(input)
@@ -117,7 +110,7 @@ class AsGraph(Substrate):
         same = rows == columns and spline.interpolates
         left = [k for k in range(self.ndim) if k not in plan.axes or (same and _is_left(k, matrix, offset, plan.shape, self.shape))]
         moved = [k for k in range(self.ndim) if k not in left]
-        passes.require_mixable(matrix, moved, columns > rows)
+        in_memory.require_mixable(matrix, moved, columns > rows)
         reads = _boxes(spline, self.shape, matrix, offset, left, margin_of(spline, dtype))
         compute = _Affine(plan, dtype, matrix, offset, left)
         about = [*spline.identity, list(plan.axes), matrix, offset]
@@ -132,7 +125,7 @@ class AsGraph(Substrate):
 
     def mapped(self, plan: Mapped) -> Any:
         """The spline where a function says. Which chunks a block needs is known once it has been called, so all are looked up."""
-        passes.require_few(self.ndim)
+        in_memory.require_few(self.ndim)
         _, sizes = self._layout(plan)
         nothing = da.empty((), chunks=())  # positions are computed from indices alone
         about = [plan.mapping, plan.arguments, plan.keywords]
@@ -144,7 +137,7 @@ class AsGraph(Substrate):
     def coefficients(self, plan: Coefficients) -> Any:
         """Spline coefficients, in the chunks of the samples."""
         spline, axes = plan.spline, plan.axes
-        passes.require_global(spline)
+        in_memory.require_global(spline)
         dtype = self._dtype(plan, not axes)
         depth = reach(engine.row_of(spline.order, True), spline.precision) if axes else 0
         rule = as_boundary(engine.FILTERED_AS.get(spline.mode, BOUNDARIES[spline.mode]))
@@ -241,7 +234,7 @@ def _boxes(spline: Spline, shape: tuple[int, ...], matrix: Floats, offset: Float
             if repeats and touches(span, n):  # kernels would fold positions by the length of the part
                 span = (0, n)
             found.append(span)
-        mended = len(moved) <= passes.NATIVE and (spline.order == 0 or (spline.mode in _JUMPS and not inside))
+        mended = len(moved) <= in_memory.NATIVE and (spline.order == 0 or (spline.mode in _JUMPS and not inside))
         return tuple(found), mended
 
     return reads
@@ -257,17 +250,14 @@ def _nearest(source: Any, plan: Grid, chunks: tuple[Any, ...], dtype: np.dtype[A
             for k, part in enumerate(("real", "imag"))
         ]
         return da.map_blocks(_complex, *parts, dtype=dtype, meta=np.empty((0,) * source.ndim, dtype))
-    row, double = bspline(spline.order), spline.precision == "double" or dtype.kind == "b"  # as `clvol.ndimage.engine.kind_for`
-    reductions = {
-        axis: Reduction.at(row, p, source.shape[axis], spline.boundary, double, spline.prefilter)
-        for axis, p in enumerate(plan.positions)
-        if p is not None
-    }
+    double = spline.precision == "double" or dtype.kind == "b"  # as `clvol.ndimage.engine.kind_for`
+    shrunk = {axis: p for axis, p in enumerate(plan.positions) if p is not None}
     # as in one piece: the axis that shrinks most goes first
-    axes = sorted(reductions.items(), key=lambda one: one[1].m / one[1].n)
+    order = sorted(shrunk, key=lambda axis: len(shrunk[axis]) / source.shape[axis])
+    axes = [(axis, nearest_along(shrunk[axis], source.shape[axis], spline, double)) for axis in order]
     kind, ends, outside = precision_kind(spline.precision), _Ends(spline, dtype), float(spline.cval.real)
     about = [*spline.identity, axes, str(dtype)]
-    return axis_by_axis(plan.function, source, chunks, dtype, axes, kind, ends.begin, ends.end, outside, spline.device, about)
+    return axis_by_axis(plan.function, source, chunks, dtype, axes, kind, ends, outside, spline.device, about)
 
 
 def _complex(real: Array, imag: Array) -> Array:
@@ -307,7 +297,7 @@ class _Evaluated:
     def __call__(self, samples: Array | None, block: OutputBlock) -> Array:
         made = np.empty(block.shape, self.dtype)
         if samples is None:
-            made[...] = passes.stored(self.plan.spline.cval, self.dtype)
+            made[...] = in_memory.stored(self.plan.spline.cval, self.dtype)
             return made
         with located(samples, block, FINITE):
             require_finite(samples, self.plan.spline.nan)
@@ -338,8 +328,8 @@ class _Called:
     ndim: int
 
     def __call__(self, _: Array | None, block: OutputBlock) -> Array:
-        ranges = [range(start, start + n) for start, n in zip(block.start[1:], block.shape[1:], strict=True)]
-        return passes.as_rows([self.plan(index) for index in product(*ranges)], self.ndim).T.reshape(block.shape)
+        ranges = [range(*place) for place in block.place[1:]]
+        return in_memory.as_rows([self.plan(index) for index in product(*ranges)], self.ndim).T.reshape(block.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,7 +355,7 @@ class _Affine(_Evaluated):
         spline = self.plan.spline
         columns = [k for k in range(made.ndim) if k not in self.left] if self.left else list(range(made.ndim))
         rows = [k for k in range(samples.ndim) if k not in self.left]
-        index = np.ix_(*(np.arange(block.start[k], block.start[k] + block.shape[k]) for k in columns))
+        index = np.ix_(*(np.arange(*block.place[k]) for k in columns))
         at = np.empty((len(rows), *(block.shape[k] for k in columns)))
         near = np.zeros(at.shape[1:], np.bool_)
         for along, k in zip(at, rows, strict=True):
@@ -376,7 +366,7 @@ class _Affine(_Evaluated):
             along -= first[k]
         if near.any():
             values = np.empty((*(made.shape[k] for k in self.left), np.count_nonzero(near)), made.dtype)
-            passes.at_points(samples, rows, np.ascontiguousarray(at[:, near]), values, spline)
+            in_memory.at_points(samples, rows, np.ascontiguousarray(at[:, near]), values, spline)
             made.transpose([*self.left, *columns])[..., near] = values
 
 

@@ -38,13 +38,7 @@ _Floats = NDArray[np.float64]
 
 
 def instead(data: Array, plan: Plan, refused: OutOfMemoryError) -> Array:
-    """The result of a plan whose array has no room in memory, with a warning.
-
-    Raises
-    ------
-    OptionError, DataError, OutOfMemoryError
-        Bricks do not take the plan or the array, or would give other values.
-    """
+    """The result of a plan whose array has no room in memory, with a warning; refused where bricks would give other values."""
     if as_dtype(plan.output, data.dtype).kind == "b":
         raise UnsupportedError("booleans are computed in double precision")
     if isinstance(plan.output, np.ndarray) and np.may_share_memory(plan.output, data):
@@ -53,14 +47,9 @@ def instead(data: Array, plan: Plan, refused: OutOfMemoryError) -> Array:
 
 
 class ByBricks(Substrate):
-    """A volume that is read part by part.
+    """A volume that is read part by part. A field is used as it is, and stays open.
 
-    Parameters
-    ----------
-    input : LazyVolume or BrickedField
-        A field is used as it is, and stays open.
-    because : OutOfMemoryError, optional
-        Why the caller's array is not evaluated in memory; a warning says so before the first brick is read.
+    A warning says `because` of what the caller's array is not evaluated in memory, before the first brick is read.
     """
 
     precision = "single"

@@ -37,13 +37,7 @@ _LEAST, _MOST = 2.0**-90, 2.0**90  # magnitudes that float32 holds through the p
 
 @dataclass(frozen=True, eq=False)
 class Axes:
-    """A grid along the array's axes.
-
-    Attributes
-    ----------
-    positions : tuple of ndarray of float64
-        For each resampled axis the positions in samples of the input; they may lie anywhere.
-    """
+    """A grid along the array's axes: for each resampled axis the positions in samples of the input, which may lie anywhere."""
 
     positions: tuple[NDArray[np.float64], ...]
 
@@ -52,12 +46,7 @@ class Axes:
 class Affine:
     """A grid that lies in any way: index ``i`` of the result is at ``matrix @ i + offset`` of the input, in the order of the axes.
 
-    Attributes
-    ----------
-    matrix, offset : ndarray of float64, shapes (k, k) and (k,)
-        Products are added to the offset from the first axis to the last, each rounded, as SciPy does.
-    shape : tuple of int
-        Of the result, for each resampled axis.
+    Products are added to the offset from the first axis to the last, each rounded, as SciPy does.
     """
 
     matrix: NDArray[np.float64]
@@ -67,13 +56,7 @@ class Affine:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points anywhere.
-
-    Attributes
-    ----------
-    coordinates : ndarray, shape (k, ...)
-        Positions in samples of the input, real numbers of any dtype and layout, as SciPy's.
-    """
+    """Points anywhere, of shape (k, ...): positions in samples of the input, of any real dtype and layout, as SciPy's."""
 
     coordinates: Array
 
@@ -84,19 +67,10 @@ Target: TypeAlias = Axes | Affine | Points
 def evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, spline: Spline) -> None:
     """Evaluate the spline of an array at a target, into `output`.
 
-    Parameters
-    ----------
-    data : ndarray of real numbers
-        Of any layout and byte order; not empty.
-    axes : sequence of int
-        Those that are resampled, 1 to 3 of them, ascending. All others are batch axes: each index of them is computed separately.
-    target : Axes, Affine or Points
-    output : ndarray
-        Of any real dtype and layout; all of it is written. Its axes are the batch axes and those of a grid where they are in
-        `data`; for points, the batch axes and then those of the points. Integers are rounded as SciPy rounds, halves away from
-        zero, and clipped to their type.
-    spline : Spline
-        Of its `cval` the real part counts; `nan` is ignored.
+    `data` holds real numbers and is not empty. 1 to 3 `axes` are resampled, ascending; all others are batch axes, each index of
+    which is computed separately. `output` has the batch axes and those of a grid where they are in `data`; for points, the batch
+    axes and then those of the points. Integers are rounded, halves away from zero, and clipped to their type, as in SciPy. Of
+    `cval` the real part counts; `nan` is ignored.
     """
     chosen, cval, progress = as_device(spline.device), float(spline.cval.real), spline.progress
     axes = tuple(axes)
@@ -242,15 +216,7 @@ FILTERED_AS = {"nearest": "reflect", "constant": "mirror", "grid-constant": "mir
 
 
 class _Store:
-    """Writes results of kernels into arrays of any dtype and layout, integers rounded as SciPy rounds them.
-
-    Parameters
-    ----------
-    device : Device
-        Where results are computed.
-    kind : type
-        np.float32 or np.float64, of results.
-    """
+    """Writes results of kernels, of `kind`, into arrays of any dtype and layout, integers rounded as SciPy rounds them."""
 
     def __init__(self, device: Device, kind: type[np.generic]) -> None:
         self._device, self._kind = device, kind

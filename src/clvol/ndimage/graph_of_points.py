@@ -24,21 +24,23 @@ from clvol.dask.blocks import (
     Chunks,
     Floats,
     Gathering,
+    Margin,
     OutputBlock,
     Span,
+    blocks_of,
     blockwise,
     gathered,
     located,
+    margin,
     named,
-    one_at_a_time,
     spans,
     support_along,
+    turn,
 )
-from clvol.dask.margins import Margin, margin
 from clvol.device import as_device
 from clvol.filter.boundary import Boundary
 from clvol.interop.dispatch import is_lazy
-from clvol.ndimage import engine, passes
+from clvol.ndimage import engine, in_memory
 from clvol.ndimage.arguments import FINITE, Spline, require_finite
 from clvol.ndimage.plan import Points
 from clvol.spline.field import Precision
@@ -106,9 +108,9 @@ class _Work:
         kept = [n for axis, n in enumerate(data.shape) if axis not in self.along]
         chunks = (*((n,) for n in kept), *at.chunks[1:])
         layer: dict[Any, Any] = {}
-        for index, block in _blocks(chunks, data.shape):
-            points = (at.name, 0, *index[len(kept) :])
-            layer[(name, *index)] = (_at_array, work, block, (held.name, *[0] * data.ndim), points, held is not source)
+        for block in blocks_of("map_coordinates", chunks, data.shape):
+            points = (at.name, 0, *block.index[len(kept) :])
+            layer[(name, *block.index)] = (_at_array, work, block, (held.name, *[0] * data.ndim), points, held is not source)
         graph = HighLevelGraph.from_collections(name, layer, dependencies=[held, at])
         return da.Array(graph, name, chunks, dtype=self.dtype)
 
@@ -117,7 +119,7 @@ class _Work:
         spline, part = self.spline, samples.real if samples.dtype.kind == "c" else samples
         kind = np.dtype(engine.kind_for(spline.precision, part, np.empty(0), as_device(spline.device)))
         made = np.empty(samples.shape, np.result_type(kind, np.complex64) if samples.dtype.kind == "c" else kind)
-        passes.filtered(samples, self.along, made, spline)
+        in_memory.filtered(samples, self.along, made, spline)
         return made
 
     def of_chunks(self, source: Any, at: Any, pieces: tuple[Any, ...]) -> Any:
@@ -130,11 +132,12 @@ class _Work:
         kept = [axis for axis in range(source.ndim) if axis not in self.along]
         result = (*(source.chunks[axis] for axis in kept), *pieces)
         partitions: dict[tuple[int, ...], Any] = {}
-        for index, block in _blocks(result, source.shape):
+        for block in blocks_of("map_coordinates", result, source.shape):
+            index = block.index
             batch, piece = index[: len(kept)], index[len(kept) :]
             if piece not in partitions:
                 if known:
-                    own = at[(slice(None), *(slice(i, i + n) for i, n in _places(block, len(kept))))]
+                    own = at[(slice(None), *(slice(*place) for place in block.place[len(kept) :]))]
                     partitions[piece] = chunks.parted(own)
                 else:
                     partitions[piece] = (f"{name}-parted", *piece)
@@ -150,21 +153,6 @@ class _Work:
         layer.update(reads.tasks())
         graph = HighLevelGraph.from_collections(name, layer, dependencies=[source] if known else [source, at])
         return da.Array(graph, name, result, dtype=self.dtype)
-
-
-def _blocks(chunks: Sequence[Sequence[int]], limits: tuple[int, ...]) -> list[tuple[tuple[int, ...], OutputBlock]]:
-    """The blocks of a result, by index."""
-    places, made = [spans(sizes) for sizes in chunks], []
-    for index in np.ndindex(*map(len, places)):
-        where = [axis[i] for axis, i in zip(places, index, strict=True)]
-        start, shape = tuple(a for a, _ in where), tuple(b - a for a, b in where)
-        made.append((index, OutputBlock("clvol.dask.map_coordinates", index, start, shape, None, limits)))
-    return made
-
-
-def _places(block: OutputBlock, kept: int) -> list[tuple[int, int]]:
-    """First index and length of a block along the axes of the points."""
-    return list(zip(block.start[kept:], block.shape[kept:], strict=True))
 
 
 class _Reads:
@@ -192,7 +180,7 @@ class _Reads:
             return low, high
         boundary, n = self._work.spline.boundary, self._source.shape[axis]
         # a point that belongs to the last sample of a chunk lies before the first one of the next
-        last = high - 0.5 if boundary.name == "wrap" else min(high - 0.5, n - 1)
+        last = high - 0.5 if boundary.outside == "rule" else min(high - 0.5, n - 1)
         return support_along(np.array([low, last], np.float64), n, boundary, self._margin).span
 
     def tasks(self) -> dict[Any, Any]:
@@ -202,13 +190,7 @@ class _Reads:
 
 
 class _Chunks:
-    """The chunks of an input along the axes that points have coordinates for.
-
-    Attributes
-    ----------
-    numbers : list of ndarray
-        Of the chunks that are not empty, along each axis.
-    """
+    """The chunks of an input along the axes that points have coordinates for; `numbers`: of those that are not empty."""
 
     def __init__(self, source: Any, along: Sequence[int], boundary: Boundary) -> None:
         places = [spans(source.chunks[axis]) for axis in along]
@@ -263,24 +245,16 @@ def _at_array(work: _Work, block: OutputBlock, held: Array, at: Array, filtered:
         spline = work.spline
         if filtered:
             spline = replace(spline, precision="single" if held.dtype in (np.float32, np.complex64) else "double")
-        with named(block), one_at_a_time():
-            passes.at_points(held, work.along, at, made, spline)
+        with named(block), turn():
+            in_memory.at_points(held, work.along, at, made, spline)
     return made
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The points of a block that lie in one chunk.
+    """The points of a block that lie in one chunk: they are `known` where coordinates are in memory.
 
-    Attributes
-    ----------
-    work : _Work
-    block : OutputBlock
-        Its spans are those of the chunk with its margin.
-    chunk : tuple of int
-        Which chunk it is.
-    known : (ndarray, ndarray), optional
-        The points, where coordinates are in memory.
+    The spans of the block are those of the chunk with its margin.
     """
 
     work: _Work
@@ -297,17 +271,17 @@ class _Part:
         kept = [n for axis, n in enumerate(samples.shape) if axis not in work.along]
         values = np.empty((*kept, which.size), work.dtype)
         first = np.array([[block.spans[axis][0]] for axis in work.along], np.float64)
-        with named(block), one_at_a_time():
+        with named(block), turn():
             with located(samples, block, FINITE):
                 require_finite(samples, work.spline.nan)
-            passes.at_points(samples, work.along, at - first, values, work.spline)
+            in_memory.at_points(samples, work.along, at - first, values, work.spline)
         return which, values
 
 
 def _joined(work: _Work, block: OutputBlock, kept: int, parts: Sequence[_Some | None]) -> Array:
     """A block of the result: the values of its points, and the constant where they lie in no chunk."""
     made = np.empty((*block.shape[:kept], math.prod(block.shape[kept:])), work.dtype)
-    made[...] = passes.stored(work.spline.cval, work.dtype)
+    made[...] = in_memory.stored(work.spline.cval, work.dtype)
     for part in parts:
         if part is not None:
             which, values = part

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.base.errors import OptionError, RefusedError, UnsupportedError
-from clvol.interop.dispatch import is_in_parts, is_lazy
+from clvol.base.errors import RefusedError, UnsupportedError
+from clvol.interop.dispatch import is_in_parts, is_lazy, require_lazy
 from clvol.ndimage.antialiasing import widths
-from clvol.ndimage.arguments import AnyDevice, Array, Nan, Progress, Spline, as_axes, as_axis, as_order, as_shape, warn
+from clvol.ndimage.arguments import AnyDevice, Array, Nan, Progress, as_axes, as_axis, as_order, as_shape, warn
 from clvol.ndimage.geometry import diagonal, magnified, placed, require_rank, shifted, turned, zoomed
-from clvol.ndimage.in_memory import InMemory
-from clvol.ndimage.passes import require_few
+from clvol.ndimage.in_memory import InMemory, require_few
 from clvol.ndimage.plan import Affine, Coefficients, Grid, Mapped, Points, Substrate
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
@@ -65,7 +64,7 @@ def spline_filter1d(
         `input` holds objects, strings, dates or long doubles.
     """
     on = _substrate(input)
-    spline = Spline.of(on, order, mode, 0.0, True, precision, device, nan, progress)
+    spline = on.spline(order, mode, 0.0, True, precision, device, nan, progress)
     axes = [as_axis(axis, on.ndim)] if spline.order > 1 else []
     return on.evaluate(Coefficients("spline_filter1d", spline, output, on.shape, axes))
 
@@ -95,7 +94,7 @@ def spline_filter(
         As for `spline_filter1d`; `order` is from 2 to 5.
     """
     on = _substrate(input)
-    spline = Spline.of(on, as_order(order, minimum=2), mode, 0.0, True, precision, device, nan, progress)
+    spline = on.spline(as_order(order, minimum=2), mode, 0.0, True, precision, device, nan, progress)
     return on.evaluate(Coefficients("spline_filter", spline, output, on.shape, range(on.ndim)))
 
 
@@ -148,7 +147,7 @@ def geometric_transform(
         if isinstance(mapping, LowLevelCallable):
             raise UnsupportedError("mapping must be a function of Python here; got a scipy.LowLevelCallable")
         raise RefusedError(f"mapping must be a function; got {mapping!r}")
-    spline = Spline.of(on, order, mode, cval, prefilter, precision, device, nan, progress)
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
     return on.evaluate(Mapped("geometric_transform", spline, output, shape, mapping, extra_arguments, extra_keywords or {}))
 
 
@@ -205,7 +204,7 @@ def map_coordinates(
     shape = (*(n for axis, n in enumerate(on.shape) if axis not in along), *at.shape[1:])
     require_rank(on.ndim, len(shape))
     require_few(len(along))
-    spline = Spline.of(on, order, mode, cval, prefilter, precision, device, nan, progress)
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
     if along != sorted(along):
         at = at[np.argsort(along).tolist()]
     return on.evaluate(Points("map_coordinates", spline, output, shape, sorted(along), at))
@@ -256,7 +255,7 @@ def affine_transform(
     like = output if isinstance(output, np.ndarray) else on
     shape = like.shape if output_shape is None else as_shape(output_shape)
     require_rank(on.ndim, len(shape))
-    spline = Spline.of(on, order, mode, cval, prefilter, precision, device, nan, progress)
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
     table, start = placed(matrix, offset, on.ndim, len(shape))
     if table.ndim == 1:
         return on.evaluate(Grid("affine_transform", spline, output, shape, diagonal(table, start, on.shape, shape)))
@@ -291,7 +290,7 @@ def shift(
     """
     on = _substrate(input, chunks)
     require_rank(on.ndim, on.ndim)
-    spline = Spline.of(on, order, mode, cval, prefilter, precision, device, nan, progress)
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
     return on.evaluate(Grid("shift", spline, output, on.shape, shifted(shift, on.shape)))
 
 
@@ -336,7 +335,7 @@ def zoom(
     on = _substrate(input, chunks)
     shape, unchanged = zoomed(zoom, on.shape)
     copied, chosen = unchanged and bool(prefilter), as_anti_aliasing(anti_aliasing)
-    spline = Spline.of(on, order, mode, cval, prefilter, precision, device, nan, progress)
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
     if grid_mode and mode in ("constant", "wrap") and not copied:
         warn(f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.")
     positions = magnified(on.shape, shape, grid_mode)
@@ -374,7 +373,7 @@ def rotate(
     """
     on = _substrate(input, chunks)
     plane, matrix, offset, shape = turned(angle, axes, reshape, on.shape)
-    spline = Spline.of(on, order, mode, cval, prefilter, precision, device, nan, progress)
+    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
     return on.evaluate(Affine("rotate", spline, output, shape, plane, matrix, offset))
 
 
@@ -384,8 +383,7 @@ def _substrate(input: Any, chunks: Any = None, coordinates: Any = None) -> Subst
         from clvol.ndimage.as_graph import AsGraph
 
         return AsGraph(input, chunks)
-    if chunks is not None:
-        raise OptionError(f"chunks must be None where input is no array of dask; got {chunks!r}")
+    require_lazy("input", chunks=chunks)
     if is_in_parts(input):
         from clvol.ndimage.by_bricks import ByBricks
 

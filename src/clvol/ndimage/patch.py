@@ -236,23 +236,9 @@ class _Namespace(ModuleType):
 
 
 def run(script: str, arguments: Sequence[str], *, fallback: bool = False, verbose: bool = False) -> None:
-    """Run a script as ``python script`` would, with `scipy.ndimage` patched.
+    """Run a script as ``python script *arguments`` would, with `scipy.ndimage` patched.
 
-    Parameters
-    ----------
-    script : str
-        A file of Python.
-    arguments : sequence of str
-        Its ``sys.argv[1:]``.
-    fallback, verbose : bool
-        See `patched`.
-
-    Raises
-    ------
-    OSError
-        There is no such file.
-    BaseException
-        Whatever the script raises; its traceback begins in the script, and is printed here.
+    What it raises is printed, with a traceback that begins in the script, and raised again.
     """
     source = Path(script).read_bytes()
     file = str(Path(script).absolute())

@@ -10,7 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.ndimage.arguments import Array, Spline, as_coordinates
+from clvol.base.checks import one_of
+from clvol.ndimage.arguments import (
+    NAN,
+    AnyDevice,
+    Array,
+    Nan,
+    Progress,
+    Spline,
+    as_coordinates,
+    as_cval,
+    as_mode,
+    as_order,
+    as_precision,
+)
 from clvol.spline.field import Precision
 
 __all__ = ["Affine", "Coefficients", "Grid", "Mapped", "Plan", "Points", "Substrate"]
@@ -20,18 +33,7 @@ _Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Plan(ABC):
-    """What to evaluate, its arguments checked.
-
-    Attributes
-    ----------
-    function : str
-        The name of the function that was called.
-    spline : Spline
-    output : None, dtype, str or array
-        As SciPy takes it.
-    shape : tuple of int
-        Of the result.
-    """
+    """What to evaluate, its arguments checked: the function that was called, `output` as SciPy takes it, the result's shape."""
 
     function: str
     spline: Spline
@@ -45,18 +47,10 @@ class Plan(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Grid(Plan):
-    """A grid along the axes.
+    """A grid along the axes, at positions in samples; None: those of the samples.
 
-    Attributes
-    ----------
-    positions : sequence of ndarray or None
-        Along each axis, in samples; None: those of the samples.
-    sigma : mapping from axes to float
-        Standard deviations of a Gaussian that precedes it, in samples.
-    nearest : bool
-        Whether the result is the least-squares spline on this grid.
-    copied : bool
-        Whether the result is a copy of the samples.
+    A Gaussian of standard deviations `sigma`, in samples, precedes it. `nearest`: the result is the least-squares spline on this
+    grid. `copied`: it is a copy of the samples.
     """
 
     positions: Sequence[_Floats | None]
@@ -127,12 +121,7 @@ class Coefficients(Plan):
 class Substrate(ABC):
     """The samples of an input, and how plans are evaluated on them. Results are arrays, of dask where the input is one.
 
-    Attributes
-    ----------
-    shape : tuple of int
-    dtype : dtype
-    precision : {"single", "double"} or None
-        The default of `Spline.of`; None: by the dtype.
+    `precision` is the default of `spline`; None: by the dtype.
     """
 
     shape: tuple[int, ...]
@@ -143,6 +132,24 @@ class Substrate(ABC):
     def ndim(self) -> int:
         """The number of axes."""
         return len(self.shape)
+
+    def spline(
+        self,
+        order: int,
+        mode: str,
+        cval: complex,
+        prefilter: bool,
+        precision: Precision | None,
+        device: AnyDevice,
+        nan: Nan,
+        progress: Progress,
+    ) -> Spline:
+        """The options of a call, checked. The device is not looked up."""
+        number, rule, outside = as_order(order), as_mode(mode), as_cval(cval, self.dtype.kind == "c")
+        if nan not in NAN:
+            raise one_of("nan", nan, NAN)
+        chosen = as_precision(self.precision if precision is None else precision, self.dtype)
+        return Spline(number, rule, outside, bool(prefilter), chosen, device, progress, nan)
 
     def as_coordinates(self, coordinates: Any, count: int) -> Any:
         """Positions along `count` axes, checked."""

@@ -22,7 +22,7 @@ from clvol.base.rounding import wide
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop.dispatch import is_in_parts, with_dask
+from clvol.interop.dispatch import is_in_parts, require_lazy, with_dask
 from clvol.interop.images import read_array
 from clvol.spline.coefficients import Coefficients, bytes_of
 from clvol.spline.evaluator import DIRECT, choose_evaluator
@@ -591,7 +591,7 @@ def sample(
 
 
 @suggests_options
-@with_dask("volume")
+@with_dask
 @_else_by_bricks
 def resample(
     volume: Volume | ArrayLike | ContinuousFunction,
@@ -611,14 +611,15 @@ def resample(
     nan: str | Missing | None = None,
     progress: Progress | None = None,
     out: Any = None,
+    chunks: Any = None,
+    dimensions: int | None = None,
 ) -> Volume:
     """The volume on another grid; give exactly one of `shape`, `spacing` and `like`.
 
     Parameters
     ----------
-    volume : Volume, array-like, Field, LazyVolume or BrickedField
-        2-D or 3-D samples; an array has spacing 1 and origin 0. One of dask gives one of dask: see `clvol.dask.resample`. A
-        LazyVolume is read by bricks, as in `sample`.
+    volume : Volume, array-like, Field, LazyVolume, BrickedField or dask.array.Array
+        2-D or 3-D samples; an array has spacing 1 and origin 0. A LazyVolume is read by bricks, as in `sample`.
     shape, spacing, like, anchor, transform, anti_aliasing, dtype, fill
         As in `Field.resample`; without `anti_aliasing` larger voxels bring aliases of what is finer. With it no sample may be NaN.
     filter, boundary, device, nan
@@ -627,10 +628,15 @@ def resample(
         As in `sample`, but "double" for a `dtype` wider than float32, if the device supports it.
     progress, out
         As in `Field.resample`.
+    chunks : as of `dask.array.normalize_chunks`, optional
+        Of the result for an array of dask. By default, along axes of another length, chunks as long as the longest of `volume`.
+    dimensions : int, optional
+        How many of the last axes of an array of dask span a volume, 2 or 3: each index of the others is a separate volume. By
+        default all, at most 3. `shape` is that of a volume.
 
     Returns
     -------
-    Volume of float32, or of float64 as `sample` gives it, or of `dtype`
+    Volume of float32, or of float64 as `sample` gives it, or of `dtype`; or a dask.array.Array of this dtype
 
     Raises
     ------
@@ -639,9 +645,21 @@ def resample(
         raises it.
     GeometryError
         As `Field.resample` raises it.
+    UnsupportedError
+        Of an array of dask: `like`, `transform`, `progress`, `out`, or a `nan` other than "error".
     DataError, DeviceError, OutOfMemoryError
-        As `Field` and `Field.resample` raise them.
+        As `Field` and `Field.resample` raise them; of an array of dask as `prefilter` raises them.
+
+    Notes
+    -----
+    A block of an array of dask reads the samples in the support of its own, the margin that the prefilter needs, and with
+    `anti_aliasing` the reach of the low-pass. Nothing is read before it is computed, so `filter` is "bspline3" by default also for
+    labels, its smoothing is not "auto", and results are float64 only in double precision. Where the filter has no prefilter the
+    result is bit for bit that in one piece; where it has one, coefficients differ as those of `prefilter` do. With "least-squares"
+    no bit differs either, but where samples lie so far from zero that single precision would lose digits of some blocks and not of
+    others: there sums differ by rounding.
     """
+    require_lazy("volume", chunks=chunks, dimensions=dimensions)
     results: tuple[int, ...] = ()
     if (plain := _in_memory(volume)) is not None:
         volume = plain
@@ -677,7 +695,7 @@ def resample(
 
 
 @suggests_options
-@with_dask("volume")
+@with_dask
 @_else_by_bricks
 def magnify(
     volume: Volume | ArrayLike | ContinuousFunction,
@@ -689,33 +707,39 @@ def magnify(
     precision: Precision | None = None,
     nan: str | Missing | None = None,
     progress: Progress | None = None,
+    chunks: Any = None,
+    dimensions: int | None = None,
 ) -> Volume:
     """The volume with `factor` times the samples along each axis, the original samples among them (section 4.3).
 
     Parameters
     ----------
-    volume : Volume, array-like, Field, LazyVolume or BrickedField
-        2-D or 3-D samples; an array has spacing 1 and origin 0. One of dask gives one of dask: see `clvol.dask.magnify`. A
-        LazyVolume is read by bricks, as in `sample`.
+    volume : Volume, array-like, Field, LazyVolume, BrickedField or dask.array.Array
+        2-D or 3-D samples; an array has spacing 1 and origin 0. A LazyVolume is read by bricks, as in `sample`.
     factor : int
         At least 1; see `Field.magnify` for the positions of the new samples.
     filter, boundary, device, precision, nan
         As in `sample`.
     progress
         As in a call of `Field`.
+    chunks, dimensions
+        As in `resample`, for an array of dask.
 
     Returns
     -------
-    Volume of float32, or of float64 as `sample` gives it
+    Volume of float32, or of float64 as `sample` gives it; or a dask.array.Array, as `resample` gives it
 
     Raises
     ------
     OptionError
         A Field is given with a filter, boundary, device, precision or nan that differs from its options; or as `Field.magnify`
         raises it.
+    UnsupportedError
+        Of an array of dask: `progress`, or a `nan` other than "error".
     DataError, DeviceError, OutOfMemoryError
-        As `Field` and `Field.magnify` raise them.
+        As `Field` and `Field.magnify` raise them; of an array of dask as `prefilter` raises them.
     """
+    require_lazy("volume", chunks=chunks, dimensions=dimensions)
     factor = whole("factor", factor, minimum=1)
     results: tuple[int, ...] = ()
     if (plain := _in_memory(volume)) is not None:
@@ -725,7 +749,7 @@ def magnify(
 
 
 @suggests_options
-@with_dask("data")
+@with_dask
 def prefilter(
     data: ArrayLike,
     filter: str | Filter = DEFAULT_FILTER,
@@ -733,13 +757,15 @@ def prefilter(
     device: Device | str | int | None = None,
     *,
     precision: Precision = "single",
+    dimensions: int | None = None,
 ) -> Reals:
     """Spline coefficients of samples (section 4.2 of the paper).
 
     Parameters
     ----------
-    data : Volume or array-like, shape (nx,), (ny, nx) or (nz, ny, nx)
-        Samples of any integer or floating dtype. An array of dask gives one of dask: see `clvol.dask.prefilter`.
+    data : Volume, array-like or dask.array.Array, shape (nx,), (ny, nx) or (nz, ny, nx)
+        Samples of any integer or floating dtype. Chunks of dask may be of any size, but blocks shorter than the prefilter's
+        `clvol.dask.reach` read most of their neighbours.
     filter : str or Filter
         A filter without a prefilter returns the samples; a hybrid returns the coefficients of the filter that magnifies.
     boundary : str or Boundary
@@ -748,24 +774,37 @@ def prefilter(
         See `as_device`.
     precision : {"single", "double"}
         As of `Field`.
+    dimensions : int, optional
+        How many of the last axes of an array of dask span a volume, 1 to 3: each index of the others is a separate volume. By
+        default all, at most 3.
 
     Returns
     -------
     ndarray of float32, the shape of `data`
-        The control points r of eq. (11), for every axis, in units of the data; float64 as `sample` gives it.
+        The control points r of eq. (11), for every axis, in units of the data; float64 as `sample` gives it. An array of dask in
+        the chunks of `data` if that is one; then float64 in double precision only.
 
     Raises
     ------
     DataError
         `data` is not a regular array of real numbers with 1 to 3 axes, is empty, or holds a value that is NaN, infinite or
-        too large for float64.
+        too large for float64. Of an array of dask also chunks of unknown sizes, or of other arrays than NumPy's; samples are
+        checked when it is computed, and the message has the index of the first that is not finite.
     OptionError
-        `filter`, `boundary` or `device` is unknown.
+        `filter`, `boundary` or `device` is unknown; or smoothing is "auto", which depends on all samples, for an array of dask.
     DeviceError
         There is no OpenCL device, or it cannot be used.
     OutOfMemoryError
         The coefficients do not fit on the device.
+
+    Notes
+    -----
+    By blocks of dask, coefficients along one axis differ from those of the array in one piece by ``2⁻²⁴ G R`` at most, or by
+    ``10⁻¹⁴ G R`` in double precision, G being the sum of the prefilter's weights and R the range of the samples, and by rounding.
+    The largest that coefficients may be is G times the samples. Samples that lie far from zero compared with their range are
+    filtered with all their digits, and coefficients of single precision then rounded to float32.
     """
+    require_lazy("data", dimensions=dimensions)
     if is_in_parts(data):
         raise OptionError(
             "prefilter takes no volume that is read by parts: clvol.dask.prefilter gives its coefficients as an array of dask, "
