@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from clvol.base import memory
 from clvol.base.progress import part_of
-from clvol.march.frame import WINDOW
 from clvol.march.launch import Drawing, launched_over, lent_pictures, pictures_of
 from clvol.spline.lease import release
 from clvol.spline.minmax import minmax_block
@@ -316,7 +315,7 @@ class Pass:
         """March rays through a resident brick."""
         frame, device = self.frame, self.frame.device
         values = frame.values.copy()
-        values["window"] = _window(own, minmax, brick, field)
+        _set_window(values, own, minmax, brick, field)
         values["minmax"] = minmax_block(minmax, field.volume.grid, frame.planes.margin)
         made = own.coefficients
         nothing = self._table  # any buffer: it is not read
@@ -453,22 +452,19 @@ def fields_of(frame: Frame) -> int:
     return mode.state_fields + 1 + 3 * mode.finished_there + 3 * frame.guides
 
 
-def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> Values:
-    """The kernels' parameters of the resident part."""
+def _set_window(values: Values, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> None:
+    """Set the kernels' parameters of the resident part in a frame's block."""
     stored_from = [first * field.filter.scale for first in brick.first]
     z, y, x = own.coefficients.shape
     cells_from, cells_to = field.bricks.cells(brick)
     first = (0, 0, 0) if minmax is None else minmax.first
-    return WINDOW(
-        low=brick.low,
-        high=brick.high,
-        cells_from=cells_from,
-        cells_to=cells_to,
-        stored_from=stored_from,
-        stored_to=[first + n for first, n in zip(stored_from, (x, y, z), strict=True)],
-        blocks_from=[a + b for a, b in zip(stored_from, first, strict=True)],
-        whole=field.coefficients.extent[:3],
-    )
+    window = values["window"]
+    window["low"], window["high"] = brick.low, brick.high
+    window["cells_from"], window["cells_to"] = cells_from, cells_to
+    window["stored_from"] = stored_from
+    window["stored_to"] = [first + n for first, n in zip(stored_from, (x, y, z), strict=True)]
+    window["blocks_from"] = [a + b for a, b in zip(stored_from, first, strict=True)]
+    window["whole"] = field.coefficients.extent[:3]
 
 
 def boxes_of(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.float32]:

@@ -73,9 +73,10 @@ def source_of(
         field = BrickedField(medium.volume, row, medium.boundary, device, memory=memory, at_once=cluster is None)
     if cluster is None:
         return ByBricks(scene, field, preview, arguments)
-    from clvol.march.cluster import OnCluster
+    from clvol.march.cluster import Workers
 
-    return OnCluster(scene, field, preview, arguments, cluster, merge, device, memory)
+    workers = Workers(cluster, merge, device, memory)
+    return ByBricks(scene, workers.shared_out(field), preview, arguments, workers)
 
 
 def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | None, usual: str | None) -> Scene:

@@ -14,7 +14,6 @@ from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device import Tile
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.scene.camera import Viewpoint
-from clvol.scene.fit import fitted
 from clvol.scene.light import LIGHTS, Material, lights_block
 from clvol.scene.scene import CLIP, Medium, clip_block
 from clvol.scene.transfer import TransferFunction
@@ -28,9 +27,7 @@ if TYPE_CHECKING:
     from clvol.device import Device
     from clvol.device.program import Program
     from clvol.march.options import ResolvedLook
-    from clvol.scene.camera import Camera
     from clvol.scene.mode import Mode
-    from clvol.scene.scene import Scene
     from clvol.spline.coefficients import Coefficients, Whole
     from clvol.spline.evaluator import Evaluator
     from clvol.spline.minmax import MinMax
@@ -131,67 +128,6 @@ class Frame:
     values: Values
     table: NDArray[np.float32]
 
-    @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        coefficients: Coefficients | Whole,
-        minmax: MinMax | None,
-        camera: Camera,
-        mode: Mode,
-        size: tuple[int, int],
-        step: float,
-        transfer: TransferFunction,
-        evaluator: Evaluator,
-        *,
-        central: bool,
-        guides: bool,
-        aspect: float | None = None,
-        progress: Progress | None = None,
-    ) -> Frame:
-        """The frame of a scene whose coefficients are resident, for a camera and a mode.
-
-        `aspect` is ``width / height`` of the displayed picture, if it differs slightly from this one's. `progress` is called
-        during long computations, and may raise.
-        """
-        (medium,), (width, height) = scene.media, size
-        aspect = width / height if aspect is None else aspect
-        volume, stored = medium.volume, coefficients.stored
-        view = fitted(camera, volume, mode, transfer, scene.clip, aspect).view(volume, aspect)
-        planes = Planes(volume, view, aspect, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
-        block, _ = frame_block(mode.BLOCK)
-        values = block(
-            camera=view.block(volume, width, height, aspect),
-            geometry=medium.block(stored),
-            clip=clip_block(scene.clip, volume),
-            planes=planes.block(),
-            transfer=transfer.block(volume.mean_spacing, stored),
-            material=medium.material.block(),
-            lights=lights_block(scene.lights, view),
-            mode=mode.block(volume, stored),
-            minmax=minmax_block(minmax, volume, planes.margin),
-            window=np.zeros((), WINDOW.dtype),
-            picture=PICTURE(
-                offset=0.5,
-                background=scene.background or 0.0,
-                weight=1.0,
-                width=width,
-                height=height,
-                kept_from=0,
-                kept=size,
-                opaque=scene.background is not None,
-                listed=0,
-                **{"pass": 0, "last_pass": 0},
-            ),
-        )
-        table = transfer.table(stored)
-        tile = tile_of(coefficients.device, evaluator)
-        labels = volume.is_labels and not coefficients.filter.has_gradient
-        made = cls(coefficients, minmax, None, mode, transfer, evaluator, planes, tile, central, labels, guides, values, table)
-        if minmax is None or (surface := made.surface) is None:
-            return made
-        return replace(made, sides=minmax.sides(surface, progress))
-
     @property
     def device(self) -> Device:
         return self.coefficients.device
@@ -279,23 +215,61 @@ class Subject:
         aspect: float | None = None,
         progress: Progress | None = None,
     ) -> Frame:
-        """The frame for a size; `aspect` and `progress` as for `Frame.of`."""
-        look = self.look.placed(size[0] / size[1] if aspect is None else aspect)
-        return Frame.of(
-            look.scene,
-            self.coefficients,
-            self.minmax,
-            look.camera,
-            look.mode,
-            size,
-            step,
+        """The frame for a size.
+
+        `aspect` is ``width / height`` of the displayed picture, if it differs slightly from this one's. `progress` is called
+        during long computations, and may raise.
+        """
+        aspect = size[0] / size[1] if aspect is None else aspect
+        look, coefficients, minmax = self.look.placed(aspect), self.coefficients, self.minmax
+        scene, mode, stored = look.scene, look.mode, coefficients.stored
+        (medium,), (width, height) = scene.media, size
+        volume = medium.volume
+        view = look.camera.view(volume, aspect)
+        planes = Planes(volume, view, aspect, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
+        block, _ = frame_block(mode.BLOCK)
+        values = block(
+            camera=view.block(volume, width, height, aspect),
+            geometry=medium.block(stored),
+            clip=clip_block(scene.clip, volume),
+            planes=planes.block(),
+            transfer=look.transfer.block(volume.mean_spacing, stored),
+            material=medium.material.block(),
+            lights=lights_block(scene.lights, view),
+            mode=mode.block(volume, stored),
+            minmax=minmax_block(minmax, volume, planes.margin),
+            window=np.zeros((), WINDOW.dtype),
+            picture=PICTURE(
+                offset=0.5,
+                background=scene.background or 0.0,
+                weight=1.0,
+                width=width,
+                height=height,
+                kept_from=0,
+                kept=size,
+                opaque=scene.background is not None,
+                listed=0,
+                **{"pass": 0, "last_pass": 0},
+            ),
+        )
+        made = Frame(
+            coefficients,
+            minmax,
+            None,
+            mode,
             look.transfer,
             self.evaluator,
-            central=self.central,
-            guides=guides,
-            aspect=aspect,
-            progress=progress,
+            planes,
+            tile_of(coefficients.device, self.evaluator),
+            self.central,
+            volume.is_labels and not coefficients.filter.has_gradient,
+            guides,
+            values,
+            look.transfer.table(stored),
         )
+        if minmax is None or (surface := made.surface) is None:
+            return made
+        return replace(made, sides=minmax.sides(surface, progress))
 
     def placed(self, aspect: float) -> Subject:
         """The same with a fitted camera, if its position was left open."""

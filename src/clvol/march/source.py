@@ -1,4 +1,4 @@
-"""What a renderer draws: a function in memory or by bricks. `clvol.march.choose` asks which; `clvol.march.cluster` has a third."""
+"""What a renderer draws: a function in memory, or by bricks, in this process or on a cluster. `clvol.march.choose` asks which."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
-    from clvol.march.frame import Frame
+    from clvol.march.cluster import Workers
     from clvol.march.options import Fineness, ResolvedLook
     from clvol.march.refine import Asked, Refined
     from clvol.scene.mode import Mode
@@ -183,14 +183,21 @@ class ByBricks(Source):
 
     field: BrickedField
 
-    def __init__(self, scene: Scene, field: BrickedField, preview: Volume, arguments: tuple[Any, ...]) -> None:
+    def __init__(
+        self, scene: Scene, field: BrickedField, preview: Volume, arguments: tuple[Any, ...], workers: Workers | None = None
+    ) -> None:
         super().__init__(scene, field, preview, arguments)
         self._levels: dict[tuple[int, str], BrickedField] = {}
+        self._workers = workers
+        if workers is not None:
+            self.lease.frees(workers.close)
 
     def levels(self) -> tuple[BrickedField, ...]:
         return tuple(self._levels.values())
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        if self._workers is not None:
+            return (*self.arguments, self._workers.device), self._workers.keywords
         arguments, _ = super().recipe()
         return arguments, {"memory": self.field.memory} if self._owned else {}
 
@@ -204,9 +211,8 @@ class ByBricks(Source):
             row = usual_filter(coarser) if self._free and mode.picture_filter == PICTURE_FILTER else finest.filter
             key = level, "" if row is None else as_filter(row).name
             if key not in self._levels:
-                self._levels[key] = self._shared_out(
-                    BrickedField(coarser, row, finest.boundary, finest.device, beside=finest)  # which has one budget with it
-                )
+                made = BrickedField(coarser, row, finest.boundary, finest.device, beside=finest)  # which has one budget with it
+                self._levels[key] = made if self._workers is None else self._workers.shared_out(made)
                 self.lease.frees(self._levels[key].close)
             return self._levels[key]
 
@@ -219,10 +225,6 @@ class ByBricks(Source):
             self.lease.frees(self._unsmoothed.close)
         made: BrickedField = self._unsmoothed
         return made
-
-    def _shared_out(self, field: BrickedField) -> BrickedField:
-        """The field, with enough bricks for all workers."""
-        return field
 
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
         self._require_direct()
@@ -250,13 +252,12 @@ class ByBricks(Source):
         with field.in_use():
             own = look.of_level(field.coefficients.volume, field.boundary)
             frame = Subject(own, field.coefficients, None, DIRECT).frame(fine.size, fine.step, guides=guides)
-            made = launch.drawn(self.drawing(frame, own, fine, field), fine.rays, progress)
+            view = own.view(fine.size)
+            make = BrickedDrawing if self._workers is None else self._workers.drawing
+            drawing = make(frame, fine.rays, fine.filter, field, view, skipping=look.skipping)
+            made = launch.drawn(drawing, fine.rays, progress)
             self.shown = field
             return made
-
-    def drawing(self, frame: Frame, look: ResolvedLook, fine: Fineness, field: BrickedField) -> BrickedDrawing:
-        """The picture of a frame, to be drawn."""
-        return BrickedDrawing(frame, fine.rays, fine.filter, field, look.view(fine.size), skipping=look.skipping)
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
         self._require_direct()

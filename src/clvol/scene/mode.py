@@ -23,7 +23,7 @@ from clvol.base.scaling import share_of
 from clvol.base.shown import Named
 from clvol.base.uniform import FLOAT, Block, Values
 from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, as_filter
-from clvol.scene.palette import diverging
+from clvol.scene.preset import diverging
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.histogram import Projection, clims_of, isovalue_of, matter_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
