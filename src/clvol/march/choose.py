@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from clvol.base.checks import one_of
+from clvol.base.checks import one_of, whole
 from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume, memory_for
@@ -60,6 +60,8 @@ def source_of(
         scene, preview = as_scene(medium), given.preview()
         arguments: tuple[Any, ...] = given, medium.filter, medium.boundary
     else:
+        if memory is not None:  # which has no effect where the coefficients fit on the device
+            memory = whole("memory", memory, 1)
         scene = _scene(given, filter, boundary, usual)
         (medium,) = scene.media
         arguments, preview = (scene, None, None), medium.volume

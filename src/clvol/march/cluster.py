@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.checks import one_of
 from clvol.base.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.bricks.grid import Brick
@@ -40,7 +39,6 @@ from clvol.dask.cluster import (
 from clvol.device import Device
 from clvol.march.bricks import BrickedDrawing, boxes_of, front_to_back, pixels_of
 from clvol.march.frame import tile_of
-from clvol.march.options import MERGES
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
@@ -67,14 +65,7 @@ _FIELDS = 4  # fields that a worker keeps
 
 @dataclass(frozen=True)
 class Group:
-    """A box of bricks.
-
-    Attributes
-    ----------
-    number : int
-    first, stop : (int, int, int)
-        Its bricks: ``first <= at < stop`` along x, y and z.
-    """
+    """A box of bricks: `first <= at < stop` along x, y and z."""
 
     number: int
     first: Index
@@ -179,17 +170,10 @@ class _Marched:
 
 
 class Shared:
-    """A field whose bricks are distributed over the workers of a cluster.
+    """A field whose bricks are distributed over the workers of a cluster; this process reads none of them.
 
-    Parameters
-    ----------
-    cluster : Cluster
-    field : BrickedField
-        This process reads none of its bricks.
-    device : str, int or None
-        Of the workers: see `as_device`. None: workers of a host that has several GPUs take turns at them.
-    memory : int or None
-        Bytes for the bricks of each worker. None: the workers of a host share what one process would have.
+    Without a `device` the workers of a host that has several GPUs take turns at them; without `memory`, bytes for the bricks of
+    each, they share what one process would have.
     """
 
     def __init__(self, cluster: Cluster, field: BrickedField, device: str | int | None, memory: int | None) -> None:
@@ -234,7 +218,10 @@ class ClusterDrawing(BrickedDrawing):
 
     def __init__(self, workers: Workers, frame: Frame, rays: int | Literal["auto"], *arguments: Any, **options: Any) -> None:
         super().__init__(frame, rays, *arguments, **options)
-        self._asked, self._shared, self._merge = rays, workers.share(self._field), require_merge(workers.merge, frame)
+        smooth = frame.coefficients.filter.support > 1
+        if workers.merge == "tree" and (why := frame.mode.unmergeable(guides=frame.guides, smooth=smooth)):
+            raise OptionError(f'merge must be "order" for {why}')
+        self._asked, self._shared, self._merge = rays, workers.share(self._field), workers.merge
 
     def _go_through(
         self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], progress: Progress | None
@@ -392,17 +379,6 @@ class _Work:
     def cancel(self) -> None:
         """Cancel unfinished tasks."""
         self._shared.cluster.cancel([future for _, future in self._last if future is not None])
-
-
-def require_merge(merge: str, frame: Frame) -> Merge:
-    """Check `merge`; `OptionError` if a tree would give another picture."""
-    if merge == "order":
-        return "order"
-    if merge != "tree":
-        raise one_of("merge", merge, MERGES)
-    if why := frame.mode.unmergeable(guides=frame.guides, smooth=frame.coefficients.filter.support > 1):
-        raise OptionError(f'merge must be "order" for {why}')
-    return "tree"
 
 
 def _bare(frame: Frame) -> Frame:

@@ -88,45 +88,21 @@ def frame_block(mode: Block) -> tuple[Block, str]:
 
 @dataclass(frozen=True)
 class Frame:
-    """The parameters of a picture on a device.
-
-    Attributes
-    ----------
-    coefficients : Coefficients or Whole
-        Of the medium.
-    minmax : MinMax or None
-        Of the medium, if empty space is skipped.
-    sides : Buffer or None
-        For the mode's isovalue, if it searches stretches and empty space is skipped.
-    mode : Mode
-        Settled for the medium's volume.
-    transfer : TransferFunction
-    evaluator : Evaluator
-    planes : Planes
-    tile : Tile
-        The rays of a work-item.
-    central, labels, guides : bool
-        Whether gradients are central differences; whether values are labels, whose differences are meaningless; whether guides
-        are wanted too.
-    values : ndarray
-        The parameter block.
-    table : ndarray of float32
-        The transfer function's nodes or pieces.
-    """
+    """The parameters of a picture on a device."""
 
     coefficients: Coefficients | Whole
-    minmax: MinMax | None
-    sides: Any
-    mode: Mode
+    minmax: MinMax | None  # if empty space is skipped
+    sides: Any  # a buffer for the mode's isovalue, if it searches stretches and empty space is skipped
+    mode: Mode  # settled for the medium's volume
     transfer: TransferFunction
     evaluator: Evaluator
     planes: Planes
-    tile: Tile
-    central: bool
-    labels: bool
-    guides: bool
-    values: Values
-    table: NDArray[np.float32]
+    tile: Tile  # the rays of a work-item
+    central: bool  # gradients are central differences
+    labels: bool  # values are labels, whose differences are meaningless
+    guides: bool  # are wanted too
+    values: Values  # the parameter block
+    table: NDArray[np.float32]  # the transfer function's nodes or pieces
 
     @property
     def device(self) -> Device:
@@ -146,25 +122,23 @@ class Frame:
 
     def sampled(self, offset: NDArray[np.float64], weight: float, number: int, passes: int) -> Values:
         """The parameter block for ray `number` of each pixel, at `offset` from its corner, with this weight."""
-        values = self.values.copy()
-        picture = values["picture"]
-        picture["offset"], picture["weight"], picture["pass"], picture["last_pass"] = offset, weight, number, passes - 1
-        return values
+        return self._set(offset=offset, weight=weight, last_pass=passes - 1, **{"pass": number})
 
     def of_rays(self, width: int, height: int) -> Frame:
         """The frame of a list of rays through this picture, one for each pixel of another, with premultiplied colours."""
-        values = self.values.copy()
-        picture = values["picture"]
-        picture["listed"], picture["width"], picture["height"], picture["last_pass"] = True, width, height, 1
-        picture["kept"] = width, height
-        return replace(self, values=values)
+        size = width, height
+        return replace(self, values=self._set(listed=True, width=width, height=height, last_pass=1, kept=size))
 
     def kept(self, x: int, y: int, width: int, height: int) -> Frame:
         """The same frame, with states only for an area of whole tiles."""
+        return replace(self, values=self._set(kept_from=(x, y), kept=(width, height)))
+
+    def _set(self, **changes: Any) -> Values:
+        """A copy of the parameter block with changes in its picture's block."""
         values = self.values.copy()
-        picture = values["picture"]
-        picture["kept_from"], picture["kept"] = (x, y), (width, height)
-        return replace(self, values=values)
+        for name, value in changes.items():
+            values["picture"][name] = value
+        return values
 
     def program(self, name: str, *, windowed: bool = False) -> Program:
         """A kernel file of the ray loop, specialised for this frame; `windowed`: for one brick of the volume at a time."""

@@ -24,7 +24,7 @@ from clvol.filter.table import as_filter
 if TYPE_CHECKING:
     from clvol.filter.filter import Filter
 
-__all__ = ["DEFAULT_PIXEL_FILTER", "EDGE_RAYS", "as_pixel_filter", "on_edges", "pixel_offsets", "pixel_rays"]
+__all__ = ["DEFAULT_PIXEL_FILTER", "EDGE_RAYS", "as_pixel_filter", "on_edges", "pixel_rays"]
 
 DEFAULT_PIXEL_FILTER = "linear"
 EDGE_RAYS = 3
@@ -54,13 +54,11 @@ def as_pixel_filter(choice: str | Filter) -> Filter:
     return row
 
 
-def pixel_offsets(count: int, filter: str | Filter = DEFAULT_PIXEL_FILTER) -> NDArray[np.float64]:
-    """Where the rays of a pixel lie, in pixels from its upper left corner, those nearest its middle first; (count, 2)."""
-    return _pattern(count, as_pixel_filter(filter))[0]
-
-
 def pixel_rays(count: int, filter: Filter, *, middle: bool) -> list[tuple[NDArray[np.float64], float]]:
-    """Offset and weight of each ray of a pixel; with `middle` the first lies in its middle, and may count nothing."""
+    """Offset, in pixels from its upper left corner, and weight of each ray of a pixel, those nearest its middle first.
+
+    With `middle` the first lies in its middle, and may count nothing.
+    """
     offsets, weights = _pattern(count, filter)
     rays = [(offset, float(weight)) for offset, weight in zip(offsets, weights, strict=True)]
     return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and count % 2 == 0 else rays

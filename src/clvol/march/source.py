@@ -18,10 +18,9 @@ from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.frame import Subject
-from clvol.march.refine import Rates, Wanted, refined, refined_by_levels
+from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
 from clvol.scene.scene import Medium, Scene
-from clvol.show.picture import as_pictures
 from clvol.spline.evaluator import DIRECT, choose_evaluator, require_names
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
@@ -39,7 +38,6 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.march.options import Fineness, ResolvedLook
     from clvol.march.refine import Asked, Refined
     from clvol.scene.mode import Mode
-    from clvol.show.picture import Picture
     from clvol.spline.evaluator import Evaluator
 
 __all__ = ["ByBricks", "Drawable", "InMemory", "Source", "row_for", "single", "usual_filter"]
@@ -55,14 +53,8 @@ _CLOSED = "the renderer was closed, and its coefficients were released; make a n
 class Source(ABC):
     """The function of a scene's medium, from which pictures are made.
 
-    Parameters
-    ----------
-    scene : Scene
-    field : Field or BrickedField
-    preview : Volume
-        Samples from which looks are chosen.
-    arguments : tuple
-        From which another process makes the source: a renderer's input, filter and boundary; or just a field.
+    Looks are chosen from the samples of `preview`. Of `arguments` another process makes the source: a renderer's input, filter and
+    boundary; or just a field.
     """
 
     def __init__(self, scene: Scene, field: Field | BrickedField, preview: Volume, arguments: tuple[Any, ...]) -> None:
@@ -126,7 +118,7 @@ class InMemory(Source):
         super().__init__(scene, field, preview, arguments)
         self.pyramids: dict[tuple[Filter, Evaluator], MinMax] = {}
         self._uncertainty: Uncertainty | None = None
-        self._rates = Rates()
+        self._rates: dict[tuple[Any, ...], Rate] = {}
 
     def function(self, mode: Mode, level: int = 0) -> Field:
         whole("level", level, 0, 0)
@@ -148,7 +140,7 @@ class InMemory(Source):
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
         wanted = Wanted(self._subject(look), fine.size, fine.step, fine.rays, fine.filter)
-        return refined(wanted, asked, self._rates, self.in_use)
+        return Refinement(wanted, asked, self._rates).pictures(self.in_use)
 
     def _subject(self, look: ResolvedLook) -> Subject:
         """A look of the function, with its pyramid of minima and maxima where space is skipped."""
@@ -262,8 +254,8 @@ class ByBricks(Source):
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
         self._require_direct()
 
-        def draw(level: int, report: Progress) -> Picture:
-            return as_pictures(self._draw(look, fine, level, False, report))["rgba"]
+        def draw(level: int, report: Progress) -> launch.Picture:
+            return self._draw(look, fine, level, False, report)["rgba"]
 
         levels = range(len(self.field.volume.levels), self._level(look, fine) - 1, -1)
         return refined_by_levels(draw, levels, fine.step, asked, self.in_use)

@@ -29,24 +29,13 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A camera fitted to one volume: the rays are computed from it.
+    """A camera fitted to one volume: the rays are computed from it."""
 
-    Attributes
-    ----------
-    eye : ndarray, shape (3,)
-        World position of the camera.
-    right, up, forward : ndarray, shape (3,)
-        Orthonormal; `right` and `up` span the picture.
-    half_height : float
-        Orthographic: half the picture's height in world units. Perspective: the same at distance 1.
-    orthographic : bool
-    """
-
-    eye: Vector
-    right: Vector
+    eye: Vector  # in the world
+    right: Vector  # spans the picture with `up`; both are orthonormal with `forward`
     up: Vector
     forward: Vector
-    half_height: float
+    half_height: float  # of the picture in world units; in perspective at distance 1
     orthographic: bool
 
     BLOCK: ClassVar[Block] = Block(
