@@ -68,10 +68,7 @@ class Planes:
         inverse = volume.world_to_index_matrix
         forward = inverse @ view.forward
         self.axis = int(np.argmax(np.abs(forward)))
-        corners = [forward]
-        if not view.orthographic:
-            sides = [(a, b) for a in (-1, 1) for b in (-1, 1)]
-            corners = [inverse @ (view.forward + view.half_height * (a * aspect * view.right + b * view.up)) for a, b in sides]
+        corners = view.corner_rays(inverse, aspect)
         cosine = min(abs(float(d[self.axis])) / float(np.linalg.norm(d)) for d in corners)
         if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
             cosine = 0.0  # so wide that some rays run backwards

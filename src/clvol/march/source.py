@@ -63,6 +63,7 @@ class Source(ABC):
         self.lease = Lease(_CLOSED)
         self._lock = threading.RLock()  # a signal handler may re-enter
         self._unsmoothed: Any = None
+        self._levels: dict[tuple[int, str], BrickedField] = {}
         self._owned = arguments[0] is not field
         if self._owned:
             self.lease.frees(field.close)
@@ -86,7 +87,7 @@ class Source(ABC):
 
     def levels(self) -> tuple[BrickedField, ...]:
         """The functions of lower resolutions that were drawn."""
-        return ()
+        return tuple(self._levels.values())
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
         """Arguments and keywords with which another process makes the renderer."""
@@ -179,13 +180,9 @@ class ByBricks(Source):
         self, scene: Scene, field: BrickedField, preview: Volume, arguments: tuple[Any, ...], workers: Workers | None = None
     ) -> None:
         super().__init__(scene, field, preview, arguments)
-        self._levels: dict[tuple[int, str], BrickedField] = {}
         self._workers = workers
         if workers is not None:
             self.lease.frees(workers.close)
-
-    def levels(self) -> tuple[BrickedField, ...]:
-        return tuple(self._levels.values())
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
         if self._workers is not None:

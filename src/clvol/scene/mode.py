@@ -381,11 +381,8 @@ def mode_options(mode: Mode | type[Mode]) -> dict[str, str]:
 def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None = None, others: Iterable[str] = ()) -> Mode:
     """The mode of a name, a class or an instance, with these options; `others` are further options of the caller.
 
-    Raises
-    ------
-    OptionError
-        The name is unknown, the mode has no such option, the value of an option is not allowed, or a class lacks an
-        attribute that modes must define.
+    `OptionError` if the name is unknown, the mode has no such option, the value of an option is not allowed, or a class lacks an
+    attribute that modes must define.
     """
     if isinstance(choice, type) and issubclass(choice, Mode):
         choice = choice()

@@ -282,15 +282,9 @@ def heat(share: ArrayLike) -> NDArray[np.float32]:
 def heat_with_scale(values: ArrayLike, unit: str = "", title: str = "", top: float | None = None) -> NDArray[np.uint8]:
     """Colours for values of at least 0, with a scale in a band below; (height + band, width, 3) uint8.
 
-    Parameters
-    ----------
-    values : array-like, shape (height, width)
-        NaN, where there is no value, is grey blue.
-    unit, title : str
-        The text after the largest number of the scale, and below it.
-    top : float, optional
-        The value of the brightest colour; larger values are clipped. By default the smallest of 1, 2 or 5 times a power of ten
-        that 95 % of the values do not exceed.
+    NaN, where there is no value, is grey blue. `unit` follows the largest number of the scale, and `title` is below it. `top` is
+    the value of the brightest colour, to which larger ones are clipped; by default the smallest of 1, 2 or 5 times a power of ten
+    that 95 % of the values do not exceed.
     """
     from PIL import Image, ImageDraw, ImageFont
 
