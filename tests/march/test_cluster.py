@@ -201,9 +201,9 @@ def test_a_pickled_renderer_finds_its_cluster(cluster: Cluster, volume: clvol.La
             packed = pickle.dumps(renderer)
             picture = renderer.render(CAMERAS["aslant"], "mip", (48, 48))
             with pickle.loads(packed) as again:
-                assert again._source._cluster.address == cluster.address
-                assert again._source._cluster is not cluster
-                assert again._source._merge == merge
+                assert again._source._workers.cluster.address == cluster.address
+                assert again._source._workers.cluster is not cluster
+                assert again._source._workers.merge == merge
                 np.testing.assert_array_equal(again.render(CAMERAS["aslant"], "mip", (48, 48)), picture)
         assert cluster.client.status == "running"  # the copy has left, and ended nobody else's
     again, _ = Renderer(volume, "linear", cluster=cluster).__reduce__()

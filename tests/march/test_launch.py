@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.march.frame import Frame
+from clvol.march.frame import Frame, Subject
 from clvol.march.launch import States, draw, finish_states, march_rays, merge_states
+from clvol.march.options import ResolvedLook
 from clvol.march.renderer import Renderer
 from clvol.phantoms import marschner_lobb
 from clvol.scene.camera import Camera
@@ -46,19 +47,11 @@ def frame_of(
 ) -> Frame:
     evaluator = choose_evaluator(renderer.device, renderer.filter)
     chosen = as_mode(mode, suited(mode, {"isovalue": 0.5, "termination": termination}))
-    return Frame.of(
-        Scene(renderer.volume, background=None, clip=clip),
-        renderer.field.coefficients,
-        MinMax(renderer.field.coefficients, evaluator) if skipping and chosen.skips else None,
-        camera,
-        chosen,
-        SIZE,
-        0.5,
-        TRANSFER,
-        evaluator,
-        central=False,
-        guides=True,
-    )
+    scene = Scene(renderer.volume, background=None, clip=clip)
+    look = ResolvedLook(camera, chosen, scene, TRANSFER, central=False, skipping=skipping, preview=renderer.volume)
+    coefficients = renderer.field.coefficients
+    minmax = MinMax(coefficients, evaluator) if skipping and chosen.skips else None
+    return Subject(look, coefficients, minmax, evaluator).frame(SIZE, 0.5, guides=True)
 
 
 def check(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], mode: str, *, carried: bool = False) -> None:

@@ -19,7 +19,7 @@ from clvol.base.errors import GeometryError, OptionError
 from clvol.device import Device
 from clvol.march import launch, refine
 from clvol.march.launch import Drawing, draw
-from clvol.march.refine import Rate, Rates, Refined
+from clvol.march.refine import Rate, Refined
 from clvol.march.renderer import Renderer
 from clvol.phantoms import marschner_lobb
 from clvol.scene.camera import Camera
@@ -143,7 +143,7 @@ def test_a_picture_that_comes_too_late_is_drawn_on_later(renderer: Renderer, mon
     for camera in CAMERA, Camera.orbit(120, -40, fit="volume"):
         with renderer.device.limited(launch_seconds=1e-9):
             told.clear()
-            monkeypatch.setattr(renderer._source, "_rates", Rates())
+            monkeypatch.setattr(renderer._source, "_rates", {})
             want = renderer.render(camera, "mip", size, progress=lambda _: None)
             launches = told.copy()
             told.clear()

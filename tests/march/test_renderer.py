@@ -414,6 +414,10 @@ def test_errors_of_what_is_drawn(device: Device) -> None:
         OptionError, match=r"stepp is no option of composite \(did you mean step\?\); composite has shading, termination"
     ):
         render(ones, stepp=1, device=device)
+    with pytest.raises(OptionError, match=r"clim is no option of mip \(did you mean window=\(center, width\), or the clim"):
+        render(ones, mode="mip", clim=(0, 1), device=device)
+    with pytest.raises(OptionError, match="memory must be a whole number"):
+        render(ones, memory="1G", device=device)  # type: ignore[arg-type]
 
 
 def test_a_closed_renderer_says_so(device: Device) -> None:

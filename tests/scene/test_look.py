@@ -14,7 +14,7 @@ from clvol.base.errors import ClvolWarning, OptionError
 from clvol.device import Device
 from clvol.scene.look import look
 from clvol.scene.mode import modes
-from clvol.scene.palette import label_color
+from clvol.scene.preset import label_color
 from clvol.volume.volume import Volume
 
 Z, Y, X = np.indices((20, 20, 20))

@@ -14,7 +14,7 @@ import clvol
 from clvol import Volume
 from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.device import Device
-from clvol.scene.palette import label_color
+from clvol.scene.preset import label_color
 from clvol.show.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url, section
 from clvol.view.catalog import Which

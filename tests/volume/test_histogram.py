@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clvol.scene.palette import automatic
+from clvol.scene.preset import automatic
 from clvol.scene.transfer import TransferFunction
 from clvol.volume import histogram
 from clvol.volume.histogram import clims_of, isovalue_of, label_numbers, matter_of

@@ -18,8 +18,8 @@ from clvol.bricks.reduced import Reduced
 from clvol.bricks.residents import Reads, Resident, Residents
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.spline.coefficients import Coefficients, bytes_of
-from clvol.spline.field import filled
 from clvol.spline.minmax import bytes_beside
+from clvol.spline.resample import filled
 from clvol.volume.stored import RENUMBER, names_beyond
 
 if TYPE_CHECKING:

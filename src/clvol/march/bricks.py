@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from clvol.base import memory
 from clvol.base.progress import part_of
-from clvol.march.frame import WINDOW
 from clvol.march.launch import Drawing, launched_over, lent_pictures, pictures_of
 from clvol.spline.lease import release
 from clvol.spline.minmax import minmax_block
@@ -64,18 +63,9 @@ _SHARE = 8  # of the budget, what states may take at a time
 
 
 class BrickedDrawing(Drawing):
-    """A picture in progress, of a volume that is read by bricks.
+    """A picture in progress, of a volume that is read by bricks; its frame is of the whole volume, without a pyramid.
 
-    Parameters
-    ----------
-    frame, rays, filter
-        As of `Drawing`; the frame is of the whole volume (`BrickedField.coefficients`), without a pyramid.
-    field : BrickedField
-        Where bricks come from.
-    view : Viewpoint
-        Of the picture.
-    skipping : bool
-        Whether to skip bricks in which nothing is visible.
+    Bricks in which nothing is visible are skipped with `skipping`.
     """
 
     def __init__(
@@ -214,38 +204,18 @@ class BrickedDrawing(Drawing):
 
 @dataclass(frozen=True)
 class Carried:
-    """The states of the rays of an area of a picture between bricks.
+    """The states of the rays of an area of a picture between bricks, as planes [field, y, x]."""
 
-    Attributes
-    ----------
-    area : tuple of int
-        x, y, width, height in pixels; it begins at a tile.
-    states, shown : ndarray of float32, shape (fields, height, width)
-        The mode's numbers, and how many samples were gathered; the colour and the normal where rays end, as far as these are kept.
-    """
-
-    area: Area
-    states: NDArray[np.float32]
-    shown: NDArray[np.float32]
+    area: Area  # begins at a tile
+    states: NDArray[np.float32]  # the mode's numbers, and how many samples were gathered
+    shown: NDArray[np.float32]  # the colour and the normal where rays end, as far as these are kept
 
 
 class Pass:
     """One ray for each pixel of a frame, or of an area that begins at a tile, or of a list, on its way through the bricks.
 
-    Parameters
-    ----------
-    frame : Frame
-        Of all pixels.
-    places : ndarray of float32, shape (N, 2), optional
-        Where the rays of a list cross the picture.
-    program, table
-        The frame's kernels, and the transfer function's table.
-    beside : int
-        Most pixels between a ray and its pixel.
-    whole : Frame
-        The picture whose pixels are the unit of `places`.
-    area : (int, int, int, int), optional
-        Only the rays of this area are begun, and have states.
+    `places`, shape (N, 2), are where the rays of a list cross the picture, in pixels of the frame `whole`. Between a ray and its
+    pixel are at most `beside` pixels.
     """
 
     def __init__(
@@ -274,7 +244,7 @@ class Pass:
         self._shown = device.buffers.allocate(4 * max(1, width * height * self._fields[1]))
         self._going = np.zeros((-(-height // tile.height), -(-width // tile.width)), np.uint8)
         self._flags = device.buffers.upload(self._going)
-        self._over("begin_states", self.area, device.buffers.upload(frame.values[None]), self._places, self._memory, self._flags)
+        self._over("begin_states", self.area, self._block(), self._places, self._memory, self._flags)
         device.buffers.download(self._flags, self._going)
 
     def wanted(self, brick: Brick, view: Viewpoint, grid: Volume) -> Area | None:
@@ -316,7 +286,7 @@ class Pass:
         """March rays through a resident brick."""
         frame, device = self.frame, self.frame.device
         values = frame.values.copy()
-        values["window"] = _window(own, minmax, brick, field)
+        _set_window(values, own, minmax, brick, field)
         values["minmax"] = minmax_block(minmax, field.volume.grid, frame.planes.margin)
         made = own.coefficients
         nothing = self._table  # any buffer: it is not read
@@ -360,15 +330,13 @@ class Pass:
     def resume(self, carried: Carried) -> None:
         """Resume rays with these states."""
         self.take(carried)
-        block = self.frame.device.buffers.upload(self.frame.values[None])
-        self._over("resume_states", carried.area, block, self._places, self._memory, self._flags)
+        self._over("resume_states", carried.area, self._block(), self._places, self._memory, self._flags)
         self.frame.device.buffers.download(self._flags, self._going)
 
     def merge(self, back: Pass) -> None:
         """Merge the states of rays through the bricks behind into these: see `merge_states`."""
-        block = self.frame.device.buffers.upload(self.frame.values[None])
         buffers = self._memory, self._shown, back._memory, back._shown
-        self._over("merge_bricks", self.area, block, self._places, *buffers)
+        self._over("merge_bricks", self.area, self._block(), self._places, *buffers)
 
     @contextmanager
     def _planes(self, buffer: Any, count: int, *, write: bool, area: Area | None = None) -> Iterator[NDArray[np.float32]]:
@@ -382,20 +350,13 @@ class Pass:
 
     def finish(self, buffers: list[Any]) -> None:
         """Write the rays' results to pictures."""
-        frame = self.frame
-        block, nowhere = frame.device.buffers.upload(frame.values[None]), np.zeros(4, np.int32)
-        self._over(
-            "finish_bricks",
-            self.area,
-            self._table,  # in place of coefficients, which are not read
-            nowhere,
-            block,
-            self._table,
-            self._places,
-            self._memory,
-            self._shown,
-            *buffers,
-        )
+        nothing, nowhere = self._table, np.zeros(4, np.int32)  # in place of coefficients, which are not read
+        rays = self._table, self._places, self._memory, self._shown
+        self._over("finish_bricks", self.area, nothing, nowhere, self._block(), *rays, *buffers)
+
+    def _block(self) -> Any:
+        """The frame's parameters on the device."""
+        return self.frame.device.buffers.upload(self.frame.values[None])
 
     def _over(self, kernel: str, area: Area, *arguments: Any, share: float = 0.0) -> None:
         """Run a kernel over an area; it takes at most this share of the rays' samples."""
@@ -453,22 +414,19 @@ def fields_of(frame: Frame) -> int:
     return mode.state_fields + 1 + 3 * mode.finished_there + 3 * frame.guides
 
 
-def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> Values:
-    """The kernels' parameters of the resident part."""
+def _set_window(values: Values, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> None:
+    """Set the kernels' parameters of the resident part in a frame's block."""
     stored_from = [first * field.filter.scale for first in brick.first]
     z, y, x = own.coefficients.shape
     cells_from, cells_to = field.bricks.cells(brick)
     first = (0, 0, 0) if minmax is None else minmax.first
-    return WINDOW(
-        low=brick.low,
-        high=brick.high,
-        cells_from=cells_from,
-        cells_to=cells_to,
-        stored_from=stored_from,
-        stored_to=[first + n for first, n in zip(stored_from, (x, y, z), strict=True)],
-        blocks_from=[a + b for a, b in zip(stored_from, first, strict=True)],
-        whole=field.coefficients.extent[:3],
-    )
+    window = values["window"]
+    window["low"], window["high"] = brick.low, brick.high
+    window["cells_from"], window["cells_to"] = cells_from, cells_to
+    window["stored_from"] = stored_from
+    window["stored_to"] = [first + n for first, n in zip(stored_from, (x, y, z), strict=True)]
+    window["blocks_from"] = [a + b for a, b in zip(stored_from, first, strict=True)]
+    window["whole"] = field.coefficients.extent[:3]
 
 
 def boxes_of(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.float32]:

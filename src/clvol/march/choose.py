@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from clvol.base.checks import one_of
+from clvol.base.checks import one_of, whole
 from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume, memory_for
@@ -60,6 +60,8 @@ def source_of(
         scene, preview = as_scene(medium), given.preview()
         arguments: tuple[Any, ...] = given, medium.filter, medium.boundary
     else:
+        if memory is not None:  # which has no effect where the coefficients fit on the device
+            memory = whole("memory", memory, 1)
         scene = _scene(given, filter, boundary, usual)
         (medium,) = scene.media
         arguments, preview = (scene, None, None), medium.volume
@@ -73,9 +75,10 @@ def source_of(
         field = BrickedField(medium.volume, row, medium.boundary, device, memory=memory, at_once=cluster is None)
     if cluster is None:
         return ByBricks(scene, field, preview, arguments)
-    from clvol.march.cluster import OnCluster
+    from clvol.march.cluster import Workers
 
-    return OnCluster(scene, field, preview, arguments, cluster, merge, device, memory)
+    workers = Workers(cluster, merge, device, memory)
+    return ByBricks(scene, workers.shared_out(field), preview, arguments, workers)
 
 
 def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | None, usual: str | None) -> Scene:

@@ -10,18 +10,17 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 import uuid
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.checks import one_of
 from clvol.base.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.bricks.grid import Brick
@@ -40,8 +39,6 @@ from clvol.dask.cluster import (
 from clvol.device import Device
 from clvol.march.bricks import BrickedDrawing, boxes_of, front_to_back, pixels_of
 from clvol.march.frame import tile_of
-from clvol.march.options import MERGES
-from clvol.march.source import ByBricks
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
@@ -51,12 +48,10 @@ if TYPE_CHECKING:
     from clvol.filter.filter import Filter
     from clvol.march.bricks import Area, Carried, Pass
     from clvol.march.frame import Frame
-    from clvol.march.options import Fineness, Merge, ResolvedLook
+    from clvol.march.options import Merge
     from clvol.scene.camera import Viewpoint
-    from clvol.scene.scene import Scene
-    from clvol.volume.volume import Volume
 
-__all__ = ["ClusterDrawing", "Group", "OnCluster", "Shared", "groups_of", "shared_out", "visible"]
+__all__ = ["ClusterDrawing", "Group", "Shared", "Workers", "groups_of", "visible"]
 
 _GROUPS = 4  # boxes for each worker
 _AREAS = 4  # areas of a picture for each worker
@@ -70,14 +65,7 @@ _FIELDS = 4  # fields that a worker keeps
 
 @dataclass(frozen=True)
 class Group:
-    """A box of bricks.
-
-    Attributes
-    ----------
-    number : int
-    first, stop : (int, int, int)
-        Its bricks: ``first <= at < stop`` along x, y and z.
-    """
+    """A box of bricks: `first <= at < stop` along x, y and z."""
 
     number: int
     first: Index
@@ -143,16 +131,6 @@ def visible(tree: _Tree, field: BrickedField, view: Viewpoint) -> Iterator[Group
         yield from visible(part, field, view)
 
 
-def shared_out(field: BrickedField, workers: int) -> BrickedField:
-    """The field, or one of smaller bricks where there are fewer bricks than groups."""
-    edge = field.edge
-    while math.prod(-(-n // edge) for n in field.volume.size) < _GROUPS * workers and edge >= 2 * _LEAST:
-        edge //= 2
-    if edge == field.edge:
-        return field
-    return BrickedField(field.volume, field.filter, field.boundary, field.device, memory=field.memory, edge=edge)
-
-
 @dataclass(frozen=True)
 class _Recipe:
     """The arguments of the field that each worker makes once."""
@@ -192,17 +170,10 @@ class _Marched:
 
 
 class Shared:
-    """A field whose bricks are distributed over the workers of a cluster.
+    """A field whose bricks are distributed over the workers of a cluster; this process reads none of them.
 
-    Parameters
-    ----------
-    cluster : Cluster
-    field : BrickedField
-        This process reads none of its bricks.
-    device : str, int or None
-        Of the workers: see `as_device`. None: workers of a host that has several GPUs take turns at them.
-    memory : int or None
-        Bytes for the bricks of each worker. None: the workers of a host share what one process would have.
+    Without a `device` the workers of a host that has several GPUs take turns at them; without `memory`, bytes for the bricks of
+    each, they share what one process would have.
     """
 
     def __init__(self, cluster: Cluster, field: BrickedField, device: str | int | None, memory: int | None) -> None:
@@ -243,30 +214,14 @@ class Shared:
 
 
 class ClusterDrawing(BrickedDrawing):
-    """A picture in progress, whose rays the workers of a cluster cast.
+    """A picture in progress, as a `BrickedDrawing`, whose rays the workers of a cluster cast."""
 
-    Parameters
-    ----------
-    frame, rays, filter, view, skipping
-        As of `BrickedDrawing`.
-    shared : Shared
-    merge : {"order", "tree"}
-        How rays traverse the groups.
-    """
-
-    def __init__(
-        self,
-        frame: Frame,
-        rays: int | Literal["auto"],
-        filter: str | Filter,
-        shared: Shared,
-        view: Viewpoint,
-        *,
-        skipping: bool,
-        merge: Merge,
-    ) -> None:
-        super().__init__(frame, rays, filter, shared.field, view, skipping=skipping)
-        self._asked, self._shared, self._merge = rays, shared, require_merge(merge, frame)
+    def __init__(self, workers: Workers, frame: Frame, rays: int | Literal["auto"], *arguments: Any, **options: Any) -> None:
+        super().__init__(frame, rays, *arguments, **options)
+        smooth = frame.coefficients.filter.support > 1
+        if workers.merge == "tree" and (why := frame.mode.unmergeable(guides=frame.guides, smooth=smooth)):
+            raise OptionError(f'merge must be "order" for {why}')
+        self._asked, self._shared, self._merge = rays, workers.share(self._field), workers.merge
 
     def _go_through(
         self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], progress: Progress | None
@@ -426,17 +381,6 @@ class _Work:
         self._shared.cluster.cancel([future for _, future in self._last if future is not None])
 
 
-def require_merge(merge: str, frame: Frame) -> Merge:
-    """Check `merge`; `OptionError` if a tree would give another picture."""
-    if merge == "order":
-        return "order"
-    if merge != "tree":
-        raise one_of("merge", merge, MERGES)
-    if why := frame.mode.unmergeable(guides=frame.guides, smooth=frame.coefficients.filter.support > 1):
-        raise OptionError(f'merge must be "order" for {why}')
-    return "tree"
-
-
 def _bare(frame: Frame) -> Frame:
     """A frame without device objects."""
     return replace(frame, coefficients=None, minmax=None, sides=None)  # type: ignore[arg-type]  # workers put in their own
@@ -445,6 +389,53 @@ def _bare(frame: Frame) -> Frame:
 def _same_job(job: _Job) -> _Job:
     """A task that returns its argument, so that the scheduler keeps it and can send it again."""
     return job
+
+
+class Workers:
+    """The workers of a cluster that draw a renderer's pictures; `device` and `memory` are each worker's, as they were given."""
+
+    def __init__(self, cluster: ClusterLike, merge: Merge, device: Device | str | int | None, memory: int | None) -> None:
+        self.cluster, self.merge, self.device = as_cluster(cluster), merge, device
+        self._given, self._memory = cluster, memory
+        self._shared: dict[int, Shared] = {}
+        self._lock = threading.RLock()  # a signal handler may re-enter
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Those of a renderer in another process."""
+        cluster = self._given if isinstance(self._given, int) else self.cluster.address
+        return {"memory": self._memory, "cluster": cluster, "merge": self.merge}
+
+    def shared_out(self, field: BrickedField) -> BrickedField:
+        """The field, or one of smaller bricks where there are fewer bricks than groups."""
+        edge, wanted = field.edge, _GROUPS * len(self.cluster.workers)
+        while math.prod(-(-n // edge) for n in field.volume.size) < wanted and edge >= 2 * _LEAST:
+            edge //= 2
+        if edge == field.edge:
+            return field
+        return BrickedField(field.volume, field.filter, field.boundary, field.device, memory=field.memory, edge=edge)
+
+    def share(self, field: BrickedField) -> Shared:
+        """The distribution of a field's bricks over the workers; renewed when the workers change."""
+        with self._lock:
+            found = self._shared.get(id(field))
+            if found is None:
+                device = self.device.name if isinstance(self.device, Device) else self.device
+                found = self._shared[id(field)] = Shared(self.cluster, field, device, self._memory)
+            elif found.workers != self.cluster.workers:
+                found.share()
+            return found
+
+    def drawing(self, *arguments: Any, **options: Any) -> ClusterDrawing:
+        """A picture in progress: the arguments are those of `BrickedDrawing`."""
+        return ClusterDrawing(self, *arguments, **options)
+
+    def close(self) -> None:
+        """Free the fields of the workers, and leave the cluster."""
+        for one in self._shared.values():
+            one.forget()
+        if self.cluster is not self._given:
+            self.cluster.close()
 
 
 # -- in a worker -----------------------------------------------------------------------------------------------------------------
@@ -546,69 +537,3 @@ def read_bricks(recipe: _Recipe, bricks: Sequence[Index], key: str) -> None:
             client.set_metadata([key], number)
             with field.store.resident(field.bricks[at]):
                 pass
-
-
-class OnCluster(ByBricks):
-    """A function whose bricks are distributed over the workers of a cluster.
-
-    Parameters
-    ----------
-    scene, field, preview, arguments
-        As of `ByBricks`; this process reads no bricks of the field.
-    cluster : distributed.Client, str or int
-    merge : {"order", "tree"}
-    device, memory
-        Of each worker, as they were given.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        field: BrickedField,
-        preview: Volume,
-        arguments: tuple[Any, ...],
-        cluster: ClusterLike,
-        merge: Merge,
-        device: Device | str | int | None,
-        memory: int | None,
-    ) -> None:
-        super().__init__(scene, field, preview, arguments)
-        self._merge: Merge = merge
-        self._device, self._memory = device, memory
-        self._processes = cluster if isinstance(cluster, int) else None
-        self._shared: dict[int, Shared] = {}
-        self._cluster = as_cluster(cluster)
-        self.field = self.shown = self._shared_out(field)
-        self.lease.frees(self.field.close)
-        self.lease.frees(partial(_leave, self._cluster, self._shared, owned=self._cluster is not cluster))
-
-    def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
-        cluster = self._processes or self._cluster.address
-        arguments = *self.arguments, self._device  # as it was given: each worker finds its own
-        return arguments, {"memory": self._memory, "cluster": cluster, "merge": self._merge}
-
-    def _shared_out(self, field: BrickedField) -> BrickedField:
-        return shared_out(field, len(self._cluster.workers))
-
-    def drawing(self, frame: Frame, look: ResolvedLook, fine: Fineness, field: BrickedField) -> BrickedDrawing:
-        view = look.view(fine.size)
-        return ClusterDrawing(frame, fine.rays, fine.filter, self._share(field), view, skipping=look.skipping, merge=self._merge)
-
-    def _share(self, field: BrickedField) -> Shared:
-        """The distribution of a field's bricks over the workers; renewed when the workers change."""
-        with self._lock:
-            found = self._shared.get(id(field))
-            if found is None:
-                device = self._device.name if isinstance(self._device, Device) else self._device
-                found = self._shared[id(field)] = Shared(self._cluster, field, device, self._memory)
-            elif found.workers != self._cluster.workers:
-                found.share()
-            return found
-
-
-def _leave(cluster: Cluster, shared: dict[int, Shared], *, owned: bool) -> None:
-    """Leave a cluster, and free the fields of its workers."""
-    for one in shared.values():
-        one.forget()
-    if owned:
-        cluster.close()

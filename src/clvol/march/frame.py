@@ -14,7 +14,6 @@ from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device import Tile
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.scene.camera import Viewpoint
-from clvol.scene.fit import fitted
 from clvol.scene.light import LIGHTS, Material, lights_block
 from clvol.scene.scene import CLIP, Medium, clip_block
 from clvol.scene.transfer import TransferFunction
@@ -28,9 +27,7 @@ if TYPE_CHECKING:
     from clvol.device import Device
     from clvol.device.program import Program
     from clvol.march.options import ResolvedLook
-    from clvol.scene.camera import Camera
     from clvol.scene.mode import Mode
-    from clvol.scene.scene import Scene
     from clvol.spline.coefficients import Coefficients, Whole
     from clvol.spline.evaluator import Evaluator
     from clvol.spline.minmax import MinMax
@@ -91,106 +88,21 @@ def frame_block(mode: Block) -> tuple[Block, str]:
 
 @dataclass(frozen=True)
 class Frame:
-    """The parameters of a picture on a device.
-
-    Attributes
-    ----------
-    coefficients : Coefficients or Whole
-        Of the medium.
-    minmax : MinMax or None
-        Of the medium, if empty space is skipped.
-    sides : Buffer or None
-        For the mode's isovalue, if it searches stretches and empty space is skipped.
-    mode : Mode
-        Settled for the medium's volume.
-    transfer : TransferFunction
-    evaluator : Evaluator
-    planes : Planes
-    tile : Tile
-        The rays of a work-item.
-    central, labels, guides : bool
-        Whether gradients are central differences; whether values are labels, whose differences are meaningless; whether guides
-        are wanted too.
-    values : ndarray
-        The parameter block.
-    table : ndarray of float32
-        The transfer function's nodes or pieces.
-    """
+    """The parameters of a picture on a device."""
 
     coefficients: Coefficients | Whole
-    minmax: MinMax | None
-    sides: Any
-    mode: Mode
+    minmax: MinMax | None  # if empty space is skipped
+    sides: Any  # a buffer for the mode's isovalue, if it searches stretches and empty space is skipped
+    mode: Mode  # settled for the medium's volume
     transfer: TransferFunction
     evaluator: Evaluator
     planes: Planes
-    tile: Tile
-    central: bool
-    labels: bool
-    guides: bool
-    values: Values
-    table: NDArray[np.float32]
-
-    @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        coefficients: Coefficients | Whole,
-        minmax: MinMax | None,
-        camera: Camera,
-        mode: Mode,
-        size: tuple[int, int],
-        step: float,
-        transfer: TransferFunction,
-        evaluator: Evaluator,
-        *,
-        central: bool,
-        guides: bool,
-        aspect: float | None = None,
-        progress: Progress | None = None,
-    ) -> Frame:
-        """The frame of a scene whose coefficients are resident, for a camera and a mode.
-
-        `aspect` is ``width / height`` of the displayed picture, if it differs slightly from this one's. `progress` is called
-        during long computations, and may raise.
-        """
-        (medium,), (width, height) = scene.media, size
-        aspect = width / height if aspect is None else aspect
-        volume, stored = medium.volume, coefficients.stored
-        view = fitted(camera, volume, mode, transfer, scene.clip, aspect).view(volume, aspect)
-        planes = Planes(volume, view, aspect, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
-        block, _ = frame_block(mode.BLOCK)
-        values = block(
-            camera=view.block(volume, width, height, aspect),
-            geometry=medium.block(stored),
-            clip=clip_block(scene.clip, volume),
-            planes=planes.block(),
-            transfer=transfer.block(volume.mean_spacing, stored),
-            material=medium.material.block(),
-            lights=lights_block(scene.lights, view),
-            mode=mode.block(volume, stored),
-            minmax=minmax_block(minmax, volume, planes.margin),
-            window=np.zeros((), WINDOW.dtype),
-            picture=PICTURE(
-                offset=0.5,
-                background=scene.background or 0.0,
-                weight=1.0,
-                width=width,
-                height=height,
-                kept_from=0,
-                kept=size,
-                opaque=scene.background is not None,
-                listed=0,
-                **{"pass": 0, "last_pass": 0},
-            ),
-        )
-        table = transfer.table(stored)
-        tile = tile_of(coefficients.device, evaluator)
-        labels = volume.is_labels and not coefficients.filter.has_gradient
-        made = cls(coefficients, minmax, None, mode, transfer, evaluator, planes, tile, central, labels, guides, values, table)
-        if minmax is None or (surface := made.surface) is None:
-            return made
-        return replace(made, sides=minmax.sides(surface, progress))
+    tile: Tile  # the rays of a work-item
+    central: bool  # gradients are central differences
+    labels: bool  # values are labels, whose differences are meaningless
+    guides: bool  # are wanted too
+    values: Values  # the parameter block
+    table: NDArray[np.float32]  # the transfer function's nodes or pieces
 
     @property
     def device(self) -> Device:
@@ -210,25 +122,23 @@ class Frame:
 
     def sampled(self, offset: NDArray[np.float64], weight: float, number: int, passes: int) -> Values:
         """The parameter block for ray `number` of each pixel, at `offset` from its corner, with this weight."""
-        values = self.values.copy()
-        picture = values["picture"]
-        picture["offset"], picture["weight"], picture["pass"], picture["last_pass"] = offset, weight, number, passes - 1
-        return values
+        return self._set(offset=offset, weight=weight, last_pass=passes - 1, **{"pass": number})
 
     def of_rays(self, width: int, height: int) -> Frame:
         """The frame of a list of rays through this picture, one for each pixel of another, with premultiplied colours."""
-        values = self.values.copy()
-        picture = values["picture"]
-        picture["listed"], picture["width"], picture["height"], picture["last_pass"] = True, width, height, 1
-        picture["kept"] = width, height
-        return replace(self, values=values)
+        size = width, height
+        return replace(self, values=self._set(listed=True, width=width, height=height, last_pass=1, kept=size))
 
     def kept(self, x: int, y: int, width: int, height: int) -> Frame:
         """The same frame, with states only for an area of whole tiles."""
+        return replace(self, values=self._set(kept_from=(x, y), kept=(width, height)))
+
+    def _set(self, **changes: Any) -> Values:
+        """A copy of the parameter block with changes in its picture's block."""
         values = self.values.copy()
-        picture = values["picture"]
-        picture["kept_from"], picture["kept"] = (x, y), (width, height)
-        return replace(self, values=values)
+        for name, value in changes.items():
+            values["picture"][name] = value
+        return values
 
     def program(self, name: str, *, windowed: bool = False) -> Program:
         """A kernel file of the ray loop, specialised for this frame; `windowed`: for one brick of the volume at a time."""
@@ -279,23 +189,61 @@ class Subject:
         aspect: float | None = None,
         progress: Progress | None = None,
     ) -> Frame:
-        """The frame for a size; `aspect` and `progress` as for `Frame.of`."""
-        look = self.look.placed(size[0] / size[1] if aspect is None else aspect)
-        return Frame.of(
-            look.scene,
-            self.coefficients,
-            self.minmax,
-            look.camera,
-            look.mode,
-            size,
-            step,
+        """The frame for a size.
+
+        `aspect` is ``width / height`` of the displayed picture, if it differs slightly from this one's. `progress` is called
+        during long computations, and may raise.
+        """
+        aspect = size[0] / size[1] if aspect is None else aspect
+        look, coefficients, minmax = self.look.placed(aspect), self.coefficients, self.minmax
+        scene, mode, stored = look.scene, look.mode, coefficients.stored
+        (medium,), (width, height) = scene.media, size
+        volume = medium.volume
+        view = look.camera.view(volume, aspect)
+        planes = Planes(volume, view, aspect, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
+        block, _ = frame_block(mode.BLOCK)
+        values = block(
+            camera=view.block(volume, width, height, aspect),
+            geometry=medium.block(stored),
+            clip=clip_block(scene.clip, volume),
+            planes=planes.block(),
+            transfer=look.transfer.block(volume.mean_spacing, stored),
+            material=medium.material.block(),
+            lights=lights_block(scene.lights, view),
+            mode=mode.block(volume, stored),
+            minmax=minmax_block(minmax, volume, planes.margin),
+            window=np.zeros((), WINDOW.dtype),
+            picture=PICTURE(
+                offset=0.5,
+                background=scene.background or 0.0,
+                weight=1.0,
+                width=width,
+                height=height,
+                kept_from=0,
+                kept=size,
+                opaque=scene.background is not None,
+                listed=0,
+                **{"pass": 0, "last_pass": 0},
+            ),
+        )
+        made = Frame(
+            coefficients,
+            minmax,
+            None,
+            mode,
             look.transfer,
             self.evaluator,
-            central=self.central,
-            guides=guides,
-            aspect=aspect,
-            progress=progress,
+            planes,
+            tile_of(coefficients.device, self.evaluator),
+            self.central,
+            volume.is_labels and not coefficients.filter.has_gradient,
+            guides,
+            values,
+            look.transfer.table(stored),
         )
+        if minmax is None or (surface := made.surface) is None:
+            return made
+        return replace(made, sides=minmax.sides(surface, progress))
 
     def placed(self, aspect: float) -> Subject:
         """The same with a fitted camera, if its position was left open."""

@@ -85,22 +85,9 @@ def drawn(drawing: Drawing, rays: int | Literal["auto"], progress: Progress | No
 class Drawing:
     """A picture in progress: rays are cast in launches, and progress is reported between them.
 
-    A callback that raises ends the drawing. Between calls, only the frame's buffers are on the device.
-
-    Parameters
-    ----------
-    frame, rays, filter
-        As for `draw`.
-    expected : float
-        Estimated seconds for one ray of each pixel, if known.
-
-    Attributes
-    ----------
-    frame : Frame
-    rays, cast_rays : int
-        Rays for each pixel, and how many of them were cast.
-    arrays : dict of ndarray
-        The pictures; until all rays are cast they are sums, which `shown` converts to a picture.
+    A callback that raises ends the drawing. Between calls, only the frame's buffers are on the device. `expected` are the seconds
+    that one ray of each pixel should take, if known. Of `rays` a pixel `cast_rays` were cast; until all were, `arrays` are sums,
+    which `shown` converts to a picture.
     """
 
     def __init__(
@@ -211,11 +198,7 @@ class Drawing:
 class States:
     """The states of a frame's rays after some of their samples, on the device.
 
-    Attributes
-    ----------
-    frame : Frame
-    buffer : Buffer
-        float32 of shape (fields, height, width): the mode's fields, and the number of gathered samples.
+    `buffer` is float32 of shape (fields, height, width): the mode's fields, and the number of gathered samples.
     """
 
     def __init__(self, frame: Frame) -> None:
@@ -248,14 +231,8 @@ class States:
 def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, states: States | None = None) -> States:
     """The rays through the middles of the pixels after samples number `first` to `last`.
 
-    Parameters
-    ----------
-    frame : Frame
-    first, last : float
-        Sample numbers, from 0 at the first plane that a ray of the picture may cross; all by default.
-    states : States, optional
-        After the samples before `first`; they are updated and returned. By default rays start fresh; a mode that compares
-        adjacent samples then also takes those before `first`.
+    Samples count from the first plane that a ray of the picture may cross. `states`, those after the samples before `first`, are
+    updated and returned. By default rays start fresh; a mode that compares adjacent samples then also takes those before `first`.
     """
     kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), _Inputs(frame)
     carried, states = states is not None, States(frame) if states is None else states

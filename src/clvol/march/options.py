@@ -224,27 +224,13 @@ def as_outputs(outputs: object) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Fineness:
-    """How finely a picture is sampled.
+    """How finely a picture is sampled."""
 
-    Attributes
-    ----------
-    size : (int, int)
-        Width and height in pixels.
-    step : float
-        Voxels between samples of a ray, at most.
-    rays : int or "auto"
-        Rays a pixel.
-    filter : Filter
-        What these sample.
-    lod : float
-        Pixels that a voxel of the drawn level may span.
-    """
-
-    size: tuple[int, int]
-    step: float
-    rays: int | Literal["auto"]
-    filter: Filter
-    lod: float
+    size: tuple[int, int]  # width and height in pixels
+    step: float  # most voxels between samples of a ray
+    rays: int | Literal["auto"]  # a pixel
+    filter: Filter  # what these sample
+    lod: float  # pixels that a voxel of the drawn level may span
 
     @classmethod
     def of(cls, mode: Mode, size: tuple[int, int], step: float, options: RefineOptions) -> Fineness:
@@ -284,30 +270,15 @@ def require_room(size: tuple[int, int], outputs: tuple[str, ...], *, edges: bool
 
 @dataclass(frozen=True)
 class ResolvedLook:
-    """What a picture shows, with everything resolved except its fineness.
-
-    Attributes
-    ----------
-    camera : Camera
-    mode : Mode
-        Settled for the volume.
-    scene : Scene
-        With the picture's transfer function, material, lights, background and clip box, where these were given.
-    transfer : TransferFunction
-    central : bool
-        Whether gradients are central differences.
-    skipping : bool
-    preview : Volume
-        Samples to which the camera is fitted.
-    """
+    """What a picture shows, with everything resolved except its fineness."""
 
     camera: Camera
-    mode: Mode
-    scene: Scene
+    mode: Mode  # settled for the volume
+    scene: Scene  # with the picture's transfer function, material, lights, background and clip box, where these were given
     transfer: TransferFunction
-    central: bool
+    central: bool  # gradients are central differences
     skipping: bool
-    preview: Volume
+    preview: Volume  # samples to which the camera is fitted
 
     @classmethod
     def of(cls, scene: Scene, preview: Volume, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:

@@ -24,7 +24,7 @@ from clvol.filter.table import as_filter
 if TYPE_CHECKING:
     from clvol.filter.filter import Filter
 
-__all__ = ["DEFAULT_PIXEL_FILTER", "EDGE_RAYS", "as_pixel_filter", "on_edges", "pixel_offsets", "pixel_rays"]
+__all__ = ["DEFAULT_PIXEL_FILTER", "EDGE_RAYS", "as_pixel_filter", "on_edges", "pixel_rays"]
 
 DEFAULT_PIXEL_FILTER = "linear"
 EDGE_RAYS = 3
@@ -38,13 +38,7 @@ _FINE = 4096  # pieces of a pixel, for integrals of the filter
 
 
 def as_pixel_filter(choice: str | Filter) -> Filter:
-    """The filter of this name, if it can filter a picture.
-
-    Raises
-    ------
-    OptionError
-        The name is unknown, or the filter has a prefilter, is not even, or does not have a positive sum.
-    """
+    """The filter of this name; `OptionError` if it has a prefilter, is not even, or does not have a positive sum."""
     row = as_filter(choice)
     if row.prefilter or row.magnified_by:
         raise OptionError(f"pixel_filter must be a filter without a prefilter, such as 'bspline3-approx'; got {row.name!r}")
@@ -54,13 +48,11 @@ def as_pixel_filter(choice: str | Filter) -> Filter:
     return row
 
 
-def pixel_offsets(count: int, filter: str | Filter = DEFAULT_PIXEL_FILTER) -> NDArray[np.float64]:
-    """Where the rays of a pixel lie, in pixels from its upper left corner, those nearest its middle first; (count, 2)."""
-    return _pattern(count, as_pixel_filter(filter))[0]
-
-
 def pixel_rays(count: int, filter: Filter, *, middle: bool) -> list[tuple[NDArray[np.float64], float]]:
-    """Offset and weight of each ray of a pixel; with `middle` the first lies in its middle, and may count nothing."""
+    """Offset, in pixels from its upper left corner, and weight of each ray of a pixel, those nearest its middle first.
+
+    With `middle` the first lies in its middle, and may count nothing.
+    """
     offsets, weights = _pattern(count, filter)
     rays = [(offset, float(weight)) for offset, weight in zip(offsets, weights, strict=True)]
     return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and count % 2 == 0 else rays
@@ -69,16 +61,8 @@ def pixel_rays(count: int, filter: Filter, *, middle: bool) -> list[tuple[NDArra
 def on_edges(picture: NDArray[np.float32], most: int = 20, progress: Callable[[float], object] | None = None) -> NDArray[np.intp]:
     """The pixels (row, column) that differ from a horizontal or vertical neighbour, in an order with near pixels together; (N, 2).
 
-    If there are too many, those that differ most.
-
-    Parameters
-    ----------
-    picture : ndarray of float32, shape (height, width, 4)
-        Red, green, blue, not premultiplied, and opacity in 0..1; luminance and opacity are compared.
-    most : int
-        At most one in `most` of the pixels that differ from their neighbours counts as an edge.
-    progress : callable, optional
-        Called with the fraction done, every few milliseconds.
+    Luminance and opacity are compared, of colours that are not premultiplied. At most one in `most` of the pixels that differ from
+    their neighbours counts as an edge: if there are too many, those that differ most. Progress is reported every few milliseconds.
     """
     height, width = picture.shape[:2]
     contrast = np.zeros((height, width), np.float32)

@@ -35,31 +35,11 @@ _MAX_STEP = 1e30  # voxels; longer steps make no difference
 
 
 class Planes:
-    """The planes on which a view is sampled.
+    """The planes on which a view is sampled: see the module.
 
-    Parameters
-    ----------
-    volume : Volume
-    view : Viewpoint
-    aspect : float
-        Width of the picture by its height.
-    step : float
-        The most that a ray advances between samples, in voxels.
-    segment : float
-        Longest segment of a ray, in voxels.
-
-    Attributes
-    ----------
-    axis : int
-        0, 1 or 2 for x, y, z.
-    count : int
-        Number of planes.
-    spacing : float
-        Their distance in voxels.
-    oblique : bool
-        Whether some rays are too oblique to the planes and step along themselves.
-    margin : float
-        An upper bound of the rounding error of sample positions, in voxels.
+    A ray advances by at most `step` voxels between samples, and a segment of a ray crosses `segment` voxels at most. `count` planes
+    lie `spacing` voxels apart along `axis` (0 for x); `oblique` says whether some rays step along themselves; the rounding error of
+    positions is at most `margin` voxels.
 
     Raises
     ------
@@ -88,10 +68,7 @@ class Planes:
         inverse = volume.world_to_index_matrix
         forward = inverse @ view.forward
         self.axis = int(np.argmax(np.abs(forward)))
-        corners = [forward]
-        if not view.orthographic:
-            sides = [(a, b) for a in (-1, 1) for b in (-1, 1)]
-            corners = [inverse @ (view.forward + view.half_height * (a * aspect * view.right + b * view.up)) for a, b in sides]
+        corners = view.corner_rays(inverse, aspect)
         cosine = min(abs(float(d[self.axis])) / float(np.linalg.norm(d)) for d in corners)
         if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
             cosine = 0.0  # so wide that some rays run backwards

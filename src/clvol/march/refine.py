@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from clvol.filter.filter import Filter
     from clvol.march.frame import Frame, Subject
 
-__all__ = ["Asked", "Rate", "Rates", "Refined", "Wanted", "refined", "refined_by_levels"]
+__all__ = ["Asked", "Rate", "Refined", "Refinement", "Wanted", "refined_by_levels"]
 
 _LAUNCH = 0.008  # seconds; `cancelled` is called between launches
 _KEPT = 0.75  # share of the budget that is planned for: the rest is for what cannot be known
@@ -69,27 +69,14 @@ class Refined(Picture):
         The same.
     """
 
-    final: bool
-    step: float
-    seconds: float
+    final: bool = False
+    step: float = math.nan
+    seconds: float = math.nan
 
     def __new__(cls, array: ArrayLike, final: bool = False, step: float = math.nan, seconds: float = math.nan) -> Self:
         result = super().__new__(cls, array)
         result.final, result.step, result.seconds = final, step, seconds
         return result
-
-    def __array_finalize__(self, other: Any) -> None:
-        super().__array_finalize__(other)
-        self.final = getattr(other, "final", False)
-        self.step, self.seconds = getattr(other, "step", math.nan), getattr(other, "seconds", math.nan)
-
-    def __reduce__(self) -> Any:
-        make, arguments, state = super().__reduce__()
-        return make, arguments, (*state, (self.final, self.step, self.seconds))
-
-    def __setstate__(self, state: Any) -> None:
-        self.final, self.step, self.seconds = state[-1]
-        super().__setstate__(state[:-1])
 
 
 @dataclass(frozen=True)
@@ -134,29 +121,15 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Rate:
-    """How long pictures of a kind take, from the last first picture.
-
-    Attributes
-    ----------
-    pixels, step, seconds : float
-        Of that picture.
-    power : float
-        Seconds grow by this power of the number of pixels.
-    edges : float
-        Time of edges, relative to the picture without.
-    view : ndarray
-        Its view (`_view_of`).
-    shown : tuple
-        Its `Wanted.shown`.
-    """
+    """How long pictures of a kind take, from the last first picture."""
 
     pixels: float
     step: float
     seconds: float
-    view: NDArray[np.float64]
-    shown: tuple[Any, ...]
-    power: float = 1.0
-    edges: float = 1.0
+    view: NDArray[np.float64]  # `_view_of` it
+    shown: tuple[Any, ...]  # its `Wanted.shown`
+    power: float = 1.0  # of the number of pixels, by which seconds grow
+    edges: float = 1.0  # time of edges, relative to the picture without
 
     def seconds_of(self, pixels: float, step: float) -> float:
         """The expected time of a picture with n pixels."""
@@ -181,43 +154,18 @@ class Rate:
         return replace(self, power=(self.power + min(max(measured, low), high)) / 2)
 
 
-class Rates:
-    """The rates of a renderer, by kind of picture. Any thread may read and write them: the last write wins."""
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[Any, ...], Rate] = {}
-
-    def of(self, kind: tuple[Any, ...]) -> Rate | None:
-        return self._known.get(kind)
-
-    def learn(self, kind: tuple[Any, ...], rate: Rate) -> None:
-        self._known[kind] = rate
-
-
 class _Cancelled(Exception):
     """The pictures are no longer wanted."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """A request for pictures.
+    """A request for pictures."""
 
-    Attributes
-    ----------
-    budget : float
-        Seconds until the first one.
-    cancelled : callable or None
-        Whether they are no longer wanted.
-    progress : callable or None
-        Called with the fraction of the last picture that is done.
-    began : float
-        Time of the request, by `time.perf_counter`.
-    """
-
-    budget: float
-    cancelled: Callable[[], bool] | None
-    progress: Progress | None
-    began: float
+    budget: float  # seconds until the first one
+    cancelled: Callable[[], bool] | None  # whether they are no longer wanted
+    progress: Progress | None  # called with the fraction of the last picture that is done
+    began: float  # time of the request, by `time.perf_counter`
 
     def require_wanted(self, _: float = 0.0) -> None:
         """Raise if the pictures are no longer wanted."""
@@ -236,21 +184,6 @@ class Asked:
         return report
 
 
-def refined(wanted: Wanted, asked: Asked, rates: Rates, drawing: Callable[[], AbstractContextManager[None]]) -> Iterator[Refined]:
-    """The pictures of `Renderer.refine`.
-
-    Parameters
-    ----------
-    wanted : Wanted
-    asked : Asked
-    rates : Rates
-        Known rates, which are updated.
-    drawing : callable
-        Returns a context that is entered for drawing, and left when a picture is ready.
-    """
-    return _Refinement(wanted, asked, rates).pictures(drawing)
-
-
 def refined_by_levels(
     draw: Callable[[int, Progress], NDArray[Any]],
     levels: range,
@@ -260,7 +193,7 @@ def refined_by_levels(
 ) -> Iterator[Refined]:
     """The pictures of `Renderer.refine` of a volume that is read by bricks: of its `levels`, the coarsest first.
 
-    `draw` draws a level and calls a progress callback, which may raise; `drawing` is as for `refined`.
+    `draw` draws a level and calls a progress callback, which may raise; `drawing` is as for `Refinement.pictures`.
     """
     for level in levels:
         with drawing():
@@ -272,10 +205,13 @@ def refined_by_levels(
         yield Refined(picture, level == levels[-1], step, time.perf_counter() - asked.began)
 
 
-class _Refinement:
-    """One call of `refined`: its stages in order, and the state between them."""
+class Refinement:
+    """One call of `Renderer.refine`: its stages in order, and the state between them.
 
-    def __init__(self, wanted: Wanted, asked: Asked, rates: Rates) -> None:
+    `rates` are those of a renderer by kind of picture, and are updated; any thread may read and write them: the last write wins.
+    """
+
+    def __init__(self, wanted: Wanted, asked: Asked, rates: dict[tuple[Any, ...], Rate]) -> None:
         self._wanted, self._asked, self._rates, self._budget = wanted, asked, rates, asked.budget
         width, height = wanted.size
         self._aspect, self._pixels = width / height, width * height
@@ -284,6 +220,7 @@ class _Refinement:
         self._casting = 0.0  # seconds of the full picture's first ray
 
     def pictures(self, drawing: Callable[[], AbstractContextManager[None]]) -> Iterator[Refined]:
+        """The pictures; `drawing` makes a context that is entered for drawing, and left when a picture is ready."""
         stages, device = self._stages(), self._wanted.subject.coefficients.device
         while True:
             self._began = time.perf_counter()
@@ -308,7 +245,7 @@ class _Refinement:
         self._asked.require_wanted()
         full = wanted.subject.frame(wanted.size, wanted.step, progress=self._asked.require_wanted)
         self._asked.require_wanted()
-        self._view, self._rate = _view_of(full), self._rates.of(wanted.kind)
+        self._view, self._rate = _view_of(full), self._rates.get(wanted.kind)
         self._whole = Drawing(full, wanted.rays, wanted.filter, self._expected(self._pixels, wanted.step))
         yield from self._first()
         yield from self._between()
@@ -387,7 +324,7 @@ class _Refinement:
             whole.smooth_edges(self._asked.reporting(BEFORE_EDGES, 1))
             if self._rate is not None:
                 self._rate = replace(self._rate, edges=(time.perf_counter() - begun) / self._casting)
-                self._rates.learn(wanted.kind, self._rate)
+                self._rates[wanted.kind] = self._rate
         while whole.cast_rays < whole.rays:
             whole.cast(whole.cast_rays, self._asked.reporting())
             if whole.cast_rays < whole.rays and self._seconds - self._shown_at > self._budget:
@@ -427,7 +364,7 @@ class _Refinement:
             known = {} if rate is None else {"power": rate.power, "edges": rate.edges}
             rate = Rate(pixels, step, seconds, self._view, wanted.shown, **known)
         self._rate = rate
-        self._rates.learn(wanted.kind, rate)
+        self._rates[wanted.kind] = rate
 
     def _shows(self, array: NDArray[Any], step: float, *, final: bool = False) -> Refined:
         self._shown, self._shown_at = float(array[..., 0].size), self._seconds

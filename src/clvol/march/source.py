@@ -1,4 +1,4 @@
-"""What a renderer draws: a function in memory or by bricks. `clvol.march.choose` asks which; `clvol.march.cluster` has a third."""
+"""What a renderer draws: a function in memory, or by bricks, in this process or on a cluster. `clvol.march.choose` asks which."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.frame import Subject
-from clvol.march.refine import Rates, Wanted, refined, refined_by_levels
+from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
 from clvol.scene.scene import Medium, Scene
-from clvol.show.picture import as_pictures
 from clvol.spline.evaluator import DIRECT, choose_evaluator, require_names
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
@@ -35,11 +34,10 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
-    from clvol.march.frame import Frame
+    from clvol.march.cluster import Workers
     from clvol.march.options import Fineness, ResolvedLook
     from clvol.march.refine import Asked, Refined
     from clvol.scene.mode import Mode
-    from clvol.show.picture import Picture
     from clvol.spline.evaluator import Evaluator
 
 __all__ = ["ByBricks", "Drawable", "InMemory", "Source", "row_for", "single", "usual_filter"]
@@ -55,14 +53,8 @@ _CLOSED = "the renderer was closed, and its coefficients were released; make a n
 class Source(ABC):
     """The function of a scene's medium, from which pictures are made.
 
-    Parameters
-    ----------
-    scene : Scene
-    field : Field or BrickedField
-    preview : Volume
-        Samples from which looks are chosen.
-    arguments : tuple
-        From which another process makes the source: a renderer's input, filter and boundary; or just a field.
+    Looks are chosen from the samples of `preview`. Of `arguments` another process makes the source: a renderer's input, filter and
+    boundary; or just a field.
     """
 
     def __init__(self, scene: Scene, field: Field | BrickedField, preview: Volume, arguments: tuple[Any, ...]) -> None:
@@ -71,6 +63,7 @@ class Source(ABC):
         self.lease = Lease(_CLOSED)
         self._lock = threading.RLock()  # a signal handler may re-enter
         self._unsmoothed: Any = None
+        self._levels: dict[tuple[int, str], BrickedField] = {}
         self._owned = arguments[0] is not field
         if self._owned:
             self.lease.frees(field.close)
@@ -94,7 +87,7 @@ class Source(ABC):
 
     def levels(self) -> tuple[BrickedField, ...]:
         """The functions of lower resolutions that were drawn."""
-        return ()
+        return tuple(self._levels.values())
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
         """Arguments and keywords with which another process makes the renderer."""
@@ -126,7 +119,7 @@ class InMemory(Source):
         super().__init__(scene, field, preview, arguments)
         self.pyramids: dict[tuple[Filter, Evaluator], MinMax] = {}
         self._uncertainty: Uncertainty | None = None
-        self._rates = Rates()
+        self._rates: dict[tuple[Any, ...], Rate] = {}
 
     def function(self, mode: Mode, level: int = 0) -> Field:
         whole("level", level, 0, 0)
@@ -148,7 +141,7 @@ class InMemory(Source):
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
         wanted = Wanted(self._subject(look), fine.size, fine.step, fine.rays, fine.filter)
-        return refined(wanted, asked, self._rates, self.in_use)
+        return Refinement(wanted, asked, self._rates).pictures(self.in_use)
 
     def _subject(self, look: ResolvedLook) -> Subject:
         """A look of the function, with its pyramid of minima and maxima where space is skipped."""
@@ -183,14 +176,17 @@ class ByBricks(Source):
 
     field: BrickedField
 
-    def __init__(self, scene: Scene, field: BrickedField, preview: Volume, arguments: tuple[Any, ...]) -> None:
+    def __init__(
+        self, scene: Scene, field: BrickedField, preview: Volume, arguments: tuple[Any, ...], workers: Workers | None = None
+    ) -> None:
         super().__init__(scene, field, preview, arguments)
-        self._levels: dict[tuple[int, str], BrickedField] = {}
-
-    def levels(self) -> tuple[BrickedField, ...]:
-        return tuple(self._levels.values())
+        self._workers = workers
+        if workers is not None:
+            self.lease.frees(workers.close)
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        if self._workers is not None:
+            return (*self.arguments, self._workers.device), self._workers.keywords
         arguments, _ = super().recipe()
         return arguments, {"memory": self.field.memory} if self._owned else {}
 
@@ -204,9 +200,8 @@ class ByBricks(Source):
             row = usual_filter(coarser) if self._free and mode.picture_filter == PICTURE_FILTER else finest.filter
             key = level, "" if row is None else as_filter(row).name
             if key not in self._levels:
-                self._levels[key] = self._shared_out(
-                    BrickedField(coarser, row, finest.boundary, finest.device, beside=finest)  # which has one budget with it
-                )
+                made = BrickedField(coarser, row, finest.boundary, finest.device, beside=finest)  # which has one budget with it
+                self._levels[key] = made if self._workers is None else self._workers.shared_out(made)
                 self.lease.frees(self._levels[key].close)
             return self._levels[key]
 
@@ -219,10 +214,6 @@ class ByBricks(Source):
             self.lease.frees(self._unsmoothed.close)
         made: BrickedField = self._unsmoothed
         return made
-
-    def _shared_out(self, field: BrickedField) -> BrickedField:
-        """The field, with enough bricks for all workers."""
-        return field
 
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
         self._require_direct()
@@ -250,19 +241,18 @@ class ByBricks(Source):
         with field.in_use():
             own = look.of_level(field.coefficients.volume, field.boundary)
             frame = Subject(own, field.coefficients, None, DIRECT).frame(fine.size, fine.step, guides=guides)
-            made = launch.drawn(self.drawing(frame, own, fine, field), fine.rays, progress)
+            view = own.view(fine.size)
+            make = BrickedDrawing if self._workers is None else self._workers.drawing
+            drawing = make(frame, fine.rays, fine.filter, field, view, skipping=look.skipping)
+            made = launch.drawn(drawing, fine.rays, progress)
             self.shown = field
             return made
-
-    def drawing(self, frame: Frame, look: ResolvedLook, fine: Fineness, field: BrickedField) -> BrickedDrawing:
-        """The picture of a frame, to be drawn."""
-        return BrickedDrawing(frame, fine.rays, fine.filter, field, look.view(fine.size), skipping=look.skipping)
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
         self._require_direct()
 
-        def draw(level: int, report: Progress) -> Picture:
-            return as_pictures(self._draw(look, fine, level, False, report))["rgba"]
+        def draw(level: int, report: Progress) -> launch.Picture:
+            return self._draw(look, fine, level, False, report)["rgba"]
 
         levels = range(len(self.field.volume.levels), self._level(look, fine) - 1, -1)
         return refined_by_levels(draw, levels, fine.step, asked, self.in_use)

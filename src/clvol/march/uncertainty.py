@@ -114,12 +114,7 @@ def noise_of(volume: Volume, sigma: float | None) -> Noise:
 
 
 class Uncertainty:
-    """The errors of surfaces of a field.
-
-    Parameters
-    ----------
-    field : Field
-        In 3-D, of a filter that has a gradient. It must stay open.
+    """The errors of surfaces of a 3-D field of a filter that has a gradient; it must stay open.
 
     Raises
     ------
@@ -147,19 +142,9 @@ class Uncertainty:
     def __call__(self, positions: NDArray[np.floating[Any]], noise: Noise, *, central: bool = False) -> NDArray[np.float32]:
         """Bounds of the distance to the true surface, and of the angle to its normal, at each position.
 
-        Parameters
-        ----------
-        positions : ndarray, shape (..., 3)
-            In the world; NaN where there is no surface.
-        noise : Noise
-            Of the samples; its standard deviation and colour matter.
-        central : bool
-            Normals are those of central differences.
-
-        Returns
-        -------
-        ndarray of float32, shape (..., 2)
-            World distance along the normal, and degrees, at most 180; NaN where there is no surface.
+        Positions, shape (..., 3), are in the world, and NaN where there is no surface. With `central`, normals are those of central
+        differences. The result, shape (..., 2), is the world distance along the normal, and degrees, at most 180; NaN where there
+        is no surface.
         """
         device, made, samples = self._field.device, self._field.coefficients, self._samples
         defines = {**made.defines(DIRECT), "LANES": 1, "STORED": 2 * _REACH + 1, "PLACES": _PLACES}
@@ -222,22 +207,12 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class _Errors:
-    """Of a filter, along x, y and z.
+    """Of a filter, along x, y and z."""
 
-    Attributes
-    ----------
-    stencils : ndarray, shape (3, 4, 2 REACH + 1)
-        For each axis the stencils of the mean error, the deviation of the value, and of the slope in phase and out of phase.
-    noise : ndarray, shape (7,)
-        The mean squares that uncertainty.cl computes from noise of variance 1.
-    squares, slopes : ndarray, shape (3, PLACES)
-        The sums of ``eta²`` and ``eta'²`` along each axis between two samples, weighted by the noise's spectrum.
-    """
-
-    stencils: Array
-    noise: Array
-    squares: Array
-    slopes: Array
+    stencils: Array  # (3, 4, 2 REACH + 1): of the mean error, the deviation of the value, and the slope in phase and out of phase
+    noise: Array  # (7,): the mean squares that uncertainty.cl computes from noise of variance 1
+    squares: Array  # (3, PLACES): the sums of eta² between two samples, weighted by the noise's spectrum
+    slopes: Array  # the same of eta'²
 
     @cached_property
     def defines(self) -> dict[str, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,24 +30,13 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A camera fitted to one volume: the rays are computed from it.
+    """A camera fitted to one volume: the rays are computed from it."""
 
-    Attributes
-    ----------
-    eye : ndarray, shape (3,)
-        World position of the camera.
-    right, up, forward : ndarray, shape (3,)
-        Orthonormal; `right` and `up` span the picture.
-    half_height : float
-        Orthographic: half the picture's height in world units. Perspective: the same at distance 1.
-    orthographic : bool
-    """
-
-    eye: Vector
-    right: Vector
+    eye: Vector  # in the world
+    right: Vector  # spans the picture with `up`; both are orthonormal with `forward`
     up: Vector
     forward: Vector
-    half_height: float
+    half_height: float  # of the picture in world units; in perspective at distance 1
     orthographic: bool
 
     BLOCK: ClassVar[Block] = Block(
@@ -109,12 +99,15 @@ class Viewpoint:
             )
         return max(longest, reach)
 
+    def corner_rays(self, inverse: Vector, aspect: float) -> list[Vector]:
+        """Directions of the rays through the picture's corners, in index space."""
+        corner = 0.0 if self.orthographic else self.half_height
+        sides = itertools.product((-1, 1), repeat=2)
+        return [inverse @ (self.forward + corner * (a * aspect * self.right + b * self.up)) for a, b in sides]
+
     def _turns(self, inverse: Vector, aspect: float) -> Vector:
         """The sine of the largest angle between any ray and each axis, in index space; (3,)."""
-        corner = 0.0 if self.orthographic else self.half_height
-        rays = np.stack(
-            [inverse @ (self.forward + corner * (a * aspect * self.right + b * self.up)) for a in (-1, 1) for b in (-1, 1)]
-        )
+        rays = np.stack(self.corner_rays(inverse, aspect))
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         # on one side of an axis, the ray with the largest angle to it is that of a corner
         one_side = (rays > 0).all(0) | (rays < 0).all(0)

@@ -41,19 +41,12 @@ _TURNS = 24  # rotations of the outermost samples about the vertical
 
 @dataclass(frozen=True)
 class Sphere:
-    """A sphere in the world.
-
-    Attributes
-    ----------
-    center : tuple of three floats
-    radius : float
-    outer : ndarray, shape (number, 3), optional
-        Vectors from the centre to the outermost visible samples, in world units; None for the sphere of the volume.
-    """
+    """A sphere in the world."""
 
     center: tuple[float, float, float]
     radius: float
     outer: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
+    """Vectors from the centre to the outermost visible samples, (n, 3); None for the sphere of the volume."""
 
 
 def spread(volume: Volume, most: int) -> tuple[NDArray[Any], list[int], list[int]]:
@@ -106,21 +99,11 @@ def _swept(points: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np
 
 
 def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None) -> Sphere:
-    """The sphere around the visible part of a volume.
+    """The sphere around the visible part of a 3-D volume in a settled mode; samples outside `clip` do not count.
 
     Surfaces are where neighbouring samples are on both sides of the isovalue. Matter is visible where its opacity is
     more than 2 % of the transfer function's largest; in projections, where colour times opacity is more than
     5 % of the brightest. A few isolated visible samples are noise, and do not count.
-
-    Parameters
-    ----------
-    volume : Volume
-        A volume with 3 axes.
-    mode : Mode
-        Settled.
-    transfer : TransferFunction
-    clip : (low, high), optional
-        Samples outside do not count.
     """
     known = _known.setdefault(volume, {})
     box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)

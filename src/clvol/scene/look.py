@@ -12,8 +12,7 @@ from clvol.base.arrays import reals
 from clvol.base.checks import number
 from clvol.base.errors import OptionError
 from clvol.scene.mode import Mode, as_mode
-from clvol.scene.palette import unit_of
-from clvol.scene.preset import as_preset
+from clvol.scene.preset import as_preset, unit_of
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.volume import Volume, as_volume
 

@@ -22,7 +22,7 @@ from clvol.base.scaling import share_of
 from clvol.base.shown import Named
 from clvol.base.uniform import FLOAT, Block, Values
 from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, as_filter
-from clvol.scene.palette import diverging
+from clvol.scene.preset import diverging
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.histogram import Projection, clims_of, isovalue_of, matter_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
@@ -51,6 +51,7 @@ _FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
 _MOST_FIELDS = 64  # largest number of fields in a ray's state
 _SHOWN = ("matter", "surface", "max", "min", "mean")
 _SOUGHT = ("largest", "smallest", "any")
+_MEANT = {"clim": "window=(center, width), or the clim of the volume"}  # words of other things than modes
 
 
 @dataclass(frozen=True)
@@ -379,11 +380,8 @@ def mode_options(mode: Mode | type[Mode]) -> dict[str, str]:
 def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None = None, others: Iterable[str] = ()) -> Mode:
     """The mode of a name, a class or an instance, with these options; `others` are further options of the caller.
 
-    Raises
-    ------
-    OptionError
-        The name is unknown, the mode has no such option, the value of an option is not allowed, or a class lacks an
-        attribute that modes must define.
+    `OptionError` if the name is unknown, the mode has no such option, the value of an option is not allowed, or a class lacks an
+    attribute that modes must define.
     """
     if isinstance(choice, type) and issubclass(choice, Mode):
         choice = choice()
@@ -396,7 +394,8 @@ def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None =
     for name in options or {}:
         if name not in known:
             having = [other for other, mode in _TABLE.items() if name in _option_names(mode)]
-            hint = f", but of {' and '.join(having)}" if having else did_you_mean(name, [*known, *others])
+            near = f" (did you mean {_MEANT[name]}?)" if name in _MEANT else did_you_mean(name, [*known, *others])
+            hint = f", but of {' and '.join(having)}" if having else near
             raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(known) or 'none'}")
     return replace(choice, **(options or {}))
 

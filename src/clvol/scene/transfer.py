@@ -17,8 +17,7 @@ from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import exponent_of, scaled, unscaled
 from clvol.base.uniform import FLOAT, INT, Block, Values
-from clvol.scene.palette import automatic, unit_of
-from clvol.scene.preset import as_preset
+from clvol.scene.preset import as_preset, automatic, unit_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume
 

@@ -42,15 +42,7 @@ _TAGGED += ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "
 
 
 def require_encoder(form: str) -> None:
-    """Raise, before any rendering, if the format is unknown or its encoder is missing.
-
-    Raises
-    ------
-    OptionError
-        The format is not one of `FORMATS`.
-    MissingDependencyError
-        The format is a video, and imageio-ffmpeg is not installed.
-    """
+    """Raise `OptionError` if the format is none of `FORMATS`, or `MissingDependencyError` if a video's encoder is missing."""
     if form not in FORMATS:
         raise OptionError(f"format must be one of {', '.join(FORMATS)}; got {form!r}")
     if form in _ENCODERS and importlib.util.find_spec("imageio_ffmpeg") is None:
@@ -110,12 +102,7 @@ def rate(form: str, per_second: float) -> float:
 
 
 def require_room(form: str, count: int, size: tuple[int, int]) -> None:
-    """Raise, before any rendering, if the pictures of a GIF do not fit into memory.
-
-    Raises
-    ------
-    OutOfMemoryError
-    """
+    """Raise `OutOfMemoryError`, before any rendering, if the pictures of a GIF do not fit into memory."""
     if form == "gif":
         memory.require(2 * count * size[0] * size[1], f"a GIF of {count} pictures of {size[0]} × {size[1]}")
 

@@ -62,7 +62,7 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
         Meaning of its numbers.
     """
 
-    kind: str
+    kind: str = "rgba"
 
     def __new__(cls, array: ArrayLike, kind: str = "rgba") -> Self:
         result = as_array(array, "picture").view(cls)
@@ -70,7 +70,8 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
         return result
 
     def __array_finalize__(self, other: Any) -> None:
-        self.kind = getattr(other, "kind", "rgba")
+        if isinstance(other, Picture):
+            vars(self).update(vars(other))
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         if array is self:  # computed in place
@@ -87,10 +88,10 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
     def __reduce__(self) -> Any:
         reduced: Any = super().__reduce__()
         make, arguments, state = reduced
-        return make, arguments, (*state, self.kind)
+        return make, arguments, (*state, vars(self))
 
     def __setstate__(self, state: Any) -> None:
-        self.kind = state[-1]
+        vars(self).update(state[-1])
         super().__setstate__(state[:-1])
 
     def __repr__(self) -> str:
@@ -281,15 +282,9 @@ def heat(share: ArrayLike) -> NDArray[np.float32]:
 def heat_with_scale(values: ArrayLike, unit: str = "", title: str = "", top: float | None = None) -> NDArray[np.uint8]:
     """Colours for values of at least 0, with a scale in a band below; (height + band, width, 3) uint8.
 
-    Parameters
-    ----------
-    values : array-like, shape (height, width)
-        NaN, where there is no value, is grey blue.
-    unit, title : str
-        The text after the largest number of the scale, and below it.
-    top : float, optional
-        The value of the brightest colour; larger values are clipped. By default the smallest of 1, 2 or 5 times a power of ten
-        that 95 % of the values do not exceed.
+    NaN, where there is no value, is grey blue. `unit` follows the largest number of the scale, and `title` is below it. `top` is
+    the value of the brightest colour, to which larger ones are clipped; by default the smallest of 1, 2 or 5 times a power of ten
+    that 95 % of the values do not exceed.
     """
     from PIL import Image, ImageDraw, ImageFont
 

@@ -45,24 +45,9 @@ def slices(
     """The middle slices of a volume across its axes, each with the name of its plane; for an image, the image.
 
     `space` sets their orientation: a patient as radiologists see it, a stack of images as microscopes show it, else with y
-    and z up. `spacing` sets the aspect ratio of voxels.
-
-    Parameters
-    ----------
-    data : ndarray, shape (nz, ny, nx) or (ny, nx)
-        Samples.
-    spacing, direction
-        See `Volume`.
-    space : str
-        As of `Volume`.
-    clim : (float, float), optional
-        What is black and what is white; by default what all but a hundredth of the slices' samples lie between.
-    color : (float, float, float), optional
-        Colour used instead of white.
-    blended : bool
-        Interpolate between samples; False for labels.
-    all_planes : bool
-        False: only the first plane, across z.
+    and z up. `spacing` sets the aspect ratio of voxels. `clim` is what is black and what is white, by default what all but a
+    hundredth of the slices' samples lie between, and `color` replaces white. Labels are not `blended`. Without `all_planes` only
+    the first plane, across z, is shown.
     """
     if data.ndim == 2:
         return [("", _sized(_shades([data], clim, color)[0], spacing, blended))]

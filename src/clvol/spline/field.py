@@ -42,7 +42,7 @@ from clvol.spline.grids import Target, between, beyond, grid_for
 from clvol.spline.lease import Lease
 from clvol.spline.points import Floats, Given, Reals, Transform, sample_coefficients, sample_grid
 from clvol.spline.reduce import as_anti_aliasing, low_passed, nearest_spline, steps_along
-from clvol.spline.resample import resample_coefficients
+from clvol.spline.resample import filled, resample_coefficients
 from clvol.volume.missing import as_missing, touching
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import AS_THEY_ARE, Stored, names_beyond
@@ -68,7 +68,6 @@ __all__ = [
     "Reals",
     "as_field",
     "coefficients_of",
-    "filled",
     "magnify",
     "opened",
     "precision_kind",
@@ -95,27 +94,6 @@ def coefficients_of(
     row = settled(filter, volume)
     stored = Stored.of(volume, row, boundary) if kind == np.float32 else AS_THEY_ARE
     return filled(Coefficients(volume, row, boundary, device, stored, kind), volume.data)
-
-
-def filled(made: Coefficients, data: NDArray[Any]) -> Coefficients:
-    """Fill allocated coefficients from samples [z, y, x]; on an error they are released."""
-    try:
-        if made.filter.magnified_by is not None:
-            _fill_hybrid(made, made.filter.magnified_by, data)
-        else:
-            made.fill(data)
-    except BaseException:
-        made.release()
-        raise
-    return made
-
-
-def _fill_hybrid(made: Coefficients, by: Filter, data: NDArray[Any]) -> None:
-    """Fill the coefficients of a hybrid, halo included, with samples of the spline of `by`."""
-    scale, halo, d = made.filter.scale, int(made.extent[3]), made.ndim
-    steps = np.eye(d) / scale
-    with filled(Coefficients(made.volume, by, made.boundary, made.device, made.stored, made.kind), data) as coarse:
-        resample_coefficients(coarse, DIRECT, steps, np.full(d, -halo / scale), made.shape, made.buffer, Given(edge=0.5))
 
 
 class Field(ContinuousFunction):

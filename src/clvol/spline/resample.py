@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from clvol.base.progress import part_of
 from clvol.device.program import LANES
 from clvol.spline.build import scalar_defines
+from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT
-from clvol.spline.points import NOTHING_GIVEN, Transform, sample_grid
+from clvol.spline.points import NOTHING_GIVEN, Given, Transform, sample_grid
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
-    from clvol.spline.coefficients import Coefficients
+    from clvol.filter.filter import Filter
     from clvol.spline.evaluator import Evaluator
-    from clvol.spline.points import Given
 
-__all__ = ["along_axes", "no_shear", "resample_axes", "resample_coefficients"]
+__all__ = ["along_axes", "filled", "no_shear", "resample_axes", "resample_coefficients"]
 
 _BLOCK = 16  # rows that resample.cl computes at once
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
@@ -256,3 +256,24 @@ def _put_values(
     with coefficients.device.buffers.mapped(buffer, shape, write=True, kind=coefficients.kind) as values:
         for axis, where, value in writes + lost:
             np.moveaxis(values, 2 - axis, 0)[where] = value
+
+
+def filled(made: Coefficients, data: NDArray[Any]) -> Coefficients:
+    """Fill allocated coefficients from samples [z, y, x]; on an error they are released."""
+    try:
+        if made.filter.magnified_by is not None:
+            _fill_hybrid(made, made.filter.magnified_by, data)
+        else:
+            made.fill(data)
+    except BaseException:
+        made.release()
+        raise
+    return made
+
+
+def _fill_hybrid(made: Coefficients, by: Filter, data: NDArray[Any]) -> None:
+    """Fill the coefficients of a hybrid, halo included, with samples of the spline of `by`."""
+    scale, halo, d = made.filter.scale, int(made.extent[3]), made.ndim
+    steps = np.eye(d) / scale
+    with filled(Coefficients(made.volume, by, made.boundary, made.device, made.stored, made.kind), data) as coarse:
+        resample_coefficients(coarse, DIRECT, steps, np.full(d, -halo / scale), made.shape, made.buffer, Given(edge=0.5))

@@ -12,7 +12,7 @@ import numpy as np
 
 from clvol import labels
 from clvol.base.errors import OptionError
-from clvol.scene.palette import label_color
+from clvol.scene.preset import label_color
 from clvol.view.state import LabelState, State
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes

@@ -7,7 +7,7 @@ from dataclasses import replace
 from clvol.filter.filter import Filter
 from clvol.march.renderer import Renderer
 from clvol.scene.fit import fitted, spread
-from clvol.scene.palette import unit_of
+from clvol.scene.preset import unit_of
 from clvol.show.picture import Picture
 from clvol.view.catalog import Which
 from clvol.view.panes import camera_of
