@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeAlias
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
@@ -19,7 +18,6 @@ from clvol.filter.table import as_filter
 
 __all__ = ["Pieces", "even_filter", "impulse_response", "pieces"]
 
-Array: TypeAlias = NDArray[np.float64]
 _TAIL = 1e-18  # of the prefilter's impulse response, which decays like powers of its largest pole
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
-__all__ = ["maximum"]
+from clvol.base.arrays import Array
 
-Array: TypeAlias = NDArray[np.float64]
+__all__ = ["maximum"]
 
 
 def maximum(function: Callable[[Array], Array], low: float, high: float, count: int) -> float:

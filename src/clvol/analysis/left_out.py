@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, InitVar, dataclass
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol.analysis.comparison import as_compared, lattice_of, require_period, settled_compared
 from clvol.analysis.table import Table, column
+from clvol.base.arrays import Array
 from clvol.base.checks import enough_memory, number
+from clvol.base.progress import Progress
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["LeftOutRow", "LeftOutTable", "leave_out"]
 
-Array: TypeAlias = NDArray[np.float64]
 _FEWEST = 8  # samples along an axis
 
 
@@ -67,7 +67,7 @@ def leave_out(
     *,
     sigma: float | None = None,
     margin: float = 4.0,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> LeftOutTable:
     """Predict every second sample along each axis from the others, and vice versa.
 

@@ -24,14 +24,14 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, InitVar, dataclass
 from functools import lru_cache
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol.analysis.comparison import EXACT_SINC, as_compared, settled_compared
 from clvol.analysis.table import Table, column
 from clvol.analysis.theory import error_kernel
+from clvol.base.arrays import Array
 from clvol.base.checks import enough_memory, number, whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
@@ -41,7 +41,6 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
 
-Array: TypeAlias = NDArray[np.float64]
 _BLOCK = 16, 32  # fewest and most samples along each axis of a block, otherwise half the axis
 _TAPERED = 8  # samples of the shortest axis that is tapered
 _LEVEL = 0.05  # of a jump; largest difference of its neighbours,

@@ -11,14 +11,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TypeAlias
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.analysis.table import column
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter, Number, Polynomial
@@ -27,7 +26,6 @@ from clvol.filter.table import as_filter
 
 __all__ = ["Approximation", "approximation", "error_kernel", "taylor_coefficients"]
 
-Array: TypeAlias = NDArray[np.float64]
 _MAX_TERMS = 12  # Taylor coefficients; more than the order of any filter of `bspline`
 _MAX_OMEGA = 2000
 _CHUNK = 1 << 20  # complex numbers in memory at a time

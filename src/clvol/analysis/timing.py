@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
@@ -50,7 +50,7 @@ def seconds_per_sample(
     filters: Sequence[Filter],
     boundary: Boundary,
     device: Device,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
     *,
     effort: Effort = FULL,
 ) -> list[float]:
@@ -63,7 +63,7 @@ def times_per_sample(
     filters: Sequence[Filter],
     boundary: Boundary,
     device: Device,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
     *,
     effort: Effort = FULL,
 ) -> list[NDArray[np.float64]]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import reference
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.checks import one_of, require_room, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.boundary import Boundary
@@ -37,7 +37,6 @@ __all__ = [
     "sampled",
 ]
 
-Array: TypeAlias = NDArray[np.float64]
 Function: TypeAlias = Callable[[Array], ArrayLike]
 
 LATTICE = 1 << 22

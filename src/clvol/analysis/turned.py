@@ -5,12 +5,11 @@ P. Thévenaz, T. Blu and M. Unser, *Interpolation revisited*, IEEE Trans. Medica
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, InitVar, dataclass, replace
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol import reference
 from clvol.analysis.comparison import as_compared, require_period, settled_compared
@@ -19,13 +18,12 @@ from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table, column
 from clvol.base.checks import enough_memory, number, whole
 from clvol.base.errors import DataError
+from clvol.base.progress import Progress
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["RotationRow", "RotationTable", "rotations"]
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ def rotations(
     *,
     margin: float = 8.0,
     max_pixels: int = 1 << 16,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> RotationTable:
     """Rotate an image about its middle until it is upright again, by each filter, and compare it with itself.
 

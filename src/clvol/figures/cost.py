@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from clvol import analysis, phantoms
 from clvol.analysis.timing import FULL, Effort, times_per_sample
-from clvol.base.progress import part_of
+from clvol.base.progress import Progress, part_of
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
@@ -30,7 +30,7 @@ def draw(
     samples: int = 41,
     points: int = 20_000,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
     *,
     effort: Effort = FULL,
 ) -> Drawing:

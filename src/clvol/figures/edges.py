@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from clvol.base.checks import whole
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.figures.panels import LIGHTS, MATERIAL, SURFACE
 from clvol.figures.style import Drawing, folded, show, styled, tiles, title
@@ -83,7 +83,7 @@ def draw(
     pixels: int = 300,
     filters: tuple[str | Filter, ...] = ("nearest", "linear", "bspline3-approx", "mitchell", "bspline3"),
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """A cube with hard edges, sampled in three ways: artefacts around it (above) and in its faces (below).
 

@@ -15,6 +15,7 @@ from clvol.analysis import ErrorTable, compare
 from clvol.analysis.comparison import as_compared
 from clvol.base.checks import require_room, whole
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress
 from clvol.figures.inputs import photograph, rings, zone_plate
 from clvol.figures.panels import FIGURE_6
 from clvol.figures.style import FAINT, GREY, INK, Drawing, colour, new_figure, styled, title
@@ -55,7 +56,7 @@ def measure(
     samples: int = 41,
     points: int = 20_000,
     scan: Volume | ArrayLike | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> list[Case]:
     """Errors on inputs with a known truth, 2-D first; parameters as for `draw`."""
     samples, filters = whole("samples", samples, 4), as_compared(filters)
@@ -102,7 +103,7 @@ def draw(
     samples: int = 41,
     points: int = 20_000,
     scan: Volume | ArrayLike | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Figure 4: a dot for each filter on a logarithmic axis, a panel for each input.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from clvol import phantoms
 from clvol.analysis.angle import angles, mean_angle
 from clvol.base.checks import whole
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
 from clvol.figures.style import GAP, LETTERS, LETTERS_A_PIXEL, LINE, Drawing, folded, placed, show, styled, tiles, title
@@ -32,7 +33,7 @@ def draw(
     samples: int = 41,
     pixels: int = 240,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Pictures of the Marschner-Lobb function above, angles of their normals to the true ones below.
 

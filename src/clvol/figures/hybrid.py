@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, Literal
 
@@ -14,6 +13,7 @@ from clvol import phantoms
 from clvol.analysis.angle import mean_angle
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, exact, shading_gradients
 from clvol.figures.style import GAP, GREY, LINE, Drawing, colour, placed, show, styled, tiles, title
@@ -39,7 +39,7 @@ def draw(
     pixels: int = 300,
     scan: Volume | ArrayLike | None = None,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Figure 3: the same surface by the hybrid, by direct evaluation, and by trilinear interpolation; errors and frame times.
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol.analysis import EXACT_SINC, dirichlet_magnify
 from clvol.analysis.comparison import as_compared
+from clvol.base.arrays import Array
 from clvol.base.checks import require_room, whole
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.figures.inputs import photograph, zone_plate
 from clvol.figures.panels import FIGURE_6
@@ -21,7 +22,6 @@ from clvol.volume.volume import Volume
 
 __all__ = ["draw", "finer"]
 
-Array: TypeAlias = NDArray[np.float64]
 _FACTOR, _NEAR = 4, 16  # pixels for each sample, in pictures and in close-ups
 _COLLAR, _CORNER = (0.36, 0.73), (0.06, 0.06)  # start of the close-ups, along x and y of the picture
 
@@ -49,7 +49,7 @@ def draw(
     filters: Sequence[str | Filter] = FIGURE_6,
     samples: int = 49,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Figure 5: a photograph and a zone plate of few samples, magnified 4 times by each filter, and parts of them 16 times.
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
+from clvol.base.arrays import Array
 from clvol.base.checks import whole
 from clvol.volume.volume import Volume
 
 __all__ = ["photograph", "rings", "zone_plate"]
 
-Array: TypeAlias = NDArray[np.float64]
 _LUMA = (0.299, 0.587, 0.114)
 _REACH = 0.75  # share of the Nyquist frequency at distance 1 from the zone plate's centre
 

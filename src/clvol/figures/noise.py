@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol import phantoms
 from clvol.analysis import frequency_response, impulse_response, variance_gain
 from clvol.analysis.angle import mean_angle
+from clvol.base.arrays import Array
 from clvol.base.checks import whole
-from clvol.base.progress import part_of
+from clvol.base.progress import Progress, part_of
 from clvol.device import Device
 from clvol.figures.panels import ISOVALUE
 from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
@@ -25,7 +25,6 @@ from clvol.volume.volume import Volume
 
 __all__ = ["BETWEEN", "FILTERS", "LEVELS", "Case", "cases", "draw", "measure"]
 
-Array: TypeAlias = NDArray[np.float64]
 LEVELS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)
 """Standard deviations of the noise, as shares of the data's range."""
 
@@ -96,7 +95,7 @@ def measure(
     filters: Sequence[Filter],
     levels: Sequence[float] = LEVELS,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """Errors of each filter at each level of noise, which is the same noise at all levels except for its scale.
 
@@ -138,7 +137,7 @@ def draw(
     samples: int = 41,
     points: int = 20_000,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Errors of values (above) and normals (below) against the noise of two phantoms, and responses of the smoothing splines.
 

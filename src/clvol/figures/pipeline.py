@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol import phantoms, reference
+from clvol.base.arrays import Array
 from clvol.base.checks import whole
 from clvol.device import Device
 from clvol.figures.style import GREY, INK, LINE, Drawing, colour, label_ends, new_figure, placed, show, styled, title
@@ -26,7 +26,6 @@ from clvol.volume.volume import Volume
 
 __all__ = ["Ray", "draw", "follow"]
 
-Array: TypeAlias = NDArray[np.float64]
 _WAVES = 2.5  # of the Marschner-Lobb function: few enough for visible samples
 _CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=2.05, fit="volume")
 _TRANSFER = TransferFunction(

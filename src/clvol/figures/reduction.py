@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol import phantoms
+from clvol.base.arrays import Array
 from clvol.base.checks import number, require_room, several, whole
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.figures.inputs import zone_plate
 from clvol.figures.style import LETTERS, Drawing, placed, show, styled, tiles
@@ -20,7 +21,6 @@ from clvol.volume.volume import Volume
 
 __all__ = ["FACTORS", "METHODS", "Case", "cases", "draw", "there_and_back"]
 
-Array: TypeAlias = NDArray[np.float64]
 FACTORS = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0)
 """Reduction factors along each axis."""
 
@@ -79,7 +79,7 @@ def draw(
     factors: Sequence[float] = FACTORS,
     samples: int = 64,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """A zone plate reduced by 2.5 and enlarged again, by each method; below, RMS errors against the factor.
 

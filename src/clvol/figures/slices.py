@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol import phantoms
+from clvol.base.arrays import Array
 from clvol.base.checks import require_room, whole
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.figures.panels import SIX
 from clvol.figures.style import GREY, LETTERS, Drawing, colour, folded, placed, show, styled, tiles, title
@@ -21,7 +23,6 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["APART", "draw", "from_function", "from_scan"]
 
-Array: TypeAlias = NDArray[np.float64]
 _Table: TypeAlias = tuple[str, dict[int, dict[str, float]]]
 APART = (1, 2, 3, 4, 5, 6)
 """Distances of slices, in pixels."""
@@ -78,7 +79,7 @@ def draw(
     samples: int = 61,
     scan: Volume | ArrayLike | None = None,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Above, errors against the distance of slices; below, a plane across slices 3 pixels apart, by each filter.
 

@@ -7,10 +7,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Unpack
 
 from clvol import analysis
 from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, RotationTable
@@ -18,7 +18,7 @@ from clvol.analysis.comparison import as_compared
 from clvol.base.checks import as_path, whole
 from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.base.files import require_folder, staged
-from clvol.base.progress import part_of
+from clvol.base.progress import Progress, part_of
 from clvol.device import Device, as_device
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
@@ -93,7 +93,7 @@ def report(
     *,
     max_samples: int = 1 << 22,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
     **options: Unpack[PanelOptions],
 ) -> Report:
     """Measure, draw and recommend; the page embeds its pictures and is written once it is complete.

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.arrays import Array
 from clvol.filter.filter import Filter
 from clvol.reference.march.march import camera_rays, pixel_rays, shade
 from clvol.scene.camera import Viewpoint
@@ -15,7 +16,6 @@ from clvol.volume.volume import Volume
 
 __all__ = ["draw_function"]
 
-Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
 _RAYS = 1 << 13  # rays at a time, to limit memory
 _BISECTIONS = 45

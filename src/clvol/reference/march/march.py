@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol.base.arrays import Array
 from clvol.base.checks import one_of
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
@@ -34,7 +35,6 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["Rays", "camera_rays", "facing", "flat_below", "pixel_rays", "planes_across", "render", "shade"]
 
-Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
 
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves

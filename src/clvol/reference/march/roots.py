@@ -13,13 +13,13 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from clvol.base.arrays import Array
 from clvol.filter.filter import Filter
 from clvol.reference.march.rays import Rays
 from clvol.volume.volume import Volume
 
 __all__ = ["first_crossings"]
 
-Array = NDArray[np.float64]
 _LINES = 1 << 11  # lines at a time, to limit memory
 _EDGE = 1e-10  # tolerance for roots outside a piece, in half its length
 _REAL = 1e-7  # tolerance for imaginary parts, which for double roots are the square root of rounding

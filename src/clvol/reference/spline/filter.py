@@ -9,8 +9,9 @@ from fractions import Fraction
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from clvol.base.arrays import Array
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.make import bc, bspline, lanczos, moms3, sinc
@@ -18,7 +19,6 @@ from clvol.filter.table import as_filter
 
 __all__ = ["kernel"]
 
-Array: TypeAlias = NDArray[np.float64]
 Closed: TypeAlias = Callable[[Array, int], Array]
 
 
