@@ -11,7 +11,7 @@ from clvol import analysis
 from clvol.base.arrays import Array
 from clvol.base.checks import several, whole
 from clvol.base.errors import OptionError
-from clvol.base.progress import Progress
+from clvol.base.progress import Progress, counted
 from clvol.figures.style import GREY, Drawing, colour, label_ends, new_figure, styled
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filters
@@ -71,10 +71,8 @@ def draw(
         raise OptionError(f"sizes must be {rule}; got {sizes!r}")
     rows = as_filters(filters)
     tables = []
-    for i, n in enumerate(counts):
+    for n in counted(counts, progress):
         tables.append(analysis.compare(_waves, rows, gradient=_slopes, size=n, dimensions=2, points=points, margin=0, timing=False))
-        if progress is not None:
-            progress((i + 1) / len(counts))
     spacing = 2 / (np.array(counts, float) - 1)
     numbers: list[dict[str, Any]] = []
     for i, row in enumerate(rows):

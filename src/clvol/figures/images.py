@@ -11,11 +11,11 @@ from clvol.analysis import EXACT_SINC, dirichlet_magnify
 from clvol.analysis.comparison import as_compared
 from clvol.base.arrays import Array
 from clvol.base.checks import require_room, whole
-from clvol.base.progress import Progress
+from clvol.base.progress import Progress, counted
 from clvol.device import Device
 from clvol.figures.inputs import photograph, zone_plate
 from clvol.figures.panels import FIGURE_6
-from clvol.figures.style import LETTERS, LETTERS_A_PIXEL, Drawing, folded, show, styled, tiles, title
+from clvol.figures.style import LETTERS, Drawing, folded, show, styled, tiles, title
 from clvol.filter.filter import Filter
 from clvol.spline.field import sample
 from clvol.volume.volume import Volume
@@ -84,19 +84,16 @@ def draw(
     numbers: list[dict[str, Any]] = []
     with styled():
         figure, panels, times = tiles(4, len(chosen) + 1, (size, size), above=2, between=1)
-        letters = int(LETTERS_A_PIXEL * times * size)
-        for column, drawer in enumerate(chosen):
+        for column, drawer in enumerate(counted(chosen, progress)):
             name = drawer.name if isinstance(drawer, Filter) else drawer
             for row, (kind, truth, few, start, _) in enumerate(inputs):
                 drawn = finer(few, _FACTOR, drawer, device)
                 rms = float(np.sqrt(np.mean((drawn[inner] - truth[inner]) ** 2)))
                 numbers.append({"input": kind, "filter": name, "rms": rms})
-                heading = folded(f"{LETTERS[column]})  {title(name)}", letters) if row == 0 else ""
+                heading = folded(f"{LETTERS[column]})  {title(name)}", times * size) if row == 0 else ""
                 show(panels[2 * row, column], drawn, heading, f"RMS {rms:.4f}", vmin=0, vmax=1)
                 show(panels[2 * row + 1, column], finer(few, _NEAR, drawer, device, start, (size, size)), "", vmin=0, vmax=1)
-            if progress is not None:
-                progress((column + 1) / len(chosen))
-        headings = [folded(f"{what}, low-passed", letters), ""]
+        headings = [folded(f"{what}, low-passed", times * size), ""]
         notes = [f"{size}², given {samples}²", "the function itself"]
         for row, (_, truth, _, _, close) in enumerate(inputs):
             show(panels[2 * row, -1], truth, headings[row], notes[row], vmin=0, vmax=1)

@@ -41,35 +41,18 @@ _LEAST_WIDTH = 300  # pixels; width of a picture in the file
 
 @dataclass(frozen=True)
 class Ray:
-    """One ray, sample by sample.
+    """One ray, sample by sample."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (N,)
-        World distances from the entry into the volume.
-    points : ndarray, shape (N, 3)
-    values : ndarray, shape (N,)
-        Reconstructed.
-    colors : ndarray, shape (N, 3)
-        Classified and lit.
-    opacities : ndarray, shape (N,)
-        Of one step.
-    colour, opacity : ndarray, shape (N, 3) and (N,)
-        Accumulated up to and with each sample.
-    start, direction, length
-        Its entry, its unit direction, and its length inside.
-    """
-
-    t: Array
-    points: Array
-    values: Array
-    colors: Array
-    opacities: Array
-    colour: Array
-    opacity: Array
-    start: Array
-    direction: Array
-    length: float
+    t: Array  # world distances from the entry into the volume, (N,)
+    points: Array  # (N, 3)
+    values: Array  # reconstructed, (N,)
+    colors: Array  # classified and lit, (N, 3)
+    opacities: Array  # of one step, (N,)
+    colour: Array  # accumulated up to and with each sample, (N, 3)
+    opacity: Array  # likewise, (N,)
+    start: Array  # of the ray, where it enters
+    direction: Array  # unit
+    length: float  # inside
 
 
 def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int, int]) -> Ray:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from clvol import phantoms
 from clvol.base.arrays import Array
 from clvol.base.checks import number, require_room, several, whole
-from clvol.base.progress import Progress
+from clvol.base.progress import Progress, counted
 from clvol.device import Device
 from clvol.figures.inputs import zone_plate
 from clvol.figures.style import LETTERS, Drawing, placed, show, styled, tiles
@@ -35,22 +34,12 @@ _SEED = 1995
 _HIGH, _LEFT, _BETWEEN = 430, 100, 90  # pixels of the file: height of the plots, left margin, gap
 
 
-@dataclass(frozen=True)
-class Case:
-    """An input of the reduction.
-
-    Attributes
-    ----------
-    name : str
-    volume : Volume
-        The samples.
-    truth : ndarray
-        The samples without noise.
-    """
+class Case(NamedTuple):
+    """An input of the reduction."""
 
     name: str
     volume: Volume
-    truth: Array
+    truth: Array  # the samples without noise
 
 
 def cases(samples: int) -> list[Case]:
@@ -97,15 +86,13 @@ def draw(
     given = [number("each factor", f, minimum=1) for f in several("factors", factors, "numbers of at least 1")]
     known = cases(samples)
     numbers: list[dict[str, Any]] = []
-    for i, case in enumerate(known):
+    for case in counted(known, progress):
         low, high = float(case.truth.min()), float(case.truth.max())
         for name, method in METHODS.items():
             for factor in given:
                 error = there_and_back(case.volume, factor, method, device) - case.truth
                 rms = float(np.sqrt(np.mean(error**2))) / (high - low)
                 numbers.append({"input": case.name, "method": name, "factor": factor, "rms": rms})
-        if progress is not None:
-            progress((i + 1) / len(known))
     with styled():
         figure = _drawn(known, given, numbers, device)
     lines = []

@@ -19,14 +19,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.analysis import EXACT_SINC
 from clvol.base.checks import as_path
+from clvol.base.color import color_of
 from clvol.base.errors import MissingDependencyError, OptionError
 from clvol.base.files import require_suffix, staged
-from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter, filters
 from clvol.show import picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 __all__ = [
@@ -35,7 +36,6 @@ __all__ = [
     "GREY",
     "INK",
     "LETTERS",
-    "LETTERS_A_PIXEL",
     "LINE",
     "SUFFIXES",
     "Drawing",
@@ -46,6 +46,7 @@ __all__ = [
     "new_figure",
     "placed",
     "plain",
+    "plain_digits",
     "require_matplotlib",
     "show",
     "spread",
@@ -62,11 +63,9 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 LINE, GAP = 27, 8
 """Pixels of the file: height of a line of text, and the gap between pictures (`tiles`)."""
 
-LETTERS_A_PIXEL = 0.08
-"""Letters of a heading above a picture, per pixel of its width."""
-
 SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
+_LETTERS = 0.08  # of a heading above a picture, per pixel of its width
 _LEAST_TILE = 160  # pixels of the file; least width of a picture
 _RC: Mapping[str, Any] = {
     "font.size": 9.5,
@@ -159,7 +158,7 @@ def colour(name: str) -> str:
         return _given(name)
     table = filters()
     for other in _COLOURS:
-        if other in table and _same(table[other], row):
+        if other in table and replace(table[other], name=row.name) == row:
             return _COLOURS[other]
     if isinstance(row.smoothing, float) and row.smoothing > 0:  # grey, lighter for more smoothing
         grey = round(np.interp(math.log10(row.smoothing), (-3, 2), (40, 200)))
@@ -167,14 +166,10 @@ def colour(name: str) -> str:
     return _given(row.name)
 
 
-def _same(a: Filter, b: Filter) -> bool:
-    return replace(a, name=b.name) == b
-
-
 def _given(name: str) -> str:
     """A colour far from all others, if there is one; hues differ by the golden angle, with three lightnesses."""
     if name not in _GIVEN:
-        taken = [_rgb(c) for c in (*_COLOURS.values(), *_GIVEN.values())]
+        taken = [color_of("colour", code) for code in (*_COLOURS.values(), *_GIVEN.values())]
         tried = []
         for k in range(_TRIED):
             rgb = colorsys.hls_to_rgb((0.1 + k * _GOLDEN) % 1, (0.42, 0.6, 0.3)[k % 3], 0.55)
@@ -184,13 +179,9 @@ def _given(name: str) -> str:
     return _GIVEN[name]
 
 
-def _rgb(code: str) -> tuple[float, ...]:
-    return tuple(int(code[i : i + 2], 16) / 255 for i in (1, 3, 5))
-
-
-def folded(text: str, width: int = 26) -> str:
-    """A heading folded to lines of at most `width` letters."""
-    return "\n".join(textwrap.wrap(text, width, break_on_hyphens=False)) or text
+def folded(text: str, width: int) -> str:
+    """A heading, in lines that fit above a picture of `width` pixels."""
+    return "\n".join(textwrap.wrap(text, int(_LETTERS * width), break_on_hyphens=False)) or text
 
 
 def title(name: str) -> str:
@@ -263,12 +254,12 @@ def styled() -> Iterator[None]:
         yield
 
 
-def new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float, **options: Any) -> Figure:
     """A figure of this size in inches, without a window."""
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width, height), **{"layout": "constrained", **options})
 
 
 def legend_above(figure: Figure, axes: Axes) -> None:
@@ -289,31 +280,16 @@ def placed(figure: Figure, x: int, y: int, width: int, height: int) -> Axes:
 def tiles(
     rows: int, columns: int, size: tuple[int, int], *, above: int = 0, below: int = 0, between: int = 0, right: int = 0
 ) -> tuple[Figure, NDArray[Any], int]:
-    """A figure of axes in which pictures of a size (width, height) are shown pixel by pixel.
+    """A figure, its axes (rows, columns) for pictures of a size (width, height), shown pixel by pixel, and their magnification.
 
-    Parameters
-    ----------
-    rows, columns : int
-    size : (int, int)
-        Of a picture. Pictures narrower than 160 pixels are enlarged by an integer factor.
-    above, below, between, right : int
-        Lines of text above the first row, below the last one and after each other, and pixels right of the last column.
-
-    Returns
-    -------
-    figure : Figure
-    axes : ndarray of Axes, shape (rows, columns)
-    times : int
-        The factor by which pictures are enlarged.
+    Pictures narrower than 160 pixels are magnified by a whole number. There is room for lines of text `above` the first row,
+    `below` the last one and `between` rows, and for pixels `right` of the last column.
     """
-    require_matplotlib()
-    from matplotlib.figure import Figure
-
     times = -(-_LEAST_TILE // size[0])
     width, height = (times * n for n in size)
     gap, start = LINE * between + GAP, LINE * above + GAP
     total = start + rows * (height + gap) - gap + LINE * below + GAP
-    figure = Figure(figsize=((columns * (width + GAP) + GAP + right) / _DPI, total / _DPI), dpi=_DPI)
+    figure = new_figure((columns * (width + GAP) + GAP + right) / _DPI, total / _DPI, layout=None, dpi=_DPI)
     axes = np.empty((rows, columns), object)
     for i, j in np.ndindex(rows, columns):
         one = axes[i, j] = placed(figure, GAP + j * (width + GAP), start + i * (height + gap), width, height)
@@ -344,6 +320,15 @@ def plain(axes: Axes) -> None:
     axes.grid(visible=False)
     for spine in axes.spines.values():
         spine.set_visible(False)
+
+
+def plain_digits(axis: Axis, subs: Sequence[int]) -> None:
+    """Ticks on a logarithmic axis at these multiples of powers of ten, in plain digits."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def spread(places: Sequence[float], gap: float) -> list[float]:
