@@ -23,14 +23,9 @@ _TAIL = 1e-18  # of the prefilter's impulse response, which decays like powers o
 
 @dataclass(frozen=True)
 class Pieces:
-    """A piecewise polynomial, zero outside.
+    """A piecewise polynomial, zero outside: piece j covers ``[start + j step, start + (j + 1) step)``.
 
-    Attributes
-    ----------
-    start, step : float
-        Piece j covers ``[start + j step, start + (j + 1) step)``.
-    rows : ndarray of float64, shape (pieces, degree + 1)
-        ``rows[j, k]`` belongs to ``t**k``, with t from 0 to 1 along the piece.
+    ``rows[j, k]`` belongs to ``t**k``, with t from 0 to 1 along the piece.
     """
 
     start: float

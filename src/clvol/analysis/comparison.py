@@ -426,13 +426,6 @@ def overshoot(volume: Volume, row: str | Filter, rule: Boundary) -> float:
     """The largest excess of a reconstruction over the range of its samples, in their units; 0 if it stays within it.
 
     It is evaluated half-way between samples along one axis, two or three, where filters ring most.
-
-    Parameters
-    ----------
-    volume : Volume
-        2-D or 3-D, finite samples.
-    row : Filter, or "exact-sinc"
-    rule : Boundary
     """
     low, high = volume.value_range
     if low == high or (isinstance(row, Filter) and keeps_range(row)):
@@ -455,10 +448,7 @@ def overshoot(volume: Volume, row: str | Filter, rule: Boundary) -> float:
 
 
 def keeps_range(row: Filter) -> bool:
-    """Whether values always stay within the range of the samples.
-
-    They do if every value is a mean of samples: weights of the samples, none negative, that sum to one.
-    """
+    """Whether values always stay within the range of the samples: its weights, none negative, sum to one."""
     if row.magnified_by is not None and not keeps_range(row.magnified_by):
         return False
     return not row.prefilter and row.sums_to_one and bool((row.weights(np.linspace(0, 1, 257)) >= -1e-12).all())

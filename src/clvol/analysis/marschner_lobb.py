@@ -20,7 +20,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from clvol.analysis.cardinal import even_filter, pieces
-from clvol.analysis.extremum import maximum
+from clvol.analysis.frequency import maximum
 from clvol.analysis.table import column
 from clvol.base.arrays import Array, reals
 from clvol.base.errors import ClvolError, OptionError

@@ -7,10 +7,13 @@ Taylor series expansion*, IEEE TVCG 3 (1997), reference [12] of the paper. The s
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
@@ -246,27 +249,21 @@ def _value(row: Sequence[Number], t: Number) -> Number:
 
 
 def _plus(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
-    size = max(len(a), len(b))
-    return [(a[k] if k < len(a) else 0) + (b[k] if k < len(b) else 0) for k in range(size)]
+    return [x + y for x, y in zip_longest(a, b, fillvalue=0)]
 
 
-def _times(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
-    result: list[Number] = [Fraction(0)] * (len(a) + len(b) - 1)
-    for i, x in enumerate(a):
-        for j, y in enumerate(b):
-            result[i + j] += x * y
-    return result
-
-
-def _slope(a: Sequence[Number], scale: int) -> Sequence[Number]:
+def _slope(a: Sequence[Number], scale: int) -> list[Number]:
     return [scale * k * c for k, c in enumerate(a)][1:]
 
 
-def _power(a: list[Fraction], n: int) -> list[Number]:
-    result: list[Number] = [Fraction(1)]
-    for _ in range(n):
-        result = _times(result, list(a))
-    return result
+def _times(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
+    product: Any = np.convolve(np.array(a, object), np.array(b, object))
+    return list(product)
+
+
+def _power(a: Sequence[Number], n: int) -> Sequence[Number]:
+    one: list[Number] = [Fraction(1)]
+    return functools.reduce(_times, [a] * n, one)
 
 
 # -- the reconstruction of a wave --------------------------------------------------------------------------

@@ -32,6 +32,7 @@ __all__ = [
     "known",
     "lattice_points",
     "middle",
+    "middle_part",
     "prefiltered",
     "root_mean_square",
     "sampled",
@@ -296,6 +297,16 @@ def middle(positions: NDArray[Any], others: int, room: int) -> NDArray[Any]:
     count = min(positions.size, max(1, room // others))
     first = (positions.size - count) // 2
     return positions[first : first + count]
+
+
+def middle_part(volume: Volume, max_samples: int) -> Volume:
+    """The middle of a volume or an image with at most `max_samples` samples, every axis cropped in the same proportion."""
+    if volume.data.size <= max_samples:
+        return volume
+    share = (max_samples / volume.data.size) ** (1 / volume.ndim)
+    sizes = [max(1, int(n * share)) for n in volume.size]
+    low = [(n - m) // 2 for n, m in zip(volume.size, sizes, strict=True)]
+    return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
 
 
 def root_mean_square(values: Array) -> float:

@@ -16,6 +16,7 @@ from clvol.analysis.comparison import as_compared, require_period, settled_compa
 from clvol.analysis.dirichlet import dirichlet_sample
 from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table, column
+from clvol.analysis.trial import middle_part
 from clvol.base.checks import enough_memory, number, whole
 from clvol.base.errors import DataError
 from clvol.base.progress import Progress
@@ -116,7 +117,10 @@ def rotations(
     chosen, volume, rule = as_compared(filters), as_volume(source), as_boundary(boundary)
     turns, margin = whole("turns", turns, 2, 360), number("margin", margin, minimum=0)
     require_period(chosen, rule)
-    image = _middle(volume, whole("max_pixels", max_pixels, 1))
+    image = volume
+    if volume.ndim == 3:
+        image = Volume(volume.data[volume.shape[0] // 2], volume.spacing[:2], units=volume.units)
+    image = middle_part(image, whole("max_pixels", max_pixels, 1))
     image.require_finite()
     chosen = settled_compared(chosen, volume)
     low, high = image.value_range
@@ -155,13 +159,3 @@ def rotations(
 def _in_a_slice(row: Filter) -> Filter:
     """A volume's filter for a slice of it: from λ by axis, those along x and y."""
     return row.smoothed(row.smoothing[:2]) if isinstance(row.smoothing, tuple) else row
-
-
-def _middle(volume: Volume, max_pixels: int) -> Volume:
-    """The middle slice of a volume, and the middle of a large image."""
-    if volume.ndim == 3:
-        volume = Volume(volume.data[volume.shape[0] // 2], volume.spacing[:2], units=volume.units)
-    share = min(1.0, (max_pixels / volume.data.size) ** 0.5)
-    sizes = [max(1, int(n * share)) for n in volume.size]
-    low = [(n - m) // 2 for n, m in zip(volume.size, sizes, strict=True)]
-    return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
