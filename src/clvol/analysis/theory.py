@@ -202,7 +202,7 @@ def _moments(filter: Filter, n: int) -> list[list[Number]]:
         for i in range(filter.support):
             # (k - x)**n, with the coarse spline's moments about the finer sample j / s that tap i takes
             at = Fraction((phase + i) % s, s)
-            distance = [-(Fraction(filter.support, 2) - 1 - i) / s, Fraction(-1, s)]
+            distance: list[Number] = [-(Fraction(filter.support, 2) - 1 - i) / s, Fraction(-1, s)]
             for m in range(n + 1):
                 known = math.comb(n, m) * _moment_at(by, m, at)
                 total = _plus(total, _times(filter.taps[i], _times(_power(distance, n - m), [known])))
@@ -222,7 +222,7 @@ def _mixed(inverse: list[Number], filter: Filter, n: int) -> list[Number]:
         if not inverse[n - m]:
             continue
         for i, weights in enumerate(filter.taps):
-            distance = [-(Fraction(filter.support, 2) - 1 - i), Fraction(-1)]
+            distance: list[Number] = [-(Fraction(filter.support, 2) - 1 - i), Fraction(-1)]
             total = _plus(total, _times(weights, _times(_power(distance, m), [math.comb(n, m) * inverse[n - m]])))
     return total
 
@@ -252,16 +252,16 @@ def _plus(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
     return [x + y for x, y in zip_longest(a, b, fillvalue=0)]
 
 
-def _slope(a: Sequence[Number], scale: int) -> list[Number]:
+def _slope(a: Sequence[Number], scale: int) -> Sequence[Number]:
     return [scale * k * c for k, c in enumerate(a)][1:]
 
 
 def _times(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
-    product: Any = np.convolve(np.array(a, object), np.array(b, object))
-    return list(product)
+    product: list[Any] = np.convolve(np.array(a, object), np.array(b, object)).tolist()
+    return product
 
 
-def _power(a: Sequence[Number], n: int) -> Sequence[Number]:
+def _power(a: list[Number], n: int) -> list[Number]:
     one: list[Number] = [Fraction(1)]
     return functools.reduce(_times, [a] * n, one)
 
