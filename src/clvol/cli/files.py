@@ -50,7 +50,7 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     is at an address, or does not fit into memory, few samples are read.
     """
     reader = input or Input()
-    listed = not (reader.chooses() or str(source).startswith("phantom:") or is_address(source))
+    listed = not (reader.series is not None or str(source).startswith("phantom:") or is_address(source))
     images = series_of(source, trusted=reader.trusted) if listed else ()
 
     def wanted(lazy: clvol.LazyVolume) -> bool:

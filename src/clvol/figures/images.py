@@ -13,7 +13,7 @@ from clvol.base.arrays import Array
 from clvol.base.checks import require_room, whole
 from clvol.base.progress import Progress, counted
 from clvol.device import Device
-from clvol.figures.inputs import photograph, zone_plate
+from clvol.figures.inputs import photograph, zone_plate, zone_plate_image
 from clvol.figures.panels import FIGURE_6
 from clvol.figures.style import LETTERS, Drawing, folded, show, styled, tiles, title
 from clvol.filter.filter import Filter
@@ -70,7 +70,7 @@ def draw(
     photo, what = photograph(2 * size)
     # at full sharpness, then low-passed for fewer pixels
     original = photo.gaussian(1).downsample(2)
-    soft, plate = original.gaussian(_FACTOR), Volume(zone_plate(_square(size), samples))
+    soft, plate = original.gaussian(_FACTOR), Volume(zone_plate_image(size, samples))
     starts = [(int(x * samples), int(y * samples)) for x, y in (_COLLAR, _CORNER)]
     x, y = starts[0]
     collar = finer(soft, _NEAR // _FACTOR, "bspline3", device, (_FACTOR * x, _FACTOR * y), (size, size))
@@ -100,8 +100,3 @@ def draw(
             show(panels[2 * row + 1, -1], close, "", vmin=0, vmax=1)
     lines = [f"{n['input']}, {title(n['filter'])}: RMS error {n['rms']:.4f}" for n in numbers]
     return Drawing(figure, numbers, lines)
-
-
-def _square(size: int) -> Array:
-    x = np.linspace(-1, 1, size)
-    return np.stack(np.meshgrid(x, x), -1)

@@ -166,18 +166,14 @@ def draw(samples: int = 21, pixels: int = 400, filter: str = "bspline3", device:
 
 def _rays(axes: Any, pixel: tuple[int, ...], count: int) -> None:
     """The positions of a pixel's rays, and their weights under the pixel filter."""
+    from matplotlib.patches import Rectangle
+
     for (x, y), weight in pixel_rays(count, DEFAULT_PIXEL_FILTER):
         if weight:
             axes.plot(
                 pixel[0] - 0.5 + x, pixel[1] - 0.5 + y, "o", color=INK, markersize=1.2 + 2 * np.sqrt(weight), markeredgewidth=0
             )
-    axes.add_patch(_square(pixel))
-
-
-def _square(pixel: tuple[int, ...]) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((pixel[0] - 0.5, pixel[1] - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=1)
+    axes.add_patch(Rectangle((pixel[0] - 0.5, pixel[1] - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=1))
 
 
 def _cut(axes: Any, volume: Volume, ray: Ray, filter: str) -> None:

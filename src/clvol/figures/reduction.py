@@ -12,7 +12,7 @@ from clvol.base.arrays import Array
 from clvol.base.checks import number, require_room, several, whole
 from clvol.base.progress import Progress, counted
 from clvol.device import Device
-from clvol.figures.inputs import zone_plate
+from clvol.figures.inputs import zone_plate_image
 from clvol.figures.style import LETTERS, Drawing, placed, show, styled, tiles
 from clvol.spline.field import resample
 from clvol.spline.reduce import AntiAliasing
@@ -44,9 +44,7 @@ class Case(NamedTuple):
 
 def cases(samples: int) -> list[Case]:
     """Inputs with more detail than fewer samples can represent, with as much as half of them can, and with less plus noise."""
-    side = _ACROSS * samples
-    x = np.linspace(-1, 1, side)
-    plate = zone_plate(np.stack(np.meshgrid(x, x), -1), side)
+    plate = zone_plate_image(_ACROSS * samples, _ACROSS * samples)
     waves, ball = phantoms.marschner_lobb(samples), phantoms.sphere(samples)
     low, high = ball.value_range
     noise = np.random.default_rng(_SEED).normal(size=ball.shape) * _NOISE * (high - low)

@@ -21,19 +21,14 @@ __all__ = ["Rays", "camera_rays"]
 class Rays:
     """Rays in the world: ``p(t) = origin + t direction`` for ``enter <= t <= leave``.
 
-    Attributes
-    ----------
-    origin, direction : ndarray, shape (N, 3)
-        Directions have unit length.
-    enter, leave : ndarray, shape (N,)
-        The interval inside the volume's domain and the clip box, and in front of a perspective eye; ``enter > leave`` for
-        rays that miss.
+    This is the interval inside the volume's domain and the clip box, and in front of a perspective eye; ``enter > leave`` for rays
+    that miss.
     """
 
-    origin: Array
-    direction: Array
-    enter: Array
-    leave: Array
+    origin: Array  # (N, 3)
+    direction: Array  # of unit length, (N, 3)
+    enter: Array  # (N,)
+    leave: Array  # (N,)
 
     def at(self, t: Array, which: NDArray[Any] | slice = slice(None)) -> Array:
         """World positions at distances `t` of the rays `which`; (..., 3)."""

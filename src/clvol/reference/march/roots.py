@@ -28,22 +28,10 @@ _PAST = 1e-9  # voxels past a jump, to its far side
 
 
 def first_crossings(value: Callable[[Array], Array], volume: Volume, filter: Filter, rays: Rays, isovalue: float) -> Array:
-    """The first crossing of the isovalue, from below to not below or back, along each ray.
+    """T of the first crossing of the isovalue, from below to not below or back, along each ray; infinite if there is none.
 
-    Parameters
-    ----------
-    value : callable
-        The function: values (N,) at world positions (N, 3).
-    volume, filter : Volume, Filter
-        They determine where its pieces meet, and their degree.
-    rays : Rays
-        Any lines: directions need not have unit length.
-    isovalue : float
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        t of the crossing, from the ray's entry on; infinite if there is none.
+    `value` is the function at world positions (N, 3); the volume and the filter determine where its pieces meet, and their degree.
+    Directions of the rays need not have unit length.
     """
     t = np.full(rays.enter.shape, math.inf)
     there = np.flatnonzero(rays.enter < rays.leave)

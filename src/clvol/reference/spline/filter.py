@@ -103,11 +103,7 @@ def _bc(b: float, c: float) -> Closed:
         r, chain = np.abs(x), np.where(x < 0, -1.0, 1.0) ** derivative  # d|x|/dx, once a derivative
 
         def piece(coefficients: Array) -> Array:
-            return (
-                np.polynomial.Polynomial(coefficients).deriv(derivative)(r)
-                if derivative
-                else (np.polynomial.Polynomial(coefficients)(r))
-            )
+            return np.asarray(np.polynomial.Polynomial(coefficients).deriv(derivative)(r))
 
         inner, outer = (x >= -1) & (x < 1), (x >= -2) & (x < 2)
         return np.asarray(chain * np.where(inner, piece(near), np.where(outer, piece(far), 0.0)))
