@@ -93,56 +93,37 @@ _RC: Mapping[str, Any] = {
     "legend.frameon": False,
 }
 
-_COLOURS = {
-    EXACT_SINC: "#5b5b5b",
-    "sinc": "#8a8a8a",
-    "nearest": "#b07d4f",
-    "bspline3-approx": "#2a9d8f",
-    "linear": "#e9a100",
-    "mitchell": "#c2549d",
-    "catmull-rom": "#58a032",
-    "hybrid": "#7a5cc2",
-    "omoms3": "#d1495b",
-    "bspline2": "#7fb2e5",
-    "bspline3": "#1769c2",
-    "bspline3(auto)": "#d6006c",
-    "bspline4": "#12508f",
-    "bspline5": "#0b2f57",
-    "bspline2-approx": "#7cc7bc",
-    "bspline4-approx": "#1d7268",
-    "bspline5-approx": "#124a43",
-    "lanczos2": "#e08a76",
-    "lanczos3": "#cf6a52",
-    "lanczos4": "#b04d36",
-    "lanczos5": "#8c3521",
-    "lanczos3n": "#9c2f6f",
-    "sinc4n": "#6b7a3a",
-    "moms3": "#8b1e3f",
-    "linear-quasi": "#c9b458",
-    "bspline3-quasi": "#58c4e8",
+_FILTERS = {  # a colour and a title
+    EXACT_SINC: ("#5b5b5b", "sinc, exact"),
+    "sinc": ("#8a8a8a", "sinc, cut off at 4 samples"),
+    "nearest": ("#b07d4f", "nearest neighbour"),
+    "bspline3-approx": ("#2a9d8f", "B-spline approximation"),
+    "linear": ("#e9a100", "linear"),
+    "mitchell": ("#c2549d", "Mitchell B = C = 1/3"),
+    "catmull-rom": ("#58a032", "Catmull–Rom"),
+    "hybrid": ("#7a5cc2", "hybrid, ×2 then linear"),
+    "omoms3": ("#d1495b", "O-MOMS, cubic"),
+    "bspline2": ("#7fb2e5", "bspline2"),
+    "bspline3": ("#1769c2", "B-spline interpolation"),
+    "bspline3(auto)": ("#d6006c", "bspline3(auto)"),
+    "bspline4": ("#12508f", "bspline4"),
+    "bspline5": ("#0b2f57", "bspline5"),
+    "bspline2-approx": ("#7cc7bc", "bspline2-approx"),
+    "bspline4-approx": ("#1d7268", "bspline4-approx"),
+    "bspline5-approx": ("#124a43", "bspline5-approx"),
+    "lanczos2": ("#e08a76", "lanczos2"),
+    "lanczos3": ("#cf6a52", "lanczos3"),
+    "lanczos4": ("#b04d36", "lanczos4"),
+    "lanczos5": ("#8c3521", "lanczos5"),
+    "lanczos3n": ("#9c2f6f", "Lanczos, 3 samples"),
+    "sinc4n": ("#6b7a3a", "sinc, 4 samples, normalized"),
+    "moms3": ("#8b1e3f", "MOMS, cubic"),
+    "linear-quasi": ("#c9b458", "linear, quasi-interpolation"),
+    "bspline3-quasi": ("#58c4e8", "B-spline, quasi-interpolation"),
 }
 _ACROSS = 4  # names in a row of a legend
 _GIVEN: dict[str, str] = {}  # colours of other filters
 _GOLDEN, _TRIED, _APART = 0.6180339887, 150, 0.22
-
-_TITLES = {
-    EXACT_SINC: "sinc, exact",
-    "sinc": "sinc, cut off at 4 samples",
-    "nearest": "nearest neighbour",
-    "bspline3-approx": "B-spline approximation",
-    "linear": "linear",
-    "mitchell": "Mitchell B = C = 1/3",
-    "catmull-rom": "Catmull–Rom",
-    "bspline3": "B-spline interpolation",
-    "hybrid": "hybrid, ×2 then linear",
-    "omoms3": "O-MOMS, cubic",
-    "moms3": "MOMS, cubic",
-    "lanczos3n": "Lanczos, 3 samples",
-    "sinc4n": "sinc, 4 samples, normalized",
-    "linear-quasi": "linear, quasi-interpolation",
-    "bspline3-quasi": "B-spline, quasi-interpolation",
-    "exact": "the function itself",
-}
 
 
 def colour(name: str) -> str:
@@ -150,16 +131,16 @@ def colour(name: str) -> str:
 
     A filter without a fixed colour gets a new one on the first call, distinct from all others.
     """
-    if name in _COLOURS:
-        return _COLOURS[name]
+    if name in _FILTERS:
+        return _FILTERS[name][0]
     try:
         row = as_filter(name)
     except OptionError:  # not in the table
         return _given(name)
     table = filters()
-    for other in _COLOURS:
+    for other, (code, _) in _FILTERS.items():
         if other in table and replace(table[other], name=row.name) == row:
-            return _COLOURS[other]
+            return code
     if isinstance(row.smoothing, float) and row.smoothing > 0:  # grey, lighter for more smoothing
         grey = round(np.interp(math.log10(row.smoothing), (-3, 2), (40, 200)))
         return f"#{grey:02x}{grey:02x}{grey:02x}"
@@ -169,7 +150,7 @@ def colour(name: str) -> str:
 def _given(name: str) -> str:
     """A colour far from all others, if there is one; hues differ by the golden angle, with three lightnesses."""
     if name not in _GIVEN:
-        taken = [color_of("colour", code) for code in (*_COLOURS.values(), *_GIVEN.values())]
+        taken = [color_of("colour", code) for code in (*(own for own, _ in _FILTERS.values()), *_GIVEN.values())]
         tried = []
         for k in range(_TRIED):
             rgb = colorsys.hls_to_rgb((0.1 + k * _GOLDEN) % 1, (0.42, 0.6, 0.3)[k % 3], 0.55)
@@ -189,7 +170,9 @@ def title(name: str) -> str:
     of_spline = re.fullmatch(r"bspline3\((.*)\)", name)
     if of_spline:
         return "B-spline, λ from the data" if of_spline[1] == "auto" else f"B-spline, λ = {of_spline[1]}"
-    return _TITLES.get(name, name)
+    if name == "exact":
+        return "the function itself"
+    return _FILTERS[name][1] if name in _FILTERS else name
 
 
 @dataclass(frozen=True)
