@@ -111,6 +111,10 @@ def test_each_name_is_from_where_type_checkers_see_it() -> None:
     assert {*clvol.__all__} == {*places, "images", "ndimage", "phantoms"}
 
 
+def test_only_what_is_public_is_shown() -> None:
+    assert {*clvol.__all__, *clvol._PARTS} <= {*dir(clvol)} <= {*clvol.__all__, *clvol._PARTS, *clvol._OPTIONAL, "__version__"}
+
+
 def test_public_parts_are_attributes_before_they_are_imported() -> None:
     code = "import clvol; print([name for name in clvol._PARTS if getattr(clvol, name).__name__ != f'clvol.{name}'])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)

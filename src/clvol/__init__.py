@@ -18,134 +18,87 @@ from clvol.base import interrupted as interrupted  # before all that takes long 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from clvol import images, ndimage, phantoms
-    from clvol.base.errors import (
-        ClusterError,
-        ClvolError,
-        ClvolWarning,
-        DataError,
-        DeviceError,
-        FormatError,
-        GeometryError,
-        MissingDependencyError,
-        OptionError,
-        OutOfMemoryError,
-    )
-    from clvol.bricks.field import BrickedField
-    from clvol.bricks.source import LazyVolume
-    from clvol.device import Device, devices
-    from clvol.filter.boundary import Boundary, boundaries
-    from clvol.filter.filter import Filter
-    from clvol.filter.make import bc, bspline, from_callable, from_pieces, lanczos, moms3, quasi, sinc
-    from clvol.filter.response import frequency_response, prefilter_response
-    from clvol.filter.table import filters, register_filter
-    from clvol.formats import read, read_all, write
-    from clvol.formats.opening import open  # noqa: A004  # as files are opened: clvol.open
-    from clvol.formats.pyramid import pyramid
-    from clvol.formats.transforms import read_transform
-    from clvol.interfaces.batches import batch
-    from clvol.interfaces.interpolator import Interpolator
-    from clvol.interfaces.resize import resize
-    from clvol.march.refine import Refined
-    from clvol.march.renderer import Output, Renderer, render
-    from clvol.scene.camera import Camera
-    from clvol.scene.light import Light, Material
-    from clvol.scene.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
-    from clvol.scene.preset import presets
-    from clvol.scene.scene import Medium, Scene
-    from clvol.scene.transfer import TransferFunction
-    from clvol.show.picture import Picture, save, show
-    from clvol.spline.field import Field, magnify, prefilter, resample, sample
-    from clvol.spline.scatter import adjoint
-    from clvol.spline.warp import Warped, resample_series, warp
-    from clvol.volume.missing import Missing
-    from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField
-    from clvol.volume.volume import Volume
-    from clvol.volume.volumes import Volumes
+if TYPE_CHECKING:  # each name as itself, so that type checkers take it for public
+    from clvol import images as images
+    from clvol import ndimage as ndimage
+    from clvol import phantoms as phantoms
+    from clvol.base.errors import ClusterError as ClusterError
+    from clvol.base.errors import ClvolError as ClvolError
+    from clvol.base.errors import ClvolWarning as ClvolWarning
+    from clvol.base.errors import DataError as DataError
+    from clvol.base.errors import DeviceError as DeviceError
+    from clvol.base.errors import FormatError as FormatError
+    from clvol.base.errors import GeometryError as GeometryError
+    from clvol.base.errors import MissingDependencyError as MissingDependencyError
+    from clvol.base.errors import OptionError as OptionError
+    from clvol.base.errors import OutOfMemoryError as OutOfMemoryError
+    from clvol.bricks.field import BrickedField as BrickedField
+    from clvol.bricks.source import LazyVolume as LazyVolume
+    from clvol.device import Device as Device
+    from clvol.device import devices as devices
+    from clvol.filter.boundary import Boundary as Boundary
+    from clvol.filter.boundary import boundaries as boundaries
+    from clvol.filter.filter import Filter as Filter
+    from clvol.filter.make import bc as bc
+    from clvol.filter.make import bspline as bspline
+    from clvol.filter.make import from_callable as from_callable
+    from clvol.filter.make import from_pieces as from_pieces
+    from clvol.filter.make import lanczos as lanczos
+    from clvol.filter.make import moms3 as moms3
+    from clvol.filter.make import quasi as quasi
+    from clvol.filter.make import sinc as sinc
+    from clvol.filter.response import frequency_response as frequency_response
+    from clvol.filter.response import prefilter_response as prefilter_response
+    from clvol.filter.table import filters as filters
+    from clvol.filter.table import register_filter as register_filter
+    from clvol.formats import read as read
+    from clvol.formats import read_all as read_all
+    from clvol.formats import write as write
+    from clvol.formats.opening import open as open  # noqa: A004  # as files are opened: clvol.open
+    from clvol.formats.pyramid import pyramid as pyramid
+    from clvol.formats.transforms import read_transform as read_transform
+    from clvol.interfaces.batches import batch as batch
+    from clvol.interfaces.interpolator import Interpolator as Interpolator
+    from clvol.interfaces.resize import resize as resize
+    from clvol.march.refine import Refined as Refined
+    from clvol.march.renderer import Output as Output
+    from clvol.march.renderer import Renderer as Renderer
+    from clvol.march.renderer import render as render
+    from clvol.scene.camera import Camera as Camera
+    from clvol.scene.light import Light as Light
+    from clvol.scene.light import Material as Material
+    from clvol.scene.mode import Attenuated as Attenuated
+    from clvol.scene.mode import Composite as Composite
+    from clvol.scene.mode import Isosurface as Isosurface
+    from clvol.scene.mode import Mean as Mean
+    from clvol.scene.mode import Minip as Minip
+    from clvol.scene.mode import Mip as Mip
+    from clvol.scene.mode import Mode as Mode
+    from clvol.scene.mode import modes as modes
+    from clvol.scene.preset import presets as presets
+    from clvol.scene.scene import Medium as Medium
+    from clvol.scene.scene import Scene as Scene
+    from clvol.scene.transfer import TransferFunction as TransferFunction
+    from clvol.show.picture import Picture as Picture
+    from clvol.show.picture import save as save
+    from clvol.show.picture import show as show
+    from clvol.spline.field import Field as Field
+    from clvol.spline.field import magnify as magnify
+    from clvol.spline.field import prefilter as prefilter
+    from clvol.spline.field import resample as resample
+    from clvol.spline.field import sample as sample
+    from clvol.spline.scatter import adjoint as adjoint
+    from clvol.spline.warp import Warped as Warped
+    from clvol.spline.warp import resample_series as resample_series
+    from clvol.spline.warp import warp as warp
+    from clvol.volume.missing import Missing as Missing
+    from clvol.volume.transform import AffineTransform as AffineTransform
+    from clvol.volume.transform import BSplineTransform as BSplineTransform
+    from clvol.volume.transform import DisplacementField as DisplacementField
+    from clvol.volume.volume import Volume as Volume
+    from clvol.volume.volumes import Volumes as Volumes
 
 __version__ = "0.1.0"
-
-__all__ = [
-    "AffineTransform",
-    "Attenuated",
-    "BSplineTransform",
-    "Boundary",
-    "BrickedField",
-    "Camera",
-    "ClusterError",
-    "ClvolError",
-    "ClvolWarning",
-    "Composite",
-    "DataError",
-    "Device",
-    "DeviceError",
-    "DisplacementField",
-    "Field",
-    "Filter",
-    "FormatError",
-    "GeometryError",
-    "Interpolator",
-    "Isosurface",
-    "LazyVolume",
-    "Light",
-    "Material",
-    "Mean",
-    "Medium",
-    "Minip",
-    "Mip",
-    "Missing",
-    "MissingDependencyError",
-    "Mode",
-    "OptionError",
-    "OutOfMemoryError",
-    "Output",
-    "Picture",
-    "Refined",
-    "Renderer",
-    "Scene",
-    "TransferFunction",
-    "Volume",
-    "Volumes",
-    "Warped",
-    "adjoint",
-    "batch",
-    "bc",
-    "boundaries",
-    "bspline",
-    "devices",
-    "filters",
-    "frequency_response",
-    "from_callable",
-    "from_pieces",
-    "images",
-    "lanczos",
-    "magnify",
-    "modes",
-    "moms3",
-    "ndimage",
-    "open",
-    "phantoms",
-    "prefilter",
-    "prefilter_response",
-    "presets",
-    "pyramid",
-    "quasi",
-    "read",
-    "read_all",
-    "read_transform",
-    "register_filter",
-    "render",
-    "resample",
-    "resample_series",
-    "resize",
-    "sample",
-    "save",
-    "show",
-    "sinc",
-    "warp",
-    "write",
-]
 
 _PLACES = {  # where each name is from; a test holds it to what is imported above
     "base.errors": "ClusterError ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError "
@@ -183,21 +136,11 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "volume.volumes": "Volumes",
 }
 _PLACE = {name: place for place, names in _PLACES.items() for name in names.split()}
-_PARTS = (
-    "analysis",
-    "device",
-    "figures",
-    "formats",
-    "images",
-    "labels",
-    "ndimage",
-    "noise",
-    "phantoms",
-    "reference",
-    "reports",
-    "view",
-)
+_MODULES = ("images", "ndimage", "phantoms")  # of `__all__`
+_PARTS = (*_MODULES, "analysis", "device", "figures", "formats", "labels", "noise", "reference", "reports", "view")
 _OPTIONAL = {"dask": "dask", "torch": "torch", "xarray": "xarray"}  # with what they need
+
+__all__ = [*sorted([*_PLACE, *_MODULES])]
 
 
 def __getattr__(name: str) -> Any:
@@ -212,4 +155,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_PARTS})
+    return sorted({"__version__", *__all__, *_PARTS, *(_OPTIONAL.keys() & globals().keys())})

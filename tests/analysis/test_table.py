@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from clvol.analysis import ErrorTable, Metrics, Table, metrics
 from clvol.analysis.table import UNLISTED, column
@@ -44,13 +43,6 @@ def test_markdown_is_for_reading() -> None:
     assert ROWS.to_markdown() == ("| Name | Value (°) | plain |\n| --- | --: | --: |\n| a, b | 0.33 | 3 |\n| c\\|d | – | 4 |")
 
 
-def test_rich_shows_the_same() -> None:
-    console = Console(file=io.StringIO(), width=80)
-    console.print(ROWS.to_rich("title"))
-    shown = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
-    assert all(text in shown for text in ("title", "Value (°)", "0.33", "–", "c|d"))
-
-
 def test_rows_of_the_analysis_can_be_put_together() -> None:
     table = Table([metrics(name) for name in ("linear", "mitchell")])
     assert isinstance(table[0], Metrics)
@@ -80,6 +72,6 @@ def test_json_of_what_is_not_finite_is_refused(bad: float) -> None:
 
 
 def test_an_empty_table_is_not_written() -> None:
-    for write in (Table().to_csv, Table().to_json, Table().to_markdown, Table().to_rich):
+    for write in (Table().to_csv, Table().to_json, Table().to_markdown):
         with pytest.raises(OptionError, match="at least one row"):
             write()

@@ -16,6 +16,7 @@ import clvol
 from clvol import FormatError, MissingDependencyError, OptionError, TransferFunction, Volume, analysis, figures, phantoms
 from clvol.analysis import EXACT_SINC
 from clvol.analysis.timing import Effort
+from clvol.base.color import color_of
 from clvol.device import Device
 from clvol.figures import (
     convergence,
@@ -595,7 +596,7 @@ def test_every_filter_of_the_table_has_a_colour_of_its_own() -> None:
     assert len({style.colour(name) for name in names}) == len(names)
     assert style.colour("of my own").startswith("#")
     others = ["of my own", "of mine", "sinc(3)", *(f"lanczos({r})" for r in (6, 7, 8)), *(f"bc({b}, 0)" for b in (0.2, 0.4, 0.6))]
-    codes = [style._rgb(style.colour(name)) for name in [*names, *others]]
+    codes = [color_of("colour", style.colour(name)) for name in [*names, *others]]
     nearest = [min(np.linalg.norm(np.subtract(a, b)) for b in codes if b is not a) for a in codes[len(names) :]]
     assert min(nearest) > 0.15
     assert [style.colour(name) for name in others] == [style.colour(name) for name in others]
@@ -642,10 +643,10 @@ def test_pictures_are_shown_pixel_for_pixel(tmp_path: Path) -> None:
 
 
 def test_headings_are_folded() -> None:
-    assert style.folded("b)  sinc, cut off at 4 samples") == "b)  sinc, cut off at 4\nsamples"
-    assert style.folded("short") == "short"
-    assert style.folded("x" * 60, 26).count("\n") == 2
-    assert style.folded("") == ""
+    assert style.folded("b)  sinc, cut off at 4 samples", 325) == "b)  sinc, cut off at 4\nsamples"
+    assert style.folded("short", 325) == "short"
+    assert style.folded("x" * 60, 325).count("\n") == 2
+    assert style.folded("", 325) == ""
     assert style.title("of my own") == "of my own"
 
 

@@ -14,6 +14,7 @@ import pytest
 import clvol
 from clvol import DataError, FormatError, OptionError, Volume, phantoms, reports
 from clvol.analysis import EXACT_SINC, LeftOutRow, LeftOutTable
+from clvol.analysis.trial import middle_part
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
 from clvol.filter.table import as_filters
@@ -268,10 +269,10 @@ def test_without_a_period_there_is_no_exact_sinc(tmp_path: Path, device: Device)
 
 def test_of_a_large_volume_the_middle_is_measured() -> None:
     volume = Volume(np.arange(20 * 30 * 40, dtype=np.float32).reshape(20, 30, 40), (1, 2, 3))
-    middle = reports._middle(volume, 1000)
+    middle = middle_part(volume, 1000)
     assert 700 < middle.data.size <= 1000
     np.testing.assert_allclose(middle.center, volume.center, atol=2)
-    assert reports._middle(middle, 1000) is middle
+    assert middle_part(middle, 1000) is middle
 
 
 # -- tables --------------------------------------------------------------------------------------------------------

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.checks import number
 from clvol.base.errors import OptionError
 
 __all__ = ["angle_weights", "angles", "mean_angle", "weighted_quantile"]
 
-Array: TypeAlias = NDArray[np.float64]
 _LEAST = 0.01  # of the largest true gradient: below it no direction can be seen
 _NOISE = 5.0  # standard deviations: the length of three noisy components exceeds it once in 65 000 places
 

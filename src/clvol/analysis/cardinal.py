@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeAlias
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
@@ -19,20 +18,14 @@ from clvol.filter.table import as_filter
 
 __all__ = ["Pieces", "even_filter", "impulse_response", "pieces"]
 
-Array: TypeAlias = NDArray[np.float64]
 _TAIL = 1e-18  # of the prefilter's impulse response, which decays like powers of its largest pole
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """A piecewise polynomial, zero outside.
+    """A piecewise polynomial, zero outside: piece j covers ``[start + j step, start + (j + 1) step)``.
 
-    Attributes
-    ----------
-    start, step : float
-        Piece j covers ``[start + j step, start + (j + 1) step)``.
-    rows : ndarray of float64, shape (pieces, degree + 1)
-        ``rows[j, k]`` belongs to ``t**k``, with t from 0 to 1 along the piece.
+    ``rows[j, k]`` belongs to ``t**k``, with t from 0 to 1 along the piece.
     """
 
     start: float

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, InitVar, dataclass, replace
-from typing import Any, Final, Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol import reference
 from clvol.analysis.angle import angle_weights, angles, weighted_quantile
@@ -35,9 +35,10 @@ from clvol.analysis.trial import (
     root_mean_square,
     sampled,
 )
+from clvol.base.arrays import Array
 from clvol.base.checks import enough_memory, number, one_of, whole
 from clvol.base.errors import DataError, DeviceError, OptionError
-from clvol.base.progress import part_of
+from clvol.base.progress import Progress, part_of
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
@@ -50,7 +51,6 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["COMPARED", "EXACT_SINC", "ErrorRow", "ErrorTable", "as_compared", "compare", "require_period", "settled_compared"]
 
-Array: TypeAlias = NDArray[np.float64]
 _Angles: TypeAlias = tuple[float | None, float | None, float | None]
 
 _CHUNK = 1 << 20  # positions at a time
@@ -216,7 +216,7 @@ def compare(
     timing: bool = True,
     device: Device | str | int | None = None,
     timing_device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
     max_samples: int = 1 << 25,
 ) -> ErrorTable:
     """Measure the error of each filter on data with a known truth.
@@ -426,13 +426,6 @@ def overshoot(volume: Volume, row: str | Filter, rule: Boundary) -> float:
     """The largest excess of a reconstruction over the range of its samples, in their units; 0 if it stays within it.
 
     It is evaluated half-way between samples along one axis, two or three, where filters ring most.
-
-    Parameters
-    ----------
-    volume : Volume
-        2-D or 3-D, finite samples.
-    row : Filter, or "exact-sinc"
-    rule : Boundary
     """
     low, high = volume.value_range
     if low == high or (isinstance(row, Filter) and keeps_range(row)):
@@ -455,10 +448,7 @@ def overshoot(volume: Volume, row: str | Filter, rule: Boundary) -> float:
 
 
 def keeps_range(row: Filter) -> bool:
-    """Whether values always stay within the range of the samples.
-
-    They do if every value is a mean of samples: weights of the samples, none negative, that sum to one.
-    """
+    """Whether values always stay within the range of the samples: its weights, none negative, sum to one."""
     if row.magnified_by is not None and not keeps_range(row.magnified_by):
         return False
     return not row.prefilter and row.sums_to_one and bool((row.weights(np.linspace(0, 1, 257)) >= -1e-12).all())

@@ -7,13 +7,12 @@ Nyquist term of an even period is split between ±π, which keeps results real: 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol import reference
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.checks import enough_memory, require_room, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
@@ -31,7 +30,6 @@ __all__ = [
     "sinc_volume",
 ]
 
-Array: TypeAlias = NDArray[np.float64]
 _CHUNK = 1 << 22  # numbers in memory at a time
 _NEAR = 0.1  # samples
 _LONGEST = 1 << 31  # samples; the longest period

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize
 
 from clvol.analysis.cardinal import even_filter
-from clvol.analysis.extremum import maximum
 from clvol.analysis.table import column
+from clvol.base.arrays import Array
 from clvol.base.checks import number
 from clvol.filter.filter import Filter
 from clvol.filter.response import frequency_response, prefilter_response
 
-__all__ = ["Bands", "bands", "frequency_response", "prefilter_response"]
+__all__ = ["Bands", "bands", "frequency_response", "maximum", "prefilter_response"]
 
 _FARTHEST = 16 * math.pi  # end of the searched stopband: further out every response is smaller
 
@@ -83,3 +84,13 @@ def bands(filter: str | Filter, edge: float = math.pi / 2) -> Bands:
         peak,
         -20 * math.log10(peak) if peak > 0 else None,
     )
+
+
+def maximum(function: Callable[[Array], Array], low: float, high: float, count: int) -> float:
+    """The maximum on [low, high]: the best of `count` positions, refined between its neighbours."""
+    x = np.linspace(low, high, count)
+    y = function(x)
+    best = int(y.argmax())
+    around = (x[max(best - 1, 0)], x[min(best + 1, count - 1)])
+    peak = optimize.minimize_scalar(lambda at: -float(function(np.array([at]))[0]), bounds=around, method="bounded")
+    return float(max(y[best], -peak.fun))

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from clvol.analysis.cardinal import pieces
 from clvol.analysis.table import UNLISTED, column
+from clvol.base.arrays import Array
 from clvol.base.checks import number, one_of
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 
 __all__ = ["WILBRAHAM_GIBBS", "StepResponse", "lowpass_step", "step_response"]
 
-Array: TypeAlias = NDArray[np.float64]
 
 WILBRAHAM_GIBBS: Final = float(special.sici(np.pi)[0] / np.pi - 0.5)
 """Overshoot of a Fourier series at a step of 1, on each side: 0.0895 (Si(π)/π - 1/2), the paper's 8.949 %."""

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, InitVar, dataclass
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol.analysis.comparison import as_compared, lattice_of, require_period, settled_compared
 from clvol.analysis.table import Table, column
+from clvol.base.arrays import Array
 from clvol.base.checks import enough_memory, number
+from clvol.base.progress import Progress, counted
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["LeftOutRow", "LeftOutTable", "leave_out"]
 
-Array: TypeAlias = NDArray[np.float64]
 _FEWEST = 8  # samples along an axis
 
 
@@ -67,7 +67,7 @@ def leave_out(
     *,
     sigma: float | None = None,
     margin: float = 4.0,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> LeftOutTable:
     """Predict every second sample along each axis from the others, and vice versa.
 
@@ -115,20 +115,14 @@ def leave_out(
         known = number("sigma", sigma, minimum=0)
     unit = max(abs(v) for v in volume.value_range) or 1.0  # so that no square overflows or underflows
     data = volume.data.astype(np.float64) / unit
-    report = progress or (lambda _: None)
-    found: list[dict[str, float | None]] = []
-    for done, row in enumerate(chosen, 1):
+    rows = []
+    for row in counted(chosen, progress):
         errors: dict[str, float | None] = dict.fromkeys("xyz")
         for axis, name in zip(range(data.ndim), "zyx"[-data.ndim :], strict=True):
             if data.shape[axis] >= _FEWEST:
                 square = _left_out(data, axis, row, rule, margin)
                 errors[name] = unit * math.sqrt(max(0.0, square - (known / unit) ** 2))
-        found.append(errors)
-        report(done / len(chosen))
-    rows = [
-        LeftOutRow(row.name if isinstance(row, Filter) else row, errors["x"], errors["y"], errors["z"])
-        for row, errors in zip(chosen, found, strict=True)
-    ]
+        rows.append(LeftOutRow(row.name if isinstance(row, Filter) else row, **errors))
     return LeftOutTable(rows, sigma=known, spacing=volume.spacing)
 
 

@@ -15,23 +15,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
 from clvol.analysis.cardinal import even_filter, pieces
-from clvol.analysis.extremum import maximum
+from clvol.analysis.frequency import maximum
 from clvol.analysis.table import column
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.response import frequency_response
 
 __all__ = ["Metrics", "metrics"]
 
-Array: TypeAlias = NDArray[np.float64]
 _PANELS = 64  # of width π, to which the transform of a response is taken
 _NODES = 48  # for each panel; exact to float64 for 8 oscillations along it
 _REACH = 8.0  # samples on each side of the step that are searched for the overshoot

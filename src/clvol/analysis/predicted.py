@@ -24,14 +24,14 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, InitVar, dataclass
 from functools import lru_cache
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol.analysis.comparison import EXACT_SINC, as_compared, settled_compared
 from clvol.analysis.table import Table, column
 from clvol.analysis.theory import error_kernel
+from clvol.base.arrays import Array
 from clvol.base.checks import enough_memory, number, whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
@@ -41,7 +41,6 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
 
-Array: TypeAlias = NDArray[np.float64]
 _BLOCK = 16, 32  # fewest and most samples along each axis of a block, otherwise half the axis
 _TAPERED = 8  # samples of the shortest axis that is tapered
 _LEVEL = 0.05  # of a jump; largest difference of its neighbours,
@@ -261,6 +260,7 @@ def predict(
                 unit * math.sqrt(steep) if math.isfinite(steep) else None,
             )
         )
+    slope_power = [(w / step) ** 2 for w, step in zip(omega, volume.spacing[::-1], strict=True)]
     detail, total = _detail(power, np.multiply.outer(variance, white), omega)
     return PredictedTable(
         rows,
@@ -268,7 +268,7 @@ def predict(
         blocks=np.array(squares),
         slopes=np.array(slopes),
         variance=unit**2 * max(0.0, float(power.mean(0).sum())),
-        steepness=unit**2 * max(0.0, float(power.mean(0) @ _squares(omega, volume.spacing[::-1]) + sloping.mean())),
+        steepness=unit**2 * max(0.0, float(power.mean(0) @ _summed(slope_power) + sloping.mean())),
         detail=detail,
         jumps=min(1.0, float(steps.sum(1).mean()) / total) if total > 0 else 0.0,
         apart=min(len(parts), round(math.prod(n / m for n, m in zip(volume.shape, shape, strict=True)))),
@@ -411,11 +411,9 @@ def _refined(power: Array, noise: Array, omega: Sequence[Array]) -> float:
 
 def _detail(power: Array, noise: Array, omega: Sequence[Array]) -> tuple[float | None, float]:
     """The share above half of Nyquist of the mean squared difference between neighbours, and this mean square."""
-    ones = [np.ones_like(w) for w in omega]
 
     def squares(least: float) -> tuple[Array, float]:
-        lines = [np.where(np.abs(w) > least, 2 - 2 * np.cos(w), 0.0) for w in omega]
-        weights = np.asarray(sum(_product([*ones[:a], line, *ones[a + 1 :]]) for a, line in enumerate(lines)))
+        weights = _summed([np.where(np.abs(w) > least, 2 - 2 * np.cos(w), 0.0) for w in omega])
         return np.asarray(power @ weights), float((noise @ weights).mean())
 
     (every, hidden), (high, _) = squares(0.0), squares(np.pi / 2)
@@ -444,6 +442,12 @@ def _product(lines: Sequence[Array]) -> Array:
     for line in lines[1:]:
         result = np.multiply.outer(result, line)
     return np.asarray(result.ravel())
+
+
+def _summed(lines: Sequence[Array]) -> Array:
+    """The sum of terms that depend on the frequency along one axis each, at all combinations of frequencies."""
+    ones = [np.ones_like(line) for line in lines]
+    return np.asarray(sum(_product([*ones[:a], line, *ones[a + 1 :]]) for a, line in enumerate(lines)))
 
 
 def _kernel(tables: Sequence[tuple[Array, Array, Array]]) -> Array:
@@ -479,13 +483,6 @@ def _flattened(along: Sequence[str | Filter], shape: Sequence[int]) -> float:
         return 0.0
     keeps = math.prod(float(frequency_response(row, np.pi / n)) for row, n in zip(along, shape, strict=True) if n > 1)
     return (1 - keeps) ** 2
-
-
-def _squares(omega: Sequence[Array], spacing: Sequence[float]) -> Array:
-    """The squared response of the gradient, per world unit."""
-    ones = [np.ones_like(w) for w in omega]
-    lines = [[*ones[:a], (w / step) ** 2, *ones[a + 1 :]] for a, (w, step) in enumerate(zip(omega, spacing, strict=True))]
-    return np.asarray(sum(_product(line) for line in lines))
 
 
 def _coloured(ratio: float, omega: Array) -> Array:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.checks import number
 from clvol.base.errors import DataError
 
 __all__ = ["ssim"]
 
-Array: TypeAlias = NDArray[np.float64]
 _K1, _K2 = 0.01, 0.03
 _MAX_SIGMA = 1000  # samples
 _CUT = 3.5  # standard deviations: 5 samples on either side for the usual 1.5

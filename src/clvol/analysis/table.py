@@ -1,4 +1,4 @@
-"""Lists of plain dataclasses that can be written out: CSV, JSON, Markdown, a rich table."""
+"""Lists of plain dataclasses that can be written out: CSV, JSON, Markdown, HTML."""
 
 from __future__ import annotations
 
@@ -10,15 +10,12 @@ import os
 from collections.abc import Iterable
 from dataclasses import Field, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from clvol.base.checks import as_path
 from clvol.base.errors import DataError, OptionError
 from clvol.base.files import require_suffix, staged
 from clvol.base.html import table
-
-if TYPE_CHECKING:
-    from rich.table import Table as RichTable
 
 __all__ = ["SUFFIXES", "UNLISTED", "Table", "column"]
 
@@ -48,11 +45,13 @@ class Table(list[Row]):
     def records(self) -> list[dict[str, Any]]:
         """Each row by field name."""
         names = [f.name for f in self._columns()]
-        return [dict(zip(names, self._values(row), strict=True)) for row in self]
+        return [{name: getattr(row, name) for name in names} for row in self]
 
     def texts(self) -> list[list[str]]:
         """Headings, then each row, with readable numbers."""
-        return [[f.metadata.get("heading", f.name) for f in self._columns()], *self._texts()]
+        forms = [f.metadata.get("form", "") for f in self._columns()]
+        shown = [["–" if v is None else format(v, form) for v, form in zip(r.values(), forms, strict=True)] for r in self.records()]
+        return [[f.metadata.get("heading", f.name) for f in self._columns()], *shown]
 
     def write(self, path: str | os.PathLike[str]) -> Path:
         """Write the table by suffix: .csv, .json or .md, atomically, by renaming a temporary file.
@@ -71,9 +70,9 @@ class Table(list[Row]):
     def to_csv(self) -> str:
         """Comma-separated values with a header of field names; numbers in full, missing ones empty."""
         text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([f.name for f in self._columns()])
-        writer.writerows([["" if v is None else v for v in self._values(row)] for row in self])
+        writer = csv.DictWriter(text, [f.name for f in self._columns()], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.records())  # None is empty
         return text.getvalue()
 
     def to_json(self) -> str:
@@ -97,17 +96,6 @@ class Table(list[Row]):
         cells = [[cell.replace("|", "\\|") for cell in line] for line in (head, rule, *rows)]
         return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
-    def to_rich(self, title: str | None = None) -> RichTable:
-        """The same as a `rich.table.Table`."""
-        from rich.table import Table as RichTable
-
-        table = RichTable(title=title)
-        for i, f in enumerate(self._columns()):
-            table.add_column(f.metadata.get("heading", f.name), justify="right" if i else "left")
-        for texts in self._texts():
-            table.add_row(*texts)
-        return table
-
     def _repr_html_(self) -> str | None:
         """For notebooks."""
         if not self:
@@ -119,10 +107,3 @@ class Table(list[Row]):
         if not self:
             raise OptionError("a table must hold at least one row to be written; got none")
         return [f for f in fields(self[0]) if f.metadata.get("listed", True)]  # type: ignore[arg-type]  # rows are dataclasses
-
-    def _values(self, row: Row) -> list[Any]:
-        return [getattr(row, f.name) for f in self._columns()]
-
-    def _texts(self) -> list[list[str]]:
-        forms = [f.metadata.get("form", "") for f in self._columns()]
-        return [["–" if v is None else format(v, form) for v, form in zip(self._values(row), forms, strict=True)] for row in self]

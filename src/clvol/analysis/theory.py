@@ -7,18 +7,20 @@ Taylor series expansion*, IEEE TVCG 3 (1997), reference [12] of the paper. The s
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TypeAlias
+from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.analysis.table import column
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter, Number, Polynomial
@@ -27,7 +29,6 @@ from clvol.filter.table import as_filter
 
 __all__ = ["Approximation", "approximation", "error_kernel", "taylor_coefficients"]
 
-Array: TypeAlias = NDArray[np.float64]
 _MAX_TERMS = 12  # Taylor coefficients; more than the order of any filter of `bspline`
 _MAX_OMEGA = 2000
 _CHUNK = 1 << 20  # complex numbers in memory at a time
@@ -201,7 +202,7 @@ def _moments(filter: Filter, n: int) -> list[list[Number]]:
         for i in range(filter.support):
             # (k - x)**n, with the coarse spline's moments about the finer sample j / s that tap i takes
             at = Fraction((phase + i) % s, s)
-            distance = [-(Fraction(filter.support, 2) - 1 - i) / s, Fraction(-1, s)]
+            distance: list[Number] = [-(Fraction(filter.support, 2) - 1 - i) / s, Fraction(-1, s)]
             for m in range(n + 1):
                 known = math.comb(n, m) * _moment_at(by, m, at)
                 total = _plus(total, _times(filter.taps[i], _times(_power(distance, n - m), [known])))
@@ -221,7 +222,7 @@ def _mixed(inverse: list[Number], filter: Filter, n: int) -> list[Number]:
         if not inverse[n - m]:
             continue
         for i, weights in enumerate(filter.taps):
-            distance = [-(Fraction(filter.support, 2) - 1 - i), Fraction(-1)]
+            distance: list[Number] = [-(Fraction(filter.support, 2) - 1 - i), Fraction(-1)]
             total = _plus(total, _times(weights, _times(_power(distance, m), [math.comb(n, m) * inverse[n - m]])))
     return total
 
@@ -248,27 +249,21 @@ def _value(row: Sequence[Number], t: Number) -> Number:
 
 
 def _plus(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
-    size = max(len(a), len(b))
-    return [(a[k] if k < len(a) else 0) + (b[k] if k < len(b) else 0) for k in range(size)]
-
-
-def _times(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
-    result: list[Number] = [Fraction(0)] * (len(a) + len(b) - 1)
-    for i, x in enumerate(a):
-        for j, y in enumerate(b):
-            result[i + j] += x * y
-    return result
+    return [x + y for x, y in zip_longest(a, b, fillvalue=0)]
 
 
 def _slope(a: Sequence[Number], scale: int) -> Sequence[Number]:
     return [scale * k * c for k, c in enumerate(a)][1:]
 
 
-def _power(a: list[Fraction], n: int) -> list[Number]:
-    result: list[Number] = [Fraction(1)]
-    for _ in range(n):
-        result = _times(result, list(a))
-    return result
+def _times(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
+    product: list[Any] = np.convolve(np.array(a, object), np.array(b, object)).tolist()
+    return product
+
+
+def _power(a: list[Number], n: int) -> list[Number]:
+    one: list[Number] = [Fraction(1)]
+    return functools.reduce(_times, [a] * n, one)
 
 
 # -- the reconstruction of a wave --------------------------------------------------------------------------

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clvol.base.arrays import Array
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
@@ -25,21 +25,11 @@ __all__ = ["FULL", "Effort", "seconds_per_sample", "times_per_sample"]
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured.
+    """How much is measured."""
 
-    Parameters
-    ----------
-    positions : int
-        How many are sampled at a time.
-    rounds : int
-        How often each filter takes its turn.
-    resident_bytes : int
-        Coefficients that are resident together; one filter may need more.
-    """
-
-    positions: int = 1 << 17
-    rounds: int = 12
-    resident_bytes: int = 1 << 30
+    positions: int = 1 << 17  # sampled at a time
+    rounds: int = 12  # in each of which every filter takes its turn
+    resident_bytes: int = 1 << 30  # of coefficients that are resident together; one filter may need more
 
 
 FULL = Effort()
@@ -50,11 +40,11 @@ def seconds_per_sample(
     filters: Sequence[Filter],
     boundary: Boundary,
     device: Device,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
     *,
     effort: Effort = FULL,
 ) -> list[float]:
-    """The shortest of `times_per_sample` of each filter; parameters as there."""
+    """The shortest of `times_per_sample` of each filter."""
     return [float(times.min()) for times in times_per_sample(volume, filters, boundary, device, progress, effort=effort)]
 
 
@@ -63,35 +53,17 @@ def times_per_sample(
     filters: Sequence[Filter],
     boundary: Boundary,
     device: Device,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
     *,
     effort: Effort = FULL,
-) -> list[NDArray[np.float64]]:
-    """The time per sample of each filter at random positions of the volume, without the prefilter, in each round.
+) -> list[Array]:
+    """Seconds per sample of each filter at random positions of the volume, without the prefilter, in each round.
 
     The filters take turns, round by round, so that other load on the machine hits all of them alike.
-
-    Parameters
-    ----------
-    volume : Volume
-        2-D or 3-D samples.
-    filters : sequence of Filter
-    boundary : Boundary
-    device : Device
-        A usable one.
-    progress : callable, optional
-        Called with the fraction done.
-    effort : Effort
-        How much is measured.
-
-    Returns
-    -------
-    list of ndarray, each of shape (rounds,)
-        Seconds.
     """
     last, n = np.array(volume.size) - 1, effort.positions
     points = volume.index_to_world(np.random.default_rng(0).uniform(0, 1, (n, volume.ndim)) * last)
-    times: list[NDArray[np.float64]] = []
+    times: list[Array] = []
     for group in _groups(volume, filters, effort.resident_bytes):
         first, times = len(times), times + [np.empty(effort.rounds) for _ in group]
         with ExitStack() as stack:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import reference
-from clvol.base.arrays import reals
+from clvol.base.arrays import Array, reals
 from clvol.base.checks import one_of, require_room, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.boundary import Boundary
@@ -32,12 +32,12 @@ __all__ = [
     "known",
     "lattice_points",
     "middle",
+    "middle_part",
     "prefiltered",
     "root_mean_square",
     "sampled",
 ]
 
-Array: TypeAlias = NDArray[np.float64]
 Function: TypeAlias = Callable[[Array], ArrayLike]
 
 LATTICE = 1 << 22
@@ -297,6 +297,16 @@ def middle(positions: NDArray[Any], others: int, room: int) -> NDArray[Any]:
     count = min(positions.size, max(1, room // others))
     first = (positions.size - count) // 2
     return positions[first : first + count]
+
+
+def middle_part(volume: Volume, max_samples: int) -> Volume:
+    """The middle of a volume or an image with at most `max_samples` samples, every axis cropped in the same proportion."""
+    if volume.data.size <= max_samples:
+        return volume
+    share = (max_samples / volume.data.size) ** (1 / volume.ndim)
+    sizes = [max(1, int(n * share)) for n in volume.size]
+    low = [(n - m) // 2 for n, m in zip(volume.size, sizes, strict=True)]
+    return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
 
 
 def root_mean_square(values: Array) -> float:

@@ -5,27 +5,26 @@ P. Thévenaz, T. Blu and M. Unser, *Interpolation revisited*, IEEE Trans. Medica
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, InitVar, dataclass, replace
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol import reference
 from clvol.analysis.comparison import as_compared, require_period, settled_compared
 from clvol.analysis.dirichlet import dirichlet_sample
 from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table, column
+from clvol.analysis.trial import middle_part
 from clvol.base.checks import enough_memory, number, whole
 from clvol.base.errors import DataError
+from clvol.base.progress import Progress
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["RotationRow", "RotationTable", "rotations"]
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def rotations(
     *,
     margin: float = 8.0,
     max_pixels: int = 1 << 16,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> RotationTable:
     """Rotate an image about its middle until it is upright again, by each filter, and compare it with itself.
 
@@ -118,7 +117,10 @@ def rotations(
     chosen, volume, rule = as_compared(filters), as_volume(source), as_boundary(boundary)
     turns, margin = whole("turns", turns, 2, 360), number("margin", margin, minimum=0)
     require_period(chosen, rule)
-    image = _middle(volume, whole("max_pixels", max_pixels, 1))
+    image = volume
+    if volume.ndim == 3:
+        image = Volume(volume.data[volume.shape[0] // 2], volume.spacing[:2], units=volume.units)
+    image = middle_part(image, whole("max_pixels", max_pixels, 1))
     image.require_finite()
     chosen = settled_compared(chosen, volume)
     low, high = image.value_range
@@ -157,13 +159,3 @@ def rotations(
 def _in_a_slice(row: Filter) -> Filter:
     """A volume's filter for a slice of it: from λ by axis, those along x and y."""
     return row.smoothed(row.smoothing[:2]) if isinstance(row.smoothing, tuple) else row
-
-
-def _middle(volume: Volume, max_pixels: int) -> Volume:
-    """The middle slice of a volume, and the middle of a large image."""
-    if volume.ndim == 3:
-        volume = Volume(volume.data[volume.shape[0] // 2], volume.spacing[:2], units=volume.units)
-    share = min(1.0, (max_pixels / volume.data.size) ** 0.5)
-    sizes = [max(1, int(n * share)) for n in volume.size]
-    low = [(n - m) // 2 for n, m in zip(volume.size, sizes, strict=True)]
-    return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from numbers import Real
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from clvol.base import memory
 from clvol.base.errors import ClvolError, DataError, OptionError
 
-__all__ = ["as_array", "as_output", "memory_of", "reals"]
+__all__ = ["Array", "as_array", "as_output", "memory_of", "reals"]
 
+Array: TypeAlias = NDArray[np.float64]
 _ON_HOST = {1, 3, 11, 13}  # DLPack device types whose memory the host can read: CPU, pinned and managed memory
 _TO_HOST = {"torch": "tensor.cpu()", "cupy": "array.get()", "jax": "jax.device_get(array)", "jaxlib": "jax.device_get(array)"}
 

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeAlias, TypeVar
 
 from clvol.base.errors import OptionError
 
-__all__ = ["Progress", "part_of", "require_callback"]
+__all__ = ["Progress", "counted", "part_of", "require_callback"]
 
 Progress: TypeAlias = Callable[[float], None]
+Item = TypeVar("Item")
+
+
+def counted(items: Sequence[Item], progress: Progress | None) -> Iterator[Item]:
+    """The items in turn; `progress` gets the fraction done after each."""
+    for done, item in enumerate(items, 1):
+        yield item
+        if progress is not None:
+            progress(done / len(items))
 
 
 def part_of(progress: Progress | None, start: float, end: float) -> Progress | None:

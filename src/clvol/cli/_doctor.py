@@ -36,20 +36,11 @@ _TOOLS = ("pocl", "intel", "test", "dev", "docs")  # not needed to use clvol; th
 
 
 class Check(NamedTuple):
-    """One check and its result.
-
-    Attributes
-    ----------
-    check : str
-        What is checked.
-    ok : bool
-    detail : str
-        What was found, or what to do.
-    """
+    """One check and its result."""
 
     check: str
     ok: bool
-    detail: str
+    detail: str  # what was found, or what to do
 
 
 def opencl() -> Iterator[Check]:

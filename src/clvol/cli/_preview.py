@@ -45,12 +45,6 @@ class Preview:
     """A progress bar with a preview of the picture, shown once the final picture is known to take long.
 
     Call it with the fraction of the final picture that is done.
-
-    Parameters
-    ----------
-    what : str
-        What is done, for the bar.
-    console : Console
     """
 
     def __init__(self, what: str, console: Console) -> None:
@@ -104,12 +98,7 @@ class _Bar(Progress):
 
 
 class Screen:
-    """A picture as a console draws it: two pixels per character, as large as fits, transparent pixels black.
-
-    Parameters
-    ----------
-    picture : array-like, shape (height, width, 4)
-    """
+    """A picture as a console draws it: two pixels per character, as large as fits, transparent pixels black."""
 
     def __init__(self, picture: ArrayLike) -> None:
         self._pixels: NDArray[np.uint8] = over_black(to_bytes(picture))

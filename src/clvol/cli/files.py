@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +14,7 @@ import clvol
 from clvol.base import html
 from clvol.base.errors import ClvolWarning, DataError, OptionError
 from clvol.base.files import require_suffix
+from clvol.base.progress import Progress
 from clvol.bricks.source import too_large
 from clvol.cli.options import (
     Boundary,
@@ -49,7 +50,7 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     is at an address, or does not fit into memory, few samples are read.
     """
     reader = input or Input()
-    listed = not (reader.chooses() or str(source).startswith("phantom:") or is_address(source))
+    listed = not (reader.series is not None or str(source).startswith("phantom:") or is_address(source))
     images = series_of(source, trusted=reader.trusted) if listed else ()
 
     def wanted(lazy: clvol.LazyVolume) -> bool:
@@ -249,7 +250,7 @@ def resample(
         warnings.simplefilter("ignore", ClvolWarning)  # all volumes of a series have its grid
         grid = None if like is None else Input().read(like)
 
-    def one(volume: clvol.Volume, report: Callable[[float], None] | None) -> clvol.Volume:
+    def one(volume: clvol.Volume, report: Progress | None) -> clvol.Volume:
         if magnify is not None:
             return clvol.magnify(volume, magnify, filter, boundary, device=device, nan=nan, progress=report)
         dtype = volume.data.dtype if to_dtype == "same" else to_dtype

@@ -50,8 +50,7 @@ def devices(*, json: Json = False) -> None:
     if json:
         print_json(rows)
     else:
-        header = ["number", "name", "kind", "platform", "memory_mib", "images"]
-        table(header, [[str(row[key]) for key in header] for row in rows])
+        table([*rows[0]], [[str(value) for value in row.values()] for row in rows])
 
 
 @command(SETUP)

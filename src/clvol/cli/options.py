@@ -218,20 +218,14 @@ class Input:
         given = self._given()
         if str(source).startswith("phantom:"):
             return None if given else f"clvol.phantoms.by_name({str(source).removeprefix('phantom:')!r})"
-        arguments = "".join(f", {name}={value!r}" for name, value in given.items())
         if is_address(source):
             return f"{self.python_opened(source)}.whole()"
         filled = "" if self.fill_nan is None else f".filled({'' if self.fill_nan == 'smoothly' else self.fill_nan})"
-        return f"clvol.read({str(source)!r}{arguments}){filled}"
+        return _call("clvol.read", source, given) + filled
 
     def python_opened(self, source: str | Path) -> str:
         """The call in Python that opens the volume."""
-        given = self._given() | ({} if self.fill_nan is None else {"missing": self.fill_nan})
-        return f"clvol.open({str(source)!r}{''.join(f', {name}={value!r}' for name, value in given.items())})"
-
-    def chooses(self) -> bool:
-        """Whether it chooses an image of a file or folder."""
-        return self.series is not None
+        return _call("clvol.open", source, self._given() | ({} if self.fill_nan is None else {"missing": self.fill_nan}))
 
     def leading(self, source: str | Path) -> clvol.volume.volumes.Leading:
         """The axes of the file before z, y and x."""
@@ -263,6 +257,10 @@ class Input:
         if self.fill_nan is None:
             return volume
         return volume.filled(None if self.fill_nan == "smoothly" else self.fill_nan)
+
+
+def _call(function: str, source: str | Path, given: Mapping[str, Any]) -> str:
+    return f"{function}({str(source)!r}{''.join(f', {name}={value!r}' for name, value in given.items())})"
 
 
 # -- what to show, and how -----------------------------------------------------------------------------------

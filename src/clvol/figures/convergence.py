@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol import analysis
+from clvol.base.arrays import Array
 from clvol.base.checks import several, whole
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress, counted
 from clvol.figures.style import GREY, Drawing, colour, label_ends, new_figure, styled
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filters
 
 __all__ = ["draw"]
 
-Array: TypeAlias = NDArray[np.float64]
 _SHOWN = (
     "nearest",
     "linear",
@@ -48,10 +48,7 @@ def _slopes(points: Array) -> Array:
 
 
 def draw(
-    filters: Sequence[str | Filter] = _SHOWN,
-    sizes: Sequence[int] = _SIZES,
-    points: int = 20_000,
-    progress: Callable[[float], Any] | None = None,
+    filters: Sequence[str | Filter] = _SHOWN, sizes: Sequence[int] = _SIZES, points: int = 20_000, progress: Progress | None = None
 ) -> Drawing:
     """RMS error of values (left) and of gradients (right) of a smooth function on ever finer grids.
 
@@ -74,10 +71,8 @@ def draw(
         raise OptionError(f"sizes must be {rule}; got {sizes!r}")
     rows = as_filters(filters)
     tables = []
-    for i, n in enumerate(counts):
+    for n in counted(counts, progress):
         tables.append(analysis.compare(_waves, rows, gradient=_slopes, size=n, dimensions=2, points=points, margin=0, timing=False))
-        if progress is not None:
-            progress((i + 1) / len(counts))
     spacing = 2 / (np.array(counts, float) - 1)
     numbers: list[dict[str, Any]] = []
     for i, row in enumerate(rows):

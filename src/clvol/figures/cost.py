@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from clvol import analysis, phantoms
 from clvol.analysis.timing import FULL, Effort, times_per_sample
-from clvol.base.progress import part_of
+from clvol.base.progress import Progress, part_of
 from clvol.device import Device, as_device
-from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
+from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, plain_digits, styled
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filters
@@ -30,7 +30,7 @@ def draw(
     samples: int = 41,
     points: int = 20_000,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
     *,
     effort: Effort = FULL,
 ) -> Drawing:
@@ -56,7 +56,8 @@ def draw(
     DeviceError
         No device is usable, so there are no times.
     """
-    rows, on = as_filters(_normalized() if filters is None else filters), as_device(device)
+    normalized = [row for row in all_filters().values() if row.sums_to_one]
+    rows, on = as_filters(normalized if filters is None else filters), as_device(device)
     on.require_usable()
     table = analysis.compare(
         phantoms.marschner_lobb_function,
@@ -93,11 +94,6 @@ def draw(
     return Drawing(figure, numbers, [*lines, "* nothing is both faster and better"])
 
 
-def _normalized() -> list[Filter]:
-    """The table's filters whose weights sum to one: all except the sinc and its windows without normalization."""
-    return [row for row in all_filters().values() if row.sums_to_one]
-
-
 def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
     """A figure of errors ("rms") and angles ("angle_mean") against time ("nanoseconds"), each filter a point.
 
@@ -126,8 +122,6 @@ def frontier(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float,
 
 
 def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: str) -> list[tuple[str, float, float]]:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
     known = [n for n in numbers if n[key] is not None]
     shown = [(n["filter"], n["nanoseconds"], n[key]) for n in known]
     axes.loglog()
@@ -140,10 +134,8 @@ def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: st
             axes.hlines(n[key], *n["quartiles"], color=colour(n["filter"]), linewidth=1.5, zorder=2)
     axes.set(xlabel="time per sample, nanoseconds", title=heading)
     axes.margins(0.16, 0.08)
-    for axis in (axes.xaxis, axes.yaxis):  # 1, 2, 5, 10, ... in plain digits
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_locator(NullLocator())
+    for axis in (axes.xaxis, axes.yaxis):
+        plain_digits(axis, (1, 2, 5))
     return shown
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from clvol.base.checks import whole
+from clvol.base.progress import Progress, counted
 from clvol.device import Device
-from clvol.figures.panels import LIGHTS, MATERIAL, SURFACE
+from clvol.figures.panels import SHADED
 from clvol.figures.style import Drawing, folded, show, styled, tiles, title
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filters
@@ -83,7 +83,7 @@ def draw(
     pixels: int = 300,
     filters: tuple[str | Filter, ...] = ("nearest", "linear", "bspline3-approx", "mitchell", "bspline3"),
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """A cube with hard edges, sampled in three ways: artefacts around it (above) and in its faces (below).
 
@@ -99,12 +99,11 @@ def draw(
         As for `clvol.render`.
     """
     samples, pixels, rows = whole("samples", samples, 8), whole("pixels", pixels, 1), as_filters(filters)
-    look: dict[str, Any] = {"color": SURFACE, "lights": LIGHTS, "material": MATERIAL, "background": _WHITE, "rays": _RAYS}
+    look = {**SHADED, "background": _WHITE, "rays": _RAYS}
     numbers: list[dict[str, Any]] = []
     with styled():
         figure, panels, times = tiles(2, len(LOWPASSES), (pixels, pixels), above=2, below=1, between=1)
-        letters = int(0.08 * times * pixels)
-        for column, (lowpass, words) in enumerate(LOWPASSES.items()):
+        for above, below, (lowpass, words) in zip(*panels, counted([*LOWPASSES.items()], progress), strict=True):
             volume = scanned(samples, lowpass)
             numbers += [{"lowpass": lowpass, "filter": row.name, **strays(volume, row, device)} for row in rows]
             last = numbers[-1]
@@ -113,10 +112,8 @@ def draw(
                     renderer.render(_CAMERA, "isosurface", (pixels, pixels), isovalue=value, **look)[..., :3]
                     for value in (CLOUD, 1 - CLOUD)
                 )
-            show(panels[0, column], around, folded(words, letters), f"value {CLOUD:g}: clouds rise {last['cloud']:.2f}")
-            show(panels[1, column], within, "", f"value {1 - CLOUD:g}: caves fall {last['cave']:.2f}")
-            if progress is not None:
-                progress((column + 1) / len(LOWPASSES))
+            show(above, around, folded(words, times * pixels), f"value {CLOUD:g}: clouds rise {last['cloud']:.2f}")
+            show(below, within, "", f"value {1 - CLOUD:g}: caves fall {last['cave']:.2f}")
     lines = [
         f"{LOWPASSES[n['lowpass']]}, {title(n['filter'])}: values rise again by {n['cloud']:.3f} outside, "
         f"fall by {n['cave']:.3f} inside"

@@ -15,6 +15,7 @@ from clvol.analysis import ErrorTable, compare
 from clvol.analysis.comparison import as_compared
 from clvol.base.checks import require_room, whole
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress, counted
 from clvol.figures.inputs import photograph, rings, zone_plate
 from clvol.figures.panels import FIGURE_6
 from clvol.figures.style import FAINT, GREY, INK, Drawing, colour, new_figure, styled, title
@@ -29,21 +30,12 @@ _GRADIENTS = 64  # few positions, since the gradients' errors are not shown
 
 @dataclass(frozen=True)
 class Case:
-    """One input, scaled to 0..1, and the mean square error of each filter on it.
-
-    Attributes
-    ----------
-    name, how : str
-        The input, and its truth.
-    dimensions : int
-    errors : dict of str to float
-        By filter.
-    """
+    """One input, scaled to 0..1, and the mean square error of each filter on it."""
 
     name: str
-    how: str
+    how: str  # the truth is known
     dimensions: int
-    errors: dict[str, float]
+    errors: dict[str, float]  # by filter
 
     def numbers(self) -> dict[str, Any]:
         """For programs."""
@@ -55,7 +47,7 @@ def measure(
     samples: int = 41,
     points: int = 20_000,
     scan: Volume | ArrayLike | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> list[Case]:
     """Errors on inputs with a known truth, 2-D first; parameters as for `draw`."""
     samples, filters = whole("samples", samples, 4), as_compared(filters)
@@ -79,12 +71,10 @@ def measure(
         known.insert(3, ("slice of the scan, low-passed", 2, lambda: [held_back(middle)]))
         known.append(("scan, low-passed", 3, lambda: [held_back(volume)]))
     cases = []
-    for done, (name, dimensions, make) in enumerate(known, 1):
+    for name, dimensions, make in counted(known, progress):
         tables = make()
         how = "function" if tables[0].against.startswith("the function") else "samples left out"
         cases.append(Case(name, how, dimensions, mean_square(tables)))
-        if progress is not None:
-            progress(done / len(known))
     return cases
 
 
@@ -102,7 +92,7 @@ def draw(
     samples: int = 41,
     points: int = 20_000,
     scan: Volume | ArrayLike | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Figure 4: a dot for each filter on a logarithmic axis, a panel for each input.
 

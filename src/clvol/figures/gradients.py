@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,10 @@ import numpy as np
 from clvol import phantoms
 from clvol.analysis.angle import angles, mean_angle
 from clvol.base.checks import whole
+from clvol.base.progress import Progress, counted
 from clvol.device import Device
-from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
-from clvol.figures.style import GAP, LETTERS, LETTERS_A_PIXEL, LINE, Drawing, folded, placed, show, styled, tiles, title
+from clvol.figures.panels import CAMERA, LOOK
+from clvol.figures.style import GAP, LETTERS, LINE, Drawing, folded, placed, show, styled, tiles, title
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filters
 from clvol.march.renderer import Renderer
@@ -32,7 +33,7 @@ def draw(
     samples: int = 41,
     pixels: int = 240,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Pictures of the Marschner-Lobb function above, angles of their normals to the true ones below.
 
@@ -51,36 +52,22 @@ def draw(
     volume = phantoms.marschner_lobb(samples)
     numbers: list[dict[str, Any]] = []
     pictures, errors = [], []
-    for done, row in enumerate(rows, 1):
+    look = {**LOOK, "background": _WHITE, "rays": _RAYS, "outputs": ("rgba", "normal", "position")}
+    for row in counted(rows, progress):
         with Renderer(volume, row, device=device) as renderer:
-            seen = renderer.render(
-                CAMERA,
-                "isosurface",
-                (pixels, pixels),
-                0.25,
-                isovalue=ISOVALUE,
-                color=SURFACE,
-                lights=LIGHTS,
-                material=MATERIAL,
-                background=_WHITE,
-                clip=BOX,
-                rays=_RAYS,
-                outputs=("rgba", "normal", "position"),
-            )
+            seen = renderer.render(CAMERA, "isosurface", (pixels, pixels), 0.25, **look)
         pictures.append(seen["rgba"][..., :3])
         errors.append(_angles(seen["normal"], seen["position"]))
         there = np.isfinite(errors[-1])
         true = phantoms.marschner_lobb_gradient(seen["position"][there].astype(np.float64))
         mean = mean_angle(seen["normal"][there], true, faces=True) if there.any() else None
         numbers.append({"filter": row.name, "analytic": row.has_gradient, "angle_mean": mean, "shown": int(there.sum())})
-        if progress is not None:
-            progress(done / len(rows))
     shown = _filled(errors)
     with styled():
         size = (pixels, shown.stop - shown.start)
         figure, panels, times = tiles(2, len(rows), size, above=2, below=1, right=_RIGHT)
         for column, (picture, between, n) in enumerate(zip(pictures, errors, numbers, strict=True)):
-            show(panels[0, column], picture[shown], folded(title(n["filter"]), int(LETTERS_A_PIXEL * times * pixels)))
+            show(panels[0, column], picture[shown], folded(title(n["filter"]), times * pixels))
             note = "nothing shows" if n["angle_mean"] is None else f"mean {n['angle_mean']:.1f}°"
             drawn = show(panels[1, column], between[shown], "", note, cmap="turbo", vmin=0, vmax=_MAX_ANGLE)
         width, height = (round(figure.dpi * inches) for inches in figure.get_size_inches())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, Literal
 
@@ -14,8 +13,9 @@ from clvol import phantoms
 from clvol.analysis.angle import mean_angle
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress, counted
 from clvol.device import Device
-from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, exact, shading_gradients
+from clvol.figures.panels import CAMERA, LOOK, exact, shading_gradients
 from clvol.figures.style import GAP, GREY, LINE, Drawing, colour, placed, show, styled, tiles, title
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
@@ -39,7 +39,7 @@ def draw(
     pixels: int = 300,
     scan: Volume | ArrayLike | None = None,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Figure 3: the same surface by the hybrid, by direct evaluation, and by trilinear interpolation; errors and frame times.
 
@@ -69,22 +69,18 @@ def draw(
     low, high = volume.value_range
     if low == high:
         raise OptionError(f"scan must hold more than one value, since a surface is drawn; got {low:g} throughout")
-    look: dict[str, Any] = {"camera": Camera.orbit(30, 20)}
-    if scan is None:
-        look = {"camera": CAMERA, "isovalue": ISOVALUE, "color": SURFACE, "lights": LIGHTS, "material": MATERIAL, "clip": BOX}
+    look = {"camera": CAMERA, **LOOK} if scan is None else {"camera": Camera.orbit(30, 20)}
     look |= {"mode": "isosurface", "size": (pixels, pixels), "background": _WHITE}
     with ExitStack() as stack:
         renderers = [stack.enter_context(Renderer(volume, name, device=device)) for name in _GRADIENTS]
         pairs = list(zip(renderers, _GRADIENTS.values(), strict=True))
         pictures = {r.filter.name: r.render(**look, gradient=g, rays=_RAYS)[..., :3].astype(np.float64) for r, g in pairs}
         taken: list[list[float]] = [[] for _ in pairs]
-        for done in range(1, _ROUNDS + 1):  # interleaved, so that other load affects all methods equally
+        for _ in counted(range(_ROUNDS), progress):  # interleaved, so that other load affects all methods equally
             for mine, (renderer, gradient) in zip(taken, pairs, strict=True):
                 started = time.perf_counter()
                 renderer.render(**look, gradient=gradient, rays=1)
                 mine.append(time.perf_counter() - started)
-            if progress is not None:
-                progress(done / _ROUNDS)
     surface = None
     if scan is None:
         surface, picture = exact(volume, CAMERA, pixels, _RAYS, _WHITE)

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol.analysis import EXACT_SINC, dirichlet_magnify
 from clvol.analysis.comparison import as_compared
+from clvol.base.arrays import Array
 from clvol.base.checks import require_room, whole
+from clvol.base.progress import Progress, counted
 from clvol.device import Device
-from clvol.figures.inputs import photograph, zone_plate
+from clvol.figures.inputs import photograph, zone_plate, zone_plate_image
 from clvol.figures.panels import FIGURE_6
-from clvol.figures.style import LETTERS, LETTERS_A_PIXEL, Drawing, folded, show, styled, tiles, title
+from clvol.figures.style import LETTERS, Drawing, folded, show, styled, tiles, title
 from clvol.filter.filter import Filter
 from clvol.spline.field import sample
 from clvol.volume.volume import Volume
 
 __all__ = ["draw", "finer"]
 
-Array: TypeAlias = NDArray[np.float64]
 _FACTOR, _NEAR = 4, 16  # pixels for each sample, in pictures and in close-ups
 _COLLAR, _CORNER = (0.36, 0.73), (0.06, 0.06)  # start of the close-ups, along x and y of the picture
 
@@ -49,7 +49,7 @@ def draw(
     filters: Sequence[str | Filter] = FIGURE_6,
     samples: int = 49,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Figure 5: a photograph and a zone plate of few samples, magnified 4 times by each filter, and parts of them 16 times.
 
@@ -70,7 +70,7 @@ def draw(
     photo, what = photograph(2 * size)
     # at full sharpness, then low-passed for fewer pixels
     original = photo.gaussian(1).downsample(2)
-    soft, plate = original.gaussian(_FACTOR), Volume(zone_plate(_square(size), samples))
+    soft, plate = original.gaussian(_FACTOR), Volume(zone_plate_image(size, samples))
     starts = [(int(x * samples), int(y * samples)) for x, y in (_COLLAR, _CORNER)]
     x, y = starts[0]
     collar = finer(soft, _NEAR // _FACTOR, "bspline3", device, (_FACTOR * x, _FACTOR * y), (size, size))
@@ -84,27 +84,19 @@ def draw(
     numbers: list[dict[str, Any]] = []
     with styled():
         figure, panels, times = tiles(4, len(chosen) + 1, (size, size), above=2, between=1)
-        letters = int(LETTERS_A_PIXEL * times * size)
-        for column, drawer in enumerate(chosen):
+        for column, drawer in enumerate(counted(chosen, progress)):
             name = drawer.name if isinstance(drawer, Filter) else drawer
             for row, (kind, truth, few, start, _) in enumerate(inputs):
                 drawn = finer(few, _FACTOR, drawer, device)
                 rms = float(np.sqrt(np.mean((drawn[inner] - truth[inner]) ** 2)))
                 numbers.append({"input": kind, "filter": name, "rms": rms})
-                heading = folded(f"{LETTERS[column]})  {title(name)}", letters) if row == 0 else ""
+                heading = folded(f"{LETTERS[column]})  {title(name)}", times * size) if row == 0 else ""
                 show(panels[2 * row, column], drawn, heading, f"RMS {rms:.4f}", vmin=0, vmax=1)
                 show(panels[2 * row + 1, column], finer(few, _NEAR, drawer, device, start, (size, size)), "", vmin=0, vmax=1)
-            if progress is not None:
-                progress((column + 1) / len(chosen))
-        headings = [folded(f"{what}, low-passed", letters), ""]
+        headings = [folded(f"{what}, low-passed", times * size), ""]
         notes = [f"{size}², given {samples}²", "the function itself"]
         for row, (_, truth, _, _, close) in enumerate(inputs):
             show(panels[2 * row, -1], truth, headings[row], notes[row], vmin=0, vmax=1)
             show(panels[2 * row + 1, -1], close, "", vmin=0, vmax=1)
     lines = [f"{n['input']}, {title(n['filter'])}: RMS error {n['rms']:.4f}" for n in numbers]
     return Drawing(figure, numbers, lines)
-
-
-def _square(size: int) -> Array:
-    x = np.linspace(-1, 1, size)
-    return np.stack(np.meshgrid(x, x), -1)

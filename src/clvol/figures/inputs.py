@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
+from clvol.base.arrays import Array
 from clvol.base.checks import whole
 from clvol.volume.volume import Volume
 
-__all__ = ["photograph", "rings", "zone_plate"]
+__all__ = ["photograph", "rings", "zone_plate", "zone_plate_image"]
 
-Array: TypeAlias = NDArray[np.float64]
 _LUMA = (0.299, 0.587, 0.114)
 _REACH = 0.75  # share of the Nyquist frequency at distance 1 from the zone plate's centre
 
@@ -30,6 +27,12 @@ def zone_plate(points: Array, size: int) -> Array:
     return np.asarray((1 + np.cos(rate * (points**2).sum(-1))) / 2)
 
 
+def zone_plate_image(pixels: int, size: int) -> Array:
+    """The zone plate on [-1, 1]², in a picture."""
+    x = np.linspace(-1, 1, pixels)
+    return zone_plate(np.stack(np.meshgrid(x, x), -1), size)
+
+
 def photograph(size: int = 512) -> tuple[Volume, str]:
     """A grey picture, 0 to 1, of at most `size` pixels along each side, and its name.
 
@@ -45,12 +48,8 @@ def photograph(size: int = 512) -> tuple[Volume, str]:
         return Volume(_drawn(size)), "generated picture"
     top = (grey.shape[0] - min(grey.shape)) // 8  # the face, not the chest
     square = grey[top : top + min(grey.shape), : min(grey.shape)]
-    return Volume(square[:size, :size] if size >= square.shape[0] else _centre(square, size)), "photograph"
-
-
-def _centre(square: Array, size: int) -> Array:
-    first = (square.shape[0] - size) // 2
-    return square[first : first + size, first : first + size]
+    first = max(0, (len(square) - size) // 2)
+    return Volume(square[first : first + size, first : first + size]), "photograph"
 
 
 def _drawn(size: int) -> Array:

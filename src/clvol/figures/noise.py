@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol import phantoms
 from clvol.analysis import frequency_response, impulse_response, variance_gain
 from clvol.analysis.angle import mean_angle
+from clvol.base.arrays import Array
 from clvol.base.checks import whole
-from clvol.base.progress import part_of
+from clvol.base.progress import Progress, counted, part_of
 from clvol.device import Device
 from clvol.figures.panels import ISOVALUE
-from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
+from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, plain_digits, styled, title
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filters
 from clvol.spline.field import Field
@@ -25,7 +25,6 @@ from clvol.volume.volume import Volume
 
 __all__ = ["BETWEEN", "FILTERS", "LEVELS", "Case", "cases", "draw", "measure"]
 
-Array: TypeAlias = NDArray[np.float64]
 LEVELS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)
 """Standard deviations of the noise, as shares of the data's range."""
 
@@ -45,25 +44,14 @@ _SEED = 1993
 
 @dataclass(frozen=True)
 class Case:
-    """A phantom whose values and normals are known.
-
-    Attributes
-    ----------
-    name : str
-    volume : Volume
-        Its samples.
-    points, values : ndarray, shape (N, 3) and (N,)
-        Random positions and the truth there.
-    surface, normals : ndarray, shape (M, 3)
-        Positions on its surface and the true gradients there.
-    """
+    """A phantom whose values and normals are known."""
 
     name: str
     volume: Volume
-    points: Array
-    values: Array
-    surface: Array
-    normals: Array
+    points: Array  # random ones, (N, 3)
+    values: Array  # the truth there, (N,)
+    surface: Array  # positions on it, (M, 3)
+    normals: Array  # the true gradients there, (M, 3)
 
 
 def cases(samples: int = 41, points: int = 20_000) -> list[Case]:
@@ -96,20 +84,16 @@ def measure(
     filters: Sequence[Filter],
     levels: Sequence[float] = LEVELS,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """Errors of each filter at each level of noise, which is the same noise at all levels except for its scale.
 
-    Returns
-    -------
-    list of dict
-        "input", "noise", "filter" and its λ ("smoothing"), "rms" as a share of the data's range, "angle" in degrees:
-        `mean_angle` on the surface.
+    "rms" is a share of the data's range, "angle" the `mean_angle` on the surface.
     """
     low, high = case.volume.value_range
     noise = np.random.default_rng(_SEED + 1).normal(size=case.volume.shape)
     numbers = []
-    for done, level in enumerate(levels, 1):
+    for level in counted(levels, progress):
         noisy = Volume(case.volume.data + level * (high - low) * noise, case.volume.spacing, case.volume.origin)
         for row in filters:
             own = settled(row, noisy)
@@ -128,8 +112,6 @@ def measure(
                     "angle": angle,
                 }
             )
-        if progress is not None:
-            progress(done / len(levels))
     return numbers
 
 
@@ -138,7 +120,7 @@ def draw(
     samples: int = 41,
     points: int = 20_000,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Errors of values (above) and normals (below) against the noise of two phantoms, and responses of the smoothing splines.
 
@@ -187,8 +169,6 @@ def draw(
 
 def _curves(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: str) -> None:
     """A curve for each filter; levels are equally spaced, and the first is no noise."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
     names = list(dict.fromkeys(n["filter"] for n in numbers if n[key] is not None))
     errors = {name: [n[key] for n in numbers if n["filter"] == name] for name in names}
     for name in names:
@@ -205,9 +185,7 @@ def _curves(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: str
     least = min(v for each in errors.values() for v in each if v > most * _SPAN)
     axes.set_yscale("log")
     axes.set_ylim(least / 2, most * 1.3)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1,) if most > 100 * least else (1, 2, 5)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
+    plain_digits(axes.yaxis, (1,) if most > 100 * least else (1, 2, 5))
     for level in range(len(LEVELS)):
         best = min(names, key=lambda name: errors[name][level])
         axes.hlines(0.012, level - 0.5, level + 0.5, color=colour(best), linewidth=7, transform=axes.get_xaxis_transform())

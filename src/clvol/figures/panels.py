@@ -40,8 +40,10 @@ __all__ = [
     "FIGURE_6",
     "ISOVALUE",
     "LIGHTS",
+    "LOOK",
     "MATERIAL",
     "PANELS",
+    "SHADED",
     "SIX",
     "SURFACE",
     "Panel",
@@ -72,6 +74,8 @@ CAMERA = Camera.orbit(20, 52, zoom=1.27, fit="volume")  # the same for all sampl
 LIGHTS = (Light((-0.6, -0.35, 0.75)), Light((0.8, 0.5, 0.35), (0.36, 0.42, 0.52)))  # the second where the first does not reach
 MATERIAL = Material(ambient=0.16, diffuse=0.84, specular=0.12, shininess=25)
 SURFACE = (0.86, 0.86, 0.84)
+SHADED: dict[str, Any] = {"color": SURFACE, "lights": LIGHTS, "material": MATERIAL}
+LOOK = {**SHADED, "isovalue": ISOVALUE, "clip": BOX}
 BACKGROUND = (0.16, 0.18, 0.22)
 _INK = (235, 235, 235)
 _POINTS = 200_000
@@ -171,14 +175,10 @@ def figure6(
                 "isosurface",
                 (pixels, pixels),
                 step * finer,
-                isovalue=ISOVALUE,
-                color=SURFACE,
-                lights=LIGHTS,
-                material=MATERIAL,
                 background=BACKGROUND,
-                clip=BOX,
                 rays=rays,
                 progress=report,
+                **LOOK,
             )
             name = row if isinstance(row, str) else renderer.filter.name  # with settled smoothing
         values = sample(drawn_volume, points, through, device=device)
@@ -327,17 +327,6 @@ def exact(
     volume: Volume, camera: Camera, pixels: int, rays: int, background: tuple[float, float, float] = BACKGROUND
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """The visible points of the true surface, (N, 3), and the picture."""
-    return draw_function(
-        phantoms.marschner_lobb_function,
-        phantoms.marschner_lobb_gradient,
-        volume,
-        camera.view(volume),
-        (pixels, pixels),
-        clip=BOX,
-        isovalue=ISOVALUE,
-        color=SURFACE,
-        lights=LIGHTS,
-        material=MATERIAL,
-        background=background,
-        rays=rays,
-    )
+    function, gradient = phantoms.marschner_lobb_function, phantoms.marschner_lobb_gradient
+    view, size = camera.view(volume), (pixels, pixels)
+    return draw_function(function, gradient, volume, view, size, background=background, rays=rays, **LOOK)

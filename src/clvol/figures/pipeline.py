@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol import phantoms, reference
+from clvol.base.arrays import Array
 from clvol.base.checks import whole
 from clvol.device import Device
 from clvol.figures.style import GREY, INK, LINE, Drawing, colour, label_ends, new_figure, placed, show, styled, title
@@ -26,7 +26,6 @@ from clvol.volume.volume import Volume
 
 __all__ = ["Ray", "draw", "follow"]
 
-Array: TypeAlias = NDArray[np.float64]
 _WAVES = 2.5  # of the Marschner-Lobb function: few enough for visible samples
 _CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=2.05, fit="volume")
 _TRANSFER = TransferFunction(
@@ -42,35 +41,18 @@ _LEAST_WIDTH = 300  # pixels; width of a picture in the file
 
 @dataclass(frozen=True)
 class Ray:
-    """One ray, sample by sample.
+    """One ray, sample by sample."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (N,)
-        World distances from the entry into the volume.
-    points : ndarray, shape (N, 3)
-    values : ndarray, shape (N,)
-        Reconstructed.
-    colors : ndarray, shape (N, 3)
-        Classified and lit.
-    opacities : ndarray, shape (N,)
-        Of one step.
-    colour, opacity : ndarray, shape (N, 3) and (N,)
-        Accumulated up to and with each sample.
-    start, direction, length
-        Its entry, its unit direction, and its length inside.
-    """
-
-    t: Array
-    points: Array
-    values: Array
-    colors: Array
-    opacities: Array
-    colour: Array
-    opacity: Array
-    start: Array
-    direction: Array
-    length: float
+    t: Array  # world distances from the entry into the volume, (N,)
+    points: Array  # (N, 3)
+    values: Array  # reconstructed, (N,)
+    colors: Array  # classified and lit, (N, 3)
+    opacities: Array  # of one step, (N,)
+    colour: Array  # accumulated up to and with each sample, (N, 3)
+    opacity: Array  # likewise, (N,)
+    start: Array  # of the ray, where it enters
+    direction: Array  # unit
+    length: float  # inside
 
 
 def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int, int]) -> Ray:
@@ -184,18 +166,14 @@ def draw(samples: int = 21, pixels: int = 400, filter: str = "bspline3", device:
 
 def _rays(axes: Any, pixel: tuple[int, ...], count: int) -> None:
     """The positions of a pixel's rays, and their weights under the pixel filter."""
+    from matplotlib.patches import Rectangle
+
     for (x, y), weight in pixel_rays(count, DEFAULT_PIXEL_FILTER):
         if weight:
             axes.plot(
                 pixel[0] - 0.5 + x, pixel[1] - 0.5 + y, "o", color=INK, markersize=1.2 + 2 * np.sqrt(weight), markeredgewidth=0
             )
-    axes.add_patch(_square(pixel))
-
-
-def _square(pixel: tuple[int, ...]) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((pixel[0] - 0.5, pixel[1] - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=1)
+    axes.add_patch(Rectangle((pixel[0] - 0.5, pixel[1] - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=1))
 
 
 def _cut(axes: Any, volume: Volume, ray: Ray, filter: str) -> None:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol import phantoms
+from clvol.base.arrays import Array
 from clvol.base.checks import number, require_room, several, whole
+from clvol.base.progress import Progress, counted
 from clvol.device import Device
-from clvol.figures.inputs import zone_plate
+from clvol.figures.inputs import zone_plate_image
 from clvol.figures.style import LETTERS, Drawing, placed, show, styled, tiles
 from clvol.spline.field import resample
 from clvol.spline.reduce import AntiAliasing
@@ -20,7 +20,6 @@ from clvol.volume.volume import Volume
 
 __all__ = ["FACTORS", "METHODS", "Case", "cases", "draw", "there_and_back"]
 
-Array: TypeAlias = NDArray[np.float64]
 FACTORS = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0)
 """Reduction factors along each axis."""
 
@@ -35,29 +34,17 @@ _SEED = 1995
 _HIGH, _LEFT, _BETWEEN = 430, 100, 90  # pixels of the file: height of the plots, left margin, gap
 
 
-@dataclass(frozen=True)
-class Case:
-    """An input of the reduction.
-
-    Attributes
-    ----------
-    name : str
-    volume : Volume
-        The samples.
-    truth : ndarray
-        The samples without noise.
-    """
+class Case(NamedTuple):
+    """An input of the reduction."""
 
     name: str
     volume: Volume
-    truth: Array
+    truth: Array  # the samples without noise
 
 
 def cases(samples: int) -> list[Case]:
     """Inputs with more detail than fewer samples can represent, with as much as half of them can, and with less plus noise."""
-    side = _ACROSS * samples
-    x = np.linspace(-1, 1, side)
-    plate = zone_plate(np.stack(np.meshgrid(x, x), -1), side)
+    plate = zone_plate_image(_ACROSS * samples, _ACROSS * samples)
     waves, ball = phantoms.marschner_lobb(samples), phantoms.sphere(samples)
     low, high = ball.value_range
     noise = np.random.default_rng(_SEED).normal(size=ball.shape) * _NOISE * (high - low)
@@ -79,7 +66,7 @@ def draw(
     factors: Sequence[float] = FACTORS,
     samples: int = 64,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """A zone plate reduced by 2.5 and enlarged again, by each method; below, RMS errors against the factor.
 
@@ -97,15 +84,13 @@ def draw(
     given = [number("each factor", f, minimum=1) for f in several("factors", factors, "numbers of at least 1")]
     known = cases(samples)
     numbers: list[dict[str, Any]] = []
-    for i, case in enumerate(known):
+    for case in counted(known, progress):
         low, high = float(case.truth.min()), float(case.truth.max())
         for name, method in METHODS.items():
             for factor in given:
                 error = there_and_back(case.volume, factor, method, device) - case.truth
                 rms = float(np.sqrt(np.mean(error**2))) / (high - low)
                 numbers.append({"input": case.name, "method": name, "factor": factor, "rms": rms})
-        if progress is not None:
-            progress((i + 1) / len(known))
     with styled():
         figure = _drawn(known, given, numbers, device)
     lines = []

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol import phantoms
+from clvol.base.arrays import Array
 from clvol.base.checks import require_room, whole
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress
 from clvol.device import Device
 from clvol.figures.panels import SIX
-from clvol.figures.style import GREY, LETTERS, Drawing, colour, folded, placed, show, styled, tiles, title
+from clvol.figures.style import GREY, LETTERS, Drawing, colour, folded, placed, plain_digits, show, styled, tiles, title
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filters
 from clvol.spline.field import sample
@@ -21,8 +23,7 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["APART", "draw", "from_function", "from_scan"]
 
-Array: TypeAlias = NDArray[np.float64]
-_Table: TypeAlias = tuple[str, dict[int, dict[str, float]]]
+_Errors: TypeAlias = dict[int, dict[str, float]]  # by distance of slices, then by filter
 APART = (1, 2, 3, 4, 5, 6)
 """Distances of slices, in pixels."""
 
@@ -36,7 +37,7 @@ _SEED = 1999
 
 def from_function(
     filters: Sequence[Filter], size: int, apart: Sequence[int] = APART, device: Device | str | int | None = None
-) -> dict[int, dict[str, float]]:
+) -> _Errors:
     """RMS errors by distance of slices and filter on the Marschner-Lobb function with its waves across the slices.
 
     The slices have `size`² pixels on [-1, 1]²; errors are at random points within 0.8 of the centre along each axis.
@@ -52,7 +53,7 @@ def from_function(
 
 def from_scan(
     volume: Volume, filters: Sequence[Filter], apart: Sequence[int] = APART[1:], device: Device | str | int | None = None
-) -> dict[int, dict[str, float]]:
+) -> _Errors:
     """RMS errors by distance of slices and filter, at the omitted slices: every `k`-th is kept, from each first one in turn.
 
     Nothing is low-passed, since scanners with gaps between slices do not; so errors include the lost detail, and the noise of
@@ -78,7 +79,7 @@ def draw(
     samples: int = 61,
     scan: Volume | ArrayLike | None = None,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Above, errors against the distance of slices; below, a plane across slices 3 pixels apart, by each filter.
 
@@ -124,22 +125,19 @@ def draw(
     return Drawing(figure, numbers, lines)
 
 
-def _drawn(rows: Sequence[Filter], samples: int, tables: Sequence[_Table], device: Device | str | int | None) -> Any:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
+def _drawn(rows: Sequence[Filter], samples: int, tables: Sequence[tuple[str, _Errors]], device: Device | str | int | None) -> Any:
     size, high = _ZOOM * (samples - 1) + 1, 620
     wide = (len(rows) + 1) * max(size, 160)
     figure, panels, times = tiles(1, len(rows) + 1, (size, size), above=25, below=1, right=max(0, 330 + 450 * len(tables) - wide))
-    letters = int(0.08 * times * size)
     x = np.linspace(-1, 1, size)
     plane = np.stack([*np.meshgrid(x, x), np.zeros((size, size))], -1)[..., [0, 2, 1]]  # x across, z up
     truth, thin = _function(plane.reshape(-1, 3)).reshape(size, size), _sliced(samples, _DRAWN)
     low, upper = float(truth.min()), float(truth.max())
     for i, row in enumerate(rows):
         drawn = sample(thin, plane, row, device=device)
-        heading = folded(f"{LETTERS[i]})  {title(row.name)}", letters)
+        heading = folded(f"{LETTERS[i]})  {title(row.name)}", times * size)
         show(panels[0, i], drawn, heading, f"RMS {_rms(drawn - truth):.4f}", vmin=low, vmax=upper, origin="lower")
-    show(panels[0, -1], truth, folded(title("exact"), letters), "", vmin=low, vmax=upper, origin="lower")
+    show(panels[0, -1], truth, folded(title("exact"), times * size), "", vmin=low, vmax=upper, origin="lower")
     width = round(figure.dpi * figure.get_size_inches()[0])
     share = (width - 330) // len(tables)
     for i, (what, table) in enumerate(tables):
@@ -148,17 +146,13 @@ def _drawn(rows: Sequence[Filter], samples: int, tables: Sequence[_Table], devic
         for row in rows:
             axes.plot(apart, [table[k][row.name] for k in apart], "o-", color=colour(row.name), markersize=4, label=title(row.name))
         axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if i else (1,)))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.yaxis.set_minor_locator(NullLocator())
+        plain_digits(axes.yaxis, (1, 2, 5) if i else (1,))
         axes.set(xlabel="pixels from slice to slice", ylabel="RMS error", xticks=apart)
         axes.set_title(what)
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
-    figure.text(0.006, 1 - (high - 5) / (figure.dpi * figure.get_size_inches()[1]), _CAPTION, color=GREY, fontsize=9)
+    caption = f"a plane across slices that are {_DRAWN} pixels apart; they lie level:"
+    figure.text(0.006, 1 - (high - 5) / (figure.dpi * figure.get_size_inches()[1]), caption, color=GREY, fontsize=9)
     return figure
-
-
-_CAPTION = f"a plane across slices that are {_DRAWN} pixels apart; they lie level:"
 
 
 def _function(points: Array) -> Array:

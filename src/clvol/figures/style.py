@@ -12,21 +12,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.analysis import EXACT_SINC
 from clvol.base.checks import as_path
+from clvol.base.color import color_of
 from clvol.base.errors import MissingDependencyError, OptionError
 from clvol.base.files import require_suffix, staged
-from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter, filters
 from clvol.show import picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 __all__ = [
@@ -35,7 +36,6 @@ __all__ = [
     "GREY",
     "INK",
     "LETTERS",
-    "LETTERS_A_PIXEL",
     "LINE",
     "SUFFIXES",
     "Drawing",
@@ -46,6 +46,7 @@ __all__ = [
     "new_figure",
     "placed",
     "plain",
+    "plain_digits",
     "require_matplotlib",
     "show",
     "spread",
@@ -54,7 +55,6 @@ __all__ = [
     "title",
 ]
 
-Array: TypeAlias = NDArray[np.float64]
 
 INK, GREY, FAINT = "#222222", "#6f6f6f", "#d9d9d9"
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
@@ -63,11 +63,9 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 LINE, GAP = 27, 8
 """Pixels of the file: height of a line of text, and the gap between pictures (`tiles`)."""
 
-LETTERS_A_PIXEL = 0.08
-"""Letters of a heading above a picture, per pixel of its width."""
-
 SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
+_LETTERS = 0.08  # of a heading above a picture, per pixel of its width
 _LEAST_TILE = 160  # pixels of the file; least width of a picture
 _RC: Mapping[str, Any] = {
     "font.size": 9.5,
@@ -95,56 +93,37 @@ _RC: Mapping[str, Any] = {
     "legend.frameon": False,
 }
 
-_COLOURS = {
-    EXACT_SINC: "#5b5b5b",
-    "sinc": "#8a8a8a",
-    "nearest": "#b07d4f",
-    "bspline3-approx": "#2a9d8f",
-    "linear": "#e9a100",
-    "mitchell": "#c2549d",
-    "catmull-rom": "#58a032",
-    "hybrid": "#7a5cc2",
-    "omoms3": "#d1495b",
-    "bspline2": "#7fb2e5",
-    "bspline3": "#1769c2",
-    "bspline3(auto)": "#d6006c",
-    "bspline4": "#12508f",
-    "bspline5": "#0b2f57",
-    "bspline2-approx": "#7cc7bc",
-    "bspline4-approx": "#1d7268",
-    "bspline5-approx": "#124a43",
-    "lanczos2": "#e08a76",
-    "lanczos3": "#cf6a52",
-    "lanczos4": "#b04d36",
-    "lanczos5": "#8c3521",
-    "lanczos3n": "#9c2f6f",
-    "sinc4n": "#6b7a3a",
-    "moms3": "#8b1e3f",
-    "linear-quasi": "#c9b458",
-    "bspline3-quasi": "#58c4e8",
+_FILTERS = {  # a colour and a title
+    EXACT_SINC: ("#5b5b5b", "sinc, exact"),
+    "sinc": ("#8a8a8a", "sinc, cut off at 4 samples"),
+    "nearest": ("#b07d4f", "nearest neighbour"),
+    "bspline3-approx": ("#2a9d8f", "B-spline approximation"),
+    "linear": ("#e9a100", "linear"),
+    "mitchell": ("#c2549d", "Mitchell B = C = 1/3"),
+    "catmull-rom": ("#58a032", "Catmull–Rom"),
+    "hybrid": ("#7a5cc2", "hybrid, ×2 then linear"),
+    "omoms3": ("#d1495b", "O-MOMS, cubic"),
+    "bspline2": ("#7fb2e5", "bspline2"),
+    "bspline3": ("#1769c2", "B-spline interpolation"),
+    "bspline3(auto)": ("#d6006c", "bspline3(auto)"),
+    "bspline4": ("#12508f", "bspline4"),
+    "bspline5": ("#0b2f57", "bspline5"),
+    "bspline2-approx": ("#7cc7bc", "bspline2-approx"),
+    "bspline4-approx": ("#1d7268", "bspline4-approx"),
+    "bspline5-approx": ("#124a43", "bspline5-approx"),
+    "lanczos2": ("#e08a76", "lanczos2"),
+    "lanczos3": ("#cf6a52", "lanczos3"),
+    "lanczos4": ("#b04d36", "lanczos4"),
+    "lanczos5": ("#8c3521", "lanczos5"),
+    "lanczos3n": ("#9c2f6f", "Lanczos, 3 samples"),
+    "sinc4n": ("#6b7a3a", "sinc, 4 samples, normalized"),
+    "moms3": ("#8b1e3f", "MOMS, cubic"),
+    "linear-quasi": ("#c9b458", "linear, quasi-interpolation"),
+    "bspline3-quasi": ("#58c4e8", "B-spline, quasi-interpolation"),
 }
 _ACROSS = 4  # names in a row of a legend
 _GIVEN: dict[str, str] = {}  # colours of other filters
 _GOLDEN, _TRIED, _APART = 0.6180339887, 150, 0.22
-
-_TITLES = {
-    EXACT_SINC: "sinc, exact",
-    "sinc": "sinc, cut off at 4 samples",
-    "nearest": "nearest neighbour",
-    "bspline3-approx": "B-spline approximation",
-    "linear": "linear",
-    "mitchell": "Mitchell B = C = 1/3",
-    "catmull-rom": "Catmull–Rom",
-    "bspline3": "B-spline interpolation",
-    "hybrid": "hybrid, ×2 then linear",
-    "omoms3": "O-MOMS, cubic",
-    "moms3": "MOMS, cubic",
-    "lanczos3n": "Lanczos, 3 samples",
-    "sinc4n": "sinc, 4 samples, normalized",
-    "linear-quasi": "linear, quasi-interpolation",
-    "bspline3-quasi": "B-spline, quasi-interpolation",
-    "exact": "the function itself",
-}
 
 
 def colour(name: str) -> str:
@@ -152,30 +131,26 @@ def colour(name: str) -> str:
 
     A filter without a fixed colour gets a new one on the first call, distinct from all others.
     """
-    if name in _COLOURS:
-        return _COLOURS[name]
+    if name in _FILTERS:
+        return _FILTERS[name][0]
     try:
         row = as_filter(name)
     except OptionError:  # not in the table
         return _given(name)
     table = filters()
-    for other in _COLOURS:
-        if other in table and _same(table[other], row):
-            return _COLOURS[other]
+    for other, (code, _) in _FILTERS.items():
+        if other in table and replace(table[other], name=row.name) == row:
+            return code
     if isinstance(row.smoothing, float) and row.smoothing > 0:  # grey, lighter for more smoothing
         grey = round(np.interp(math.log10(row.smoothing), (-3, 2), (40, 200)))
         return f"#{grey:02x}{grey:02x}{grey:02x}"
     return _given(row.name)
 
 
-def _same(a: Filter, b: Filter) -> bool:
-    return replace(a, name=b.name) == b
-
-
 def _given(name: str) -> str:
     """A colour far from all others, if there is one; hues differ by the golden angle, with three lightnesses."""
     if name not in _GIVEN:
-        taken = [_rgb(c) for c in (*_COLOURS.values(), *_GIVEN.values())]
+        taken = [color_of("colour", code) for code in (*(own for own, _ in _FILTERS.values()), *_GIVEN.values())]
         tried = []
         for k in range(_TRIED):
             rgb = colorsys.hls_to_rgb((0.1 + k * _GOLDEN) % 1, (0.42, 0.6, 0.3)[k % 3], 0.55)
@@ -185,13 +160,9 @@ def _given(name: str) -> str:
     return _GIVEN[name]
 
 
-def _rgb(code: str) -> tuple[float, ...]:
-    return tuple(int(code[i : i + 2], 16) / 255 for i in (1, 3, 5))
-
-
-def folded(text: str, width: int = 26) -> str:
-    """A heading folded to lines of at most `width` letters."""
-    return "\n".join(textwrap.wrap(text, width, break_on_hyphens=False)) or text
+def folded(text: str, width: int) -> str:
+    """A heading, in lines that fit above a picture of `width` pixels."""
+    return "\n".join(textwrap.wrap(text, int(_LETTERS * width), break_on_hyphens=False)) or text
 
 
 def title(name: str) -> str:
@@ -199,7 +170,9 @@ def title(name: str) -> str:
     of_spline = re.fullmatch(r"bspline3\((.*)\)", name)
     if of_spline:
         return "B-spline, λ from the data" if of_spline[1] == "auto" else f"B-spline, λ = {of_spline[1]}"
-    return _TITLES.get(name, name)
+    if name == "exact":
+        return "the function itself"
+    return _FILTERS[name][1] if name in _FILTERS else name
 
 
 @dataclass(frozen=True)
@@ -264,12 +237,12 @@ def styled() -> Iterator[None]:
         yield
 
 
-def new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float, **options: Any) -> Figure:
     """A figure of this size in inches, without a window."""
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width, height), **{"layout": "constrained", **options})
 
 
 def legend_above(figure: Figure, axes: Axes) -> None:
@@ -290,31 +263,16 @@ def placed(figure: Figure, x: int, y: int, width: int, height: int) -> Axes:
 def tiles(
     rows: int, columns: int, size: tuple[int, int], *, above: int = 0, below: int = 0, between: int = 0, right: int = 0
 ) -> tuple[Figure, NDArray[Any], int]:
-    """A figure of axes in which pictures of a size (width, height) are shown pixel by pixel.
+    """A figure, its axes (rows, columns) for pictures of a size (width, height), shown pixel by pixel, and their magnification.
 
-    Parameters
-    ----------
-    rows, columns : int
-    size : (int, int)
-        Of a picture. Pictures narrower than 160 pixels are enlarged by an integer factor.
-    above, below, between, right : int
-        Lines of text above the first row, below the last one and after each other, and pixels right of the last column.
-
-    Returns
-    -------
-    figure : Figure
-    axes : ndarray of Axes, shape (rows, columns)
-    times : int
-        The factor by which pictures are enlarged.
+    Pictures narrower than 160 pixels are magnified by a whole number. There is room for lines of text `above` the first row,
+    `below` the last one and `between` rows, and for pixels `right` of the last column.
     """
-    require_matplotlib()
-    from matplotlib.figure import Figure
-
     times = -(-_LEAST_TILE // size[0])
     width, height = (times * n for n in size)
     gap, start = LINE * between + GAP, LINE * above + GAP
     total = start + rows * (height + gap) - gap + LINE * below + GAP
-    figure = Figure(figsize=((columns * (width + GAP) + GAP + right) / _DPI, total / _DPI), dpi=_DPI)
+    figure = new_figure((columns * (width + GAP) + GAP + right) / _DPI, total / _DPI, layout=None, dpi=_DPI)
     axes = np.empty((rows, columns), object)
     for i, j in np.ndindex(rows, columns):
         one = axes[i, j] = placed(figure, GAP + j * (width + GAP), start + i * (height + gap), width, height)
@@ -345,6 +303,15 @@ def plain(axes: Axes) -> None:
     axes.grid(visible=False)
     for spine in axes.spines.values():
         spine.set_visible(False)
+
+
+def plain_digits(axis: Axis, subs: Sequence[int]) -> None:
+    """Ticks on a logarithmic axis at these multiples of powers of ten, in plain digits."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def spread(places: Sequence[float], gap: float) -> list[float]:

@@ -7,18 +7,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Unpack
 
 from clvol import analysis
 from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, RotationTable
 from clvol.analysis.comparison import as_compared
+from clvol.analysis.trial import middle_part
 from clvol.base.checks import as_path, whole
 from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.base.files import require_folder, staged
-from clvol.base.progress import part_of
+from clvol.base.progress import Progress, part_of
 from clvol.device import Device, as_device
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
@@ -93,7 +94,7 @@ def report(
     *,
     max_samples: int = 1 << 22,
     device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    progress: Progress | None = None,
     **options: Unpack[PanelOptions],
 ) -> Report:
     """Measure, draw and recommend; the page embeds its pictures and is written once it is complete.
@@ -146,7 +147,7 @@ def report(
         raise OptionError(f"filters must name one to be drawn beside {EXACT_SINC!r}; got {filters!r}")
     sinc = [EXACT_SINC] if rule.repeats or EXACT_SINC in named else []
     advance = progress or (lambda _: None)
-    middle = _middle(volume, max_samples)
+    middle = middle_part(volume, max_samples)
     noise = volume.noise
     advice = advise(middle, [*chosen, *sinc], rule, noise=noise)
     advance(_ADVISED)
@@ -161,29 +162,19 @@ def report(
         max_samples=_COMPARED,
         progress=part_of(progress, _ADVISED, _COMPARING),
     )
-    left_out = analysis.leave_out(_middle(middle, _COMPARED // 2), chosen, rule)
+    left_out = analysis.leave_out(middle_part(middle, _COMPARED // 2), chosen, rule)
     try:
         turned = analysis.rotations(middle, chosen, boundary=rule)
     except DataError:  # too small
         turned = None
     advance(_SHARE)
-    found = spectrum.spectra(middle)
     low, high = volume.value_range
     drawn = None
     if low < high:
-        drawn = cards(
-            volume,
-            chosen,
-            next(row for row in chosen if row.name == advice.filter),
-            pixels,
-            rule,
-            _FACTOR,
-            on,
-            part_of(progress, _SHARE, 0.97),
-            {**options},
-        )
+        best = next(row for row in chosen if row.name == advice.filter)
+        drawn = cards(volume, chosen, best, pixels, rule, _FACTOR, on, part_of(progress, _SHARE, 0.97), {**options})
     made = Report(file, table, advice, left_out, turned)
-    text = _page(name, volume, middle, made, found, drawn)
+    text = _page(name, volume, middle, made, spectrum.spectra(middle), drawn)
     try:
         file.parent.mkdir(exist_ok=True)
     except OSError as error:
@@ -192,16 +183,6 @@ def report(
         temporary.write_text(text, encoding="utf-8")
     advance(1.0)
     return made
-
-
-def _middle(volume: Volume, max_samples: int) -> Volume:
-    """The middle part with at most `max_samples` samples, every axis cropped in the same proportion."""
-    if volume.data.size <= max_samples:
-        return volume
-    share = (max_samples / volume.data.size) ** (1 / 3)
-    sizes = [max(1, int(n * share)) for n in volume.size]
-    low = [(n - m) // 2 for n, m in zip(volume.size, sizes, strict=True)]
-    return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
 
 
 def _page(name: str, volume: Volume, middle: Volume, made: Report, found: spectrum.Spectra, drawn: Cards | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -17,7 +17,7 @@ from clvol.analysis.table import column
 from clvol.figures.style import colour, styled, title
 from clvol.reports.advice import Advice
 from clvol.reports.pictures import Cards
-from clvol.show.picture import to_bytes
+from clvol.show.picture import to_png
 
 __all__ = ["inline", "page"]
 
@@ -77,9 +77,7 @@ def inline(picture: Any) -> str:
         with styled():
             picture.savefig(stream, format="png", dpi=_DPI)
     else:
-        import imageio.v3 as iio
-
-        iio.imwrite(stream, to_bytes(picture), extension=".png", plugin="pillow")
+        stream.write(to_png(picture))
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 
@@ -110,7 +108,9 @@ def page(
         "<h2>Pictures</h2>",
         _note(_CONSTANT) if drawn is None else _cards(drawn),
         "<h2>Measured: from every second sample</h2>",
-        _table(_without_times(table), advice.filter),
+        _table(
+            table, advice.filter, without=("angle_median", "overshoot", "seconds")
+        ),  # the last two are beside the expected errors
         _note(_measured(table) + _BEST),
     ]
     if any(value is not None for row in left_out for value in (row.x, row.y, row.z)):
@@ -148,11 +148,12 @@ def _facts(facts: Sequence[tuple[str, str]]) -> str:
     return '<table class="facts">' + "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts) + "</table>"
 
 
-def _table(table: Table[Any], chosen: str) -> str:
+def _table(table: Table[Any], chosen: str, without: Sequence[str] = ()) -> str:
     """Rows with readable numbers; columns that are empty in all rows are omitted."""
     header, *lines = table.texts()
-    columns = [i for i in range(len(header)) if i == 0 or any(line[i] != "–" for line in lines)]
-    best = _best(table.records())
+    records = table.records()
+    columns = [i for i, name in enumerate(records[0]) if name not in without and any(line[i] != "–" for line in lines)]
+    best = _best(records)
     rows = []
     for i, cells in enumerate(lines):
         style = ' class="chosen"' if cells[0] == chosen else ""
@@ -183,31 +184,8 @@ class _Expected(PredictedRow):
 
 def _expected(expected: PredictedTable, table: ErrorTable, chosen: str) -> str:
     measured = {row.filter: row for row in table}
-    rows = []
-    for row in expected:
-        known = measured[row.filter]
-        rows.append(_Expected(**vars(row), overshoot=known.overshoot, seconds=known.seconds))
-    return _table(Table(rows), chosen)
-
-
-def _without_times(table: ErrorTable) -> Table[Any]:
-    """The columns for the low-passed volume only: overshoot and times are beside the expected errors."""
-    return Table(_Measured(**{f.name: getattr(row, f.name) for f in fields(_Measured)}) for row in table)
-
-
-@dataclass(frozen=True)
-class _Measured:
-    """A row of the errors measured from every second sample."""
-
-    filter: str = column("filter")
-    rms: float = column("RMS error", ".3g")
-    original: float | None = column("and low-pass", ".3g")
-    maximum: float = column("max error", ".3g")
-    psnr: float | None = column("PSNR (dB)", ".2f")
-    ssim: float | None = column("SSIM", ".4f")
-    gradient_rms: float | None = column("gradient RMS", ".3g")
-    angle_mean: float | None = column("mean angle (°)", ".2f")
-    angle_95: float | None = column("95 % angle (°)", ".2f")
+    others = [{name: getattr(measured[row.filter], name) for name in ("overshoot", "seconds")} for row in expected]
+    return _table(Table(_Expected(**vars(row), **other) for row, other in zip(expected, others, strict=True)), chosen)
 
 
 def _named(name: str) -> str:
@@ -218,16 +196,10 @@ def _named(name: str) -> str:
 def _cards(drawn: Cards) -> str:
     best = escape(drawn.reference)
     gains = [_scale([c.difference for c in drawn.cards]), _scale([c.error for c in drawn.cards])]
-    head = "".join(
-        f"<th>{text}</th>"
-        for text in (
-            "",
-            "whole view",
-            "close-up where filters differ",
-            f"close-up: difference from {best}",
-            "close-up from every second sample",
-            f"its difference from {best} with all samples",
-        )
+    head = (
+        "<th></th><th>whole view</th><th>close-up where filters differ</th>"
+        f"<th>close-up: difference from {best}</th><th>close-up from every second sample</th>"
+        f"<th>its difference from {best} with all samples</th>"
     )
     rows = []
     for card in drawn.cards:
@@ -241,7 +213,7 @@ def _cards(drawn: Cards) -> str:
 
 
 def _scale(differences: Sequence[ArrayLike]) -> float:
-    return max(float(np.quantile(np.stack([np.asarray(d) for d in differences]), _SHOWN)), 1 / 255)
+    return max(float(np.quantile(np.stack(differences), _SHOWN)), 1 / 255)
 
 
 def _heat(difference: ArrayLike, maximum: float) -> Any:

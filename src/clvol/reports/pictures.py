@@ -29,35 +29,22 @@ _STEEP = 1.5  # depth over width; surfaces at more than about 56° are grazing
 
 @dataclass(frozen=True)
 class Card:
-    """The pictures of one filter, (height, width, 3), and their differences, (height, width).
-
-    Attributes
-    ----------
-    filter : str
-    whole, closer : ndarray
-        From all samples.
-    difference : ndarray
-        Between the close-up and that of the recommended filter, from all samples.
-    fewer : ndarray
-        The close-up from every second sample along each axis.
-    error : ndarray
-        Its difference from the close-up of the recommended filter with all samples.
-    """
+    """The pictures of one filter, (height, width, 3), and their differences, (height, width)."""
 
     filter: str
-    whole: Picture
+    whole: Picture  # from all samples, as the next two
     closer: Picture
-    difference: Picture
-    fewer: Picture
-    error: Picture
+    difference: Picture  # between the close-up and that of the recommended filter
+    fewer: Picture  # the close-up from every second sample along each axis
+    error: Picture  # its difference from the close-up of the recommended filter with all samples
 
 
 @dataclass(frozen=True)
 class Cards:
-    """A card for each filter, the name of the filter that differences refer to, and the mode."""
+    """A card for each filter."""
 
     cards: list[Card]
-    reference: str
+    reference: str  # the filter that differences refer to
     mode: str
 
 
@@ -132,10 +119,8 @@ def _slope(position: Picture, camera: Camera, volume: Volume) -> Picture:
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.abs(np.diff(depth, axis=axis) / np.diff(along, axis=axis))
         ratio = np.where(np.isfinite(ratio), ratio, np.inf)
-        before, after = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
-        before[axis], after[axis] = (0, 1), (1, 0)
-        for pad in (before, after):
-            steep = np.maximum(steep, np.pad(ratio, pad))
+        for pad in ((0, 1), (1, 0)):  # before and after
+            steep = np.maximum(steep, np.pad(ratio, [pad if a == axis else (0, 0) for a in (0, 1)]))
     return np.asarray(steep, np.float32)
 
 

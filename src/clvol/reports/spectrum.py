@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol.analysis import frequency_response
+from clvol.base.arrays import Array
 from clvol.figures.style import FAINT, GREY, INK, colour, legend_above, new_figure, styled, title
 from clvol.filter.filter import Filter
 from clvol.volume.volume import Volume
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Spectra", "plot", "spectra"]
 
-Array: TypeAlias = NDArray[np.float64]
 Spectra: TypeAlias = list[tuple[str, Array, Array]]
 """Axis, frequencies up to Nyquist in radians per sample, and the variance at each: its sum is 1 (0 for constant data)."""
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.arrays import Array
 from clvol.filter.filter import Filter
 from clvol.reference.march.march import camera_rays, pixel_rays, shade
 from clvol.scene.camera import Viewpoint
@@ -15,7 +16,6 @@ from clvol.volume.volume import Volume
 
 __all__ = ["draw_function"]
 
-Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
 _RAYS = 1 << 13  # rays at a time, to limit memory
 _BISECTIONS = 45
@@ -38,22 +38,10 @@ def draw_function(
     pixel_filter: str | Filter = "linear",
     steps: int = 240,
 ) -> tuple[Array, NDArray[np.float32]]:
-    """The first surface of a function within the domain of a volume, whose samples are ignored.
+    """The first surface of a function within the domain of a volume, whose samples are ignored, and its picture in float32.
 
-    Parameters
-    ----------
-    function, gradient : callable
-        Values (N,) and gradients (N, 3) at world positions (N, 3).
-    volume, view, size, isovalue, color, lights, material, background, clip, rays, pixel_filter
-        As for `Renderer.render`, with a view from `Camera.view`.
-    steps : int
-        Intervals of a ray that are searched for a change of sign.
-
-    Returns
-    -------
-    points : ndarray, shape (N, 3)
-        Points of the surface, one for each ray through the middle of a pixel that hits it.
-    picture : ndarray of float32, shape (height, width, 4)
+    `function` and `gradient` are called with world positions (N, 3); `steps` intervals of a ray are searched for a change of sign.
+    The points of the surface, (N, 3), are those of the rays through the middle of a pixel.
     """
     width, height = size
     picture, points = np.zeros((height * width, 3)), []

@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol.base.arrays import Array
 from clvol.base.checks import one_of
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
@@ -34,7 +35,6 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["Rays", "camera_rays", "facing", "flat_below", "pixel_rays", "planes_across", "render", "shade"]
 
-Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
 
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
@@ -124,16 +124,8 @@ def shade(
     """Blinn-Phong: ``color (ka + kd Σ Lᵢ (n·lᵢ)⁺) + ks Σ Lᵢ ((n·hᵢ)⁺)ˢ``, with n towards the viewer.
 
     ``h`` is halfway between the light and the viewer; there is no highlight if the light is behind the surface. If the gradient is
-    no longer than `flat` there is no normal, hence full diffuse light and no highlight.
-
-    Parameters
-    ----------
-    gradient, color, direction : ndarray, shape (N, 3)
-        World gradients; colours of the matter; unit directions of the rays.
-    lights : sequence of Light
-        In the world (`Light.placed`).
-    flat : float or ndarray, shape (N,)
-        See `flat_below`.
+    no longer than `flat` (`flat_below`) there is no normal, hence full diffuse light and no highlight. Lights are in the world
+    (`Light.placed`).
     """
     normal, known = facing(gradient, direction, flat)
     normal = np.where(known[:, None], normal, 0.0)
@@ -398,9 +390,8 @@ def _stepped(scene: _Scene, isovalue: float, rays: Rays, t: Array, there: Bools,
     return depth
 
 
-def _extreme(scene: _Scene, t: Array, there: Bools, values: Array, sign: float) -> _Gathered:
-    ranked = np.where(there, sign * values, -math.inf)
-    best = ranked.argmax(1)[:, None]
+def _extreme(scene: _Scene, t: Array, there: Bools, ranked: Array, values: Array) -> _Gathered:
+    best = np.where(there, ranked, -math.inf).argmax(1)[:, None]
     some: Bools = np.asarray(there.any(1))
     color = scene.transfer(np.where(some, np.take_along_axis(values, best, 1)[:, 0], 0.0))[:, :3]
     depth = np.where(some, np.take_along_axis(t, best, 1)[:, 0], math.inf)
@@ -408,7 +399,7 @@ def _extreme(scene: _Scene, t: Array, there: Bools, values: Array, sign: float) 
 
 
 def _mip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    return _extreme(scene, t, there, values, 1.0)
+    return _extreme(scene, t, there, values, values)
 
 
 def _attenuated(scene: _Scene, mode: Attenuated, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
@@ -417,16 +408,12 @@ def _attenuated(scene: _Scene, mode: Attenuated, rays: Rays, t: Array, there: Bo
     diameter = 2 * np.linalg.norm(scene.volume.corners - center, axis=1).max()
     middle = ((center - rays.origin) @ forward) / (rays.direction @ forward)
     fading = np.exp(-mode.attenuation * np.maximum(0.5 + (t - middle[:, None]) / diameter, 0.0))
-    heights = np.where(there, np.maximum(values - bottom, 0.0) * np.where(there, fading, 0.0), -math.inf)
-    best = heights.argmax(1)[:, None]
-    some: Bools = np.asarray(there.any(1))
-    color = scene.transfer(bottom + np.where(some, np.take_along_axis(heights, best, 1)[:, 0], 0.0))[:, :3]
-    depth = np.where(some, np.take_along_axis(t, best, 1)[:, 0], math.inf)
-    return color * some[:, None], some.astype(float), depth
+    heights = np.maximum(values - bottom, 0.0) * np.where(there, fading, 0.0)
+    return _extreme(scene, t, there, heights, bottom + heights)
 
 
 def _minip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    return _extreme(scene, t, there, values, -1.0)
+    return _extreme(scene, t, there, -values, values)
 
 
 def _mean(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001

@@ -5,36 +5,30 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self, TypeAlias
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.arrays import Array
 from clvol.scene.camera import Viewpoint
 from clvol.volume.volume import Volume
 
 __all__ = ["Rays", "camera_rays"]
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Rays:
     """Rays in the world: ``p(t) = origin + t direction`` for ``enter <= t <= leave``.
 
-    Attributes
-    ----------
-    origin, direction : ndarray, shape (N, 3)
-        Directions have unit length.
-    enter, leave : ndarray, shape (N,)
-        The interval inside the volume's domain and the clip box, and in front of a perspective eye; ``enter > leave`` for
-        rays that miss.
+    This is the interval inside the volume's domain and the clip box, and in front of a perspective eye; ``enter > leave`` for rays
+    that miss.
     """
 
-    origin: Array
-    direction: Array
-    enter: Array
-    leave: Array
+    origin: Array  # (N, 3)
+    direction: Array  # of unit length, (N, 3)
+    enter: Array  # (N,)
+    leave: Array  # (N,)
 
     def at(self, t: Array, which: NDArray[Any] | slice = slice(None)) -> Array:
         """World positions at distances `t` of the rays `which`; (..., 3)."""

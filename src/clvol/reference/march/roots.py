@@ -13,13 +13,13 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from clvol.base.arrays import Array
 from clvol.filter.filter import Filter
 from clvol.reference.march.rays import Rays
 from clvol.volume.volume import Volume
 
 __all__ = ["first_crossings"]
 
-Array = NDArray[np.float64]
 _LINES = 1 << 11  # lines at a time, to limit memory
 _EDGE = 1e-10  # tolerance for roots outside a piece, in half its length
 _REAL = 1e-7  # tolerance for imaginary parts, which for double roots are the square root of rounding
@@ -28,22 +28,10 @@ _PAST = 1e-9  # voxels past a jump, to its far side
 
 
 def first_crossings(value: Callable[[Array], Array], volume: Volume, filter: Filter, rays: Rays, isovalue: float) -> Array:
-    """The first crossing of the isovalue, from below to not below or back, along each ray.
+    """T of the first crossing of the isovalue, from below to not below or back, along each ray; infinite if there is none.
 
-    Parameters
-    ----------
-    value : callable
-        The function: values (N,) at world positions (N, 3).
-    volume, filter : Volume, Filter
-        They determine where its pieces meet, and their degree.
-    rays : Rays
-        Any lines: directions need not have unit length.
-    isovalue : float
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        t of the crossing, from the ray's entry on; infinite if there is none.
+    `value` is the function at world positions (N, 3); the volume and the filter determine where its pieces meet, and their degree.
+    Directions of the rays need not have unit length.
     """
     t = np.full(rays.enter.shape, math.inf)
     there = np.flatnonzero(rays.enter < rays.leave)

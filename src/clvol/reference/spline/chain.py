@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from clvol.base.arrays import Array
 from clvol.reference.spline.boundary import extend
 from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.prefilter import prefilter
 from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField, as_chain
 
 __all__ = ["map_points"]
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 def map_points(points: ArrayLike, transform: Any) -> tuple[Array, Array]:

@@ -9,8 +9,9 @@ from fractions import Fraction
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from clvol.base.arrays import Array
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.make import bc, bspline, lanczos, moms3, sinc
@@ -18,7 +19,6 @@ from clvol.filter.table import as_filter
 
 __all__ = ["kernel"]
 
-Array: TypeAlias = NDArray[np.float64]
 Closed: TypeAlias = Callable[[Array, int], Array]
 
 
@@ -103,11 +103,7 @@ def _bc(b: float, c: float) -> Closed:
         r, chain = np.abs(x), np.where(x < 0, -1.0, 1.0) ** derivative  # d|x|/dx, once a derivative
 
         def piece(coefficients: Array) -> Array:
-            return (
-                np.polynomial.Polynomial(coefficients).deriv(derivative)(r)
-                if derivative
-                else (np.polynomial.Polynomial(coefficients)(r))
-            )
+            return np.asarray(np.polynomial.Polynomial(coefficients).deriv(derivative)(r))
 
         inner, outer = (x >= -1) & (x < 1), (x >= -2) & (x < 2)
         return np.asarray(chain * np.where(inner, piece(near), np.where(outer, piece(far), 0.0)))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol.base.arrays import Array
 from clvol.base.errors import OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
@@ -20,7 +20,6 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["magnify", "resample", "sample"]
 
-Array: TypeAlias = NDArray[np.float64]
 _CHUNK = 1 << 21  # products in memory at a time
 
 

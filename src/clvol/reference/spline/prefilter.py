@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
+from clvol.base.arrays import Array
 from clvol.base.errors import DataError, OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter.filter import Filter
@@ -16,8 +15,6 @@ from clvol.reference.spline.boundary import extend, pad, padding, solved_by
 from clvol.reference.spline.filter import kernel
 
 __all__ = ["kernel_samples", "padded_coefficients", "prefilter", "prefilter_fft"]
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 def kernel_samples(filter: str | Filter) -> Array:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
+from clvol.base.arrays import Array
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
@@ -19,7 +19,6 @@ from clvol.reference.spline.prefilter import prefilter
 
 __all__ = ["nearest_spline"]
 
-Array: TypeAlias = NDArray[np.float64]
 _MARGIN = 45  # coarse samples past the ends: their influence falls by about a half from one to the next
 
 

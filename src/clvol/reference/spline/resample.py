@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
+from clvol.base.arrays import Array
 from clvol.base.errors import OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
@@ -19,8 +19,6 @@ from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.prefilter import padded_coefficients
 
 __all__ = ["lattice"]
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 def lattice(
