@@ -14,7 +14,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.mode import as_mode
 from clvol.spline.field import Field
 from clvol.view.events import Context
-from clvol.view.panes import Pane3D, SlicePane
+from clvol.view.panes import Pane3D, SlicePane, triple
 from clvol.view.resident import Resident
 from clvol.view.state import State
 from clvol.volume.histogram import label_numbers
@@ -44,11 +44,6 @@ def picked(resident: Resident, context: Context, state: State, name: str, x: flo
 
     In the volume the point is the one that the picture shows: on a surface; where half of the light is stopped; where the
     extreme lies.
-
-    Raises
-    ------
-    OptionError
-        The coefficients are not resident yet.
     """
     pane = context.pane(state, name)
     beyond = state.wiper is not None and x > state.wiper.at * context.size(name).width
@@ -87,9 +82,9 @@ def _hit(renderer: Renderer, pane: Pane3D, x: float, y: float, arguments: dict[s
     ahead = origin + way * max(pane.distance, renderer.volume.radius)
     view = pane.view
     camera = Camera(
-        position=tuple(map(float, origin)),  # type: ignore[arg-type]  # three
-        target=tuple(map(float, ahead)),  # type: ignore[arg-type]
-        up=tuple(map(float, view.up)),  # type: ignore[arg-type]
+        position=triple(origin),
+        target=triple(ahead),
+        up=triple(view.up),
         projection="orthographic" if view.orthographic else "perspective",
     )
     given = arguments | {"camera": camera, "rays": 1}

@@ -20,7 +20,7 @@ from clvol.view.catalog import Catalog, Which
 from clvol.view.describe import description
 from clvol.view.finer import Finer, Wanted
 from clvol.view.opening import Viewable, first_state, opened
-from clvol.view.panes import PaneSize, SlicePane, camera_of
+from clvol.view.panes import PaneSize, SlicePane, camera_of, triple
 from clvol.view.renderers import Renderers
 from clvol.view.slices import window_of_slices
 from clvol.view.state import MOST_POINTS, WORDS, State, plain, transfer_json
@@ -52,11 +52,10 @@ class Resident:
     ) -> None:
         found = opened(scene, device, source, finer, {**options})
         self.limits = dict(limits or {})
-        self.finer, self.device, self.source = found.finer, found.device, found.source
+        self.finer, self.device, self.source, given = found.finer, found.device, found.source, found.options
         self.catalog = Catalog(found.volume, found.volumes, lambda: self.renderers.in_use())
-        self.renderers = Renderers(self.catalog, found.device, found.coefficients, self._learn, self.limits)
+        self.renderers = Renderers(self.catalog, self.device, found.coefficients, self._learn, self.limits)
         self.title = title or (found.volume.name or "volume" if found.volumes is None else "volumes")
-        given = dict(found.options)
         self.beside: dict[str, Any] = {name: given.pop(name) for name in _BESIDE if name in given}
         """Arguments of `clvol.render` that are not part of a state."""
         self.initial = first_state(found.volume, given)
@@ -180,7 +179,4 @@ class Resident:
 
 def targeted(camera: Camera, volume: Volume) -> Camera:
     """The camera with its target: the volume's centre, if none is given."""
-    if camera.target is not None:
-        return camera
-    x, y, z = (float(v) for v in volume.center)
-    return replace(camera, target=(x, y, z))
+    return camera if camera.target is not None else replace(camera, target=triple(volume.center))

@@ -19,7 +19,7 @@ from clvol.view.encode import jpeg, png
 from clvol.view.panes import PaneSize, visible
 from clvol.view.protocol import Change, Message, PointerOrKey, Request, Resize, Send
 from clvol.view.resident import Resident
-from clvol.view.schedule import Draw, FindFacts, Job, Shown, Situation, Wait, next_job
+from clvol.view.schedule import Draw, FindFacts, Job, Shown, Wait, next_job
 from clvol.view.state import State
 from clvol.view.throttle import Inbox, Throttle
 from clvol.view.updates import Updates
@@ -182,7 +182,7 @@ class Session:
         which, renderers = self._resident.catalog.which(state), self._resident.renderers
         with self._condition:
             room_in = self._throttle.room_in(now)
-        situation = Situation(
+        return next_job(
             wanted={name: self._control.key(name) for name in panes},
             shown=self._shown,
             sketching="3d" in panes and has_sketch(state) and not renderers.soon(state.filter, state.boundary, which),
@@ -190,7 +190,6 @@ class Session:
             room_in=room_in,
             facts_in=None if updates.complete or updates.finding_facts else self._began + _UNSIZED - now,
         )
-        return next_job(situation)
 
     # -- messages ----------------------------------------------------------------------------------------------
 
