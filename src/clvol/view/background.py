@@ -18,13 +18,7 @@ Key: TypeAlias = tuple[Any, ...]
 
 
 class Background:
-    """Computes messages in a thread that exists only while there is work; guarded by the session's condition.
-
-    Parameters
-    ----------
-    condition : threading.Condition
-        Notified when a result is ready.
-    """
+    """Computes messages in a thread that exists only while there is work; the condition guards it, and says that one is ready."""
 
     def __init__(self, condition: threading.Condition) -> None:
         self._condition = condition

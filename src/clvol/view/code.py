@@ -35,19 +35,9 @@ _WIDE = 110  # characters per line
 
 
 def python(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> str:
-    """A program whose `picture` is what a pane shows.
+    """A program whose `picture`, of this size in pixels, is what a pane shows.
 
-    Parameters
-    ----------
-    resident : Resident
-        Its `source` gives the program its volume; without one it expects `volume`.
-    state : State
-    name : str
-        The pane.
-    shown : PaneSize
-        Of the pane.
-    size : (width, height)
-        Of the picture, in pixels.
+    The source of what is viewed gives the program its volume; without one it expects `volume`.
     """
     lines = ["import clvol"]
     lines += ["import numpy as np"] if state.wiper is not None else []
@@ -317,13 +307,7 @@ def to_url(state: State) -> str:
 
 
 def from_url(text: str) -> State:
-    """The state of an address, or of its fragment.
-
-    Raises
-    ------
-    OptionError
-        It has none, or one that is not allowed.
-    """
+    """The state of an address, or of its fragment; `OptionError` if it has none, or one that is not allowed."""
     if not isinstance(text, str) or len(text) > _LONGEST or "s=" not in text:
         raise OptionError(f"an address must end in #s= and a state; got {text!r:.120}")
     coded = text.rpartition("s=")[2]

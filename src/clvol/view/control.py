@@ -7,8 +7,6 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from numpy.typing import NDArray
-
 from clvol.view import events, pick
 from clvol.view.events import Context, Inputs
 from clvol.view.panes import PaneSize
@@ -70,7 +68,7 @@ class Control:
             sizes=self.sizes,
             isovalue=lambda state: float(getattr(resident.mode(state), "isovalue", 0.0) or 0.0),
             window=self._window,
-            anchor=self._anchor,
+            anchor=lambda state, x, y: pick.anchor(resident, self.context(), state, x, y),
             stepped=resident.catalog.stepped,
             initial=resident.initial,
         )
@@ -82,9 +80,6 @@ class Control:
             return window_of_slices(self._resident.catalog.volume_of(state))
         low, high = self._resident.transfer(replace(state, transfer=None)).value_range
         return low / 2 + high / 2, (high - low) or 1.0
-
-    def _anchor(self, state: State, x: float, y: float) -> NDArray[Any] | None:
-        return pick.anchor(self._resident, self.context(), state, x, y)
 
     # -- what changes it ---------------------------------------------------------------------------------------
 
@@ -108,13 +103,7 @@ class Control:
         return reduced.effects
 
     def change(self, change: Change) -> None:
-        """Apply changes of the panel.
-
-        Raises
-        ------
-        ClvolError
-            What is asked for is no state, or none of this volume; nothing has changed then.
-        """
+        """Apply changes of the panel; nothing has changed if they give no state, or none of this volume."""
         state = State.from_json(change.changes) if change.whole else self.state.changed(change.changes)
         self.history = self.history.with_state(self._accepted(state, whole=change.whole), change.step)
         if change.live:

@@ -29,15 +29,7 @@ _RANGES: Mapping[str, list[float]] = {"termination": [0, 0.5], "tolerance": [0, 
 
 
 def description(volume: Volume, title: str, axes: list[dict[str, Any]], labels: tuple[list[list[Any]], int]) -> dict[str, Any]:
-    """The `info` message of a volume.
-
-    Parameters
-    ----------
-    volume : Volume
-    title : str
-    axes, labels
-        Of `Catalog`.
-    """
+    """The `info` message of a volume; `axes` and `labels` are those of `Catalog`."""
     rows, count = labels
     counts, edges = _histogram(volume)
     return {

@@ -36,34 +36,17 @@ _KEPT = 2  # final pictures of the wiper's two filters
 
 
 class Order(NamedTuple):
-    """A picture that is to be drawn, better and better until it is final.
-
-    Attributes
-    ----------
-    context : Context
-    state : State
-    name : str
-        The pane.
-    size : (width, height)
-        Of the final picture, in pixels.
-    budget : float
-        Seconds for the first picture; infinity asks for the final one in one go.
-    stop : callable
-        Asked while pictures are drawn; once it says so, no more come.
-    coarse : bool
-        Only the first picture: something is dragged.
-    elsewhere : callable
-        Asked while there is nothing to draw: whether the thread is needed for something else, and comes back to this order.
-    """
+    """A picture that is to be drawn, better and better until it is final."""
 
     context: Context
     state: State
-    name: str
-    size: tuple[int, int]
-    budget: float = math.inf
-    stop: Callable[[], bool] = lambda: False
-    coarse: bool = False
+    name: str  # of the pane
+    size: tuple[int, int]  # of the final picture, in pixels
+    budget: float = math.inf  # seconds for the first picture; infinity asks for the final one in one go
+    stop: Callable[[], bool] = lambda: False  # asked while pictures are drawn; once it says so, no more come
+    coarse: bool = False  # only the first picture: something is dragged
     elsewhere: Callable[[], object] = lambda: False
+    """Asked while there is nothing to draw: whether the thread is needed for something else, and comes back to this order."""
 
     def interrupted(self) -> bool:
         """Whether to wait no longer."""
@@ -71,28 +54,14 @@ class Order(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """A picture that was drawn.
+    """A picture that was drawn."""
 
-    Attributes
-    ----------
-    pixels : ndarray of uint8, shape (height, width, 3 or 4)
-    final : bool
-    step : float or None
-        In voxels; None for slices.
-    visited : float or None
-        The mean share of samples that were visited, where that is shown.
-    few : bool
-        Whether it shows few of the volume's samples, because the coefficients are still being computed.
-    coarser : bool
-        Whether a picture of finer samples follows, which are being read.
-    """
-
-    pixels: NDArray[np.uint8]
+    pixels: NDArray[np.uint8]  # (height, width, 3 or 4)
     final: bool
-    step: float | None = None
-    visited: float | None = None
-    few: bool = False
-    coarser: bool = False
+    step: float | None = None  # in voxels; None for slices
+    visited: float | None = None  # the mean share of samples that were visited, where that is shown
+    few: bool = False  # whether it shows few of the volume's samples: the coefficients are still being computed
+    coarser: bool = False  # whether a picture of finer samples follows, which are being read
 
 
 class _Reading(NamedTuple):
@@ -127,10 +96,9 @@ class Drawer:
             yield from self._side_by_side(order)
             return
         self._finals.clear()
-        if order.name == "3d" and has_sketch(order.state) and math.isfinite(order.budget):
-            interrupted = yield from self._while_prefiltering(order)
-            if interrupted:
-                return
+        sketched = order.name == "3d" and has_sketch(order.state) and math.isfinite(order.budget)
+        if sketched and (yield from self._while_prefiltering(order)):
+            return
         yield from self._with_finer(order)
 
     def give_up(self) -> None:

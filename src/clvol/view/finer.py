@@ -36,22 +36,12 @@ _TICK = 0.01  # seconds between checks whether a picture is still wanted
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """A picture by bricks, and the arguments by which a program draws it.
-
-    Attributes
-    ----------
-    state : State
-    size : (width, height)
-    given : dict
-        Arguments of `clvol.render`, or of `clvol.view.section` without those of the plane.
-    pane : SlicePane or None
-        The slice; None for the volume's picture.
-    """
+    """A picture by bricks, and the arguments by which a program draws it."""
 
     state: State
-    size: tuple[int, int]
-    given: dict[str, Any]
-    pane: SlicePane | None = None
+    size: tuple[int, int]  # (width, height)
+    given: dict[str, Any]  # of `clvol.render`, or of `clvol.view.section` without those of the plane
+    pane: SlicePane | None = None  # the slice; None for the volume's picture
 
 
 class Finer:
@@ -170,10 +160,7 @@ def asking(stop: Callable[[], bool]) -> Callable[[float], None]:
 def resident_level(stored: LazyVolume) -> int:
     """The largest level that fits, with its coefficients, into half of the memory that is available.
 
-    Raises
-    ------
-    OutOfMemoryError
-        The smallest does not fit into all of it.
+    `OutOfMemoryError` if the smallest does not fit into all of it.
     """
     sizes, available = (stored, *stored.levels), memory.available()
     for level, size in enumerate(sizes):

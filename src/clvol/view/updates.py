@@ -22,19 +22,7 @@ _COMPLETE = "", "info"
 
 
 class Updates:
-    """Compares what a client knows with what is, and sends what differs.
-
-    Parameters
-    ----------
-    resident : Resident
-    control : Control
-    background : Background
-        Computes what takes long.
-    send : callable
-        Of the session's thread.
-    closed : callable
-        Whether the session has ended.
-    """
+    """Compares what a client knows with what is, and sends what differs; `closed` says whether the session has ended."""
 
     def __init__(
         self,

@@ -14,7 +14,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import mimetypes
 import socket
 import ssl
 import threading
@@ -448,14 +447,8 @@ class Server:
 def _static() -> Mapping[str, tuple[bytes, str]]:
     """The page's files by name, read once: requests choose only from these."""
     folder = resources.files("clvol.view.hosts") / "static"
-    kinds = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".svg": "image/svg+xml"}
-    found = {}
-    for file in folder.iterdir():
-        if file.is_file():
-            suffix = Path(file.name).suffix
-            kind = kinds.get(suffix) or mimetypes.guess_type(file.name)[0] or "application/octet-stream"
-            found[file.name] = file.read_bytes(), f"{kind}; charset=utf-8" if suffix in kinds else kind
-    return found
+    kinds = {"clvol.js": "text/javascript", "clvol.css": "text/css", "index.html": "text/html"}
+    return {name: ((folder / name).read_bytes(), f"{kind}; charset=utf-8") for name, kind in kinds.items()}
 
 
 def _headers(ancestors: list[str]) -> Mapping[str, str]:
