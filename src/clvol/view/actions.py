@@ -16,8 +16,7 @@ from clvol.show.movies import FORMATS, packed, require_encoder
 from clvol.show.picture import to_bytes
 from clvol.view import code
 from clvol.view.control import Control
-from clvol.view.drawing import Drawer, Order
-from clvol.view.encode import png
+from clvol.view.drawing import Drawer, Order, png
 from clvol.view.events import turned
 from clvol.view.panes import PaneSize, active_pane
 from clvol.view.protocol import Request

@@ -6,15 +6,32 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from concurrent.futures import Future
+from typing import Any, TypeAlias, TypeVar
 
 from clvol.view.protocol import Message
 
-__all__ = ["Background", "Key"]
+__all__ = ["Background", "Key", "started"]
 
+Result = TypeVar("Result")
 _LOG = logging.getLogger("clvol.view")
 Key: TypeAlias = tuple[Any, ...]
 """Of a piece of work: its kind, and what the result depends on."""
+
+
+def started(work: Callable[[], Result], name: str) -> Future[Result]:
+    """Work in a daemon thread of this name: the process waits for those of executors at its end."""
+    future: Future[Result] = Future()
+    future.set_running_or_notify_cancel()
+
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:
+            future.set_exception(error if isinstance(error, Exception) else RuntimeError(f"ended by {type(error).__name__}"))
+
+    threading.Thread(target=run, name=name, daemon=True).start()
+    return future
 
 
 class Background:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import threading
 import time
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import ClvolError
 from clvol.march.renderer import Renderer
 from clvol.show.picture import Picture, heat, to_bytes
+from clvol.view.background import started
 from clvol.view.events import Context
 from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane
@@ -26,12 +28,13 @@ from clvol.view.slices import plane_points, shaded
 from clvol.view.state import State
 from clvol.view.wiper import joined
 
-__all__ = ["WHOLE", "Drawer", "Order", "Shot", "has_sketch", "share_visited"]
+__all__ = ["WHOLE", "Drawer", "Order", "Shot", "has_sketch", "jpeg", "opaque", "png", "share_visited"]
 
 _COARSE = 3  # pixels of a heat map that is dragged, along each edge
 _TOUR = 96  # pixels along the longer edge of the picture that measures the share of visited samples
 WHOLE = 3600.0  # seconds: a budget in which every picture is drawn in one go
 _TICK = 0.01  # seconds between checks whether a picture is still wanted
+_QUICK = 1  # of zlib: twice as fast as its default, with a fifth more bytes
 _KEPT = 2  # final pictures of the wiper's two filters
 
 
@@ -195,17 +198,9 @@ class Drawer:
             self.give_up()
             finer = self._resident.finer
             assert finer is not None  # or nothing would be wanted of it
-            future: Future[Picture | None] = Future()
             given_up = threading.Event()
-
-            def work() -> None:
-                try:
-                    future.set_result(finer.drawn(wanted, self._resident.volume, given_up.is_set))
-                except BaseException as error:
-                    future.set_exception(error)
-
+            future = started(lambda: finer.drawn(wanted, self._resident.volume, given_up.is_set), "clvol view: bricks")
             self._reading = _Reading(key, future, given_up)
-            threading.Thread(target=work, name="clvol view: bricks", daemon=True).start()
         reading = self._reading
         while not reading.future.done():
             if interrupted():
@@ -275,3 +270,35 @@ def share_visited(resident: Resident, state: State, shape: tuple[float, float]) 
 def _mean(share: NDArray[Any]) -> float | None:
     met = np.isfinite(share)
     return round(float(share[met].mean()), 4) if met.any() else None
+
+
+# -- as bytes for clients: JPEG while something moves, PNG at rest ---------------------------------------------
+
+
+def opaque(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Eight-bit colours over black, without opacity; rounded down."""
+    if pixels.shape[2] == 3:
+        return pixels
+    if pixels[..., 3].min() == 255:
+        return pixels[..., :3]
+    return (pixels[..., :3].astype(np.uint16) * pixels[..., 3:] // 255).astype(np.uint8)
+
+
+def png(pixels: NDArray[np.uint8]) -> bytes:
+    """Eight-bit colours as PNG, lossless; without opacity if all is opaque."""
+    if pixels.ndim == 3 and pixels.shape[2] == 4 and pixels[..., 3].min() == 255:
+        pixels = pixels[..., :3]
+    return _encoded(pixels, "PNG", compress_level=_QUICK)
+
+
+def jpeg(pixels: NDArray[np.uint8], quality: int) -> bytes:
+    """Eight-bit colours as JPEG, over black."""
+    return _encoded(opaque(pixels), "JPEG", quality=quality)
+
+
+def _encoded(pixels: NDArray[np.uint8], form: str, **options: int) -> bytes:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, form, **options)
+    return stream.getvalue()

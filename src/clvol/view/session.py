@@ -14,8 +14,7 @@ from clvol.view import actions, code, protocol
 from clvol.view.actions import Gone, pixels_of
 from clvol.view.background import Background
 from clvol.view.control import Control
-from clvol.view.drawing import WHOLE, Drawer, Order, Shot, has_sketch
-from clvol.view.encode import jpeg, png
+from clvol.view.drawing import WHOLE, Drawer, Order, Shot, has_sketch, jpeg, png
 from clvol.view.panes import PaneSize, visible
 from clvol.view.protocol import Change, Message, PointerOrKey, Request, Resize, Send
 from clvol.view.resident import Resident

@@ -36,13 +36,7 @@ class Access:
     """Checks requests: `Host` and `Origin` whatever token they bring, then the token or the cookie that it was exchanged for.
 
     So neither another site in the same browser nor a name that was made to point here gets in.
-
-    Parameters
-    ----------
-    host : str
-        Where the server listens.
-    names : sequence of str
-        Further names, with or without a port.
+    It listens at `host`; `names` are further names, with or without a port.
     """
 
     def __init__(self, host: str, names: Iterable[str]) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.view.encode import opaque
+from clvol.view.drawing import opaque
 from clvol.view.panes import visible
 from clvol.view.state import State
 
@@ -83,10 +83,6 @@ class LocalClient:
                 self._held = None
             sent |= {"pane": name, "x": x - left / self._ratio, "y": y - top / self._ratio}
         self.session.receive({"type": "event", "event": sent})
-
-    def do(self, what: str, **arguments: Any) -> None:
-        """Send a request of the protocol, such as "undo"."""
-        self.session.receive({"type": "do", "what": what, **arguments})
 
     def take(self) -> Array:
         """The newest picture, (height, width, 3) uint8; its frames count as shown."""
