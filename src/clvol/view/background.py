@@ -28,7 +28,11 @@ def started(work: Callable[[], Result], name: str) -> Future[Result]:
         try:
             future.set_result(work())
         except BaseException as error:
-            future.set_exception(error if isinstance(error, Exception) else RuntimeError(f"ended by {type(error).__name__}"))
+            future.set_exception(
+                error
+                if isinstance(error, Exception)
+                else RuntimeError(f"{name} ended by {type(error).__name__}"))
+            )
 
     threading.Thread(target=run, name=name, daemon=True).start()
     return future

@@ -18,13 +18,13 @@ from clvol.base import memory
 from clvol.base.errors import ClvolError, OutOfMemoryError
 from clvol.bricks.source import LazyVolume, needed_by
 from clvol.device import Device
-from clvol.march.bricks import STEPPED_AT_MOST, level_of, nearest_to
+from clvol.march.bricks import STEPPED_AT_MOST, level_of, level_within, nearest_to
 from clvol.march.renderer import Renderer
 from clvol.march.source import row_for
 from clvol.scene.mode import as_mode
 from clvol.show.picture import Picture
 from clvol.view.panes import SlicePane
-from clvol.view.slices import level_for, plane_points, shaded
+from clvol.view.slices import plane_points, shaded
 from clvol.view.state import State
 from clvol.volume.volume import Volume
 
@@ -83,7 +83,7 @@ class Finer:
 
     def wanted_slice(self, state: State, pane: SlicePane, size: tuple[int, int], window: tuple[float, float]) -> Wanted | None:
         """A slice in a state; None if the resident level shows as much."""
-        if state.wiper is not None or level_for(self.stored, pane.pixel(size)) >= self.level:
+        if state.wiper is not None or level_within(self.stored, max(pane.pixel(size))) >= self.level:
             return None
         return Wanted(state, size, self._reconstructed(state) | {"window": window}, pane)
 
@@ -104,7 +104,7 @@ class Finer:
                 return result
             pane, pixel = wanted.pane, wanted.pane.pixel(wanted.size)
             points = plane_points(pane.middle, pane.right, pane.down, pixel, wanted.size)
-            values = renderer.field_of_level(level_for(self.stored, pixel))(points, fill=np.nan, progress=progress)
+            values = renderer.field_of_level(level_within(self.stored, max(pixel)))(points, fill=np.nan, progress=progress)
             return shaded(values, resident, given["window"], wanted.state.cmap, wanted.state.background)
         return None
 
