@@ -124,7 +124,7 @@ def _movie(parts: Parts, request: Request) -> Answer:
     state = context.pinned(replace(parts.control.state, wiper=None, heat=False))
     upright = replace(state.camera, style="turntable")
     pictures: list[NDArray[np.uint8]] = []
-    with resident.renderers.renderer(state.filter, state.boundary, resident.catalog.which(state)) as renderer:
+    with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
         for i in range(frames):
             camera = turned(upright, context, 2 * math.pi * i / frames, 0.0) if i else state.camera
             given = resident.arguments(replace(state, camera=camera))

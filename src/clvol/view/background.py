@@ -27,12 +27,10 @@ def started(work: Callable[[], Result], name: str) -> Future[Result]:
     def run() -> None:
         try:
             future.set_result(work())
+        except Exception as error:
+            future.set_exception(error)
         except BaseException as error:
-            future.set_exception(
-                error
-                if isinstance(error, Exception)
-                else RuntimeError(f"{name} ended by {type(error).__name__}"))
-            )
+            future.set_exception(RuntimeError(f"{name} ended by {type(error).__name__}"))
 
     threading.Thread(target=run, name=name, daemon=True).start()
     return future

@@ -98,6 +98,10 @@ class Catalog:
             seen = None  # they belong to another of the volumes
         return Which(place, seen)
 
+    def key(self, state: State) -> tuple[str | None, str, Which]:
+        """Of the renderer that draws a state: filter, boundary and volume."""
+        return state.filter, state.boundary, self.which(state)
+
     def _along(self, axis: str, choice: int | str) -> int | str:
         assert self.volumes is not None  # or there were no axes
         leading = self.volumes.leading

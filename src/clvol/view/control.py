@@ -187,12 +187,11 @@ def _anchor(resident: Resident, context: Context, state: State, x: float, y: flo
 
     None where there is nothing, if the mode shows no one point ("mean"), or before the coefficients are resident.
     """
-    which = resident.catalog.which(state)
-    if not resident.renderers.soon(state.filter, state.boundary, which):
+    if not resident.renderers.soon(*resident.catalog.key(state)):
         return None
     pane = context.pane(state, "3d")
     assert isinstance(pane, Pane3D)  # by its name
-    with resident.renderers.renderer(state.filter, state.boundary, which) as renderer:
+    with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
         return _hit(renderer, pane, x, y, resident.arguments(state))
 
 
@@ -203,12 +202,12 @@ def _picked(resident: Resident, context: Context, state: State, name: str, x: fl
     extreme lies.
     """
     pane = context.pane(state, name)
-    beyond = state.wiper is not None and x > state.wiper.at * context.size(name).width
-    chosen = state.wiper.filter if state.wiper is not None and beyond else state.filter
-    which = resident.catalog.which(state)
-    if not resident.renderers.soon(chosen, state.boundary, which):
+    key = resident.catalog.key(state)
+    if state.wiper is not None and x > state.wiper.at * context.size(name).width:
+        key = (state.wiper.filter, *key[1:])
+    if not resident.renderers.soon(*key):
         raise OptionError("nothing can be picked before the coefficients are computed")
-    with resident.renderers.renderer(chosen, state.boundary, which) as renderer:
+    with resident.renderers.renderer(*key) as renderer:
         volume, arguments = renderer.volume, resident.arguments(state)
         if isinstance(pane, SlicePane):
             point: NDArray[np.float64] | None = pane.point(x, y)

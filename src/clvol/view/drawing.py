@@ -157,8 +157,8 @@ class Drawer:
     def _while_prefiltering(self, order: Order) -> Generator[Shot, None, bool]:
         """A sketch while coefficients are computed; returns whether it was interrupted before they were resident."""
         state, resident = order.state, self._resident
-        which = resident.catalog.which(state)
-        key = state.filter, state.boundary, which
+        key = resident.catalog.key(state)
+        which = key[2]
         if resident.renderers.soon(*key):
             self._sketch = self._sketched = None
             return False
@@ -262,7 +262,7 @@ def share_visited(resident: Resident, state: State, shape: tuple[float, float]) 
     """The mean share of samples that a picture of this shape visits, measured by a small one."""
     edge = _TOUR / max(shape)
     size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))
-    with resident.renderers.renderer(state.filter, state.boundary, resident.catalog.which(state)) as renderer:
+    with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
         given = resident.arguments(state) | {"rays": 1}
         return _mean(np.asarray(renderer.render(size=size, outputs="visited", **given)))
 

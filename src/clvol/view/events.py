@@ -148,13 +148,7 @@ class Reduced:
 
 
 def reduce(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context) -> Reduced:
-    """The state after an event.
-
-    Raises
-    ------
-    OptionError
-        It is no event of a known kind, or has values that are not allowed.
-    """
+    """The state after an event."""
     if not isinstance(event, Mapping):
         raise OptionError(f"an event must be an object of JSON; got {event!r:.200}")
     kind = name_of("the type of an event", event.get("event_type", event.get("type")), (*_REDUCERS, *_IGNORED))

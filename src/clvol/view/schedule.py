@@ -46,20 +46,10 @@ def next_job(
 ) -> Job:
     """The next job: first pictures of all panes before refined ones, and refined ones only at rest.
 
-    Parameters
-    ----------
-    wanted : mapping
-        By pane, in order of priority: everything that its picture depends on.
-    shown : mapping
-        By pane.
-    sketching : bool
-        Whether coefficients are still being computed. Slices then wait: they would make the volume's sketch wait too.
-    rest_in : float
-        Seconds until pointer and wheel count as being at rest; 0 or less if they are.
-    room_in : float
-        Seconds until the client has room for another frame; 0 if it has.
-    facts_in : float or None
-        Seconds until the client gets the volume's facts even if nothing is drawn; None if they are known or under way.
+    By pane, in order of priority, `wanted` is everything that its picture depends on. While coefficients are still being
+    computed (`sketching`) slices wait: they would make the volume's sketch wait too. The others are seconds: until pointer and
+    wheel count as being at rest, until the client has room for another frame, and until it gets the volume's facts even if nothing
+    is drawn (None if they are known or under way).
     """
     panes = ["3d"] if sketching and "3d" in wanted else list(wanted)
     outdated = [name for name in panes if shown.get(name, Shown()).key != wanted[name]]

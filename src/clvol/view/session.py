@@ -178,13 +178,13 @@ class Session:
         state, now, updates = self.state, time.monotonic(), self._updates
         sizes, focus = self._control.sizes, self._control.focus
         panes = [name for name in sorted(visible(state), key=lambda name: name != focus) if name in sizes or "" in sizes]
-        which, renderers = self._resident.catalog.which(state), self._resident.renderers
+        key, renderers = self._resident.catalog.key(state), self._resident.renderers
         with self._condition:
             room_in = self._throttle.room_in(now)
         return next_job(
             wanted={name: self._control.key(name) for name in panes},
             shown=self._shown,
-            sketching="3d" in panes and has_sketch(state) and not renderers.soon(state.filter, state.boundary, which),
+            sketching="3d" in panes and has_sketch(state) and not renderers.soon(*key),
             rest_in=self._control.rests_at - now,
             room_in=room_in,
             facts_in=None if updates.complete or updates.finding_facts else self._began + _UNSIZED - now,

@@ -153,8 +153,7 @@ class Updates:
     def forget_errors(self) -> None:
         """Withdraw errors of filters, once others are compared."""
         state = self._control.state
-        which = self._resident.catalog.which(state)
-        compared = None if state.wiper is None else (state.filter, state.wiper.filter, state.boundary, which)
+        compared = None if state.wiper is None else (state.wiper.filter, *self._resident.catalog.key(state))
         if compared != self._compared:
             self._compared = compared
             self._background.forget("wiper")
