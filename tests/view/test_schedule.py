@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from clvol.view.schedule import Draw, FindFacts, Shown, Situation, Wait, next_job
+from clvol.view.schedule import Draw, FindFacts, Shown, Wait, next_job
 
 LINKED = {"3d": "a", "x": "b", "y": "c"}
 DONE = {name: Shown(key, True) for name, key in LINKED.items()}
@@ -35,9 +35,9 @@ DONE = {name: Shown(key, True) for name, key in LINKED.items()}
     ],
 )
 def test_the_next_job(given: dict[str, Any], job: object) -> None:
-    found = next_job(Situation(**({"wanted": LINKED} | given)))
+    found = next_job(**({"wanted": LINKED} | given))
     assert (type(found), found) == (type(job), job)
 
 
 def test_the_pane_in_focus_comes_first() -> None:
-    assert next_job(Situation(wanted={"y": "c", "3d": "a"}, shown={})) == Draw("y", True)
+    assert next_job({"y": "c", "3d": "a"}, {}) == Draw("y", True)

@@ -146,7 +146,7 @@ class View:
             drawn = resident.finer.drawn(wanted, self.volume, lambda: False)
             assert drawn is not None  # nobody stops it
             return drawn
-        with resident.renderers.renderer(state.filter, state.boundary, resident.catalog.which(state)) as renderer:
+        with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
             picture: Picture = renderer.render(size=size, **resident.arguments(state))
         return picture
 

@@ -7,19 +7,27 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
-from clvol.base.checks import one_of, whole
-from clvol.view import code, movie
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base.checks import whole
+from clvol.base.errors import OptionError
+from clvol.show.movies import FORMATS, packed, require_encoder
+from clvol.show.picture import to_bytes
+from clvol.view import code
 from clvol.view.control import Control
-from clvol.view.drawing import Drawer, Order
-from clvol.view.encode import png
+from clvol.view.drawing import Drawer, Order, png
+from clvol.view.events import turned
 from clvol.view.panes import PaneSize, active_pane
 from clvol.view.protocol import Request
 from clvol.view.resident import Resident
+from clvol.view.state import name_of
 
 __all__ = ["Gone", "Parts", "action_of", "copied", "pixels_of"]
 
 _MOST_PICTURE = 1 << 13  # pixels along an edge of a picture that is saved
 _MOVIE = 16, 1920  # pixels along an edge of a movie
+_MOST_BYTES = 1 << 29  # of a movie before it is packed
 _MOST_PIXELS = 3840 * 2160
 
 Answer: TypeAlias = tuple[dict[str, Any], bytes | None]
@@ -48,16 +56,8 @@ def pixels_of(size: PaneSize, most: float = _MOST_PIXELS) -> tuple[int, int]:
 
 
 def action_of(request: Request) -> Callable[[Parts, Request], Answer]:
-    """The function that does it, and returns what is added to the reply, and its bytes.
-
-    Raises
-    ------
-    OptionError
-        There is no such thing to do.
-    """
-    if not isinstance(request.what, str) or request.what not in _TABLE:
-        raise one_of("what to do", request.what, tuple(_TABLE))
-    return _TABLE[request.what]
+    """The function that does it, and returns what is added to the reply, and its bytes."""
+    return _TABLE[name_of("what to do", request.what, _TABLE)]
 
 
 def _act(parts: Parts, request: Request) -> Answer:
@@ -110,21 +110,31 @@ def _picture(parts: Parts, request: Request) -> Answer:
 
 
 def _movie(parts: Parts, request: Request) -> Answer:
-    context = parts.control.context()
+    """A full turn about the vertical, from the picture that is shown."""
+    context, resident = parts.control.context(), parts.resident
     width, height = pixels_of(context.size("3d"))
-    size = request.size((min(width, 512), min(height, 512)), *_MOVIE)
+    width, height = request.size((min(width, 512), min(height, 512)), *_MOVIE)
     frames = whole("frames", request.arguments.get("frames", 60), 2, 360)
-    wanted = request.arguments.get("format", "gif")
-    if wanted not in movie.FORMATS:
-        raise one_of("format", wanted, movie.FORMATS)
-
-    def progress(share: float) -> bool:
-        parts.status(f"drawing the movie: {share:.0%}", "busy")
-        return not parts.closed()
-
-    data = movie.turntable(parts.resident, parts.control.state, context, size, frames, str(wanted), progress)
+    form = name_of("format", request.arguments.get("format", "gif"), FORMATS)
+    require_encoder(form)
+    if 4 * frames * width * height > _MOST_BYTES:
+        raise OptionError(
+            f"a movie must take at most {_MOST_BYTES >> 20} MiB before it is packed; got {frames} of {width} × {height}"
+        )
+    state = context.pinned(replace(parts.control.state, wiper=None, heat=False))
+    upright = replace(state.camera, style="turntable")
+    pictures: list[NDArray[np.uint8]] = []
+    with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
+        for i in range(frames):
+            camera = turned(upright, context, 2 * math.pi * i / frames, 0.0) if i else state.camera
+            given = resident.arguments(replace(state, camera=camera))
+            pictures.append(to_bytes(renderer.render(size=(width, height), **given)))
+            parts.status(f"drawing the movie: {(i + 1) / frames:.0%}", "busy")
+            if parts.closed():
+                raise Gone
+    data = packed(pictures, form)
     parts.status("", "info")
-    return {"format": wanted, "name": f"clvol.{wanted}", "frames": frames}, data
+    return {"format": form, "name": f"clvol.{form}", "frames": frames}, data
 
 
 _TABLE: Mapping[str, Callable[[Parts, Request], Answer]] = {

@@ -6,25 +6,38 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from concurrent.futures import Future
+from typing import Any, TypeAlias, TypeVar
 
 from clvol.view.protocol import Message
 
-__all__ = ["Background", "Key"]
+__all__ = ["Background", "Key", "started"]
 
+Result = TypeVar("Result")
 _LOG = logging.getLogger("clvol.view")
 Key: TypeAlias = tuple[Any, ...]
 """Of a piece of work: its kind, and what the result depends on."""
 
 
-class Background:
-    """Computes messages in a thread that exists only while there is work; guarded by the session's condition.
+def started(work: Callable[[], Result], name: str) -> Future[Result]:
+    """Work in a daemon thread of this name: the process waits for those of executors at its end."""
+    future: Future[Result] = Future()
+    future.set_running_or_notify_cancel()
 
-    Parameters
-    ----------
-    condition : threading.Condition
-        Notified when a result is ready.
-    """
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except Exception as error:
+            future.set_exception(error)
+        except BaseException as error:
+            future.set_exception(RuntimeError(f"{name} ended by {type(error).__name__}"))
+
+    threading.Thread(target=run, name=name, daemon=True).start()
+    return future
+
+
+class Background:
+    """Computes messages in a thread that exists only while there is work; the condition guards it, and says that one is ready."""
 
     def __init__(self, condition: threading.Condition) -> None:
         self._condition = condition

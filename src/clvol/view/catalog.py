@@ -70,16 +70,9 @@ class _Viewed:
 
 
 class Catalog:
-    """The volumes of a view, which are read when they are first shown.
+    """The volumes of a view, which are read when they are first shown; all have the grid of the first.
 
-    Parameters
-    ----------
-    volume : Volume
-        The one that is shown first; all have its grid.
-    volumes : Volumes or None
-        All, if there are several.
-    in_use : callable
-        What renderers exist of: those are not forgotten.
+    `in_use` says what renderers exist of: those are not forgotten.
     """
 
     def __init__(self, volume: Volume, volumes: Volumes | None, in_use: Callable[[], set[Which]]) -> None:
@@ -90,13 +83,7 @@ class Catalog:
         self._views: dict[Which, _Viewed] = {self.first: _Viewed(volume)}  # the most recently shown last
 
     def which(self, state: State) -> Which:
-        """What a state shows.
-
-        Raises
-        ------
-        OptionError
-            There is no such axis, or no such place along it.
-        """
+        """What a state shows; `OptionError` if there is no such axis, or no such place along it."""
         if self.volumes is None:
             if state.index:
                 raise OptionError(f"index must be left out, for there is one volume; got {dict(state.index)!r}")
@@ -111,19 +98,17 @@ class Catalog:
             seen = None  # they belong to another of the volumes
         return Which(place, seen)
 
+    def key(self, state: State) -> tuple[str | None, str, Which]:
+        """Of the renderer that draws a state: filter, boundary and volume."""
+        return state.filter, state.boundary, self.which(state)
+
     def _along(self, axis: str, choice: int | str) -> int | str:
         assert self.volumes is not None  # or there were no axes
         leading = self.volumes.leading
         return choice if axis == "channel" and choice and choice == leading.computed else leading.place(axis, choice)
 
     def require(self, state: State) -> None:
-        """Refuse what only the volume can refuse of a state.
-
-        Raises
-        ------
-        OptionError
-            There is no such volume, or it has no such labels.
-        """
+        """Refuse what only the volume can refuse of a state: another volume, labels that it has not."""
         place, seen = self.which(state)
         if state.labels is not None and self.volumes is None:  # else another of them may have such labels
             if seen is None:
@@ -203,8 +188,7 @@ class Catalog:
     def _listing(self, which: Which) -> _Listing:
         volume, viewed = self.volume_at(which), self._viewed(which)
         with viewed.making:
-            if viewed.listing is None:
-                viewed.listing = _Listing(volume)
+            viewed.listing = viewed.listing or _Listing(volume)
         return viewed.listing
 
     def labels(self, state: State, words: str = "") -> tuple[list[list[Any]], int]:

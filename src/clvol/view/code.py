@@ -10,7 +10,7 @@ import math
 import shlex
 import textwrap
 import tomllib
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from clvol.scene.light import Light, Material
 from clvol.scene.transfer import TransferFunction
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
 from clvol.view.resident import Resident
-from clvol.view.state import State
+from clvol.view.state import WORDS, State
 
 __all__ = ["from_toml", "from_url", "python", "to_url", "toml"]
 
@@ -35,19 +35,9 @@ _WIDE = 110  # characters per line
 
 
 def python(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> str:
-    """A program whose `picture` is what a pane shows.
+    """A program whose `picture`, of this size in pixels, is what a pane shows.
 
-    Parameters
-    ----------
-    resident : Resident
-        Its `source` gives the program its volume; without one it expects `volume`.
-    state : State
-    name : str
-        The pane.
-    shown : PaneSize
-        Of the pane.
-    size : (width, height)
-        Of the picture, in pixels.
+    The source of what is viewed gives the program its volume; without one it expects `volume`.
     """
     lines = ["import clvol"]
     lines += ["import numpy as np"] if state.wiper is not None else []
@@ -62,11 +52,11 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
         lines += _volume(resident, state)
     draw = _drawn if name == "3d" else _cut
     if state.wiper is None:
-        lines += _limited(resident, draw(resident, state, state.filter, name, shown, size, "picture"))
+        lines += _limited(resident, draw(resident, state, name, shown, size, "picture"))
     else:
         edge = round(state.wiper.at * size[0])
         for side, chosen in (("left", state.filter), ("right", state.wiper.filter)):
-            lines += _limited(resident, draw(resident, state, chosen, name, shown, size, side))
+            lines += _limited(resident, draw(resident, replace(state, filter=chosen), name, shown, size, side))
         lines += [f"picture = np.concatenate([left[:, :{edge}], right[:, {edge}:]], axis=1)"]
     return "\n".join(lines) + "\n"
 
@@ -106,15 +96,11 @@ def _source(resident: Resident, state: State) -> str | None:
     return f"{text}.pick({', '.join(words)})"
 
 
-def _drawn(
-    resident: Resident, state: State, filter: str | None, name: str, shown: PaneSize, size: tuple[int, int], result: str
-) -> list[str]:
+def _drawn(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int], result: str) -> list[str]:
     finer = resident.finer_picture(state, shown, name, size)
     given = resident.arguments(state) if finer is None else dict(finer.given)
     camera, mode = given.pop("camera"), given.pop("mode")
-    words = {"filter": filter} if filter is not None else {}
-    words |= {"boundary": state.boundary} if state.boundary != "mirror" else {}
-    words |= {"size": size} | given
+    words = _reconstruction(state) | {"size": size} | given
     words |= {"outputs": "visited"} if state.heat else {}
     words |= _device(resident)
     texts = ["volume", _camera(camera), repr(mode), *(f"{key}={_text(value)}" for key, value in words.items())]
@@ -122,25 +108,22 @@ def _drawn(
     return [f"{result} = to_bytes(heat({call}))" if state.heat else f"{result} = {call}"]
 
 
-def _cut(
-    resident: Resident, state: State, filter: str | None, name: str, shown: PaneSize, size: tuple[int, int], result: str
-) -> list[str]:
+def _cut(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int], result: str) -> list[str]:
     pane = SlicePane.of(state, resident.volume, "xyz".index(name), shown)
-    pixel = pane.pixel(size)
-    words: dict[str, Any] = {
-        "middle": tuple(pane.middle.tolist()),
-        "right": tuple(pane.right.tolist()),
-        "down": tuple(pane.down.tolist()),
-        "pixel": pixel,
-        "size": size,
-    }
+    words: dict[str, Any] = {key: tuple(getattr(pane, key).tolist()) for key in ("middle", "right", "down")}
+    words |= {"pixel": pane.pixel(size), "size": size}
     words |= {key: value for key in ("window", "cmap") if (value := getattr(state, key)) is not None}
-    words |= {"filter": filter} if filter is not None else {}
-    words |= {"boundary": state.boundary} if state.boundary != "mirror" else {}
+    words |= _reconstruction(state)
     finer = resident.finer_picture(state, shown, name, size)
     words |= {} if finer is None else finer.given
     words |= {"background": state.background} | _device(resident)
     return [f"{result} = " + _call("section", ["volume", *(f"{key}={_text(value)}" for key, value in words.items())])]
+
+
+def _reconstruction(state: State) -> dict[str, Any]:
+    """Filter and boundary rule, where they are not the defaults."""
+    words = {"filter": state.filter} if state.filter is not None else {}
+    return words if state.boundary == "mirror" else words | {"boundary": state.boundary}
 
 
 def _device(resident: Resident) -> dict[str, Any]:
@@ -233,38 +216,44 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
     x, y, z = (float(v) for v in view.forward)
     if volume.space == "image":
         y, z = -y, -z
-    flags: dict[str, Any] = {"mode": state.mode, "size": list(size)}
-    flags |= {"filter": state.filter} if state.filter is not None else {}
-    flags |= {"boundary": state.boundary, "step": state.step}
-    flags |= {
+    given = {
+        "mode": state.mode,
+        "size": list(size),
+        "filter": state.filter,
+        "boundary": state.boundary,
+        "step": state.step,
         "azimuth": round(math.degrees(math.atan2(-x, y)), 9),
         "elevation": round(math.degrees(math.asin(max(-1.0, min(1.0, -z)))), 9),
+        "zoom": camera.zoom,
+        "fit": camera.fit,
+        "projection": camera.projection,
+        "preset": state.preset,
+        "cmap": state.cmap,
+        "opacity": state.opacity,
+        "window": state.window and list(state.window),
+        "background": "none" if state.background is None else "#" + "".join(f"{round(255 * v):02x}" for v in state.background),
+        "clip": state.clip and [*state.clip[0], *state.clip[1]],
     }
-    flags |= {"zoom": camera.zoom, "fit": camera.fit, "projection": camera.projection}
-    flags |= {flag: value for flag in ("preset", "cmap", "opacity") if (value := getattr(state, flag)) is not None}
-    flags |= {"window": list(state.window)} if state.window is not None else {}
-    flags["background"] = "none" if state.background is None else "#" + "".join(f"{round(255 * v):02x}" for v in state.background)
-    flags |= {"clip": [*state.clip[0], *state.clip[1]]} if state.clip is not None else {}
+    flags: dict[str, Any] = {flag: value for flag, value in given.items() if value is not None}
     flags |= {flag.replace("_", "-"): _text(value).strip("'") if not isinstance(value, (bool, int, float)) else value
              for flag, value in resident.beside.items() if flag != "skipping"}  # fmt: skip
     flags |= {flag: value for flag, value in resident.limits.items() if flag in ("evaluator", "fetch")}
     flags |= dict(state.options)
-    unsaid = []
-    if camera.target is not None or camera.distance is not None or camera.radius is not None:
-        unsaid.append("where the camera was moved to")
-    if abs(float(view.right @ vertical(volume))) > 1e-6:
-        unsaid.append("that it was rolled")
-    if camera.fov != Camera().fov:
-        unsaid.append("its field of view")
     if state.transfer is not None:
-        unsaid.append("the transfer function")
-        for flag in ("preset", "cmap", "opacity", "window"):
+        for flag in WORDS:
             flags.pop(flag, None)
-    unsaid += ["which labels are seen"] if resident.catalog.which(state).labels is not None else []
-    unsaid += ["lights"] if state.lights is not None else []
-    unsaid += ["the material"] if state.material not in (None, Material()) else []
-    unsaid += ["the other filter of the wiper"] if state.wiper is not None else []
-    unsaid += ["the heat map (--heat-map FILE)"] if state.heat else []
+    inexpressible = {
+        "where the camera was moved to": camera.target is not None or camera.distance is not None or camera.radius is not None,
+        "that it was rolled": abs(float(view.right @ vertical(volume))) > 1e-6,
+        "its field of view": camera.fov != Camera().fov,
+        "the transfer function": state.transfer is not None,
+        "which labels are seen": resident.catalog.which(state).labels is not None,
+        "lights": state.lights is not None,
+        "the material": state.material not in (None, Material()),
+        "the other filter of the wiper": state.wiper is not None,
+        "the heat map (--heat-map FILE)": state.heat,
+    }
+    unsaid = [words for words, is_so in inexpressible.items() if is_so]
     return flags, unsaid
 
 
@@ -317,13 +306,7 @@ def to_url(state: State) -> str:
 
 
 def from_url(text: str) -> State:
-    """The state of an address, or of its fragment.
-
-    Raises
-    ------
-    OptionError
-        It has none, or one that is not allowed.
-    """
+    """The state of an address, or of its fragment; `OptionError` if it has none, or one that is not allowed."""
     if not isinstance(text, str) or len(text) > _LONGEST or "s=" not in text:
         raise OptionError(f"an address must end in #s= and a state; got {text!r:.120}")
     coded = text.rpartition("s=")[2]

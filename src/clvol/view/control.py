@@ -1,4 +1,7 @@
-"""A client's state and what changes it: pointer and keys, the panel, undo. No thread, and nothing is sent from here."""
+"""A client's state and what changes it: pointer and keys, the panel, undo; and what is picked.
+
+No thread, and nothing is sent from here.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +10,30 @@ import time
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from clvol.view import events, pick
+from clvol.base.errors import OptionError
+from clvol.bricks.field import BrickedField
+from clvol.march.renderer import Renderer
+from clvol.scene.camera import Camera
+from clvol.scene.mode import as_mode
+from clvol.spline.field import Field
+from clvol.view import events
 from clvol.view.events import Context, Inputs
-from clvol.view.panes import PaneSize
+from clvol.view.panes import Pane3D, PaneSize, SlicePane, triple
 from clvol.view.protocol import Change
 from clvol.view.resident import Resident
 from clvol.view.slices import window_of_slices
 from clvol.view.state import History, State
+from clvol.volume.histogram import label_numbers
+from clvol.volume.volume import Volume
 
 __all__ = ["Control"]
 
 _PAUSE = 0.1  # seconds after which a pointer that is down counts as resting
 _WHEEL_REST = 0.12  # likewise after a wheel's or a slider's last step
+_PROBES = 17  # of a label, along a step of a ray
 _GESTURE = 1.0  # seconds between steps of a wheel or a key that still are one step of undo
 
 
@@ -70,7 +83,7 @@ class Control:
             sizes=self.sizes,
             isovalue=lambda state: float(getattr(resident.mode(state), "isovalue", 0.0) or 0.0),
             window=self._window,
-            anchor=self._anchor,
+            anchor=lambda state, x, y: _anchor(resident, self.context(), state, x, y),
             stepped=resident.catalog.stepped,
             initial=resident.initial,
         )
@@ -82,9 +95,6 @@ class Control:
             return window_of_slices(self._resident.catalog.volume_of(state))
         low, high = self._resident.transfer(replace(state, transfer=None)).value_range
         return low / 2 + high / 2, (high - low) or 1.0
-
-    def _anchor(self, state: State, x: float, y: float) -> NDArray[Any] | None:
-        return pick.anchor(self._resident, self.context(), state, x, y)
 
     # -- what changes it ---------------------------------------------------------------------------------------
 
@@ -108,13 +118,7 @@ class Control:
         return reduced.effects
 
     def change(self, change: Change) -> None:
-        """Apply changes of the panel.
-
-        Raises
-        ------
-        ClvolError
-            What is asked for is no state, or none of this volume; nothing has changed then.
-        """
+        """Apply changes of the panel; nothing has changed if they give no state, or none of this volume."""
         state = State.from_json(change.changes) if change.whole else self.state.changed(change.changes)
         self.history = self.history.with_state(self._accepted(state, whole=change.whole), change.step)
         if change.live:
@@ -147,8 +151,8 @@ class Control:
             self.history = self.history.with_state(replace(self.state, heat=not self.state.heat))
 
     def pick(self, name: str, x: float, y: float, *, moves: bool = False) -> dict[str, Any]:
-        """What lies at a position of a pane (`clvol.view.pick.picked`); `moves` moves the crosshair there."""
-        found = pick.picked(self._resident, self.context(), self.state, name, x, y)
+        """What lies at a position of a pane (`_picked`); `moves` moves the crosshair there."""
+        found = _picked(self._resident, self.context(), self.state, name, x, y)
         if moves and found["position"] is not None:
             self.history = self.history.with_state(replace(self.state, crosshair=tuple(found["position"])))
         return found
@@ -173,3 +177,91 @@ class Control:
             return (*common, replace(state, layout="3d", active="3d", tool=None, slice=first.slice, crosshair=None))
         point = state.crosshair or self._resident.volume.center
         return (*common, state.slice, float(point["xyz".index(name)]))
+
+
+# -- what lies under the pointer: exact values of the function that is drawn -----------------------------------
+
+
+def _anchor(resident: Resident, context: Context, state: State, x: float, y: float) -> NDArray[np.float64] | None:
+    """The world point that the volume's picture shows at (x, y), in CSS pixels.
+
+    None where there is nothing, if the mode shows no one point ("mean"), or before the coefficients are resident.
+    """
+    if not resident.renderers.soon(*resident.catalog.key(state)):
+        return None
+    pane = context.pane(state, "3d")
+    assert isinstance(pane, Pane3D)  # by its name
+    with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
+        return _hit(renderer, pane, x, y, resident.arguments(state))
+
+
+def _picked(resident: Resident, context: Context, state: State, name: str, x: float, y: float) -> dict[str, Any]:
+    """Position, value and gradient at (x, y) of a pane, in CSS pixels, for JSON; no position where there is nothing.
+
+    In the volume the point is the one that the picture shows: on a surface; where half of the light is stopped; where the
+    extreme lies.
+    """
+    pane = context.pane(state, name)
+    key = resident.catalog.key(state)
+    if state.wiper is not None and x > state.wiper.at * context.size(name).width:
+        key = (state.wiper.filter, *key[1:])
+    if not resident.renderers.soon(*key):
+        raise OptionError("nothing can be picked before the coefficients are computed")
+    with resident.renderers.renderer(*key) as renderer:
+        volume, arguments = renderer.volume, resident.arguments(state)
+        if isinstance(pane, SlicePane):
+            point: NDArray[np.float64] | None = pane.point(x, y)
+            field = renderer.field
+        else:
+            point = _hit(renderer, pane, x, y, arguments)
+            field = renderer._source.function(as_mode(arguments["mode"]))
+            if point is not None and volume.is_labels:
+                point = _in_label(volume, field, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
+        found: dict[str, Any] = {"pane": name, "x": x, "y": y, "units": volume.units, "position": None}
+        return found if point is None or not _within(volume, point) else found | _values(volume, field, point)
+
+
+def _values(volume: Volume, field: Field | BrickedField, point: NDArray[np.float64]) -> dict[str, Any]:
+    value = float(field(point[None])[0])
+    found = {"position": point.tolist(), "index": volume.world_to_index(point).tolist(), "value": value, "gradient": None}
+    if field.filter.has_gradient:
+        slope = np.asarray(field.gradient(point[None])[0], np.float64)
+        found |= {"gradient": slope.tolist(), "steepness": float(np.linalg.norm(slope))}
+    if isinstance(volume.labels, dict):
+        found["label"] = volume.labels.get(round(value), "")
+    return found
+
+
+def _hit(renderer: Renderer, pane: Pane3D, x: float, y: float, arguments: dict[str, Any]) -> NDArray[np.float64] | None:
+    """What a picture of one pixel shows whose ray is that of (x, y)."""
+    origin, way = pane.ray(x, y)
+    ahead = origin + way * max(pane.distance, renderer.volume.radius)
+    view = pane.view
+    camera = Camera(
+        position=triple(origin),
+        target=triple(ahead),
+        up=triple(view.up),
+        projection="orthographic" if view.orthographic else "perspective",
+    )
+    given = arguments | {"camera": camera, "rays": 1}
+    point = np.asarray(renderer.render(size=(1, 1), outputs="position", **given), np.float64)[0, 0]
+    return point if np.isfinite(point).all() else None
+
+
+def _in_label(
+    volume: Volume, field: Field | BrickedField, point: NDArray[np.float64], way: NDArray[np.float64], step: float
+) -> NDArray[np.float64]:
+    """The point itself, or the first behind it that is in a label: what a sample shows begins up to a step before it.
+
+    The volume is a parameter because a field by bricks has no resident samples to find labels in.
+    """
+    ahead = point + np.linspace(0, 1, _PROBES)[:, None] * step * way / np.linalg.norm(way)
+    background, _ = label_numbers(volume)
+    solid = np.flatnonzero(np.round(field(ahead)) != background)
+    return np.asarray(ahead[solid[0]] if solid.size else point)
+
+
+def _within(volume: Volume, point: NDArray[np.float64]) -> bool:
+    index = volume.world_to_index(point)
+    slack = 1e-6 * max(volume.size)
+    return bool((index >= -0.5 - slack).all() and (index <= np.asarray(volume.size) - 0.5 + slack).all())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import threading
 import time
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import ClvolError
 from clvol.march.renderer import Renderer
 from clvol.show.picture import Picture, heat, to_bytes
+from clvol.view.background import started
 from clvol.view.events import Context
 from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane
@@ -26,44 +28,28 @@ from clvol.view.slices import plane_points, shaded
 from clvol.view.state import State
 from clvol.view.wiper import joined
 
-__all__ = ["WHOLE", "Drawer", "Order", "Shot", "has_sketch", "share_visited"]
+__all__ = ["WHOLE", "Drawer", "Order", "Shot", "has_sketch", "jpeg", "opaque", "png", "share_visited"]
 
 _COARSE = 3  # pixels of a heat map that is dragged, along each edge
 _TOUR = 96  # pixels along the longer edge of the picture that measures the share of visited samples
 WHOLE = 3600.0  # seconds: a budget in which every picture is drawn in one go
 _TICK = 0.01  # seconds between checks whether a picture is still wanted
+_QUICK = 1  # of zlib: twice as fast as its default, with a fifth more bytes
 _KEPT = 2  # final pictures of the wiper's two filters
 
 
 class Order(NamedTuple):
-    """A picture that is to be drawn, better and better until it is final.
-
-    Attributes
-    ----------
-    context : Context
-    state : State
-    name : str
-        The pane.
-    size : (width, height)
-        Of the final picture, in pixels.
-    budget : float
-        Seconds for the first picture; infinity asks for the final one in one go.
-    stop : callable
-        Asked while pictures are drawn; once it says so, no more come.
-    coarse : bool
-        Only the first picture: something is dragged.
-    elsewhere : callable
-        Asked while there is nothing to draw: whether the thread is needed for something else, and comes back to this order.
-    """
+    """A picture that is to be drawn, better and better until it is final."""
 
     context: Context
     state: State
-    name: str
-    size: tuple[int, int]
-    budget: float = math.inf
-    stop: Callable[[], bool] = lambda: False
-    coarse: bool = False
+    name: str  # of the pane
+    size: tuple[int, int]  # of the final picture, in pixels
+    budget: float = math.inf  # seconds for the first picture; infinity asks for the final one in one go
+    stop: Callable[[], bool] = lambda: False  # asked while pictures are drawn; once it says so, no more come
+    coarse: bool = False  # only the first picture: something is dragged
     elsewhere: Callable[[], object] = lambda: False
+    """Asked while there is nothing to draw: whether the thread is needed for something else, and comes back to this order."""
 
     def interrupted(self) -> bool:
         """Whether to wait no longer."""
@@ -71,28 +57,14 @@ class Order(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """A picture that was drawn.
+    """A picture that was drawn."""
 
-    Attributes
-    ----------
-    pixels : ndarray of uint8, shape (height, width, 3 or 4)
-    final : bool
-    step : float or None
-        In voxels; None for slices.
-    visited : float or None
-        The mean share of samples that were visited, where that is shown.
-    few : bool
-        Whether it shows few of the volume's samples, because the coefficients are still being computed.
-    coarser : bool
-        Whether a picture of finer samples follows, which are being read.
-    """
-
-    pixels: NDArray[np.uint8]
+    pixels: NDArray[np.uint8]  # (height, width, 3 or 4)
     final: bool
-    step: float | None = None
-    visited: float | None = None
-    few: bool = False
-    coarser: bool = False
+    step: float | None = None  # in voxels; None for slices
+    visited: float | None = None  # the mean share of samples that were visited, where that is shown
+    few: bool = False  # whether it shows few of the volume's samples: the coefficients are still being computed
+    coarser: bool = False  # whether a picture of finer samples follows, which are being read
 
 
 class _Reading(NamedTuple):
@@ -127,10 +99,9 @@ class Drawer:
             yield from self._side_by_side(order)
             return
         self._finals.clear()
-        if order.name == "3d" and has_sketch(order.state) and math.isfinite(order.budget):
-            interrupted = yield from self._while_prefiltering(order)
-            if interrupted:
-                return
+        sketched = order.name == "3d" and has_sketch(order.state) and math.isfinite(order.budget)
+        if sketched and (yield from self._while_prefiltering(order)):
+            return
         yield from self._with_finer(order)
 
     def give_up(self) -> None:
@@ -186,8 +157,8 @@ class Drawer:
     def _while_prefiltering(self, order: Order) -> Generator[Shot, None, bool]:
         """A sketch while coefficients are computed; returns whether it was interrupted before they were resident."""
         state, resident = order.state, self._resident
-        which = resident.catalog.which(state)
-        key = state.filter, state.boundary, which
+        key = resident.catalog.key(state)
+        which = key[2]
         if resident.renderers.soon(*key):
             self._sketch = self._sketched = None
             return False
@@ -227,17 +198,9 @@ class Drawer:
             self.give_up()
             finer = self._resident.finer
             assert finer is not None  # or nothing would be wanted of it
-            future: Future[Picture | None] = Future()
             given_up = threading.Event()
-
-            def work() -> None:
-                try:
-                    future.set_result(finer.drawn(wanted, self._resident.volume, given_up.is_set))
-                except BaseException as error:
-                    future.set_exception(error)
-
+            future = started(lambda: finer.drawn(wanted, self._resident.volume, given_up.is_set), "clvol view: bricks")
             self._reading = _Reading(key, future, given_up)
-            threading.Thread(target=work, name="clvol view: bricks", daemon=True).start()
         reading = self._reading
         while not reading.future.done():
             if interrupted():
@@ -299,7 +262,7 @@ def share_visited(resident: Resident, state: State, shape: tuple[float, float]) 
     """The mean share of samples that a picture of this shape visits, measured by a small one."""
     edge = _TOUR / max(shape)
     size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))
-    with resident.renderers.renderer(state.filter, state.boundary, resident.catalog.which(state)) as renderer:
+    with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
         given = resident.arguments(state) | {"rays": 1}
         return _mean(np.asarray(renderer.render(size=size, outputs="visited", **given)))
 
@@ -307,3 +270,35 @@ def share_visited(resident: Resident, state: State, shape: tuple[float, float]) 
 def _mean(share: NDArray[Any]) -> float | None:
     met = np.isfinite(share)
     return round(float(share[met].mean()), 4) if met.any() else None
+
+
+# -- as bytes for clients: JPEG while something moves, PNG at rest ---------------------------------------------
+
+
+def opaque(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Eight-bit colours over black, without opacity; rounded down."""
+    if pixels.shape[2] == 3:
+        return pixels
+    if pixels[..., 3].min() == 255:
+        return pixels[..., :3]
+    return (pixels[..., :3].astype(np.uint16) * pixels[..., 3:] // 255).astype(np.uint8)
+
+
+def png(pixels: NDArray[np.uint8]) -> bytes:
+    """Eight-bit colours as PNG, lossless; without opacity if all is opaque."""
+    if pixels.ndim == 3 and pixels.shape[2] == 4 and pixels[..., 3].min() == 255:
+        pixels = pixels[..., :3]
+    return _encoded(pixels, "PNG", compress_level=_QUICK)
+
+
+def jpeg(pixels: NDArray[np.uint8], quality: int) -> bytes:
+    """Eight-bit colours as JPEG, over black."""
+    return _encoded(opaque(pixels), "JPEG", quality=quality)
+
+
+def _encoded(pixels: NDArray[np.uint8], form: str, **options: int) -> bytes:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, form, **options)
+    return stream.getvalue()

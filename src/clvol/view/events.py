@@ -13,19 +13,28 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clvol.base.checks import number, one_of
+from clvol.base.checks import number
 from clvol.base.errors import OptionError
 from clvol.scene.camera import Camera
 from clvol.scene.mode import modes
-from clvol.view.panes import Pane3D, PaneSize, SlicePane, active_pane, bounds, camera_of, pane_of, rotation, vertical
-from clvol.view.state import PANES, CameraState, SliceState, State
+from clvol.view.panes import (
+    Pane3D,
+    PaneSize,
+    SlicePane,
+    Vector,
+    active_pane,
+    bounds,
+    camera_of,
+    pane_of,
+    rotation,
+    triple,
+    vertical,
+)
+from clvol.view.state import LAYOUTS, PANES, ZOOMS, CameraState, SliceState, State, Triple, name_of
 from clvol.volume.volume import Volume
 
 __all__ = ["KEYS", "Context", "Drag", "Inputs", "Reduced", "faces", "reduce", "shows_box"]
-
-Vector = NDArray[np.float64]
 
 KEYS: Mapping[str, str] = {
     "Arrow keys": "turn by 15°; on a slice: the next or previous slice",
@@ -58,7 +67,6 @@ _STEP = math.radians(15)
 _NOTCH = 400.0  # dy of a wheel that doubles the zoom
 _PINCH = 60.0  # likewise of a pinch
 _SLICE_NOTCH = 100.0  # dy per slice
-_ZOOM = 0.05, 1000.0
 _HELD = {"i": "isovalue", "w": "window", "c": "crop"}
 _THINNEST = 1e-3  # least thickness of the crop box, relative to the volume's
 _MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean")
@@ -66,35 +74,23 @@ _MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean")
 
 @dataclass(frozen=True)
 class Context:
-    """What a reducer depends on beside the state: the volume and the screen.
-
-    Parameters
-    ----------
-    volume : Volume
-    placed : callable
-        ``placed(state, aspect)`` is the camera with its target, as in pictures.
-    sizes : mapping
-        By pane.
-    isovalue : callable
-        ``isovalue(state)`` is the isovalue that is drawn.
-    window : callable
-        ``window(state, pane)`` is the (center, width) that is shown.
-    anchor : callable, optional
-        ``anchor(state, x, y)`` is the world point that the volume's picture shows there, or None.
-    stepped : callable, optional
-        ``stepped(state, by)`` shows another of several volumes.
-    initial : State
-        What reset goes back to.
-    """
+    """What a reducer depends on beside the state: the volume and the screen."""
 
     volume: Volume
     placed: Callable[[State, float], Camera]
+    """``placed(state, aspect)`` is the camera with its target, as in pictures."""
     sizes: Mapping[str, PaneSize]
+    """By pane."""
     isovalue: Callable[[State], float]
+    """The one that is drawn."""
     window: Callable[[State, str], tuple[float, float]]
+    """``window(state, pane)`` is the (center, width) that is shown."""
     anchor: Callable[[State, float, float], Any | None] = lambda state, x, y: None  # noqa: ARG005
+    """``anchor(state, x, y)`` is the world point that the volume's picture shows there, or None."""
     stepped: Callable[[State, int], State] = lambda state, by: state  # noqa: ARG005
+    """``stepped(state, by)`` shows another of several volumes."""
     initial: State = field(default_factory=State)
+    """What reset goes back to."""
 
     def size(self, name: str) -> PaneSize:
         """The size of a pane, or that of the whole canvas if it has none of its own."""
@@ -136,46 +132,29 @@ class Inputs:
 
     drag: Drag | None = None
     keys: frozenset[str] = frozenset()
-    anchor: tuple[float, float, str, tuple[float, float, float]] | None = (
-        None  # of the wheel: x, y, pane, and the world point there
-    )
+    anchor: tuple[float, float, str, Triple] | None = None  # of the wheel: x, y, pane, and the world point there
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """What follows from an event.
-
-    Attributes
-    ----------
-    state : State
-    inputs : Inputs
-    effects : tuple
-        What only the session can do: ("undo",), ("redo",), ("pick", pane, x, y, moves).
-    gesture : str or None
-        Consecutive changes of one gesture are one step of undo.
-    """
+    """What follows from an event."""
 
     state: State
     inputs: Inputs
     effects: tuple[tuple[Any, ...], ...] = ()
+    """What only the session can do: ("undo",), ("redo",), ("pick", pane, x, y, moves)."""
     gesture: str | None = None
+    """Consecutive changes of one gesture are one step of undo."""
 
 
 def reduce(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context) -> Reduced:
-    """The state after an event.
-
-    Raises
-    ------
-    OptionError
-        It is no event of a known kind, or has values that are not allowed.
-    """
+    """The state after an event."""
     if not isinstance(event, Mapping):
         raise OptionError(f"an event must be an object of JSON; got {event!r:.200}")
-    kind = event.get("event_type", event.get("type"))
-    if not isinstance(kind, str) or kind not in _REDUCERS:
-        raise one_of("the type of an event", kind, _REDUCERS)
-    name = _pane_name(state, event)
-    return _REDUCERS[kind](state, inputs, event, context, name)
+    kind = name_of("the type of an event", event.get("event_type", event.get("type")), (*_REDUCERS, *_IGNORED))
+    name = event.get("pane")
+    name = active_pane(state) if name is None else name_of("pane", name, PANES)
+    return Reduced(state, inputs) if kind in _IGNORED else _REDUCERS[kind](state, inputs, event, context, name)
 
 
 # -- the pointer ---------------------------------------------------------------------------------------------
@@ -184,10 +163,10 @@ def reduce(state: State, inputs: Inputs, event: Mapping[str, Any], context: Cont
 def _down(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context, name: str) -> Reduced:
     x, y = _position(event)
     button = int(number("button", event.get("button", 1), minimum=0, maximum=16)) or 1
-    if inputs.drag is not None:  # a second button, or a pointer_up that was lost
-        inputs = replace(inputs, drag=None)
     began = state if state.active == name else replace(state, active=name)  # type: ignore[arg-type]  # a pane's
-    face = _grabbed_face(began, inputs, event, context, name, (x, y), button)
+    face = None
+    if button == 1 and not inputs.keys and not _modifiers(event) and shows_box(began, inputs):  # else it does something else
+        face = _nearest_face(began, context, name, x, y, within=_HANDLE)
     kind = "crop" if face is not None else _drag_kind(state, inputs, event, context, name, x, button)
     face = _nearest_face(began, context, name, x, y) if kind == "crop" and face is None else face
     pinned = context.pinned(began) if kind in ("orbit", "pan", "roll", "zoom") and name == "3d" else began
@@ -200,7 +179,7 @@ def _move(state: State, inputs: Inputs, event: Mapping[str, Any], context: Conte
     drag = inputs.drag
     if drag is None:
         return Reduced(state, inputs)
-    if event.get("buttons") in ((), []) and "buttons" in event:  # it was released outside
+    if event.get("buttons") in ((), []):  # it was released outside
         return Reduced(state, replace(inputs, drag=None))
     x, y = _position(event)
     moved = drag.moved or math.hypot(x - drag.x, y - drag.y) > _CLICK
@@ -243,12 +222,9 @@ def _drag_kind(state: State, inputs: Inputs, event: Mapping[str, Any], context: 
     if "Control" in modifiers or "Meta" in modifiers:
         return "roll" if name == "3d" else "zoom"
     if state.tool is not None:
-        return {"orbit": "crosshair", "roll": "zoom"}.get(state.tool, state.tool) if name != "3d" else _in_volume(state.tool)
+        elsewhere = {"crosshair": "orbit"} if name == "3d" else {"orbit": "crosshair", "roll": "zoom"}
+        return elsewhere.get(state.tool, state.tool)
     return "orbit" if name == "3d" else "crosshair"
-
-
-def _in_volume(tool: str) -> str:
-    return "orbit" if tool == "crosshair" else tool
 
 
 # -- drags ---------------------------------------------------------------------------------------------------
@@ -288,7 +264,7 @@ def turned(camera: CameraState, context: Context, right: float, down: float) -> 
 
 
 def _aimed(camera: CameraState, forward: Vector, up: Vector) -> CameraState:
-    return replace(camera, direction=_triple(forward / np.linalg.norm(forward)), up=_triple(up / np.linalg.norm(up)))
+    return replace(camera, direction=triple(forward / np.linalg.norm(forward)), up=triple(up / np.linalg.norm(up)))
 
 
 def _view(camera: CameraState, context: Context) -> Any:
@@ -312,12 +288,12 @@ def _moved_by(state: State, context: Context, by: Vector) -> State:
     return replace(state, camera=replace(own, target=_near(context, np.asarray(own.target) + by)))
 
 
-def _near(context: Context, point: Vector) -> tuple[float, float, float]:
+def _near(context: Context, point: Vector) -> Triple:
     """The point, moved towards the volume if it is so far away that one could not find back."""
     volume = context.volume
     away = point - volume.center
     far = float(np.linalg.norm(away)) / (4 * volume.radius)
-    return _triple(volume.center + away / max(1.0, far))
+    return triple(volume.center + away / max(1.0, far))
 
 
 def _zoom_drag(drag: Drag, context: Context, x: float, y: float) -> State:  # noqa: ARG001
@@ -365,7 +341,7 @@ def _crop(drag: Drag, context: Context, x: float, y: float) -> State:
         return began
     axis, side = drag.face
     first, last = bounds(context.volume)
-    box = [np.array(corner) for corner in (began.clip or (first, last))]
+    box = _box(began, context)
     pane = context.pane(began, drag.pane)
     way = _face_way(pane, box, axis, side)
     if way is None:
@@ -377,7 +353,12 @@ def _crop(drag: Drag, context: Context, x: float, y: float) -> State:
     box[side][axis] = min(max(value, first[axis]), last[axis])
     if box[1][axis] - box[0][axis] < least / 2:
         return began
-    return replace(began, clip=(_triple(box[0]), _triple(box[1])))
+    return replace(began, clip=(triple(box[0]), triple(box[1])))
+
+
+def _box(state: State, context: Context) -> list[Vector]:
+    """Both corners of the crop box, or of the volume."""
+    return [np.array(corner) for corner in (state.clip or bounds(context.volume))]
 
 
 def _face_middle(box: list[Vector], axis: int, side: int) -> Vector:
@@ -405,9 +386,7 @@ def shows_box(state: State, inputs: Inputs) -> bool:
 
 def faces(state: State, context: Context, name: str) -> list[tuple[int, int, float, float]]:
     """The clip planes that can be dragged in a pane: axis, 0 (low) or 1 (high), and the position of the dot."""
-    first, last = bounds(context.volume)
-    box = [np.array(corner) for corner in (state.clip or (first, last))]
-    pane = context.pane(state, name)
+    box, pane = _box(state, context), context.pane(state, name)
     found = []
     for axis in range(3):
         for side in (0, 1):
@@ -422,21 +401,8 @@ def _nearest_face(
 ) -> tuple[int, int] | None:
     """The clip plane with the nearest dot, at most `within` CSS pixels away."""
     far = [(math.hypot(u - x, v - y), (axis, side)) for axis, side, u, v in faces(state, context, name)]
-    nearest = min(far, default=None)
-    return nearest[1] if nearest is not None and nearest[0] <= within else None
-
-
-def _grabbed_face(
-    state: State, inputs: Inputs, event: Mapping[str, Any], context: Context, name: str, at: tuple[float, float], button: int
-) -> tuple[int, int] | None:
-    """The clip plane whose dot the first button grabs, if dots are shown; with a key the button does something else."""
-    if button != 1 or inputs.keys or _modifiers(event) or not shows_box(state, inputs):
-        return None
-    return _nearest_face(state, context, name, *at, within=_HANDLE)
-
-
-def _crosshair(drag: Drag, context: Context, x: float, y: float) -> State:
-    return _crosshair_at(drag.began, context, drag.pane, x, y)
+    distance, nearest = min(far, default=(math.inf, None))
+    return nearest if distance <= within else None
 
 
 def _crosshair_at(state: State, context: Context, name: str, x: float, y: float) -> State:
@@ -461,7 +427,7 @@ _DRAGS: Mapping[str, Callable[[Drag, Context, float, float], State]] = {
     "window": _window,
     "isovalue": _isovalue,
     "crop": _crop,
-    "crosshair": _crosshair,
+    "crosshair": lambda drag, context, x, y: _crosshair_at(drag.began, context, drag.pane, x, y),
     "wiper": _wiper,
 }
 
@@ -491,7 +457,7 @@ def _wheel(state: State, inputs: Inputs, event: Mapping[str, Any], context: Cont
         point = context.anchor(state, x, y)
         if point is None:
             point = pane.at_depth(x, y, pane.distance) if pane.distance > 0 else pane.target
-        known = x, y, name, _triple(np.asarray(point, np.float64))
+        known = x, y, name, triple(np.asarray(point, np.float64))
     result = _zoomed(state, context, name, factor, (x, y), np.array(known[3]))
     return Reduced(result, replace(inputs, anchor=known), (), "wheel zoom")
 
@@ -506,13 +472,13 @@ def _zoomed(
 ) -> State:
     """Magnified about the position `at`: there `point` of the volume, or of the slice, stays where it is."""
     if name != "3d":
-        zoom = min(max(state.slice.zoom * factor, _ZOOM[0]), _ZOOM[1])
+        zoom = min(max(state.slice.zoom * factor, ZOOMS[0]), ZOOMS[1])
         factor = zoom / state.slice.zoom
         pane = context.pane(state, name)
         assert isinstance(pane, SlicePane)
         center = pane.middle if at is None else pane.middle + (1 - 1 / factor) * (pane.point(*at) - pane.middle)
         return replace(state, slice=SliceState(zoom, _near(context, center)))
-    zoom = min(max(state.camera.zoom * factor, _ZOOM[0]), _ZOOM[1])
+    zoom = min(max(state.camera.zoom * factor, ZOOMS[0]), ZOOMS[1])
     factor = zoom / state.camera.zoom
     if at is None or point is None:
         return replace(state, camera=replace(state.camera, zoom=zoom))
@@ -535,8 +501,8 @@ def _sliced(state: State, context: Context, name: str, slices: float) -> State:
     return replace(state, crosshair=_inside(context, point))
 
 
-def _inside(context: Context, point: Vector) -> tuple[float, float, float]:
-    return _triple(np.clip(point, *bounds(context.volume)))
+def _inside(context: Context, point: Vector) -> Triple:
+    return triple(np.clip(point, *bounds(context.volume)))
 
 
 # -- keys ----------------------------------------------------------------------------------------------------
@@ -548,7 +514,7 @@ def _key(state: State, inputs: Inputs, event: Mapping[str, Any], context: Contex
         raise OptionError(f"key must be the name of a key; got {key!r:.80}")
     modifiers = _modifiers(event)
     low = key.lower() if len(key) == 1 else key
-    if "Control" in modifiers or "Meta" in modifiers:
+    if modifiers & {"Control", "Meta"}:
         again = low == "y" or (low == "z" and "Shift" in modifiers)
         effects = (("redo",),) if again else (("undo",),) if low == "z" else ()
         return Reduced(state, inputs, effects)
@@ -558,18 +524,15 @@ def _key(state: State, inputs: Inputs, event: Mapping[str, Any], context: Contex
         return Reduced(state, inputs, (("undo",),))
     if low in _TURNS and name == "3d":
         pinned = context.pinned(state)
-        right, down = _TURNS[low]
-        return Reduced(replace(pinned, camera=turned(pinned.camera, context, right, down)), inputs, (), f"key {low}")
+        return Reduced(replace(pinned, camera=turned(pinned.camera, context, *_TURNS[low])), inputs, (), f"key {low}")
     if low in _SLICES and name != "3d":
         return Reduced(_sliced(state, context, name, _SLICES[low]), inputs, (), "key slice")
     if low in ("+", "=", "-"):
-        factor = 1.25 if low != "-" else 0.8
-        return Reduced(_zoomed(state, context, name, factor, None), inputs, (), "key zoom")
+        return Reduced(_zoomed(state, context, name, 0.8 if low == "-" else 1.25, None), inputs, (), "key zoom")
     if low in ("[", "]") and name == "3d":
         pinned = context.pinned(state)
-        return Reduced(
-            replace(pinned, camera=_rolled(pinned.camera, context, _STEP if low == "]" else -_STEP)), inputs, (), "key roll"
-        )
+        rolled = _rolled(pinned.camera, context, _STEP if low == "]" else -_STEP)
+        return Reduced(replace(pinned, camera=rolled), inputs, (), "key roll")
     if low in (",", "."):
         result = context.stepped(state, 1 if low == "." else -1)
         return Reduced(state if result == state else replace(context.pinned(state), index=result.index), inputs, (), "key volume")
@@ -610,8 +573,7 @@ def reset(state: State, context: Context) -> State:  # noqa: ARG001
 
 
 def _next_layout(state: State, context: Context) -> State:  # noqa: ARG001
-    layouts = ("3d", "slice", "linked")
-    layout: Any = layouts[(layouts.index(state.layout) + 1) % 3]
+    layout: Any = LAYOUTS[(LAYOUTS.index(state.layout) + 1) % 3]
     active: Any = "z" if layout == "slice" and state.active == "3d" else "3d" if layout == "3d" else state.active
     return replace(state, layout=layout, active=active)
 
@@ -646,10 +608,6 @@ assert set(_MODES) == set(modes())  # a number for each
 # -- fields of events ----------------------------------------------------------------------------------------
 
 
-def _ignored(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context, name: str) -> Reduced:  # noqa: ARG001
-    return Reduced(state, inputs)
-
-
 def _left(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context, name: str) -> Reduced:  # noqa: ARG001
     """The focus is elsewhere, so that releases of keys are not seen."""
     return Reduced(state, replace(inputs, keys=frozenset()))
@@ -663,21 +621,14 @@ _REDUCERS: Mapping[str, Callable[[State, Inputs, Mapping[str, Any], Context, str
     "wheel": _wheel,
     "key_down": _key,
     "key_up": _key_up,
-    "pointer_enter": _ignored,
-    "pointer_leave": _ignored,
-    "char": _ignored,
     "blur": _left,
-    "close": _ignored,
-    "before_draw": _ignored,
-    "animate": _ignored,
 }
+_IGNORED = ("pointer_enter", "pointer_leave", "char", "close", "before_draw", "animate")
 
 
 def _position(event: Mapping[str, Any]) -> tuple[float, float]:
-    return (
-        number("x of an event", event.get("x"), minimum=-1e6, maximum=1e6),
-        number("y of an event", event.get("y"), minimum=-1e6, maximum=1e6),
-    )
+    x, y = (number(f"{axis} of an event", event.get(axis), minimum=-1e6, maximum=1e6) for axis in "xy")
+    return x, y
 
 
 def _modifiers(event: Mapping[str, Any]) -> frozenset[str]:
@@ -685,18 +636,3 @@ def _modifiers(event: Mapping[str, Any]) -> frozenset[str]:
     if not isinstance(given, (list, tuple)) or not all(isinstance(word, str) for word in given):
         raise OptionError(f"modifiers must be a list of names of keys; got {given!r:.200}")
     return frozenset("Control" if word == "Ctrl" else word for word in given)
-
-
-def _pane_name(state: State, event: Mapping[str, Any]) -> str:
-    """The pane of an event; by default the active one."""
-    name = event.get("pane")
-    if name is None:
-        return active_pane(state)
-    if not isinstance(name, str) or name not in PANES:
-        raise one_of("pane", name, PANES)
-    return name
-
-
-def _triple(vector: Any) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in vector)
-    return x, y, z

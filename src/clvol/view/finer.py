@@ -18,13 +18,13 @@ from clvol.base import memory
 from clvol.base.errors import ClvolError, OutOfMemoryError
 from clvol.bricks.source import LazyVolume, needed_by
 from clvol.device import Device
-from clvol.march.bricks import STEPPED_AT_MOST, level_of, nearest_to
+from clvol.march.bricks import STEPPED_AT_MOST, level_of, level_within, nearest_to
 from clvol.march.renderer import Renderer
 from clvol.march.source import row_for
 from clvol.scene.mode import as_mode
 from clvol.show.picture import Picture
 from clvol.view.panes import SlicePane
-from clvol.view.slices import level_for, plane_points, shaded
+from clvol.view.slices import plane_points, shaded
 from clvol.view.state import State
 from clvol.volume.volume import Volume
 
@@ -36,22 +36,12 @@ _TICK = 0.01  # seconds between checks whether a picture is still wanted
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """A picture by bricks, and the arguments by which a program draws it.
-
-    Attributes
-    ----------
-    state : State
-    size : (width, height)
-    given : dict
-        Arguments of `clvol.render`, or of `clvol.view.section` without those of the plane.
-    pane : SlicePane or None
-        The slice; None for the volume's picture.
-    """
+    """A picture by bricks, and the arguments by which a program draws it."""
 
     state: State
-    size: tuple[int, int]
-    given: dict[str, Any]
-    pane: SlicePane | None = None
+    size: tuple[int, int]  # (width, height)
+    given: dict[str, Any]  # of `clvol.render`, or of `clvol.view.section` without those of the plane
+    pane: SlicePane | None = None  # the slice; None for the volume's picture
 
 
 class Finer:
@@ -93,7 +83,7 @@ class Finer:
 
     def wanted_slice(self, state: State, pane: SlicePane, size: tuple[int, int], window: tuple[float, float]) -> Wanted | None:
         """A slice in a state; None if the resident level shows as much."""
-        if state.wiper is not None or level_for(self.stored, pane.pixel(size)) >= self.level:
+        if state.wiper is not None or level_within(self.stored, max(pane.pixel(size))) >= self.level:
             return None
         return Wanted(state, size, self._reconstructed(state) | {"window": window}, pane)
 
@@ -114,7 +104,7 @@ class Finer:
                 return result
             pane, pixel = wanted.pane, wanted.pane.pixel(wanted.size)
             points = plane_points(pane.middle, pane.right, pane.down, pixel, wanted.size)
-            values = renderer.field_of_level(level_for(self.stored, pixel))(points, fill=np.nan, progress=progress)
+            values = renderer.field_of_level(level_within(self.stored, max(pixel)))(points, fill=np.nan, progress=progress)
             return shaded(values, resident, given["window"], wanted.state.cmap, wanted.state.background)
         return None
 
@@ -170,10 +160,7 @@ def asking(stop: Callable[[], bool]) -> Callable[[float], None]:
 def resident_level(stored: LazyVolume) -> int:
     """The largest level that fits, with its coefficients, into half of the memory that is available.
 
-    Raises
-    ------
-    OutOfMemoryError
-        The smallest does not fit into all of it.
+    `OutOfMemoryError` if the smallest does not fit into all of it.
     """
     sizes, available = (stored, *stored.levels), memory.available()
     for level, size in enumerate(sizes):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import Any, TypeAlias
+from dataclasses import fields
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from clvol.scene.mode import as_mode, modes
 from clvol.scene.scene import Medium, Scene
 from clvol.spline.field import Field
 from clvol.view.finer import Finer, resident_level
-from clvol.view.panes import vertical
+from clvol.view.panes import triple, vertical
 from clvol.view.state import WORDS, CameraState, State, plain
 from clvol.volume.volume import Volume, as_volume
 from clvol.volume.volumes import Volumes
@@ -31,33 +31,16 @@ Viewable: TypeAlias = Scene | Medium | Volume | LazyVolume | Volumes | Field | A
 _STATED = ("step", "transfer", *WORDS, "material", "lights", "background", "clip")
 
 
-@dataclass
-class Opened:
-    """A scene, taken apart.
+class Opened(NamedTuple):
+    """A scene, taken apart."""
 
-    Attributes
-    ----------
-    volume : Volume
-        The one that is shown first.
-    volumes : Volumes or None
-        All, if there are several.
-    coefficients : Field or None
-        Of the volume, if they exist already.
-    finer : Finer or None
-        All sizes of a volume of which only one is in memory.
-    device, source
-        As for `View`.
-    options : dict
-        Those of `clvol.render` that the scene or the caller gives.
-    """
-
-    volume: Volume
-    volumes: Volumes | None = None
-    coefficients: Field | None = None
-    finer: Finer | None = None
-    device: Device | str | int | None = None
-    source: str | None = None
-    options: dict[str, Any] = field(default_factory=dict)
+    volume: Volume  # the one that is shown first
+    volumes: Volumes | None  # all, if there are several
+    coefficients: Field | None  # of the volume, if they exist already
+    finer: Finer | None  # all sizes of a volume of which only one is in memory
+    device: Device | str | int | None
+    source: str | None
+    options: dict[str, Any]  # of `clvol.render`, that the scene or the caller gives
 
 
 def opened(
@@ -88,10 +71,8 @@ def opened(
         volume = as_volume(scene if volumes is None else volumes.first)
     if volume.ndim != 3:
         raise DataError(f"a view takes a volume of 3 axes [z, y, x]; got shape {volume.shape}")
-    if finer is not None and finer.stored.bounds is not None:  # so that bounds are used, and all sizes look the same
-        bounds = finer.stored.bounds
-        options = {**options, "filter": options.get("filter") or bounds.filter}
-        options["boundary"] = options.get("boundary") or bounds.boundary
+    if finer is not None and (bounds := finer.stored.bounds) is not None:  # so that bounds are used, and all sizes look the same
+        options |= {name: options.get(name) or getattr(bounds, name) for name in ("filter", "boundary")}
     if volume.is_labels:  # whose colours depend on the labels that are resident
         finer = None
     return Opened(volume, volumes, coefficients, finer, device, source, options)
@@ -143,16 +124,16 @@ def _camera_state(volume: Volume, camera: Camera) -> CameraState:
     view = camera.view(volume)
     forward, up = view.forward, vertical(volume)
     level = abs(float(view.right @ up)) < 1e-9 and float(view.up @ up) > 1e-6
-    distance, target, radius = camera.distance, camera.target, camera.radius
+    distance, target = camera.distance, camera.target
     if camera.position is not None:
         aim = volume.center if target is None else np.asarray(target)
-        distance, target = float(np.linalg.norm(aim - view.eye)), tuple(map(float, aim))  # type: ignore[assignment]  # three
+        distance, target = float(np.linalg.norm(aim - view.eye)), triple(aim)
     return CameraState(
         target=target,
-        direction=tuple(map(float, forward)),  # type: ignore[arg-type]  # three
-        up=tuple(map(float, up if level else view.up)),  # type: ignore[arg-type]
+        direction=triple(forward),
+        up=triple(up if level else view.up),
         distance=distance,
-        radius=radius,
+        radius=camera.radius,
         zoom=camera.zoom,
         projection=camera.projection,
         fov=camera.fov,

@@ -10,10 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.scene.camera import Camera, Viewpoint
-from clvol.view.state import State
+from clvol.view.state import PANES, State, Triple
 from clvol.volume.volume import Volume
 
-__all__ = ["Pane3D", "PaneSize", "SlicePane", "active_pane", "bounds", "camera_of", "pane_of", "vertical", "visible"]
+__all__ = [
+    "Pane3D",
+    "PaneSize",
+    "SlicePane",
+    "Vector",
+    "active_pane",
+    "bounds",
+    "camera_of",
+    "pane_of",
+    "rotation",
+    "triple",
+    "vertical",
+    "visible",
+]
 
 Vector: TypeAlias = NDArray[np.float64]
 _MARGIN = 1.04
@@ -25,6 +38,12 @@ class PaneSize(NamedTuple):
     width: float = 512.0
     height: float = 512.0
     ratio: float = 1.0
+
+
+def triple(vector: Any) -> Triple:
+    """Three numbers as a tuple of floats."""
+    x, y, z = (float(v) for v in vector)
+    return x, y, z
 
 
 def vertical(volume: Volume) -> Vector:
@@ -43,7 +62,7 @@ def visible(state: State) -> tuple[str, ...]:
         return ("3d",)
     if state.layout == "slice":
         return (state.active if state.active != "3d" else "z",)
-    return ("3d", "x", "y", "z")
+    return PANES
 
 
 def active_pane(state: State) -> str:
@@ -53,36 +72,18 @@ def active_pane(state: State) -> str:
 
 def camera_of(state: State) -> Camera:
     """The camera of the volume's picture."""
-    own = state.camera
-    return Camera(
-        target=own.target,
-        direction=own.direction,
-        up=own.up,
-        projection=own.projection,
-        fov=own.fov,
-        distance=own.distance,
-        zoom=own.zoom,
-        radius=own.radius,
-        fit=own.fit,
-    )
+    given = dict(vars(state.camera))
+    del given["style"]
+    return Camera(**given)
 
 
 @dataclass(frozen=True)
 class Pane3D:
-    """A picture of the volume by a placed camera.
-
-    Parameters
-    ----------
-    size : PaneSize
-    view : Viewpoint
-        Of the camera.
-    target : ndarray, shape (3,)
-        The point it looks at.
-    """
+    """A picture of the volume by a placed camera."""
 
     size: PaneSize
     view: Viewpoint
-    target: Vector
+    target: Vector  # the point that the camera looks at
 
     @classmethod
     def of(cls, camera: Camera, volume: Volume, size: PaneSize) -> Pane3D:
@@ -140,27 +141,14 @@ class Pane3D:
 
 @dataclass(frozen=True)
 class SlicePane:
-    """A slice across an axis of the world, seen as by radiologists: from the feet, the patient's right on the left.
-
-    Parameters
-    ----------
-    size : PaneSize
-    axis : int
-        The axis that it is across: 0, 1 or 2.
-    middle : ndarray, shape (3,)
-        The world point in the middle of the pane.
-    right, down : ndarray, shape (3,)
-        World directions right and down in the picture.
-    per_pixel : float
-        World units per CSS pixel.
-    """
+    """A slice across an axis of the world, seen as by radiologists: from the feet, the patient's right on the left."""
 
     size: PaneSize
-    axis: int
-    middle: Vector
-    right: Vector
+    axis: int  # that it is across
+    middle: Vector  # the world point in the middle of the pane
+    right: Vector  # world directions in the picture
     down: Vector
-    per_pixel: float
+    per_pixel: float  # world units per CSS pixel
 
     @classmethod
     def of(cls, state: State, volume: Volume, axis: int, size: PaneSize) -> SlicePane:

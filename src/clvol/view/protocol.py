@@ -36,7 +36,7 @@ from typing import Any, Protocol, TypeAlias
 from clvol.base.checks import number, one_of, whole
 from clvol.base.errors import OptionError
 from clvol.view.panes import PaneSize
-from clvol.view.state import PANES
+from clvol.view.state import PANES, name_of
 
 __all__ = [
     "Change",
@@ -116,10 +116,7 @@ class Request:
 
     def pane(self, default: str) -> str:
         """The pane that it is for."""
-        name = self.arguments.get("pane") or default
-        if name not in PANES:
-            raise one_of("pane", name, PANES)
-        return str(name)
+        return name_of("pane", self.arguments.get("pane") or default, PANES)
 
     def size(self, default: tuple[int, int], minimum: int, maximum: int) -> tuple[int, int]:
         """Width and height in pixels."""
@@ -134,13 +131,7 @@ class Request:
 
 
 def parse(message: Any) -> Resize | PointerOrKey | Change | Request:
-    """The typed message; acknowledgements never come this far.
-
-    Raises
-    ------
-    OptionError
-        It is not an object, or of no known type.
-    """
+    """The typed message; acknowledgements never come this far."""
     if not isinstance(message, Mapping):
         raise OptionError(f"a message must be an object of JSON; got {message!r:.200}")
     kind = message.get("type")
@@ -162,9 +153,7 @@ def parse(message: Any) -> Resize | PointerOrKey | Change | Request:
 
 
 def _resize(event: Mapping[str, Any]) -> Resize:
-    name = event.get("pane", "")
-    if name != "" and name not in PANES:
-        raise one_of("pane", name, PANES)
+    name = name_of("pane", event.get("pane", ""), ("", *PANES))
     width, height = (number(what, event.get(what), minimum=0, maximum=1e6) for what in ("width", "height"))
     ratio = number("ratio", event.get("ratio", event.get("pixel_ratio", 1)), above=0, maximum=16)
     width, height = (min(max(edge, _SMALLEST), _LARGEST) for edge in (width, height))

@@ -40,16 +40,8 @@ class _Entry:
 class Renderers:
     """A cache of renderers by filter, boundary and volume.
 
-    Parameters
-    ----------
-    catalog : Catalog
-    device : Device, str or int, optional
-    given : Field or None
-        Coefficients that the first volume already has.
-    ready : callable
-        Called with what a new renderer shows.
-    limits : mapping
-        Limits of the device while it draws.
+    `given` are coefficients that the first volume already has; `ready` is called with what a new renderer shows; `limits` are those
+    of the device while it draws.
     """
 
     def __init__(
@@ -74,13 +66,8 @@ class Renderers:
     def renderer(self, filter: str | None, boundary: str, which: Which | None = None) -> Iterator[Renderer]:
         """The renderer of a filter, made if there is none; the last two stay when they are idle.
 
-        Of several volumes more stay, while they take no more than a quarter of the memory that is available.
-
-        Parameters
-        ----------
-        filter, boundary : str
-        which : Which, optional
-            Of a state; by default the first volume with all labels.
+        Of several volumes more stay, while they take no more than a quarter of the memory that is available. `which` is by default
+        the first volume with all labels.
         """
         key = filter, boundary, which or self._catalog.first
         with self._lock:

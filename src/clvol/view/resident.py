@@ -8,19 +8,24 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any, Unpack
 
+import numpy as np
+
 from clvol.base.errors import ClvolError
 from clvol.device import Device
+from clvol.filter.boundary import boundaries
+from clvol.filter.table import filters
 from clvol.march.options import ViewOptions
 from clvol.scene.camera import Camera
 from clvol.scene.fit import fitted
 from clvol.scene.look import look
-from clvol.scene.mode import Mode, as_mode
+from clvol.scene.mode import Mode, as_mode, mode_options, modes
+from clvol.scene.preset import presets
 from clvol.scene.transfer import TransferFunction
 from clvol.view.catalog import Catalog, Which
-from clvol.view.describe import description
+from clvol.view.events import KEYS
 from clvol.view.finer import Finer, Wanted
 from clvol.view.opening import Viewable, first_state, opened
-from clvol.view.panes import PaneSize, SlicePane, camera_of
+from clvol.view.panes import PaneSize, SlicePane, camera_of, triple
 from clvol.view.renderers import Renderers
 from clvol.view.slices import window_of_slices
 from clvol.view.state import MOST_POINTS, WORDS, State, plain, transfer_json
@@ -29,6 +34,14 @@ from clvol.volume.volume import Volume
 
 __all__ = ["Resident", "targeted"]
 
+_BINS = 256
+_SAMPLED = 1 << 19  # samples of a histogram
+_COLOR_MAPS = (
+    "gray", "bone", "hot", "viridis", "magma", "inferno", "plasma", "cividis", "turbo", "coolwarm", "cool", "copper", "pink",
+    "twilight", "cubehelix", "rainbow",
+)  # fmt: skip
+_CHOICES: Mapping[str, list[str]] = {"method": ["exact", "stepped"]}
+_RANGES: Mapping[str, list[float]] = {"termination": [0, 0.5], "tolerance": [0, 1], "attenuation": [0, 40]}
 _KEPT = 64  # descriptions of volumes
 _BESIDE = ("gradient", "rays", "pixel_filter", "skipping")  # passed on, and in no state
 
@@ -52,11 +65,10 @@ class Resident:
     ) -> None:
         found = opened(scene, device, source, finer, {**options})
         self.limits = dict(limits or {})
-        self.finer, self.device, self.source = found.finer, found.device, found.source
+        self.finer, self.device, self.source, given = found.finer, found.device, found.source, found.options
         self.catalog = Catalog(found.volume, found.volumes, lambda: self.renderers.in_use())
-        self.renderers = Renderers(self.catalog, found.device, found.coefficients, self._learn, self.limits)
+        self.renderers = Renderers(self.catalog, self.device, found.coefficients, self._learn, self.limits)
         self.title = title or (found.volume.name or "volume" if found.volumes is None else "volumes")
-        given = dict(found.options)
         self.beside: dict[str, Any] = {name: given.pop(name) for name in _BESIDE if name in given}
         """Arguments of `clvol.render` that are not part of a state."""
         self.initial = first_state(found.volume, given)
@@ -171,7 +183,7 @@ class Resident:
             place = self.catalog.which(state).place
             if place not in self._descriptions:
                 volume = self.catalog.volume_at(Which(place))
-                described = description(volume, self.title, self.catalog.axes(), self.catalog.labels(state))
+                described = _description(volume, self.title, self.catalog.axes(), self.catalog.labels(state))
                 while len(self._descriptions) >= _KEPT:
                     del self._descriptions[next(iter(self._descriptions))]
                 self._descriptions[place] = described
@@ -180,7 +192,66 @@ class Resident:
 
 def targeted(camera: Camera, volume: Volume) -> Camera:
     """The camera with its target: the volume's centre, if none is given."""
-    if camera.target is not None:
-        return camera
-    x, y, z = (float(v) for v in volume.center)
-    return replace(camera, target=(x, y, z))
+    return camera if camera.target is not None else replace(camera, target=triple(volume.center))
+
+
+# -- the description of a volume, which a client gets first ----------------------------------------------------
+
+
+def _description(volume: Volume, title: str, axes: list[dict[str, Any]], labels: tuple[list[list[Any]], int]) -> dict[str, Any]:
+    """The `info` message of a volume; `axes` and `labels` are those of `Catalog`."""
+    rows, count = labels
+    counts, edges = _histogram(volume)
+    return {
+        "type": "info",
+        "title": title,
+        "volume": {
+            "shape": list(volume.shape),
+            "spacing": list(volume.spacing),
+            "units": volume.units,
+            "range": list(volume.value_range),
+            "dtype": str(volume.data.dtype),
+            "space": volume.space,
+            "labels": bool(volume.is_labels),
+            "bounds": [volume.corners.min(0).tolist(), volume.corners.max(0).tolist()],
+            "center": volume.center.tolist(),
+        },
+        "axes": axes,
+        "labels": {"count": count, "rows": rows} if volume.is_labels else None,
+        "histogram": {"edges": edges, "counts": counts},
+        "modes": {name: _options(mode) for name, mode in modes().items()},
+        "filters": [*filters(), "bspline3(auto)"],
+        "boundaries": list(boundaries()),
+        "presets": list(presets()),
+        "colormaps": list(_COLOR_MAPS),
+        "keys": dict(KEYS),
+    }
+
+
+def _options(mode: Mode) -> dict[str, Any]:
+    says = mode_options(mode)
+    return {f.name: _option(getattr(mode, f.name), f.name, says[f.name]) for f in fields(mode)}
+
+
+def _option(default: Any, name: str, says: str) -> dict[str, Any]:
+    kind = "flag" if isinstance(default, bool) else "color" if name == "color" else "choice" if name in _CHOICES else "number"
+    option = {"kind": kind, "default": plain(default), "help": says}
+    if name in _CHOICES:
+        option["choices"] = _CHOICES[name]
+    if name in _RANGES:
+        option["range"] = _RANGES[name]
+    return option
+
+
+def _histogram(volume: Volume) -> tuple[list[int], list[float]]:
+    low, high = volume.value_range
+    stride = max(1, round(max(1.0, volume.data.size / _SAMPLED) ** (1 / 3)))
+    some = volume.data[::stride, ::stride, ::stride].astype(np.float64).ravel()
+    some = some[np.isfinite(some)]
+    if not low < high:
+        low, high = low - 0.5, high + 0.5
+    whole = volume.data.dtype.kind in "biu" and high - low < _BINS
+    span = (low - 0.5, high + 0.5) if whole else (low, high)  # a bin per value, centred on it
+    bins = round(span[1] - span[0]) if whole else _BINS
+    counts, edges = np.histogram(some, bins=bins, range=span)
+    return [int(n) for n in counts], [float(e) for e in edges]

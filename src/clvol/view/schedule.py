@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
-__all__ = ["Draw", "FindFacts", "Job", "Shown", "Situation", "Wait", "next_job"]
+__all__ = ["Draw", "FindFacts", "Job", "Shown", "Wait", "next_job"]
 
 
 class Draw(NamedTuple):
@@ -36,45 +35,31 @@ class Shown(NamedTuple):
     final: bool = False
 
 
-@dataclass(frozen=True)
-class Situation:
-    """What the next job depends on.
+def next_job(
+    wanted: Mapping[str, object],
+    shown: Mapping[str, Shown],
+    *,
+    sketching: bool = False,
+    rest_in: float = 0.0,
+    room_in: float = 0.0,
+    facts_in: float | None = None,
+) -> Job:
+    """The next job: first pictures of all panes before refined ones, and refined ones only at rest.
 
-    Parameters
-    ----------
-    wanted : mapping
-        By pane, in order of priority: everything that its picture depends on.
-    shown : mapping
-        By pane.
-    sketching : bool
-        Whether coefficients are still being computed. Slices then wait: they would make the volume's sketch wait too.
-    rest_in : float
-        Seconds until pointer and wheel count as being at rest; 0 or less if they are.
-    room_in : float
-        Seconds until the client has room for another frame; 0 if it has.
-    facts_in : float or None
-        Seconds until the client gets the volume's facts even if nothing is drawn; None if they are known or under way.
+    By pane, in order of priority, `wanted` is everything that its picture depends on. While coefficients are still being
+    computed (`sketching`) slices wait: they would make the volume's sketch wait too. The others are seconds: until pointer and
+    wheel count as being at rest, until the client has room for another frame, and until it gets the volume's facts even if nothing
+    is drawn (None if they are known or under way).
     """
-
-    wanted: Mapping[str, object]
-    shown: Mapping[str, Shown]
-    sketching: bool = False
-    rest_in: float = 0.0
-    room_in: float = 0.0
-    facts_in: float | None = None
-
-
-def next_job(now: Situation) -> Job:
-    """The next job: first pictures of all panes before refined ones, and refined ones only at rest."""
-    panes = ["3d"] if now.sketching and "3d" in now.wanted else list(now.wanted)
-    outdated = [name for name in panes if now.shown.get(name, Shown()).key != now.wanted[name]]
-    unfinished = outdated or [name for name in panes if not now.shown[name].final]
+    panes = ["3d"] if sketching and "3d" in wanted else list(wanted)
+    outdated = [name for name in panes if shown.get(name, Shown()).key != wanted[name]]
+    unfinished = outdated or [name for name in panes if not shown[name].final]
     if not unfinished:
-        if now.facts_in is None:
+        if facts_in is None:
             return Wait(None)
-        return FindFacts() if now.facts_in <= 0 else Wait(now.facts_in)
-    if now.room_in > 0:
-        return Wait(now.room_in)
-    if not outdated and now.rest_in > 0:
-        return Wait(now.rest_in)
+        return FindFacts() if facts_in <= 0 else Wait(facts_in)
+    if room_in > 0:
+        return Wait(room_in)
+    if not outdated and rest_in > 0:
+        return Wait(rest_in)
     return Draw(unfinished[0], bool(outdated))

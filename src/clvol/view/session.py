@@ -14,12 +14,11 @@ from clvol.view import actions, code, protocol
 from clvol.view.actions import Gone, pixels_of
 from clvol.view.background import Background
 from clvol.view.control import Control
-from clvol.view.drawing import WHOLE, Drawer, Order, Shot, has_sketch
-from clvol.view.encode import jpeg, png
+from clvol.view.drawing import WHOLE, Drawer, Order, Shot, has_sketch, jpeg, png
 from clvol.view.panes import PaneSize, visible
 from clvol.view.protocol import Change, Message, PointerOrKey, Request, Resize, Send
 from clvol.view.resident import Resident
-from clvol.view.schedule import Draw, FindFacts, Job, Shown, Situation, Wait, next_job
+from clvol.view.schedule import Draw, FindFacts, Job, Shown, Wait, next_job
 from clvol.view.state import State
 from clvol.view.throttle import Inbox, Throttle
 from clvol.view.updates import Updates
@@ -179,18 +178,17 @@ class Session:
         state, now, updates = self.state, time.monotonic(), self._updates
         sizes, focus = self._control.sizes, self._control.focus
         panes = [name for name in sorted(visible(state), key=lambda name: name != focus) if name in sizes or "" in sizes]
-        which, renderers = self._resident.catalog.which(state), self._resident.renderers
+        key, renderers = self._resident.catalog.key(state), self._resident.renderers
         with self._condition:
             room_in = self._throttle.room_in(now)
-        situation = Situation(
+        return next_job(
             wanted={name: self._control.key(name) for name in panes},
             shown=self._shown,
-            sketching="3d" in panes and has_sketch(state) and not renderers.soon(state.filter, state.boundary, which),
+            sketching="3d" in panes and has_sketch(state) and not renderers.soon(*key),
             rest_in=self._control.rests_at - now,
             room_in=room_in,
             facts_in=None if updates.complete or updates.finding_facts else self._began + _UNSIZED - now,
         )
-        return next_job(situation)
 
     # -- messages ----------------------------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from clvol.spline.field import Field
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["level_for", "plane_points", "section", "shaded", "window_of_slices"]
+__all__ = ["plane_points", "section", "shaded", "window_of_slices"]
 
 _SAMPLED = 1 << 20
 _ENDS = 0.002, 0.998  # quantiles of the samples that are black and white by default
@@ -72,16 +72,11 @@ def section(
     points = plane_points(middle, right, down, pixel, size)
     if isinstance(volume, LazyVolume):
         with Renderer(volume, row_for(volume, filter), boundary, device) as renderer:
-            values = renderer.field_of_level(level_for(volume, pixel))(points, fill=np.nan)
+            values = renderer.field_of_level(level_within(volume, max(pixel)))(points, fill=np.nan)
         return shaded(values, volume.preview(), window, cmap, background)
     volume = as_volume(volume)
     with Field(volume, filter_for(volume, filter, PICTURE_FILTER), boundary, device, precision="single") as field:
         return shaded(field(points, fill=np.nan), volume, window, cmap, background)
-
-
-def level_for(volume: LazyVolume, pixel: tuple[float, float]) -> int:
-    """The level that a slice with pixels of this size, in world units, is read from."""
-    return level_within(volume, max(pixel))
 
 
 def plane_points(

@@ -3,18 +3,21 @@
 It holds everything that a picture depends on, and nothing else: equal states of one volume give equal pictures.
 """
 
+# ruff: noqa: RUF009  # `_of` and `_part` make fields, as `dataclasses.field`
+
 from __future__ import annotations
 
 import json
 import math
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, Self, TypeAlias
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from functools import partial
+from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 from clvol.base.arrays import reals
 from clvol.base.axes import AXES
-from clvol.base.checks import number, one_of, whole
+from clvol.base.checks import instance, number, one_of, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.boundary import as_boundary
 from clvol.filter.table import as_filter
@@ -25,16 +28,20 @@ from clvol.scene.transfer import TransferFunction
 from clvol.volume.volumes import COMPUTED
 
 __all__ = [
+    "LAYOUTS",
     "MOST_LABELS",
     "MOST_POINTS",
     "PANES",
     "WORDS",
+    "ZOOMS",
     "CameraState",
     "History",
     "LabelState",
     "SliceState",
     "State",
+    "Triple",
     "Wiper",
+    "name_of",
     "plain",
     "points_of",
     "transfer_json",
@@ -50,17 +57,17 @@ WORDS = ("preset", "window", "cmap", "opacity")
 """Fields that choose a transfer function in words."""
 
 VERSION = 1
-_MOST_LABEL = 1 << 53  # the largest integer up to which float64 holds all
-_MOST_PLACES = (1 << 31) - 1  # volumes along an axis
-_LAYOUTS = ("3d", "slice", "linked")
-_STYLES = ("turntable", "trackball")
-_PROJECTIONS = ("perspective", "orthographic")
-_FITS = ("matter", "volume")
-TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair")
-_ZOOMS = 0.05, 1000.0
+LAYOUTS = ("3d", "slice", "linked")
+ZOOMS = 0.05, 1000.0
 MOST_POINTS = 512  # of a transfer function; they fit into one message
 MOST_LABELS = 2048  # that are hidden or shown; they fit into one message
+_TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair")
+_MOST_LABEL = 1 << 53  # the largest integer up to which float64 holds all
+_MOST_PLACES = (1 << 31) - 1  # volumes along an axis
 _FARTHEST = 1e15  # world units; its square and cube do not overflow
+
+
+# -- checks of values: functions of a field's name and the value ---------------------------------------------
 
 
 def _triple(what: str, value: object) -> Triple:
@@ -70,10 +77,6 @@ def _triple(what: str, value: object) -> Triple:
         raise OptionError(f"{what} must be {rule}; got {value!r}")
     x, y, z = vector.tolist()
     return float(x), float(y), float(z)
-
-
-def _optional_triple(what: str, value: object) -> Triple | None:
-    return None if value is None else _triple(what, value)
 
 
 def _way(what: str, value: object) -> Triple:
@@ -91,322 +94,11 @@ def _color(what: str, value: object) -> Triple:
     return color
 
 
-def _name_of(what: str, value: object, allowed: Sequence[str]) -> str:
+def name_of(what: str, value: object, allowed: Sequence[str] | Mapping[str, Any]) -> str:
+    """The value, if it is one of these names."""
     if not isinstance(value, str) or value not in allowed:
         raise one_of(what, value, allowed)
     return value
-
-
-def _switch(what: str, value: object) -> bool:
-    if not isinstance(value, bool):
-        raise OptionError(f"{what} must be true or false; got {value!r}")
-    return value
-
-
-def _known(what: str, value: object, known: frozenset[str] | set[str]) -> dict[str, Any]:
-    """A mapping, all of whose keys are known."""
-    if not isinstance(value, Mapping):
-        raise OptionError(f"{what or 'a state'} must be an object of JSON; got {value!r:.200}")
-    for key in value:
-        if key not in known:
-            raise OptionError(
-                f"{what + '.' if what else ''}{key!s:.60} is no field; {what or 'a state'} has {', '.join(sorted(known))}"
-            )
-    return dict(value)
-
-
-@dataclass(frozen=True)
-class CameraState:
-    """The camera, as `clvol.Camera`; what is None is fitted.
-
-    Parameters
-    ----------
-    target, direction, up, distance, radius, zoom, projection, fov, fit
-        See `clvol.Camera`.
-    style : {"turntable", "trackball"}
-        How a drag turns it: about the world's vertical, which stays upright in the picture, or freely.
-    """
-
-    target: Triple | None = None
-    direction: Triple = (0.0, 1.0, 0.0)
-    up: Triple = (0.0, 0.0, 1.0)
-    distance: float | None = None
-    radius: float | None = None
-    zoom: float = 1.0
-    projection: Literal["perspective", "orthographic"] = "perspective"
-    fov: float = 30.0
-    fit: Literal["matter", "volume"] = "matter"
-    style: Literal["turntable", "trackball"] = "turntable"
-
-    def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(self, "target", _optional_triple("camera.target", self.target))
-        put(self, "direction", _way("camera.direction", self.direction))
-        put(self, "up", _way("camera.up", self.up))
-        for what in ("distance", "radius"):
-            value = getattr(self, what)
-            put(self, what, None if value is None else number(f"camera.{what}", value, above=0, maximum=_FARTHEST))
-        put(self, "zoom", number("camera.zoom", self.zoom, minimum=_ZOOMS[0], maximum=_ZOOMS[1]))
-        put(self, "fov", number("camera.fov", self.fov, minimum=1, maximum=150))
-        _name_of("camera.projection", self.projection, _PROJECTIONS)
-        _name_of("camera.fit", self.fit, _FITS)
-        _name_of("camera.style", self.style, _STYLES)
-
-
-@dataclass(frozen=True)
-class SliceState:
-    """Magnification of all slices, and the world point in their middle (None: the volume's centre)."""
-
-    zoom: float = 1.0
-    center: Triple | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "zoom", number("slice.zoom", self.zoom, minimum=_ZOOMS[0], maximum=_ZOOMS[1]))
-        object.__setattr__(self, "center", _optional_triple("slice.center", self.center))
-
-
-@dataclass(frozen=True)
-class Wiper:
-    """Another filter's picture to the right of a line, at this fraction of the width."""
-
-    filter: str
-    at: float = 0.5
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "filter", _filter("wiper.filter", self.filter))
-        object.__setattr__(self, "at", number("wiper.at", self.at, minimum=0, maximum=1))
-
-
-@dataclass(frozen=True)
-class LabelState:
-    """Which labels are seen: all but those `hidden`, or only those `shown`. One of the two is given.
-
-    Parameters
-    ----------
-    hidden, shown : tuple of int, optional
-        Up to `MOST_LABELS` numbers of labels; sorted, without duplicates.
-    """
-
-    hidden: tuple[int, ...] | None = None
-    shown: tuple[int, ...] | None = None
-
-    def __post_init__(self) -> None:
-        if (self.hidden is None) == (self.shown is None):
-            raise OptionError(f"labels must have one of hidden and shown; got {'neither' if self.hidden is None else 'both'}")
-        what = "shown" if self.hidden is None else "hidden"
-        object.__setattr__(self, what, _numbers(f"labels.{what}", getattr(self, what)))
-
-
-def _numbers(what: str, value: object) -> tuple[int, ...]:
-    rule = f"a list of up to {MOST_LABELS} whole numbers"
-    if not isinstance(value, (list, tuple)):
-        raise OptionError(f"{what} must be {rule}; got {value!r:.200}")
-    if len(value) > MOST_LABELS:
-        raise OptionError(f"{what} must be {rule}; got {len(value)} of them")
-    return tuple(sorted({whole(f"each of {what}", part, -_MOST_LABEL, _MOST_LABEL) for part in value}))
-
-
-@dataclass(frozen=True)
-class State:
-    """What a viewer shows of a volume; `json` and `from_json` convert it.
-
-    Parameters
-    ----------
-    index : mapping of str to int or str
-        Which of several volumes on one grid: the index along each leading axis, or the name of a channel that is computed from
-        all. By default what `clvol.read` gives: 0, or the computed channel.
-    layout : {"3d", "slice", "linked"}
-        The volume, one slice (`active`), or the volume and three slices with one crosshair.
-    active : {"3d", "x", "y", "z"}
-        The pane that keys and copies are for.
-    tool : str or None
-        What the first button drags; by default "orbit" in the volume, "crosshair" in slices.
-    camera : CameraState
-    slice : SliceState
-    mode, options, filter, boundary, step
-        As for `clvol.render`; `options` are the mode's, and so is the default of `filter`.
-    transfer : TransferFunction, optional
-        In JSON ``{"points": [[value, [r, g, b], opacity], ...]}``. If it is given, `preset`, `window`, `cmap` and
-        `opacity` are not used for the volume's picture.
-    preset, window, cmap, opacity
-        As for `clvol.render`; slices take `window` and `cmap`.
-    lights : tuple of Light, optional
-    material : Material, optional
-    background : three numbers in 0..1, or None
-    clip : (low, high), optional
-        The crop box, in world units.
-    labels : LabelState, optional
-        Which labels of a label map are seen; others are background.
-    crosshair : three numbers, optional
-        In world units; by default the volume's centre.
-    wiper : Wiper, optional
-    heat : bool
-        Whether the fraction of samples that were visited is shown instead of the picture.
-    """
-
-    index: Mapping[str, int | str] = field(default_factory=dict)
-    layout: Literal["3d", "slice", "linked"] = "3d"
-    active: Pane = "3d"
-    tool: str | None = None
-    camera: CameraState = field(default_factory=CameraState)
-    slice: SliceState = field(default_factory=SliceState)
-    mode: str = "composite"
-    options: Mapping[str, Any] = field(default_factory=dict)
-    filter: str | None = None
-    boundary: str = "mirror"
-    step: float = 0.5
-    transfer: TransferFunction | None = None
-    preset: str | None = None
-    window: tuple[float, float] | None = None
-    cmap: str | None = None
-    opacity: float | None = None
-    lights: tuple[Light, ...] | None = None
-    material: Material | None = None
-    background: Triple | None = (0.0, 0.0, 0.0)
-    clip: tuple[Triple, Triple] | None = None
-    labels: LabelState | None = None
-    crosshair: Triple | None = None
-    wiper: Wiper | None = None
-    heat: bool = False
-
-    def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(self, "index", _index(self.index))
-        _name_of("layout", self.layout, _LAYOUTS)
-        _name_of("active", self.active, PANES)
-        if self.tool is not None:
-            _name_of("tool", self.tool, TOOLS)
-        mode = as_mode(self.mode, _options(self.options))
-        put(self, "options", {name: plain(getattr(mode, name)) for name in self.options})
-        put(self, "filter", None if self.filter is None else _filter("filter", self.filter))
-        put(self, "boundary", _named("boundary", self.boundary, as_boundary))
-        put(self, "step", number("step", self.step, minimum=0.02, maximum=16))
-        if self.transfer is not None and not isinstance(self.transfer, TransferFunction):
-            raise OptionError(f"transfer must be a TransferFunction; got {self.transfer!r:.200}")
-        if self.preset is not None:
-            put(self, "preset", _named("preset", self.preset, as_preset))
-        if self.window is not None:
-            put(self, "window", _window(self.window))
-        if self.cmap is not None:
-            put(self, "cmap", _named("cmap", self.cmap, lambda name: TransferFunction.from_cmap(name, (0.0, 1.0))))
-        if self.opacity is not None:
-            put(self, "opacity", number("opacity", self.opacity, minimum=0, maximum=1e6))
-        if self.lights is not None:
-            lights = tuple(self.lights)
-            if len(lights) > MAX_LIGHTS or not all(isinstance(light, Light) for light in lights):
-                raise OptionError(f"lights must be up to {MAX_LIGHTS} of Light; got {self.lights!r:.200}")
-            put(self, "lights", lights)
-        put(self, "background", None if self.background is None else _color("background", self.background))
-        if self.clip is not None:
-            put(self, "clip", _box(self.clip))
-        if self.labels is not None and not isinstance(self.labels, LabelState):
-            raise OptionError(f"labels must be a LabelState; got {self.labels!r:.200}")
-        if self.labels is not None and self.labels.hidden == ():  # equal pictures have equal states
-            put(self, "labels", None)
-        put(self, "crosshair", _optional_triple("crosshair", self.crosshair))
-        put(self, "heat", _switch("heat", self.heat))
-
-    def __hash__(self) -> int:
-        return hash(self.text())
-
-    @property
-    def words(self) -> dict[str, Any]:
-        """The values of `WORDS`, by name: arguments of `clvol.scene.look`."""
-        return {name: getattr(self, name) for name in WORDS}
-
-    # -- in JSON -----------------------------------------------------------------------------------------------
-
-    def json(self) -> dict[str, Any]:
-        """A value for `json.dumps`, from which `from_json` makes the same state."""
-        result: dict[str, Any] = {"version": VERSION}
-        for each in fields(self):
-            value = getattr(self, each.name)
-            result[each.name] = _WRITERS[each.name](value) if value is not None and each.name in _WRITERS else plain(value)
-        return result
-
-    def text(self) -> str:
-        """The JSON as one compact line."""
-        return json.dumps(self.json(), separators=(",", ":"), allow_nan=False)
-
-    @classmethod
-    def from_json(cls, value: object) -> Self:
-        """The state that `json` describes; fields that are missing have their defaults.
-
-        Raises
-        ------
-        OptionError
-            A field is unknown or has a value that is not allowed.
-        """
-        given = _known("", value, {"version", *(each.name for each in fields(cls))})
-        version = given.pop("version", VERSION)
-        if version != VERSION or isinstance(version, bool):
-            raise OptionError(f"version must be {VERSION}, that of this program's states; got {version!r:.60}")
-        return cls(**{name: _read(name, part) for name, part in given.items()})
-
-    @classmethod
-    def from_text(cls, text: str | bytes) -> Self:
-        """The state of a line of JSON; raises `OptionError` as `from_json`."""
-        try:
-            value = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise OptionError(f"a state must be JSON; {error}") from None
-        return cls.from_json(value)
-
-    def changed(self, changes: Mapping[str, Any]) -> Self:
-        """A copy with other values, in JSON, by dotted names such as "camera.zoom" or "options.isovalue".
-
-        A change of the mode drops options that are not given with it.
-
-        Raises
-        ------
-        OptionError
-            A name is no field, or a value is not allowed there.
-        """
-        if not isinstance(changes, Mapping):
-            raise OptionError(f"changes must be an object of JSON; got {changes!r:.200}")
-        result = self.json()
-        names = sorted(changes, key=str)  # "options" before "options.isovalue"
-        if "mode" in changes and changes["mode"] != self.mode:
-            result["options"] = {}
-        for name in names:
-            head, *rest = str(name).split(".")
-            if head not in result or head == "version":
-                raise OptionError(f"{name!s:.80} is no field; a state has {', '.join(each.name for each in fields(self))}")
-            part, key = result, head
-            for word in rest:
-                if part[key] is None:
-                    part[key] = {}
-                if not isinstance(part[key], dict):
-                    raise OptionError(f"{name!s:.80} is no field; {key} has no parts of that name")
-                part, key = part[key], word
-            part[key] = changes[name]
-        return type(self).from_json(result)
-
-
-def plain(value: Any) -> Any:
-    """The value as JSON gives it back: lists for tuples."""
-    if isinstance(value, (tuple, list)):
-        return [plain(part) for part in value]
-    if isinstance(value, Mapping):
-        return {str(key): plain(part) for key, part in value.items()}
-    return value
-
-
-def _index(value: object) -> dict[str, int | str]:
-    given = _known("index", value, set(AXES))
-    return {axis: _place_along(axis, given[axis]) for axis in AXES if axis in given}
-
-
-def _place_along(axis: str, value: object) -> int | str:
-    if axis == "channel" and isinstance(value, str):
-        return _name_of("index.channel", value, COMPUTED)
-    return whole(f"index.{axis}", value, 0, _MOST_PLACES)
-
-
-def _options(value: object) -> dict[str, Any]:
-    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
-        raise OptionError(f"options must be an object of JSON, by names of the mode's options; got {value!r:.200}")
-    return dict(value)
 
 
 def _named(what: str, value: object, known: Callable[[str], object]) -> str:
@@ -424,31 +116,97 @@ def _filter(what: str, value: object) -> str:
     return name
 
 
-def _window(value: object) -> tuple[float, float]:
+def _switch(what: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise OptionError(f"{what} must be true or false; got {value!r}")
+    return value
+
+
+def _instance(what: str, value: object, kind: type) -> Any:
+    instance(what, value, kind)
+    return value
+
+
+def _known(what: str, value: object, known: frozenset[str] | set[str]) -> dict[str, Any]:
+    """A mapping, all of whose keys are known."""
+    if not isinstance(value, Mapping):
+        raise OptionError(f"{what or 'a state'} must be an object of JSON; got {value!r:.200}")
+    for key in value:
+        if key not in known:
+            raise OptionError(
+                f"{what + '.' if what else ''}{key!s:.60} is no field; {what or 'a state'} has {', '.join(sorted(known))}"
+            )
+    return dict(value)
+
+
+def _numbers(what: str, value: object) -> tuple[int, ...]:
+    rule = f"a list of up to {MOST_LABELS} whole numbers"
+    if not isinstance(value, (list, tuple)):
+        raise OptionError(f"{what} must be {rule}; got {value!r:.200}")
+    if len(value) > MOST_LABELS:
+        raise OptionError(f"{what} must be {rule}; got {len(value)} of them")
+    return tuple(sorted({whole(f"each of {what}", part, -_MOST_LABEL, _MOST_LABEL) for part in value}))
+
+
+def _index(what: str, value: object) -> dict[str, int | str]:
+    given = _known(what, value, set(AXES))
+    return {axis: _place_along(axis, given[axis]) for axis in AXES if axis in given}
+
+
+def _place_along(axis: str, value: object) -> int | str:
+    if axis == "channel" and isinstance(value, str):
+        return name_of("index.channel", value, COMPUTED)
+    return whole(f"index.{axis}", value, 0, _MOST_PLACES)
+
+
+def _options(what: str, value: object) -> dict[str, Any]:
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
+        raise OptionError(f"{what} must be an object of JSON, by names of the mode's options; got {value!r:.200}")
+    return dict(value)
+
+
+def _window(what: str, value: object) -> tuple[float, float]:
     rule = "two finite numbers, (center, width), the width positive"
-    pair = reals("window", value, rule)
+    pair = reals(what, value, rule)
     if pair.shape != (2,) or not all(map(math.isfinite, pair.tolist())) or not pair[1] > 0:
-        raise OptionError(f"window must be {rule}; got {value!r:.200}")
+        raise OptionError(f"{what} must be {rule}; got {value!r:.200}")
     center, width = pair.tolist()
     if not center - width / 2 < center + width / 2:
-        raise OptionError(f"window must be {rule}, and wide enough to tell its ends apart; got {value!r}")
+        raise OptionError(f"{what} must be {rule}, and wide enough to tell its ends apart; got {value!r}")
     return float(center), float(width)
 
 
-def _box(value: object) -> tuple[Triple, Triple]:
+def _lights(what: str, value: Any) -> tuple[Light, ...]:
+    lights = tuple(value)
+    if len(lights) > MAX_LIGHTS or not all(isinstance(light, Light) for light in lights):
+        raise OptionError(f"{what} must be up to {MAX_LIGHTS} of Light; got {value!r:.200}")
+    return lights
+
+
+def _box(what: str, value: Any) -> tuple[Triple, Triple]:
     rule = "two corners, low and high, each coordinate of low less than of high"
-    pair: Any = value
     try:
-        first, last = pair
+        first, last = value
     except (TypeError, ValueError):
-        raise OptionError(f"clip must be {rule}; got {value!r:.200}") from None
-    low, high = _triple("clip.low", first), _triple("clip.high", last)
+        raise OptionError(f"{what} must be {rule}; got {value!r:.200}") from None
+    low, high = _triple(f"{what}.low", first), _triple(f"{what}.high", last)
     if not all(a < b for a, b in zip(low, high, strict=True)):
-        raise OptionError(f"clip must be {rule}; got {value!r:.200}")
+        raise OptionError(f"{what} must be {rule}; got {value!r:.200}")
     return low, high
 
 
 # -- parts in JSON -------------------------------------------------------------------------------------------
+
+
+def plain(value: Any) -> Any:
+    """The value as JSON gives it back: lists for tuples, objects for dataclasses."""
+    if isinstance(value, (tuple, list)):
+        return [plain(part) for part in value]
+    if isinstance(value, Mapping):
+        return {str(key): plain(part) for key, part in value.items()}
+    if is_dataclass(value):
+        return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
+    return value
 
 
 def points_of(transfer: TransferFunction) -> list[list[Any]]:
@@ -494,100 +252,304 @@ def transfer_json(transfer: TransferFunction) -> dict[str, Any]:
     return result if transfer.unit_distance is None else result | {"unit_distance": transfer.unit_distance}
 
 
-def _transfer_of(value: object) -> TransferFunction:
-    given = _known("transfer", value, {"points", "unit_distance"})
+def _transfer_of(what: str, value: object) -> TransferFunction:
+    given = _known(what, value, {"points", "unit_distance"})
     points = given.get("points")
     rule = f"1 to {MOST_POINTS} of [value, [r, g, b], opacity]"
     if not isinstance(points, (list, tuple)) or not 1 <= len(points) <= MOST_POINTS:
-        raise OptionError(f"transfer.points must be {rule}; got {points!r:.200}")
+        raise OptionError(f"{what}.points must be {rule}; got {points!r:.200}")
     colors, opacities = [], []
     for point in points:
         if not isinstance(point, (list, tuple)) or len(point) != 3:
-            raise OptionError(f"transfer.points must be {rule}; got {point!r:.200}")
-        at = number("a value of transfer.points", point[0])
-        colors.append((at, _color("a colour of transfer.points", point[1])))
-        opacities.append((at, number("an opacity of transfer.points", point[2], minimum=0, maximum=1)))
+            raise OptionError(f"{what}.points must be {rule}; got {point!r:.200}")
+        at = number(f"a value of {what}.points", point[0])
+        colors.append((at, _color(f"a colour of {what}.points", point[1])))
+        opacities.append((at, number(f"an opacity of {what}.points", point[2], minimum=0, maximum=1)))
     try:
         return TransferFunction(tuple(colors), tuple(opacities), given.get("unit_distance"))
     except ClvolError as error:
-        raise OptionError(f"transfer: {error}") from None
+        raise OptionError(f"{what}: {error}") from None
 
 
-def _light_json(light: Light) -> dict[str, Any]:
-    return {"direction": plain(light.direction), "color": plain(light.color), "frame": light.frame}
-
-
-def _light_of(value: object) -> Light:
-    given = _known("lights", value, {"direction", "color", "frame"})
-    direction = _optional_triple("lights.direction", given.get("direction"))
+def _light_of(what: str, value: object) -> Light:
+    given = _known(what, value, {"direction", "color", "frame"})
+    direction = given.get("direction")
+    direction = None if direction is None else _triple(f"{what}.direction", direction)
     try:
-        light = Light(direction, _color("lights.color", given.get("color", (1.0, 1.0, 1.0))), given.get("frame", "world"))
+        light = Light(direction, _color(f"{what}.color", given.get("color", (1.0, 1.0, 1.0))), given.get("frame", "world"))
     except ClvolError as error:
-        raise OptionError(f"lights: {error}") from None
+        raise OptionError(f"{what}: {error}") from None
     if direction is not None and abs(math.hypot(*direction) - 1) < 1e-15:
         # normalized again it might differ in the last bit; states must survive a round trip unchanged
         object.__setattr__(light, "direction", direction)
     return light
 
 
-def _lights_of(value: object) -> tuple[Light, ...]:
+def _lights_of(what: str, value: object) -> tuple[Light, ...]:
     if not isinstance(value, (list, tuple)):
-        raise OptionError(f"lights must be a list of up to {MAX_LIGHTS}; got {value!r:.200}")
-    return tuple(map(_light_of, value[: MAX_LIGHTS + 1]))
+        raise OptionError(f"{what} must be a list of up to {MAX_LIGHTS}; got {value!r:.200}")
+    return tuple(_light_of(what, light) for light in value[: MAX_LIGHTS + 1])
 
 
-def _dataclass_of(what: str, kind: Callable[..., Any], names: set[str]) -> Callable[[object], Any]:
-    def read(value: object) -> Any:
-        given = _known(what, value, names)
+def _dataclass_of(what: str, value: object, kind: Callable[..., Any]) -> Any:
+    given = _known(what, value, {each.name for each in fields(kind)})  # type: ignore[arg-type]  # of a dataclass
+    try:
+        return kind(**given)
+    except TypeError as error:
+        raise OptionError(f"{what}: {error}") from None
+
+
+def _clip_of(what: str, value: object) -> tuple[Triple, Triple]:
+    given = _known(what, value, {"low", "high"})
+    return _box(what, (given.get("low"), given.get("high")))
+
+
+# -- the state -----------------------------------------------------------------------------------------------
+
+
+def _of(
+    check: Callable[..., Any],
+    default: Any = MISSING,
+    read: Callable[[str, object], Any] | None = None,
+    write: Callable[[Any], Any] = plain,
+    optional: bool = False,
+    **limits: Any,
+) -> Any:
+    """A field: the check of its values, and what makes a value of JSON and JSON of a value. None passes where it is the default."""
+    optional = optional or default is None
+    rules = {"check": partial(check, **limits), "read": read, "write": write, "optional": optional}
+    return field(default_factory=dict, metadata=rules) if default == {} else field(default=default, metadata=rules)
+
+
+def _part(kind: type, default: Any = None, write: Callable[[Any], Any] = plain) -> Any:
+    """A field that is a dataclass, and an object of JSON with its fields."""
+    return _of(_instance, default, partial(_dataclass_of, kind=kind), write, kind=kind)
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """Its fields are checked, as `_of` says."""
+
+    _WITHIN: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if value is not None or not each.metadata["optional"]:
+                object.__setattr__(self, each.name, each.metadata["check"](f"{self._WITHIN}{each.name}", value))
+
+
+@dataclass(frozen=True)
+class CameraState(_Checked):
+    """The camera, as `clvol.Camera`; what is None is fitted. A drag turns it as `style` says.
+
+    A "turntable" turns about the world's vertical, which stays upright in the picture, and a "trackball" freely.
+    """
+
+    target: Triple | None = _of(_triple, None)
+    direction: Triple = _of(_way, (0.0, 1.0, 0.0))
+    up: Triple = _of(_way, (0.0, 0.0, 1.0))
+    distance: float | None = _of(number, None, above=0, maximum=_FARTHEST)
+    radius: float | None = _of(number, None, above=0, maximum=_FARTHEST)
+    zoom: float = _of(number, 1.0, minimum=ZOOMS[0], maximum=ZOOMS[1])
+    projection: Literal["perspective", "orthographic"] = _of(name_of, "perspective", allowed=("perspective", "orthographic"))
+    fov: float = _of(number, 30.0, minimum=1, maximum=150)
+    fit: Literal["matter", "volume"] = _of(name_of, "matter", allowed=("matter", "volume"))
+    style: Literal["turntable", "trackball"] = _of(name_of, "turntable", allowed=("turntable", "trackball"))
+
+    _WITHIN = "camera."
+
+
+@dataclass(frozen=True)
+class SliceState(_Checked):
+    """Magnification of all slices, and the world point in their middle (None: the volume's centre)."""
+
+    zoom: float = _of(number, 1.0, minimum=ZOOMS[0], maximum=ZOOMS[1])
+    center: Triple | None = _of(_triple, None)
+
+    _WITHIN = "slice."
+
+
+@dataclass(frozen=True)
+class Wiper(_Checked):
+    """Another filter's picture to the right of a line, at this fraction of the width."""
+
+    filter: str = _of(_filter)
+    at: float = _of(number, 0.5, minimum=0, maximum=1)
+
+    _WITHIN = "wiper."
+
+
+@dataclass(frozen=True)
+class LabelState(_Checked):
+    """Which labels are seen: all but those `hidden`, or only those `shown`. One of the two is given.
+
+    Up to `MOST_LABELS` numbers of labels; sorted, without duplicates.
+    """
+
+    hidden: tuple[int, ...] | None = _of(_numbers, None)
+    shown: tuple[int, ...] | None = _of(_numbers, None)
+
+    _WITHIN = "labels."
+
+    def __post_init__(self) -> None:
+        if (self.hidden is None) == (self.shown is None):
+            raise OptionError(f"labels must have one of hidden and shown; got {'neither' if self.hidden is None else 'both'}")
+        super().__post_init__()
+
+    def json(self) -> dict[str, list[int]]:
+        """The one that is given."""
+        return {name: part for name, part in plain(self).items() if part is not None}
+
+
+@dataclass(frozen=True)
+class State(_Checked):
+    """What a viewer shows of a volume; `json` and `from_json` convert it.
+
+    Parameters
+    ----------
+    index : mapping of str to int or str
+        Which of several volumes on one grid: the index along each leading axis, or the name of a channel that is computed from
+        all. By default what `clvol.read` gives: 0, or the computed channel.
+    layout : {"3d", "slice", "linked"}
+        The volume, one slice (`active`), or the volume and three slices with one crosshair.
+    active : {"3d", "x", "y", "z"}
+        The pane that keys and copies are for.
+    tool : str or None
+        What the first button drags; by default "orbit" in the volume, "crosshair" in slices.
+    camera : CameraState
+    slice : SliceState
+    mode, options, filter, boundary, step
+        As for `clvol.render`; `options` are the mode's, and so is the default of `filter`.
+    transfer : TransferFunction, optional
+        In JSON ``{"points": [[value, [r, g, b], opacity], ...]}``. If it is given, `preset`, `window`, `cmap` and
+        `opacity` are not used for the volume's picture.
+    preset, window, cmap, opacity
+        As for `clvol.render`; slices take `window` and `cmap`.
+    lights : tuple of Light, optional
+    material : Material, optional
+    background : three numbers in 0..1, or None
+    clip : (low, high), optional
+        The crop box, in world units.
+    labels : LabelState, optional
+        Which labels of a label map are seen; others are background.
+    crosshair : three numbers, optional
+        In world units; by default the volume's centre.
+    wiper : Wiper, optional
+    heat : bool
+        Whether the fraction of samples that were visited is shown instead of the picture.
+    """
+
+    index: Mapping[str, int | str] = _of(_index, {})
+    layout: Literal["3d", "slice", "linked"] = _of(name_of, "3d", allowed=LAYOUTS)
+    active: Pane = _of(name_of, "3d", allowed=PANES)
+    tool: str | None = _of(name_of, None, allowed=_TOOLS)
+    camera: CameraState = _part(CameraState, CameraState())
+    slice: SliceState = _part(SliceState, SliceState())
+    mode: str = _of(lambda _, mode: mode, "composite")  # checked with its options
+    options: Mapping[str, Any] = _of(_options, {})
+    filter: str | None = _of(_filter, None)
+    boundary: str = _of(_named, "mirror", known=as_boundary)
+    step: float = _of(number, 0.5, minimum=0.02, maximum=16)
+    transfer: TransferFunction | None = _of(_instance, None, _transfer_of, transfer_json, kind=TransferFunction)
+    preset: str | None = _of(_named, None, known=as_preset)
+    window: tuple[float, float] | None = _of(_window, None)
+    cmap: str | None = _of(_named, None, known=partial(TransferFunction.from_cmap, value_range=(0.0, 1.0)))
+    opacity: float | None = _of(number, None, minimum=0, maximum=1e6)
+    lights: tuple[Light, ...] | None = _of(_lights, None, _lights_of)
+    material: Material | None = _part(Material)
+    background: Triple | None = _of(_color, (0.0, 0.0, 0.0), optional=True)
+    clip: tuple[Triple, Triple] | None = _of(_box, None, _clip_of, lambda clip: {"low": list(clip[0]), "high": list(clip[1])})
+    labels: LabelState | None = _part(LabelState, write=LabelState.json)
+    crosshair: Triple | None = _of(_triple, None)
+    wiper: Wiper | None = _part(Wiper)
+    heat: bool = _of(_switch, False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        mode = as_mode(self.mode, self.options)
+        object.__setattr__(self, "options", {name: plain(getattr(mode, name)) for name in self.options})
+        if self.labels is not None and self.labels.hidden == ():  # equal pictures have equal states
+            object.__setattr__(self, "labels", None)
+
+    def __hash__(self) -> int:
+        return hash(self.text())
+
+    @property
+    def words(self) -> dict[str, Any]:
+        """The values of `WORDS`, by name: arguments of `clvol.scene.look`."""
+        return {name: getattr(self, name) for name in WORDS}
+
+    # -- in JSON -----------------------------------------------------------------------------------------------
+
+    def json(self) -> dict[str, Any]:
+        """A value for `json.dumps`, from which `from_json` makes the same state."""
+        values = {each: getattr(self, each.name) for each in fields(self)}
+        written = {each.name: None if value is None else each.metadata["write"](value) for each, value in values.items()}
+        return {"version": VERSION} | written
+
+    def text(self) -> str:
+        """The JSON as one compact line."""
+        return json.dumps(self.json(), separators=(",", ":"), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, value: object) -> Self:
+        """The state that `json` describes; fields that are missing have their defaults.
+
+        Raises
+        ------
+        OptionError
+            A field is unknown or has a value that is not allowed.
+        """
+        rows = {each.name: each for each in fields(cls)}
+        given = _known("", value, {"version", *rows})
+        version = given.pop("version", VERSION)
+        if version != VERSION or isinstance(version, bool):
+            raise OptionError(f"version must be {VERSION}, that of this program's states; got {version!r:.60}")
+        for name, part in given.items():
+            read = rows[name].metadata["read"]
+            if read is not None and (part is not None or not rows[name].metadata["optional"]):
+                given[name] = read(name, part)
+        return cls(**given)
+
+    @classmethod
+    def from_text(cls, text: str | bytes) -> Self:
+        """The state of a line of JSON; raises `OptionError` as `from_json`."""
         try:
-            return kind(**given)
-        except TypeError as error:
-            raise OptionError(f"{what}: {error}") from None
+            value = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise OptionError(f"a state must be JSON; {error}") from None
+        return cls.from_json(value)
 
-    return read
+    def changed(self, changes: Mapping[str, Any]) -> Self:
+        """A copy with other values, in JSON, by dotted names such as "camera.zoom" or "options.isovalue".
 
+        A change of the mode drops options that are not given with it.
 
-def _clip_of(value: object) -> tuple[Triple, Triple]:
-    given = _known("clip", value, {"low", "high"})
-    return _box((given.get("low"), given.get("high")))
-
-
-def _labels_json(labels: LabelState) -> dict[str, Any]:
-    what = "shown" if labels.hidden is None else "hidden"
-    return {what: list(getattr(labels, what))}
-
-
-def _own_fields(value: Any) -> dict[str, Any]:
-    return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
-
-
-_WRITERS: dict[str, Callable[[Any], Any]] = {
-    "camera": _own_fields,
-    "slice": _own_fields,
-    "transfer": transfer_json,
-    "lights": lambda lights: [_light_json(light) for light in lights],
-    "material": _own_fields,
-    "clip": lambda clip: {"low": list(clip[0]), "high": list(clip[1])},
-    "labels": _labels_json,
-    "wiper": _own_fields,
-}
-_READERS: dict[str, Callable[[object], Any]] = {
-    "camera": _dataclass_of("camera", CameraState, {each.name for each in fields(CameraState)}),
-    "slice": _dataclass_of("slice", SliceState, {each.name for each in fields(SliceState)}),
-    "transfer": _transfer_of,
-    "lights": _lights_of,
-    "material": _dataclass_of("material", Material, {each.name for each in fields(Material)}),
-    "clip": _clip_of,
-    "labels": _dataclass_of("labels", LabelState, {"hidden", "shown"}),
-    "wiper": _dataclass_of("wiper", Wiper, {each.name for each in fields(Wiper)}),
-}
-_REQUIRED = frozenset({"camera", "slice"})
-
-
-def _read(name: str, value: object) -> Any:
-    if value is None and name not in _REQUIRED:
-        return None
-    return _READERS[name](value) if name in _READERS else value
+        Raises
+        ------
+        OptionError
+            A name is no field, or a value is not allowed there.
+        """
+        if not isinstance(changes, Mapping):
+            raise OptionError(f"changes must be an object of JSON; got {changes!r:.200}")
+        result = self.json()
+        names = sorted(changes, key=str)  # "options" before "options.isovalue"
+        if "mode" in changes and changes["mode"] != self.mode:
+            result["options"] = {}
+        for name in names:
+            head, *rest = str(name).split(".")
+            if head not in result or head == "version":
+                raise OptionError(f"{name!s:.80} is no field; a state has {', '.join(each.name for each in fields(self))}")
+            part, key = result, head
+            for word in rest:
+                if part[key] is None:
+                    part[key] = {}
+                if not isinstance(part[key], dict):
+                    raise OptionError(f"{name!s:.80} is no field; {key} has no parts of that name")
+                part, key = part[key], word
+            part[key] = changes[name]
+        return type(self).from_json(result)
 
 
 # -- undo ----------------------------------------------------------------------------------------------------

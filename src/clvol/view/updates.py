@@ -22,19 +22,7 @@ _COMPLETE = "", "info"
 
 
 class Updates:
-    """Compares what a client knows with what is, and sends what differs.
-
-    Parameters
-    ----------
-    resident : Resident
-    control : Control
-    background : Background
-        Computes what takes long.
-    send : callable
-        Of the session's thread.
-    closed : callable
-        Whether the session has ended.
-    """
+    """Compares what a client knows with what is, and sends what differs; `closed` says whether the session has ended."""
 
     def __init__(
         self,
@@ -165,8 +153,7 @@ class Updates:
     def forget_errors(self) -> None:
         """Withdraw errors of filters, once others are compared."""
         state = self._control.state
-        which = self._resident.catalog.which(state)
-        compared = None if state.wiper is None else (state.filter, state.wiper.filter, state.boundary, which)
+        compared = None if state.wiper is None else (state.wiper.filter, *self._resident.catalog.key(state))
         if compared != self._compared:
             self._compared = compared
             self._background.forget("wiper")

@@ -54,20 +54,9 @@ def measured(
 ) -> dict[str, Any]:
     """The error of each filter on the volume, as `clvol.analysis.leave_out` measures it, on blocks with the most variation.
 
-    Parameters
-    ----------
-    volume : Volume
-    filters : sequence of str
-    boundary : str
-    stop : callable
-        Asked between blocks; once it says so, the result is empty.
-
-    Returns
-    -------
-    dict
-        "meaning" (text), "span" of the values, "blocks" (their number), and "filters": for each its "filter", its "rms" over all
-        blocks and axes, in units of the data, its "share" of the span, and "x", "y", "z" by axis; and the "expected" error at the
-        samples' own spacing (`clvol.analysis.predict`).
+    `stop` is asked between blocks; once it says so, the result is empty. Else it has "meaning" (text), "span" of the values,
+    "blocks" (their number), and "filters": for each its "filter", its "rms" over all blocks and axes, in units of the data, its
+    "share" of the span, and "x", "y", "z" by axis; and the "expected" error at the samples' own spacing (`clvol.analysis.predict`).
     """
     from clvol.analysis.left_out import leave_out  # they import SciPy, which takes as long as all the rest
     from clvol.analysis.predicted import predict

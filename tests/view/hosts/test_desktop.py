@@ -93,7 +93,7 @@ def test_drags_and_keys_turn_it_and_undo_takes_them_back(device: Device) -> None
         until(lambda: client.session.state.camera.direction != direction)
         turned = settling.picture(first)
         assert np.abs(turned.astype(int) - first).max() > 50
-        client.do("undo")
+        client.session.receive({"type": "do", "what": "undo"})
         until(lambda: client.session.state.camera.direction == direction)
         assert_array_equal(settling.picture(turned), first)
     finally:
@@ -139,7 +139,7 @@ def test_pictures_are_scaled_by_the_linear_filter() -> None:
 
 
 def test_frames_are_over_black() -> None:
-    from clvol.view.encode import png
+    from clvol.view.drawing import png
 
     pixels = np.full((4, 5, 4), 200, np.uint8)
     pixels[0, :, 3] = 0

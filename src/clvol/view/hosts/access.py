@@ -37,12 +37,7 @@ class Access:
 
     So neither another site in the same browser nor a name that was made to point here gets in.
 
-    Parameters
-    ----------
-    host : str
-        Where the server listens.
-    names : sequence of str
-        Further names, with or without a port.
+    The server listens at `host`; `names` are further ones, with or without a port.
     """
 
     def __init__(self, host: str, names: Iterable[str]) -> None:
@@ -58,10 +53,6 @@ class Access:
         self._tickets[ticket] = time.monotonic() + _TICKET
         return ticket
 
-    def check(self, request: web.Request) -> None:
-        """Refuse requests to names and from sites that are not known."""
-        self._check_origin(request, self._asked_host(request))
-
     def _asked_host(self, request: web.Request) -> str:
         """The name that was asked for, if it is one of ours: another could be made to point here."""
         values = request.headers.getall("Host", [])
@@ -72,8 +63,9 @@ class Access:
             return asked
         raise Refused(403, f"this server does not answer to the name {asked[:80]!r}; allow it with --allow-host")
 
-    def _check_origin(self, request: web.Request, host: str) -> None:
-        """Refuse what a page of another site asks for; other programs send no origin."""
+    def check(self, request: web.Request) -> None:
+        """Refuse requests to names that are not known, and what a page of another site asks for; other programs send no origin."""
+        host = self._asked_host(request)
         origins = request.headers.getall("Origin", [])
         for origin in origins:
             try:

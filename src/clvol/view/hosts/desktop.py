@@ -26,17 +26,9 @@ _SIZE = 900, 700
 
 
 class DesktopWindow:
-    """A session in a canvas.
+    """A session in a canvas of rendercanvas (of Qt, offscreen, ...): any that shows bitmaps.
 
-    Parameters
-    ----------
-    view : View
-    canvas : rendercanvas.BaseRenderCanvas
-        Of Qt, offscreen, ...: any that shows bitmaps.
-    loop : rendercanvas loop, optional
-        It is woken for new pictures. Without one, the canvas's ``draw`` gives the newest.
-    state : State, optional
-        What is shown first.
+    `loop` is woken for new pictures. Without one, the canvas's ``draw`` gives the newest.
     """
 
     def __init__(self, view: View, canvas: Any, loop: Any = None, state: State | None = None) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.view.encode import opaque
+from clvol.view.drawing import opaque
 from clvol.view.panes import visible
 from clvol.view.state import State
 
@@ -35,15 +35,8 @@ Rectangle = tuple[int, int, int, int]
 class LocalClient:
     """A session whose panes are composed here.
 
-    Parameters
-    ----------
-    view : View
-    changed : callable
-        Called from the session's thread when `take` has something new; it must return at once.
-    state : State, optional
-        What is shown first; by default the view's.
-    pointer : bool
-        Whether there is one, for which clip planes have dots.
+    `changed` is called from the session's thread when `take` has something new, and must return at once. `pointer` says whether
+    there is one, for which clip planes have dots.
     """
 
     def __init__(self, view: View, changed: Callable[[], Any], state: State | None = None, *, pointer: bool = True) -> None:
@@ -55,9 +48,8 @@ class LocalClient:
         self._parts: dict[str, Rectangle] = {}
         self._shown: list[int] = []
         self._still: set[str] = set()
-        self._crosshairs: dict[str, tuple[float, float]] = {}
+        self._overlays: dict[str, dict[str, Any]] = {}
         self._pointer = pointer
-        self._dots: dict[str, list[tuple[float, float]]] = {}
         self._held: str | None = None
         self.title = ""
         self.text = ""
@@ -92,20 +84,17 @@ class LocalClient:
             sent |= {"pane": name, "x": x - left / self._ratio, "y": y - top / self._ratio}
         self.session.receive({"type": "event", "event": sent})
 
-    def do(self, what: str, **arguments: Any) -> None:
-        """Send a request of the protocol, such as "undo"."""
-        self.session.receive({"type": "do", "what": what, **arguments})
-
     def take(self) -> Array:
         """The newest picture, (height, width, 3) uint8; its frames count as shown."""
         with self._lock:
             picture, shown = self._canvas.copy(), self._shown
             self._shown = []
-            for name, at in self._crosshairs.items():
-                self._mark(picture, name, at)
-            for name, places in self._dots.items():
-                for place in places:
-                    self._dot(picture, name, place)
+            for name, (left, top, width, height) in self._parts.items():
+                overlay, pane = self._overlays.get(name, {}), picture[top : top + height, left : left + width]
+                if overlay.get("crosshair") is not None and len(self._parts) > 1:
+                    self._mark(pane, _CROSS if name == "3d" else max(width, height), overlay["crosshair"])
+                for _, _, x, y in overlay.get("faces", ()) if self._pointer else ():
+                    self._dot(pane, x * self._ratio, y * self._ratio)
         for number in shown:
             self.session.receive({"type": "ack", "frame": number})
         return picture
@@ -144,11 +133,7 @@ class LocalClient:
                     self._lay_out()
         elif kind == "overlay":
             with self._lock:
-                self._crosshairs.pop(message["pane"], None)
-                if message.get("crosshair") is not None:
-                    x, y = message["crosshair"]
-                    self._crosshairs[message["pane"]] = float(x), float(y)
-                self._dots[message["pane"]] = [(x, y) for _, _, x, y in message["faces"]] if self._pointer else []
+                self._overlays[message["pane"]] = message
         elif kind == "status":
             self.text = str(message.get("text") or "")
         elif kind == "reply" and message.get("value") is not None:
@@ -190,30 +175,21 @@ class LocalClient:
             size = {"width": part[2] / self._ratio, "height": part[3] / self._ratio, "ratio": min(self._ratio, _MOST_RATIO)}
             self.session.receive({"type": "event", "event": {"event_type": "resize", "pane": name, **size}})
 
-    def _mark(self, picture: Array, name: str, at: tuple[float, float]) -> None:
+    def _mark(self, pane: Array, reach: int, at: tuple[float, float]) -> None:
         """Draw the crosshair of linked panes: lines in slices, a small cross in the volume."""
-        part = self._parts.get(name)
-        if part is None or len(self._parts) == 1:
-            return
-        left, top, width, height = part
-        pane = picture[top : top + height, left : left + width]
         x, y = (int(v * self._ratio) for v in at)
-        reach = _CROSS if name == "3d" else max(width, height)
+        height, width = pane.shape[:2]
         for line in (
             pane[y : y + 1, max(0, x - reach) : max(0, x + reach + 1)] if 0 <= y < height else pane[:0],
             pane[max(0, y - reach) : max(0, y + reach + 1), x : x + 1] if 0 <= x < width else pane[:0],
         ):
             line[:] = line // 2 + _MARK
 
-    def _dot(self, picture: Array, name: str, at: tuple[float, float]) -> None:
+    def _dot(self, pane: Array, x: float, y: float) -> None:
         """Draw the dot that drags a clip plane."""
-        if (part := self._parts.get(name)) is None:
-            return
-        left, top, width, height = part
         radius, color = _DOT[0] * self._ratio, _DOT[1]
-        x, y = (v * self._ratio for v in at)
         rows, columns = (slice(max(0, int(v - radius)), max(0, int(v + radius) + 1)) for v in (y, x))
-        square = picture[top : top + height, left : left + width][rows, columns]
+        square = pane[rows, columns]
         down, across = np.ogrid[: square.shape[0], : square.shape[1]]
         square[np.hypot(down + rows.start - y, across + columns.start - x) <= radius] = color
 

@@ -68,18 +68,7 @@ def render_selected() -> None:
 def picture_of(
     viewer: Any, layer: Any, mode: str = DEFAULT_MODE, pixels: int = _SIZE, **options: Unpack[RenderOptions]
 ) -> NDArray[np.uint8]:
-    """A square picture of a layer as the viewer's camera sees it, fitted to the layer.
-
-    Parameters
-    ----------
-    viewer : napari.Viewer
-    layer : napari.layers.Image or Labels
-    mode : str
-    pixels : int
-        Along each edge.
-    **options
-        As for `clvol.render`.
-    """
+    """A picture of a layer, square, as the viewer's camera sees it, fitted to the layer; options are those of `clvol.render`."""
     camera, mirrored = camera_of(viewer.camera)
     picture = to_bytes(render(volume_of(viewer, layer), camera=camera, mode=mode, size=(pixels, pixels), **options))
     return np.ascontiguousarray(picture[:, ::-1]) if mirrored else picture
@@ -106,13 +95,7 @@ def camera_of(camera: Any) -> tuple[Camera, bool]:
 
 
 def volume_of(viewer: Any, layer: Any) -> Volume:
-    """The layer's volume; of several the one that the viewer's sliders select.
-
-    Raises
-    ------
-    OptionError
-        The layer is RGB, or has fewer than three axes.
-    """
+    """The layer's volume; of several the one that the viewer's sliders select."""
     if getattr(layer, "rgb", False):
         raise OptionError(f"a layer must have one value a voxel; {layer.name!r} is in colours: split it into channels")
     if layer.ndim < 3:

@@ -35,12 +35,7 @@ def _static(name: str) -> str:
 
 
 class Widget(anywidget.AnyWidget):
-    """A view as a widget; `close` ends its sessions.
-
-    Parameters
-    ----------
-    view : View
-    """
+    """A view as a widget; `close` ends its sessions."""
 
     _esm = _static("clvol.js")
     _css = _static("clvol.css")

@@ -14,7 +14,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import mimetypes
 import socket
 import ssl
 import threading
@@ -23,11 +22,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from importlib import resources
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from clvol.base.checks import whole
 from clvol.base.errors import ClvolError, MissingDependencyError, OptionError
+from clvol.view.background import Result, started
 from clvol.view.hosts.access import Access, Refused, from_another_site, is_any, is_loopback
 from clvol.view.hosts.outbox import Limits, Outbox, Rate
 from clvol.view.protocol import Message, Receiver, SessionFactory, status
@@ -188,30 +187,9 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:g} minutes" if seconds >= 60 else f"{seconds:g} s"
 
 
-async def in_thread(work: Callable[[], Any], name: str) -> Any:
-    """Run work in a daemon thread: the process waits for those of asyncio at its end."""
-    loop = asyncio.get_running_loop()
-    future: asyncio.Future[Any] = loop.create_future()
-
-    def done(result: Any, error: BaseException | None) -> None:
-        if future.done():
-            return
-        if error is None:
-            future.set_result(result)
-        else:
-            future.set_exception(error)
-
-    def run() -> None:
-        result, error = None, None
-        try:
-            result = work()
-        except BaseException as raised:
-            error = raised if isinstance(raised, Exception) else RuntimeError(f"{name} ended by {type(raised).__name__}")
-        with contextlib.suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(done, result, error)
-
-    threading.Thread(target=run, name=f"clvol: {name}", daemon=True).start()
-    return await future
+async def in_thread(work: Callable[[], Result], name: str) -> Result:
+    """Run work in a daemon thread."""
+    return await asyncio.wrap_future(started(work, f"clvol: {name}"))
 
 
 # -- the server ------------------------------------------------------------------------------------------------
@@ -442,20 +420,14 @@ class Server:
         made = self.opened.done() and not self.opened.cancelled() and self.opened.exception() is None
         close = getattr(self.opened.result(), "close", None) if made else None
         if not self._clients and close is not None:
-            threading.Thread(target=close, name="clvol: freeing a view", daemon=True).start()
+            started(close, "clvol: freeing a view")
 
 
 def _static() -> Mapping[str, tuple[bytes, str]]:
     """The page's files by name, read once: requests choose only from these."""
     folder = resources.files("clvol.view.hosts") / "static"
-    kinds = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".svg": "image/svg+xml"}
-    found = {}
-    for file in folder.iterdir():
-        if file.is_file():
-            suffix = Path(file.name).suffix
-            kind = kinds.get(suffix) or mimetypes.guess_type(file.name)[0] or "application/octet-stream"
-            found[file.name] = file.read_bytes(), f"{kind}; charset=utf-8" if suffix in kinds else kind
-    return found
+    kinds = {"clvol.js": "text/javascript", "clvol.css": "text/css", "index.html": "text/html"}
+    return {name: ((folder / name).read_bytes(), f"{kind}; charset=utf-8") for name, kind in kinds.items()}
 
 
 def _headers(ancestors: list[str]) -> Mapping[str, str]:
@@ -542,7 +514,7 @@ class Serving:
     def _work(self) -> None:
         try:
             asyncio.run(self._run())
-        except Exception as error:  # there was no loop
+        except Exception as error:
             if self._ready.is_set():
                 raise
             self._failed = error
@@ -551,13 +523,8 @@ class Serving:
 
     async def _run(self) -> None:
         self._loop, self._enough = asyncio.get_running_loop(), asyncio.Event()
-        try:
-            await self._server.start()
-        except Exception as error:
-            self._failed = error
-            return
-        finally:
-            self._ready.set()
+        await self._server.start()
+        self._ready.set()
         try:
             await self._enough.wait()
         finally:
@@ -589,7 +556,7 @@ class Serving:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
@@ -598,18 +565,7 @@ class Serving:
 
 
 def serve(view: SessionFactory | Callable[[], SessionFactory], **options: Any) -> Serving:
-    """Serve a view from a thread of this process; `options` are those of `Server`.
-
-    Returns
-    -------
-    Serving
-        It has the address (``url``); ``close()`` or a ``with`` block ends it.
-
-    Raises
-    ------
-    OptionError
-        The port is taken, or an option is not allowed.
-    """
+    """Serve a view from a thread of this process: see `clvol.view.View.serve`."""
     return Serving(Server(view, **options))
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.show.picture import to_bytes
-from clvol.view.encode import opaque
+from clvol.view.drawing import opaque
 from clvol.view.hosts.local import LocalClient, scaled
 
 if TYPE_CHECKING:
@@ -47,14 +47,7 @@ def show_in_terminal(
     view: View, stdin: IO[str] | None = None, stdout: IO[str] | None = None, size: tuple[int, int] | None = None
 ) -> None:
     """Show a view in the terminal until ``q``; a still picture if stdin or stdout is no terminal, or on Windows.
-
-    Parameters
-    ----------
-    view : View
-    stdin, stdout : text files, optional
-        Default: the process's.
-    size : (columns, lines), optional
-        Default: the terminal's.
+    By default in the process's own terminal; `size` is (columns, lines).
     """
     stdin, stdout = stdin or sys.stdin, stdout or sys.stdout
     if not _typed(stdin, stdout):
