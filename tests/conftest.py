@@ -1,4 +1,4 @@
-"""Fixtures that every test file may ask for."""
+"""Fixtures for all test files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _found() -> list[Device]:
 
 
 def _usable(device: Device) -> bool:
-    """PoCL is none where it cannot link; that is no failure where another runtime is."""
+    """PoCL is not usable where it cannot link; that is no failure if another runtime exists."""
     try:
         device.require_usable()
     except DeviceError:

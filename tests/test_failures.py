@@ -1,4 +1,4 @@
-"""Calls that fail leave memory, descriptors and the device's buffers where they were."""
+"""Failing calls leave memory, descriptors and device buffers unchanged."""
 
 # ruff: noqa: ARG005  # what a call is tried on is handed to all
 
@@ -30,7 +30,7 @@ GROWS = 24 << 20  # bytes, that so many calls of all kinds may leave behind in p
 
 
 class Stop(Exception):
-    """What a caller's own function raises."""
+    """Raised by a caller's callback."""
 
 
 def stop(*_: object) -> None:
@@ -38,7 +38,7 @@ def stop(*_: object) -> None:
 
 
 def after(count: int) -> Callable[[float], None]:
-    """A report of progress that interrupts as Ctrl-C does, the `count`-th time."""
+    """A progress callback that interrupts, like Ctrl-C, on its `count`-th call."""
     calls = itertools.count(1)
 
     def told(_: float) -> None:
@@ -49,7 +49,7 @@ def after(count: int) -> Callable[[float], None]:
 
 
 class Given:
-    """What calls are tried on."""
+    """The objects that calls are tried on."""
 
     def __init__(self, folder: Path, device: Device) -> None:
         self.device = device
@@ -150,7 +150,7 @@ def held() -> tuple[int, int]:
 
 
 def live(monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
-    """How many buffers of those made from now on are alive."""
+    """The number of live buffers among those created from now on."""
     import weakref
 
     import pyopencl as cl
@@ -180,7 +180,7 @@ def _size(buffer: Any) -> int:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory and descriptors are read from /proc")
 @pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.thorough)])
-def test_failing_calls_leave_nothing_behind(count: int, tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failing_calls_leak_nothing(count: int, tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     given = Given(tmp_path, device)
 
     def fail(times: int) -> None:

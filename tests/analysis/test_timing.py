@@ -1,4 +1,4 @@
-"""Times per sample: filters take turns in every round, and their coefficients are resident only while there is room."""
+"""Times per sample: filters take turns in every round, and coefficients stay resident only while they fit."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_every_filter_takes_its_turn_and_the_shortest_time_counts(monkeypatch: p
 
 
 @pytest.mark.parametrize(("room", "groups"), [(10, [[0], [1], [2]]), (4096, [[0, 1], [2]]), (5 * 4096, [[0, 1, 2]])])
-def test_coefficients_are_resident_while_there_is_room(room: int, groups: list[list[int]]) -> None:
+def test_coefficients_are_resident_while_they_fit(room: int, groups: list[list[int]]) -> None:
     assert list(timing._groups(phantoms.sphere(8), FILTERS, room)) == [[FILTERS[i] for i in group] for group in groups]
 
 

@@ -1,4 +1,4 @@
-"""The boundary rules of the reference against SciPy's modes."""
+"""Boundary rules of the reference compared with SciPy's modes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_axis_by_axis_is_point_by_point(name: str, rule: str) -> None:
 @pytest.mark.parametrize("rule", ["nearest", "grid-constant(3)", "constant", "overlap"])
 @pytest.mark.parametrize("name", ["bspline3", "bspline5"])
 def test_slopes_are_differences(name: str, rule: str) -> None:
-    """Of the rule's own function, where it has one."""
+    """Of the rule's own function, where it exists."""
     rng = np.random.default_rng(2)
     data, h = rng.normal(size=(6, 7)), 1e-5
     points = rng.uniform(-20, 25, (300, 2))

@@ -1,4 +1,4 @@
-"""Several volumes on one grid: which they are, and as other libraries have them."""
+"""Several volumes on one grid: selection, and conversion to other libraries."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_grids_are_compared_in_voxels_and_units() -> None:
         Volumes([])
 
 
-def test_a_color_that_all_volumes_have_is_kept() -> None:
+def test_a_colour_shared_by_all_volumes_is_kept() -> None:
     red = Volume(np.zeros((2, 2, 2)), color=np.array([1.0, 0, 0]), clim=np.array([0.0, 1]))  # type: ignore[arg-type]
     assert Volumes([red])[0].color == (1.0, 0.0, 0.0)
     assert Volumes([red, red])[1].clim == (0.0, 1.0)
