@@ -1,8 +1,8 @@
-"""The tables of reliability.md that come from what tests and soaks wrote down.
+"""Generates the tables of reliability.md from the results of tests and soaks.
 
     python docs/_reliability.py
 
-puts them into the page, between ``<!-- table: NAME -->`` and ``<!-- end -->``.
+writes them between ``<!-- table: NAME -->`` and ``<!-- end -->``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _count(number: float) -> str:
 
 
 def soak() -> str:
-    """Of the soaks of the last day: what was drawn, and what was held."""
+    """The soaks of the last day: work done, and resources held."""
     runs = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(SOAK.glob("*.json"))]
     last = max((run["date"] for run in runs), default="")
     return "\n".join(_soak(run) for run in runs if run["date"] == last) or _NONE
@@ -56,7 +56,7 @@ def _soak(run: dict[str, Any]) -> str:
 
 
 def fuzz() -> str:
-    """Of all runs of the fuzzers, a row a format."""
+    """All runs of the fuzzers, a row per format."""
     if not FUZZ.exists():
         return _NONE
     counts = {
@@ -86,7 +86,7 @@ TABLES: dict[str, Callable[[], str]] = {"soak": soak, "fuzz": fuzz}
 
 
 def with_tables(page: str) -> str:
-    """The page with its tables made anew."""
+    """The page with regenerated tables."""
     return _PLACE.sub(lambda match: match[1] + "\n" + TABLES[match[2]]() + "\n" + match[3], page)
 
 

@@ -33,7 +33,7 @@ __all__ = [
 
 MASKED: Final = np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
 
-# -- what is rejected ------------------------------------------------------------------------------
+# -- rejected arguments ------------------------------------------------------------------------------
 
 BAD_WHOLE: Final[tuple[Any, ...]] = ("a", "8", None, True, 2.5, 2.0, 1j, np.nan, np.inf, [2], (2, 2), np.array([2, 3]))
 """No whole number, whatever its bounds."""

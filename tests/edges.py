@@ -116,7 +116,7 @@ def bricks(names: Iterable[str], size: tuple[int, int] = (17, 15), seen: Iterabl
     for name, (shape, edge) in itertools.product(names, shapes[: 1 if few else None]):
         with clvol.BrickedField(noise(*shape), name, edge=edge) as field, clvol.Renderer(field) as renderer:
             for camera, mode, step in itertools.product(LOOKS[: 1 if few else 2], seen, (0.6, 3)):
-                field.drop()  # so that rays are asked
+                field.drop()  # so that rays are checked
                 assert np.isfinite(renderer.render(camera, mode, size, step)).all()
             for mode in {"composite", "isosurface"} & {*seen}:
                 made = renderer.render(LOOKS[0], mode, size, outputs=("rgba", "depth", "normal", "position", "visited"))

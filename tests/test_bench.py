@@ -168,7 +168,7 @@ def test_a_short_soak_passes_and_detects_planted_faults(tmp_path: Path) -> None:
     assert report["draws"] > report["catalogue"] > 30
     assert set(report["by_deed"]) <= set(DEEDS)
     assert {"buffers", "files"} <= {name for name, row in report["held"].items() if row["first"] > 0}
-    # so short a time says nothing of what caches hold, which still fill
+    # in so short a time caches still fill
     assert [name for name in ("descriptors", "threads", "files") if report["held"][name]["grew"]] == []
 
 
@@ -205,7 +205,7 @@ def test_a_soak_waits_for_finishing_work_and_reports_hangs(
 ) -> None:
     """Work of 1.2 s begins before the last measurement, and ends after the time is over."""
     released = threading.Event()
-    slow: list[int] = []  # the thread that comes first
+    slow: list[int] = []  # the first thread
 
     def do(*_: Any) -> tuple[str, bool]:
         slow.append(threading.get_ident())

@@ -1,6 +1,6 @@
 """Failing calls leave memory, descriptors and device buffers unchanged."""
 
-# ruff: noqa: ARG005  # what a call is tried on is handed to all
+# ruff: noqa: ARG005  # all calls get the same arguments
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HOLED = np.where(DATA > 0.9, np.nan, DATA)
 POINTS = np.full((50, 3), 4.0)
 HUGE = np.broadcast_to(np.float32(1), (1 << 13,) * 3)
 FEW, MANY = 4, 1000  # calls of each kind
-GROWS = 24 << 20  # bytes, that so many calls of all kinds may leave behind in pools of allocators
+GROWS = 24 << 20  # bytes that n calls of all kinds may leave in allocator pools
 
 
 class Stop(Exception):
@@ -70,7 +70,7 @@ class Given:
 
 
 CALLS: list[Callable[[Given], Any]] = [
-    # what is asked for is wrong
+    # invalid requests
     lambda g: clvol.Volume(np.zeros((2, 2, 2, 2))),
     lambda g: clvol.Volume(DATA, (1, 2)),
     lambda g: clvol.Volume(DATA, direction=np.zeros((3, 3))),
@@ -110,7 +110,7 @@ CALLS: list[Callable[[Given], Any]] = [
     lambda g: clvol.write(VOLUME, g.folder / "no folder" / "a.npz"),
     lambda g: clvol.write(VOLUME, g.folder / "a.unknown"),
     lambda g: clvol.save(np.zeros((4, 4, 9)), g.folder / "a.png"),
-    # samples that cannot be used
+    # invalid samples
     lambda g: clvol.Field(HOLED, device=g.device),
     lambda g: clvol.render(HOLED, device=g.device),
     lambda g: clvol.prefilter(HOLED, device=g.device),
@@ -129,7 +129,7 @@ CALLS: list[Callable[[Given], Any]] = [
     lambda g: g.closed(POINTS),
     lambda g: g.closed.resample((2, 2, 2)),
     lambda g: clvol.Renderer(g.closed),
-    # interrupted, or what the caller gave fails
+    # interrupted, or the caller's callback fails
     lambda g: g.field(POINTS, progress=stop),
     lambda g: g.field.resample((20, 20, 20), progress=after(1)),
     lambda g: clvol.resample(VOLUME, (20, 20, 20), device=g.device, progress=after(1)),

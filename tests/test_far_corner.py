@@ -42,7 +42,7 @@ def corner() -> NDArray[np.uint8]:
 def test_a_large_volume_matches_its_corner_alone(device: Device) -> None:
     need(9)
     room(device, 4.8)
-    data = np.zeros(LARGE, np.uint8)  # of no memory, but for the corner
+    data = np.zeros(LARGE, np.uint8)  # sparse, except the corner
     data[-CORNER:, -CORNER:, -CORNER:] = corner()
     small = clvol.Volume(corner(), origin=tuple(float(n - CORNER) for n in LARGE[::-1]))
     low = np.array([n - INNER for n in LARGE[::-1]], np.float64)
@@ -70,7 +70,7 @@ def test_a_large_volume_matches_its_corner_alone(device: Device) -> None:
     *numbers, (drawn, expected) = zip(*answers, strict=True)
     for large, alone in numbers:
         np.testing.assert_allclose(large, alone, atol=1e-3 * np.abs(alone).max())  # float32 positions are coarser far out
-    assert expected.std() > 0.05  # there is something to see
+    assert expected.std() > 0.05  # not empty
     assert (np.abs(drawn - expected) > 0.01).mean() < 0.005  # rays on the edges of surfaces
 
 

@@ -201,7 +201,7 @@ def test_the_command_exits_with_one_line_even_during_imports(tmp_path: Path, mon
     assert seconds < 10
 
 
-# -- launches that are short, so that Ctrl-C is heard between them -------------------------------------------
+# -- launches are short, so that Ctrl-C works between them -------------------------------------------
 
 
 def test_the_prefilter_waits_between_launches(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:

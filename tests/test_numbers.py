@@ -35,7 +35,7 @@ def test_results_do_not_depend_on_the_number_of_cores(device: Device) -> None:
         assert done.returncode == 0, done.stderr
         units, *hashes = done.stdout.split()
         seen[units] = hashes
-    assert len(seen) == 2  # so many cores there were
+    assert len(seen) == 2  # the number of cores
     assert len({tuple(hashes) for hashes in seen.values()}) == 1
 
 

@@ -9,8 +9,8 @@ import sys
 import pytest
 
 MIB = 1 << 20
-ROOM = 1024  # MiB of the container that the process believes to be in
-GROWS = 64  # MiB, at most, by which a rejected call may grow the process: drivers, kernels and what the calls before left
+ROOM = 1024  # MiB of the simulated container
+GROWS = 64  # MiB by which a rejected call may grow the process: drivers, kernels and remains of previous calls
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits are read from /proc and /sys")
 

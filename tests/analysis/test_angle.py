@@ -32,7 +32,7 @@ def test_empty_space_does_not_count() -> None:
     edge = np.arange(places) < places // 100
     true = np.where(edge[:, None], [3.0, 0.0, 0.0], 0.0) + rng.normal(0, sigma, (places, 3))
     drawn = np.where(edge[:, None], [np.cos(0.02), np.sin(0.02), 0.0], rng.normal(0, sigma, (places, 3)))
-    assert mean_angle(drawn, true) == pytest.approx(85, abs=8)  # what a plain mean says: air alone
+    assert mean_angle(drawn, true) == pytest.approx(85, abs=8)  # a plain mean sees only air
     assert mean_angle(drawn, true, sigma) == pytest.approx(1.8, abs=0.3)
     noise = mean_angle(drawn[~edge], true[~edge], sigma)
     assert noise is None or (angle_weights(true[~edge], sigma) > 0).sum() < 10

@@ -29,7 +29,7 @@ def test_matches_the_reference_for_an_impulse(name: str, derivative: int) -> Non
     along = drawn if derivative == 0 else drawn[:, 0] if derivative == 1 else drawn[:, 0, 0]
     along = along / reference.sample(Volume([[1.0]]), [[0.0, 0.0]], name if name in filters() else ROWS[name], "wrap")
     row = ROWS[name]
-    # the reference draws the kernel, the pieces its fit; a derivative's error may be 2 n² times as great (Markov)
+    # the reference uses the kernel, the pieces its fit; a derivative's error may be 2 n² times as large (Markov)
     tolerance = 1e-10 * 400**derivative + 2 * row.fit_error * (2 * row.degree**2) ** derivative
     np.testing.assert_allclose(impulse_response(row, x, derivative), along, rtol=0, atol=tolerance)
 

@@ -179,7 +179,7 @@ def test_fractional_shifts_cover_all_distances() -> None:
     """A wave along x: the mean squared error over all shifts is the error kernel at the frequency of the kept samples."""
     omega, n = 0.45, 400
     data = np.cos(omega * np.arange(n))[None].repeat(9, 0)
-    kept = float(ndimage.gaussian_filter1d(np.cos(omega * np.arange(-200, 201)), 1.0)[200])  # what the low-pass leaves
+    kept = float(ndimage.gaussian_filter1d(np.cos(omega * np.arange(-200, 201)), 1.0)[200])  # what the low-pass preserves
     for name in ("linear", "mitchell", "bspline3"):
         [row] = compare(data, [name], fractional=120, timing=False)
         assert row.rms**2 == pytest.approx(kept**2 / 2 * float(error_kernel(name, 2 * omega)), rel=0.06), name

@@ -94,7 +94,7 @@ def test_the_error_of_noise_is_what_the_filter_passes(shape: tuple[int, ...]) ->
     data = np.random.default_rng(0).normal(5, 2, shape)
     for row in predict(data, [*NAMES, EXACT_SINC], 2.0):
         assert row.noise == pytest.approx(2 * variance_gain(row.filter) ** (len(shape) / 2), rel=1e-9)
-        assert row.bias < 0.45 * row.noise + 0.2  # what chance leaves of the sum of few blocks
+        assert row.bias < 0.45 * row.noise + 0.2  # the random error of a sum of few blocks
 
 
 def test_an_exact_background_has_no_noise() -> None:
@@ -187,7 +187,7 @@ def test_a_random_order_is_seldom_certain() -> None:
         t.surely_less("mitchell", "linear", mitchell / linear) or t.surely_less("linear", "mitchell", linear / mitchell)
         for t in tables
     ]
-    assert np.mean(wrong) < 0.2  # 0.05 of many blocks; 0.33 if those that overlap were taken for independent
+    assert np.mean(wrong) < 0.2  # 0.05 for many blocks; 0.33 if overlapping ones were treated as independent
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])

@@ -56,7 +56,7 @@ def test_constants_by_hand() -> None:
 @pytest.mark.parametrize("unit", [1e-320, 1e-200, 1e-81, 1e100, 1e200, 1e305])
 def test_units_change_nothing(unit: float) -> None:
     scaled = ssim(NOISY * unit, IMAGE * unit)
-    assert scaled == pytest.approx(ssim(NOISY, IMAGE), abs=1e-9 if unit > 1e-300 else 0.1)  # few digits are left of the least
+    assert scaled == pytest.approx(ssim(NOISY, IMAGE), abs=1e-9 if unit > 1e-300 else 0.1)  # few digits remain of the smallest
     assert -1 <= ssim(NOISY * unit, IMAGE * unit, 1.0) <= 1
     assert ssim(IMAGE * unit, IMAGE * unit, 1e-300) == pytest.approx(1)
 

@@ -148,7 +148,7 @@ def test_error_kernel_is_the_sum_over_aliases(name: str) -> None:
     omega = np.array([0.0, 0.3, 1.0, 2.5, np.pi, 4.0, -1.0, 9.0])
     images = 2 * np.pi * np.concatenate([np.arange(-12, 0), np.arange(1, 13)])
     wanted = (1 - frequency_response(name, omega)) ** 2 + (frequency_response(name, omega[:, None] + images) ** 2).sum(-1)
-    # what lies beyond the images summed falls like 1/omega² where a kernel jumps, faster elsewhere
+    # the remainder beyond the summed aliases falls like 1/omega² if a kernel jumps, else faster
     tolerance = 2e-2 if as_filter(name).continuity < 0 else 1e-5
     np.testing.assert_allclose(error_kernel(name, omega), wanted, rtol=0, atol=tolerance)
     assert error_kernel(name, 1.0).shape == ()

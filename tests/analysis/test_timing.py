@@ -28,7 +28,7 @@ def test_every_filter_takes_its_turn_and_the_shortest_time_counts(monkeypatch: p
     def takes(filter: Filter, _evaluator: object, points: Any) -> None:
         nonlocal now
         taken.append((filter.name, len(points)))
-        now += 1000 * filter.support + (50 if len(taken) < 8 else 0)  # at first the machine is busy with something else
+        now += 1000 * filter.support + (50 if len(taken) < 8 else 0)  # at first the machine is busy
 
     monkeypatch.setattr(timing, "coefficients_of", holds)
     monkeypatch.setattr(timing, "choose_evaluator", lambda *_: None)

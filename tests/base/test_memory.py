@@ -135,7 +135,7 @@ def test_the_message_states_needed_and_available_memory(root: Path) -> None:
 @linux
 def test_freed_memory_is_available_again(root: Path) -> None:
     machine(root, available=1000)
-    for _ in range(5):  # an answer is kept, less what was granted: before a refusal there is a new one
+    for _ in range(5):  # an answer is cached, less the memory granted; before an error it is measured again
         memory.require(900 * MIB, "a result")
 
 

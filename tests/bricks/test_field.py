@@ -22,7 +22,7 @@ from clvol.filter.boundary import boundaries
 from tests.bricks.test_source import Broken, Counted
 
 FILTERS = ("nearest", "linear", "catmull-rom", "bspline2", "bspline3", "bspline3(0.2)", "bspline5", "hybrid", "omoms3")
-BOUND = {"bspline5": 4e-6}  # of a range of 1: what float32 leaves of its prefilter, as of the whole volume's
+BOUND = {"bspline5": 4e-6}  # for a range of 1: float32 rounding of the prefilter, as for the whole volume
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_hessians_and_frames(volume: clvol.Volume) -> None:
 def test_without_a_prefilter_results_are_identical(volume: clvol.Volume, filter: str) -> None:
     at = points(volume, 0.4)
     with clvol.Field(volume, filter) as whole, BrickedField(volume, filter, edge=16) as bricked:
-        np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=2e-7)  # positions are rounded otherwise
+        np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=2e-7)  # positions round differently
         np.testing.assert_array_equal(bricked.resample(shape=(20, 50, 60)).data, whole.resample(shape=(20, 50, 60)).data)
 
 
@@ -91,7 +91,7 @@ def test_other_grids(volume: clvol.Volume) -> None:
     with clvol.Field(counts) as whole, BrickedField(counts, edge=16) as bricked:
         a, b = (one.resample(shape=(30, 30, 30), dtype="same").data for one in (whole, bricked))
         assert a.dtype == b.dtype == np.uint8
-        assert np.abs(a.astype(int) - b.astype(int)).max() <= 1  # halves may be rounded either way
+        assert np.abs(a.astype(int) - b.astype(int)).max() <= 1  # halves may round either way
         assert (a != b).mean() < 1e-3
 
 
@@ -118,7 +118,7 @@ def test_a_volume_in_memory_that_fits_is_one_brick(volume: clvol.Volume) -> None
     at = points(volume, 0.4, 500)
     with clvol.Field(volume) as whole, BrickedField(volume) as one:
         assert one.bricks.counts == (1, 1, 1)
-        np.testing.assert_allclose(one(at), whole(at), rtol=0, atol=3e-7)  # positions are rounded otherwise
+        np.testing.assert_allclose(one(at), whole(at), rtol=0, atol=3e-7)  # positions round differently
     lazy = clvol.LazyVolume(Counted(np.zeros((300, 20, 20), np.uint8)), limits=(0, 1))
     with BrickedField(lazy, "linear") as read_by_parts, BrickedField(np.zeros((300, 20, 20), np.uint8), "linear") as one:
         assert (read_by_parts.bricks.counts, one.bricks.counts) == ((1, 1, 2), (1, 1, 1))
@@ -128,7 +128,7 @@ def test_a_volume_in_memory_that_fits_is_one_brick(volume: clvol.Volume) -> None
 def test_only_bricks_that_contain_points_are_read() -> None:
     data = Counted(np.zeros((256, 256, 256), np.uint8))
     with BrickedField(clvol.LazyVolume(data, limits=(0, 255)), edge=32) as bricked:
-        settled = data.read  # the middle, for what kind of samples they are
+        settled = data.read  # the centre block, for the kind of the samples
         bricked([[100.0, 100.0, 100.0], [101.0, 102.0, 103.0]])
         assert bricked.reads.bricks == 1
         assert data.read - settled == bricked.reads.samples < 80**3
@@ -218,7 +218,7 @@ def in_threads(*work: Any) -> list[Any]:
 
 
 def test_threads_read_different_bricks_concurrently(volume: clvol.Volume) -> None:
-    data = Together(volume.data, 3)  # none comes before three are asked for
+    data = Together(volume.data, 3)  # none arrives before three are requested
     corners = volume.index_to_world([[2.0, 2.0, 2.0], [25.0, 20.0, 20.0], [50.0, 38.0, 35.0]])
     with BrickedField(clvol.LazyVolume(data, limits=(0, 1), labels=False), "linear", edge=16) as field:
         truth = BrickedField(volume.data, "linear", edge=16)(volume.world_to_index(corners))
@@ -260,7 +260,7 @@ def test_a_brick_requested_by_several_threads_is_read_once_and_its_error_reaches
             if error is not None:
                 assert [type(one) for one in found] == [FormatError] * 4
                 assert all("disk on fire" in str(one) for one in found)
-                assert field.nbytes == 0  # nothing is kept of it
+                assert field.nbytes == 0  # it is not cached
             else:
                 assert found == [found[0]] * 4
                 assert field.reads.bricks == 1
@@ -317,7 +317,7 @@ def test_a_thread_that_holds_a_brick_does_not_wait_for_memory() -> None:
                     return own.at == (second, 0, 0)
 
         assert in_threads(partial(two, 0, 1), partial(two, 2, 3)) == [True, True]
-        assert field.nbytes <= field.memory  # once they have done
+        assert field.nbytes <= field.memory  # after they finish
 
 
 def test_an_interrupted_reader_hands_the_brick_to_a_waiting_thread() -> None:
@@ -352,7 +352,7 @@ def test_an_unreferenced_field_is_freed(volume: clvol.Volume) -> None:
     gc.disable()
     try:
         del bricked
-        assert gone() is None  # without the collector of cycles
+        assert gone() is None  # without the garbage collector
     finally:
         gc.enable()
 

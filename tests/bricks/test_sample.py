@@ -109,7 +109,7 @@ def test_volumes_whose_coefficients_do_not_fit(call: str, monkeypatch: pytest.Mo
 
     monkeypatch.setattr("clvol.spline.field.coefficients_of", refused)
     with pytest.raises(OutOfMemoryError):
-        clvol.Field(VOLUME)  # which is for those who want the coefficients
+        clvol.Field(VOLUME)  # which is for callers that need the coefficients
     warns = pytest.warns(clvol.ClvolWarning, match="by bricks in single precision.*a buffer of the whole volume")
     with nullcontext() if call.startswith("fewer") else warns:  # sums need no coefficients
         found = CALLS[call](VOLUME)

@@ -189,7 +189,7 @@ def test_limits_are_estimated_from_a_subsample(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("clvol.bricks.source._PREVIEWED", 1000)
     assert LazyVolume(data).estimated
     assert not LazyVolume(data, limits=(0, 1)).estimated
-    assert not LazyVolume(Counted(data.data)).estimated  # without chunks all are looked at
+    assert not LazyVolume(Counted(data.data)).estimated  # without chunks all are read
     assert data.read == 0
 
 
@@ -322,7 +322,7 @@ def test_a_changed_mapped_file_of_the_same_size_is_rejected(tmp_path: Path) -> N
     with pytest.raises(FormatError, match="has changed since it was opened"):
         pickle.loads(packed).whole()
 
-    data[...] = 5  # of the file that has no name any more
+    data[...] = 5  # of the unlinked file
     data = np.memmap(path, np.float32, "r+", shape=(10, 10, 10))
     data[...] = 3  # is in the file, and its time with it, before it is pickled
     assert (pickle.loads(pickle.dumps(LazyVolume(data))).whole().data == 3).all()

@@ -541,7 +541,7 @@ def test_a_multi_resolution_store_is_rendered_by_bricks(clvol_command: Command) 
     camera = clvol.Camera.orbit(30, 20, fit="volume")
     expected = clvol.render(clvol.open("ball.zarr"), camera, "isosurface", size=(16, 12), lod=0)
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.show.picture.to_bytes(expected)[..., :3])
-    told = clvol_command(*own).out  # a picture of 16 × 12 pixels has no use for all samples
+    told = clvol_command(*own).out  # a picture of 16 × 12 pixels does not need all samples
     assert "filter: linear\nmode: isosurface\nlevel: 2, 18 × 18 × 18\nbricks: 1 read, of 1\n" in told
     clvol_command(*own, "--memory", "1K").fails(1, "--memory must be at least", "a brick of 32³ samples takes; got 1024")
     clvol_command(*own, "--memory", "much").fails(1, "--memory must be", "800M or 4G; got 'much'")
@@ -927,7 +927,7 @@ def test_resample_omits_results_that_missing_samples_touch(clvol_command: Comman
     clvol.write(clvol.Volume(data), "gap.npz")
     clvol_command("resample", "gap.npz", "-o", "a.npz", "--magnify", "2").fails(1, "samples must be finite")
     assert clvol_command("resample", "gap.npz", "-o", "a.npz", "--magnify", "2", "--nan", "local").code == 0
-    assert np.isnan(clvol.read("a.npz").data).sum() == 7**3  # a cubic reaches less than two samples to either side
+    assert np.isnan(clvol.read("a.npz").data).sum() == 7**3  # a cubic reaches less than two samples on each side
 
 
 def test_resample_takes_exactly_one_grid(clvol_command: Command) -> None:
@@ -1028,7 +1028,7 @@ def test_doctor_detects_a_device_with_wrong_results(clvol_command: Command, monk
     done = clvol_command("doctor")
     assert done.code == 1
     assert "--  it computes right values: this device computes wrong values: off by" in done.out
-    monkeypatch.setattr(clvol, "sample", lambda *_: 1 / 0)  # whatever happens is told, not raised
+    monkeypatch.setattr(clvol, "sample", lambda *_: 1 / 0)  # errors are reported, not raised
     assert "--  it computes right values: division by zero" in clvol_command("doctor").out
 
 
@@ -1215,7 +1215,7 @@ def test_a_terminal_without_a_degree_sign_gets_the_numbers() -> None:
     assert done.stdout.splitlines()[0].endswith("?")
 
 
-# output that is held back until the end, as users have it, whatever the machine that tests says
+# buffered output, as users have it, whatever the test machine's settings
 BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
 
 
@@ -1283,7 +1283,7 @@ def test_a_progress_bar_appears_only_on_a_terminal(clvol_command: Command, monke
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 def test_an_interrupt_ends_a_long_render_soon_and_leaves_nothing() -> None:
-    # tells when the first tile is done, for an interrupt before that would try another thing
+    # reports when the first tile is done; an earlier interrupt would test something else
     code = """
 from clvol.march.renderer import Renderer
 render = Renderer.render

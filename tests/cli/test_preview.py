@@ -18,7 +18,7 @@ from clvol.cli._preview import Preview, Screen, console
 
 pytestmark = pytest.mark.usefixtures("device")
 TERMINAL = {"TERM": "xterm-256color", "COLORTERM": "truecolor", "COLUMNS": "60", "LINES": "20", "PYTHONIOENCODING": "utf-8"}
-# every wait is worth a preview, and no device is so fast that the final picture comes first
+# any wait triggers a preview, and no device is fast enough for the final picture to come first
 EAGER = """
 from clvol.cli import _preview as preview, pictures
 preview._WORTH = preview._SURE = -1.0
@@ -59,7 +59,7 @@ def on_a_terminal(*arguments: str, code: str = EAGER, **environment: str) -> tup
         while True:
             try:
                 some = os.read(ours, 1 << 16)
-            except OSError:  # of Linux, when nobody has the other end
+            except OSError:  # on Linux, when the other end is closed
                 return
             if not some:
                 return
@@ -85,7 +85,7 @@ def test_the_file_is_the_same_without_a_preview(look: tuple[str, ...]) -> None:
     assert "rendering" in plain
     assert Path("with.png").read_bytes() == Path("without.png").read_bytes()
     assert out.replace("with.png", "") == plain_out.replace("without.png", "")
-    # what stood there is erased, line by line, and the cursor is back
+    # the previous output is erased line by line, and the cursor restored
     _, _, end = shown.rpartition("▀")
     assert end.count("\x1b[2K") >= 16
     assert "\x1b[?25h" in end
@@ -129,7 +129,7 @@ def test_a_quick_picture_shows_no_preview(monkeypatch: pytest.MonkeyPatch) -> No
     assert not shown_after([(0.0, 0.0), (0.1, 0.01), (0.9, 1.0)])  # nothing is sure yet
     assert shown_after([(0.0, 0.0), (0.5, 0.1)])
     terminal = terminal_of()
-    with Preview("rendering", terminal) as bar:  # the pictures on the way take long
+    with Preview("rendering", terminal) as bar:  # the previews take long
         bar.show(picture)
         now[0] += 3
         bar.show(picture)

@@ -116,7 +116,7 @@ def test_coefficients_match_the_whole_array(precision: Any, data: st.DataObject)
     wanted = clvol.prefilter(whole, name, rule, precision=precision)
     got = made.compute()
     assert (got.dtype, got.shape) == (made.dtype, shape)
-    # what "zero" and constants put outside counts too
+    # values outside, from "zero" and constants, count too
     span = 2 * max(float(np.abs(whole.astype(float)).max()), abs(as_boundary(rule).cval), 1e-9)
     d, largest = whole.ndim, gain(name) ** whole.ndim * span
     np.testing.assert_allclose(got, wanted, rtol=0, atol=(d * EPSILON[precision] + ROUNDING[precision]) * largest)
@@ -220,7 +220,7 @@ def test_grids_and_points_match_the_whole_array(name: str, mode: str, data: st.D
     assert (made.shape, made.dtype) == (wanted.shape, wanted.dtype)
     got = made.compute()
     assert (got.shape, got.dtype) == (wanted.shape, wanted.dtype)
-    if kind == "u1":  # halves may be rounded either way, as each window is computed in float32 or float64
+    if kind == "u1":  # halves may round either way, as each window is computed in float32 or float64
         assert np.abs(got.astype(int) - wanted.astype(int)).max(initial=0) <= 1
         assert np.count_nonzero(got != wanted) <= max(9, 0.01 * got.size)
         return
@@ -340,7 +340,7 @@ def test_zoomed_least_squares_is_bit_identical(kind: str) -> None:
         {"zoom": 0.5, "mode": "mirror"},
         {"zoom": (0.3, 1, 0.7), "mode": "constant", "cval": 1.5 - 2j if kind == "c8" else 1.5},
         {"zoom": 0.4, "mode": "grid-wrap", "grid_mode": True, "output": None if kind == "c8" else "i2"},
-        {"zoom": 1, "prefilter": False, "output": None if kind == "c8" else "i2"},  # no axis is summed up
+        {"zoom": 1, "prefilter": False, "output": None if kind == "c8" else "i2"},  # no axis is summed
     ):
         wanted = ndimage.zoom(whole, anti_aliasing="least-squares", **options)
         got = ndimage.zoom(blocks, anti_aliasing="least-squares", **options)
@@ -765,7 +765,7 @@ def test_a_local_cluster(tmp_path: Any) -> None:
     ):
         seen = client.run(os.getpid)
         assert len(set(seen.values()) - {os.getpid()}) == 2
-        assert not any(client.run(lambda: "pyopencl" in sys.modules).values())  # nobody has looked for a device yet
+        assert not any(client.run(lambda: "pyopencl" in sys.modules).values())  # no device has been searched for yet
         np.testing.assert_allclose(clvol.prefilter(blocks).compute(), clvol.prefilter(whole), atol=2e-5)
         wanted = ndimage.rotate(whole, 20, mode="mirror")
         np.testing.assert_allclose(ndimage.rotate(blocks, 20, mode="mirror").compute(), wanted, atol=2e-5)

@@ -25,7 +25,7 @@ from clvol.device.runtimes.pocl import KernelCache
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="PoCL by pip is for Linux")
 
-# A kernel that is built in an instant.
+# A kernel that builds instantly.
 TINY = """
 import numpy as np
 from clvol.device import as_device
@@ -133,7 +133,7 @@ def test_temporary_folders_are_removed_with_their_processes(tmp_path: Path) -> N
     os.utime(forgotten / "lock", (0, 0))
     other = KernelCache(tmp_path)
     assert not dead.exists()
-    assert elsewhere.exists()  # its process may be running on a machine whose locks are not seen here
+    assert elsewhere.exists()  # its process may run on a machine whose locks are invisible here
     assert not forgotten.exists()
     assert mine.folder.is_dir()
     for one in (mine, other):

@@ -76,7 +76,7 @@ def test_a_failing_linker_is_an_error_not_an_abort(device: Device, tmp_path: Pat
 @pytest.mark.parametrize("home", ["/dev/null", "/nonexistent/home", "read-only", None])
 def test_an_unwritable_home_is_no_error(device: Device, home: str | None, tmp_path: Path) -> None:
     if home == "read-only":
-        tmp_path.chmod(0o500)  # the superuser may write there all the same
+        tmp_path.chmod(0o500)  # root may still write there
         home = str(tmp_path)
     done = python(USE, HOME=home, XDG_CACHE_HOME=None, POCL_CACHE_DIR=None, PYOPENCL_NO_CACHE=None)
     assert done.returncode == 0, done.stderr
@@ -401,7 +401,7 @@ def test_a_new_default_device_is_reported_once(device: Device, monkeypatch: pyte
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            first = as_device()  # nothing is known
+            first = as_device()  # the record is empty
             as_device()
             as_device(device)
         (tmp_path / "clvol/default-device").write_text("Old (Old Platform)")

@@ -61,7 +61,7 @@ def test_a_driver_that_aborts_is_excluded_and_named(device: Device, does: str, t
         return done.stdout.splitlines(), time.perf_counter() - begin
 
     first, seconds = use()
-    # PoCL by pip lies beside the loader, and is found all the same; other runtimes are not
+    # pip's PoCL is beside the loader, and still found; other runtimes are not
     assert first[0].startswith("devices ") or "no OpenCL device was found" in first[0]
     assert str(library) in "".join(first)
     assert ("ended by SIGABRT" if does == "aborts" else "gave no answer within 20 s") in "".join(first)

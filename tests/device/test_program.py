@@ -216,7 +216,7 @@ def test_unused_programs_are_evicted(device: Device, monkeypatch: pytest.MonkeyP
     first, second = tiny(device, 1), tiny(device, 2)
     kernel, freed = first.kernel("tiny"), [weakref.ref(first), weakref.ref(second.kernel("tiny"))]
     del second
-    tiny(device, 1)  # was used now, so the other goes
+    tiny(device, 1)  # was used most recently, so the other is evicted
     tiny(device, 3)
     assert tiny(device, 1) is first
     assert freed[1]() is None
@@ -224,7 +224,7 @@ def test_unused_programs_are_evicted(device: Device, monkeypatch: pytest.MonkeyP
     tiny(device, 5)
     assert len(device.programs._built) == 2
     del first
-    assert freed[0]() is None  # the kernel does not keep it, nor it the kernel
+    assert freed[0]() is None  # neither keeps the other alive
     values = np.zeros(8, np.float32)
     with device.buffers.lent(values, write=True) as buffer:
         kernel(device.queue, (8,), None, buffer)

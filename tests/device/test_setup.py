@@ -34,7 +34,7 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.syspath_prepend(packages)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "env"))
     for variable in VENDORS:
-        monkeypatch.setenv(variable, "")  # what the code sets is then undone after the test
+        monkeypatch.setenv(variable, "")  # so that the code's changes are undone after the test
         monkeypatch.delenv(variable)
     return library.resolve()
 

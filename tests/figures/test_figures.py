@@ -351,7 +351,7 @@ def test_measured_errors_match_the_theory() -> None:
     spacing = 2 / np.array([180, 270])
     wanted = (2 * np.pi * spacing) ** 2 * np.sqrt((2 / 120 + 2 / 144) / 4)
     assert drawing.numbers[1]["theory"] == pytest.approx(wanted, rel=1e-4)
-    # and its slope errs by t - 1/2 times f_xx along each axis
+    # and the error of its slope is t - 1/2 times f_xx along each axis
     assert drawing.numbers[1]["gradient_theory"] == pytest.approx((2 * np.pi) ** 2 * spacing * np.sqrt(1 / 12 / 2), rel=0.02)
 
 
@@ -496,7 +496,7 @@ def test_least_squares_preserves_most_in_reduction(device: Device) -> None:
             assert rms[case, "least squares", factor] < min(rms[case, name, factor] for name in ("decimated", "Gaussian first"))
     assert rms[ball, "least squares", 3] < rms[ball, "decimated", 3] / 3  # noise is averaged, not picked
     truth, decimated, _, nearest = (image_of(axes) for axes in axes_of(drawing)[:4])
-    # where rings are too fine for the new pixels, in the corners, nothing must be left, and least of all other rings
+    # in the corners, where rings are too fine for the new pixels, nothing must remain, least of all other rings
     corner = (slice(0, 16), slice(0, 16))
     assert nearest[corner].std() < 0.15 < 0.3 < decimated[corner].std()
     assert f"RMS {np.sqrt(np.mean((nearest - truth) ** 2)):.3f}" in texts(drawing)

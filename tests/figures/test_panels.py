@@ -36,7 +36,7 @@ def test_panels_are_the_papers_and_the_function_itself(drawn: tuple[list[Panel],
         assert p.picture.shape == (PIXELS, PIXELS, 4)
         assert p.picture.dtype == np.float32
         assert np.isfinite(p.picture).all()
-        assert p.picture[..., :3].std() > 0.05  # there is something to see
+        assert p.picture[..., :3].std() > 0.05  # not empty
     assert panels[-1].rms is None
     assert panels[-1].angle is None
 
@@ -130,7 +130,7 @@ def test_the_sheet_shows_every_panel_with_its_label(drawn: tuple[list[Panel], np
         tile = sheet[y : y + PIXELS, x : x + PIXELS]
         assert np.abs(tile - p.picture[..., :3] * 255).max() <= 0.51
         below = sheet[y + PIXELS : y + 2 * PIXELS, x : x + PIXELS].astype(float)
-        if p.error is not None:  # black where it is drawn as the truth is, and the brighter the farther it is from that
+        if p.error is not None:  # black where it equals the truth, brighter with increasing error
             np.testing.assert_allclose(p.error, np.abs(p.picture - panels[-1].picture)[..., :3].mean(-1))
             assert below[p.error == 0].max() < 5
             assert below[p.error > 0.4].mean() > 150
@@ -274,7 +274,7 @@ def test_pixels_are_checked_first(pixels: object) -> None:
 
 
 def test_filters_are_checked_first() -> None:
-    nowhere = "no such device"  # whoever draws before checking gets a DeviceError
+    nowhere = "no such device"  # rendering before the check would raise a DeviceError
     for filters in BAD_FILTER_LISTS:
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
             figure6(8, 8, filters, device=nowhere)

@@ -18,7 +18,7 @@ from clvol.reference.spline.boundary import period as period_of
 from clvol.reference.spline.prefilter import kernel_samples
 from tests.cases import SMOOTHED
 
-RULES = tuple(name for name, row in boundaries().items() if row.outside == "rule")  # the index rule is all there is
+RULES = tuple(name for name, row in boundaries().items() if row.outside == "rule")  # it depends on the index rule alone
 PREFILTERED = {row.name: row for row in (*filters().values(), bspline(7), *map(as_filter, SMOOTHED)) if row.prefilter}
 LENGTHS = (1, 2, 3, 4, 5, 6, 7, 8, 40)
 

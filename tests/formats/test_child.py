@@ -69,7 +69,7 @@ def test_a_hang_is_an_error(hang: str) -> None:
     start = time.monotonic()
     with pytest.raises(FormatError, match=r"must be done within 0\.3 s \(Limits\.seconds\).*limits="):
         run(exec, hang, limits=Limits(seconds=0.3))
-    assert time.monotonic() - start < 30  # what waits counts a tenth, and the machine may be busy
+    assert time.monotonic() - start < 30  # waiting counts a tenth, and the machine may be busy
 
 
 @linux
@@ -118,7 +118,7 @@ os.kill(os.getpid(), 9)
     stat, end = Path(f"/proc/{int(done.stdout)}/stat"), time.monotonic() + 20
 
     def gone() -> bool:
-        return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"  # nobody may be there to reap it
+        return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"  # there may be no process to reap it
 
     while not gone():
         assert time.monotonic() < end
@@ -346,7 +346,7 @@ def test_paths_are_relative_to_the_callers_folder(plain: Path, monkeypatch: pyte
 @linux
 def test_it_keeps_no_folder_open_and_little_memory_for_threads(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(plain.parent)
-    monkeypatch.setattr(sys, "path", [*sys.path, plain])  # as some add it, in vain
+    monkeypatch.setattr(sys, "path", [*sys.path, plain])  # as some libraries add it, in vain
     for pid in workers():
         os.kill(pid, signal.SIGKILL)
     clvol.read("v.nrrd")

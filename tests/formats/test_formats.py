@@ -1025,7 +1025,7 @@ def test_medical_formats_reject_other_units(tmp_path: Path, suffix: str) -> None
     need(suffix)
     with pytest.raises(FormatError, match="measures in mm"):
         formats.write(Volume(samples("u1"), units="um"), tmp_path / f"v{suffix}")
-    formats.write(Volume(samples("u1")), tmp_path / f"v{suffix}")  # no unit: taken for mm, as every reader does
+    formats.write(Volume(samples("u1")), tmp_path / f"v{suffix}")  # no unit: treated as mm, as in every reader
     assert formats.read(tmp_path / f"v{suffix}").units == "mm"
     assert not [file for file in tmp_path.iterdir() if file.name.startswith(".clvol")]
 

@@ -103,7 +103,7 @@ COMPRESSED = b"\xfe\xff\x00\xe0" + bytes(4) + b"\xfe\xff\x00\xe0\x10\0\0\0" + by
 BOMB = gzip.compress(bytes(1 << 24))
 
 HOSTILE: dict[str, tuple[bytes, type[ClvolError], str]] = {
-    # numbers that ITK takes for others, or never returns from
+    # numbers that ITK misreads, or hangs on
     "matrix-1e308.mha": (mha("1 0 0 0 1 0 0 0 1", "1 0 0 1e308 1 0 0 0 1"), FormatError, "9 finite numbers up to 1e.30"),
     "matrix-7.mha": (mha("1 0 0 0 1 0 0 0 1", "7 0 0 0 1 0 0 0 1"), FormatError, "direction cosines"),
     "matrix-0.mha": (mha("1 0 0 0 1 0 0 0 1", "0 0 0 0 0 0 0 0 0"), FormatError, "determinant is 0"),
@@ -132,7 +132,7 @@ HOSTILE: dict[str, tuple[bytes, type[ClvolError], str]] = {
     "directions-flat.nrrd": (nrrd("space: LPS", "space directions: (1,0,0) (1,0,0) (0,0,1)"), FormatError, "cannot read"),
     "origin.nrrd": (nrrd("space: LPS", "space origin: (0,nan,1e31)"), FormatError, "'space origin'"),
     "frame.nrrd": (nrrd("space: LPS", "measurement frame: (1,0,0) (0,1,0) (0,0,inf)"), FormatError, "'measurement frame'"),
-    # samples that nobody asked for, or that are not there
+    # surplus or missing samples
     "surplus.mha": (MHA.encode() + BYTES + b"x", FormatError, "24 bytes of samples.*found 25"),
     "size-too-small.mha": (mha("4 3 2", "4 3 1"), FormatError, "12 bytes of samples.*found 24"),
     "surplus.nrrd": (nrrd(data=BYTES + b"x"), FormatError, "24 bytes of samples.*found 25"),

@@ -240,7 +240,7 @@ def test_nifti_of_labels(tmp_path: Path) -> None:
     assert volume.is_labels
     write(Volume(np.ones((2, 2, 2), np.uint8), labels={1: "liver"}, units="mm"), tmp_path / "w.nii")
     assert nibabel.load(tmp_path / "w.nii").header["intent_code"] == 1002
-    write(volume.indicator(1), tmp_path / "w.nii")  # no labels any more
+    write(volume.indicator(1), tmp_path / "w.nii")  # no longer labels
     assert nibabel.load(tmp_path / "w.nii").header["intent_code"] == 0
 
 

@@ -334,7 +334,7 @@ def test_folders_without_times_are_not_trusted(tmp_path: Path, monkeypatch: pyte
     assert (lazy.read((10, 10, 10), (20, 20, 20)) == 7).all()
     shutil.copy2(tmp_path / "v.zarr" / "c" / "0" / "0" / "0", tmp_path / "again")
     before = lazy.read((0, 0, 0), (10, 10, 10))
-    (tmp_path / "again").rename(tmp_path / "v.zarr" / "c" / "0" / "0" / "0")  # files may have another number at each look
+    (tmp_path / "again").rename(tmp_path / "v.zarr" / "c" / "0" / "0" / "0")  # files may have another inode at each stat
     np.testing.assert_array_equal(lazy.read((0, 0, 0), (10, 10, 10)), before)
 
 

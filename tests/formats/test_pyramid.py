@@ -181,7 +181,7 @@ def test_each_sample_is_read_about_once(tmp_path: Path) -> None:
 
     counted = Counted(waves((150, 140, 130)))
     clvol.pyramid(clvol.LazyVolume(counted, labels=False), tmp_path / "v.zarr", filter="bspline3")
-    looked_at = 128**3  # the part from which noise and labels are told
+    looked_at = 128**3  # the part from which noise and labels are detected
     assert counted.read <= counted.data.size + looked_at
 
 
@@ -561,7 +561,7 @@ def test_a_kill_between_any_two_changes_of_the_disk_loses_no_store(
             clvol.pyramid(source, target, **(TINY | {"overwrite": replacing}))
         except FormatError as error:
             said = str(error)
-        if said:  # what must not be replaced is there, or what another began
+        if said:  # the target exists, or another call's unfinished store
             kept = sum_at(target)
             assert not replacing
             assert ("there already" in said) == (kept is not None)
@@ -634,7 +634,7 @@ def test_after_a_power_failure_only_synced_data_count(tmp_path: Path, monkeypatc
     told.clear()
     with pytest.raises(KeyboardInterrupt):  # and it happens again
         clvol.pyramid(volume, target, progress=interrupted, **about)
-    assert 0.05 < told[0] < 0.25  # what was there before counts
+    assert 0.05 < told[0] < 0.25  # the previous store counts
     clvol.pyramid(volume, target, **about)
     monkeypatch.undo()
     clvol.pyramid(volume, tmp_path / "whole.zarr", **about)
@@ -696,7 +696,7 @@ def test_missing_groups_are_created_on_resume(tmp_path: Path, monkeypatch: pytes
 
     with monkeypatch.context() as patched:
         patched.setattr(zarr.storage.LocalStore, "set_if_not_exists", ended)
-        with contextlib.suppress(FormatError):  # zarr may make them otherwise
+        with contextlib.suppress(FormatError):  # zarr may create them differently
             clvol.pyramid(volume, tmp_path / "v.zarr", **about)
     again = clvol.pyramid(volume, tmp_path / "v.zarr", **about)
     same_stores(tmp_path / "v.zarr", tmp_path / "whole.zarr")
@@ -723,7 +723,7 @@ def test_an_interrupt_leaves_only_data_to_resume_from(tmp_path: Path) -> None:
         clvol.pyramid(volume, target, chunks=16)
     told: list[float] = []
     clvol.pyramid(other, target, chunks=16, overwrite=True, progress=told.append)
-    assert told[0] > 0.2  # and goes on with its own
+    assert told[0] > 0.2  # and resumes its own
     clvol.pyramid(volume, target, chunks=16, overwrite=True)
     assert [one.name for one in tmp_path.iterdir()] == ["v.zarr"]
     np.testing.assert_array_equal(clvol.open(target).whole().data, volume.data)
@@ -761,7 +761,7 @@ def test_a_changed_source_is_a_different_source(tmp_path: Path, name: str) -> No
         raise KeyboardInterrupt
 
     target = tmp_path / "made.zarr"
-    for _ in range(2):  # the second goes on
+    for _ in range(2):  # the second resumes
         with pytest.raises(KeyboardInterrupt):
             clvol.pyramid(SOURCES[name](tmp_path / "v.npy"), target, progress=interrupted, **about)
     data[0, 0, 0] += 1

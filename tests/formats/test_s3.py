@@ -27,7 +27,7 @@ moto_server = pytest.importorskip("moto.server")
 
 PASSWORD = "a-secret-of-the-test"
 DATA = np.random.default_rng(2).integers(0, 60000, (40, 36, 44)).astype(np.uint16)
-PATIENT = {"connect_timeout": 30, "read_timeout": 30, "retries": {"max_attempts": 0}}  # a busy machine's server is slow
+PATIENT = {"connect_timeout": 30, "read_timeout": 30, "retries": {"max_attempts": 0}}  # the server is slow on a busy machine
 IMPATIENT = PATIENT | {"connect_timeout": 1, "read_timeout": 1}
 
 
@@ -192,7 +192,7 @@ def test_a_server_that_stops_or_hangs_is_named_in_bounded_time(server: int) -> N
     own.stop()
     fails(lambda: far.read((0, 0, 0), (4, 4, 4)), r"samples \[0:4, 0:4, 0:4\].*chunk 0/c/0/0/0 of cells\.zarr.*connect")
     fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"\S+ of cells\.zarr.*connect")
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # it takes what comes, and never answers
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # it accepts requests, and never answers
         about = options(silent.getsockname()[1], config_kwargs=IMPATIENT)
         fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"\S+ of cells\.zarr.*[Tt]imeout")
 

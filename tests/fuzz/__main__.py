@@ -15,7 +15,7 @@ from tests.fuzz.corpus import CORPORA
 from tests.fuzz.harness import Tally, fuzz
 
 _ALL = [*CORPORA, "calls"]
-_CHUNK = 4000  # inputs of one format before the next has its turn, where time is the limit
+_CHUNK = 4000  # inputs per turn of a format, when time is the limit
 
 
 def main() -> int:

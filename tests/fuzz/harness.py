@@ -33,14 +33,14 @@ from tests.fuzz.truth import TRUTHS, Damaged, Held
 
 __all__ = ["Tally", "fuzz"]
 
-SECONDS = 5.0  # of processor time that an input may take
+SECONDS = 5.0  # maximum seconds of processor time per input
 MEGABYTES = 200.0  # that it may take beyond what the process has
 _STALLED = 60.0  # seconds on the clock, on a machine with other work
 _ROOM = 3 << 29  # bytes of address space beyond what the process has
 _BATCH = 4000  # inputs of one process
-_WARM = 500  # of these, before its memory is treated as steady
+_WARM = 500  # of these, before its memory counts as steady
 _LEAK = 25.0  # MB that a batch may grow by after that
-_SAVED = 3  # inputs kept of each kind of finding
+_SAVED = 3  # saved inputs per kind of finding
 
 
 @dataclass

@@ -80,7 +80,7 @@ def test_integers_are_rounded_and_do_not_wrap(device: Device) -> None:
             assert got.min() < 0 < 255 < got.max()  # the overshoot of an interpolating spline
         elif kind is not np.float64:
             assert (got.min(), got.max()) == (0, image.max())
-            assert np.abs(np.diff(got[0].astype(int))).max() < 100  # what rings past 0 or 255 stays there
+            assert np.abs(np.diff(got[0].astype(int))).max() < 100  # overshoot past 0 or 255 is clipped
     least = np.array([[-128, -128, 127, 127]], np.int8)
     assert images.zoom(least, 8, device=device).min() == -128
     for wide in (np.int64, np.uint64):

@@ -83,7 +83,7 @@ def test_within_a_millionth_with_one(volume: clvol.Volume, filter: str, boundary
     options = options | ({"transfer": BUMPY} if mode == "composite" else {})
     whole, bricked = both(volume, filter, boundary, 16, CAMERAS["aslant"], mode, (70, 50), rays=1, **options)
     different = np.abs(bricked - whole).max(-1)
-    # the function differs by 1e-6 at most; where it only just does not reach an isovalue a pixel may change all the same
+    # the function differs by 1e-6 at most; where it barely misses an isovalue a pixel may still change
     assert (different > 1e-5).sum() <= 2
     assert whole.max() > 0
 
@@ -415,10 +415,10 @@ def test_the_next_brick_is_read_while_rays_traverse_one(mode: str, monkeypatch: 
     with BrickedField(volume, "linear", edge=16) as field, Renderer(field) as renderer:
         assert field.bricks.counts == (5, 1, 1)
         along = clvol.Camera.look_at((-200.0, 8.0, 8.0), (40.0, 8.0, 8.0), fov=10)
-        renderer.render(along, mode, (8, 8), rays=1)  # bounds are known then, and looks
+        renderer.render(along, mode, (8, 8), rays=1)  # bounds and looks are cached by then
         field.drop()
         until = time.monotonic() + 60
-        while field.store._residents._ahead:  # what was read ahead for that picture is still on its way
+        while field.store._residents._ahead:  # a brick prefetched for that picture may still be loading
             assert time.monotonic() < until
             time.sleep(0.01)
         reads.clear()
@@ -461,7 +461,7 @@ def test_no_brick_hides_one_in_front_of_it(volume: clvol.Volume, view: str, filt
         order = {brick.at: i for i, brick in enumerate(front_to_back(field, camera))}
         assert len(order) == np.prod(field.bricks.counts)
         rng = np.random.default_rng(0)
-        for _ in range(300):  # along a ray bricks come in their order
+        for _ in range(300):  # along a ray bricks are ordered
             start = camera.eye if not camera.orthographic else None
             inner = volume.index_to_world(rng.uniform(-0.5, np.asarray(volume.size) - 0.5))
             way = camera.forward if start is None else inner - start

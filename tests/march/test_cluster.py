@@ -174,7 +174,7 @@ def test_bricks_are_read_once_and_hidden_ones_never(cluster: Cluster) -> None:
         assert 0 < field.reads.bricks <= 8 < np.prod(field.bricks.counts)
         read = field.reads.bricks
         np.testing.assert_array_equal(renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, rays=1), first)
-        assert field.reads.bricks == read  # workers have kept them
+        assert field.reads.bricks == read  # workers have them resident
 
 
 def test_a_volume_in_memory_and_progress(cluster: Cluster) -> None:
@@ -205,7 +205,7 @@ def test_a_pickled_renderer_reconnects_to_its_cluster(cluster: Cluster, volume: 
                 assert again._source._cluster is not cluster
                 assert again._source._merge == merge
                 np.testing.assert_array_equal(again.render(CAMERAS["aslant"], "mip", (48, 48)), picture)
-        assert cluster.client.status == "running"  # the copy has left, and ended nobody else's
+        assert cluster.client.status == "running"  # the copy has disconnected, and stopped no other
     again, _ = Renderer(volume, "linear", cluster=cluster).__reduce__()
     assert again.keywords == {"memory": None, "cluster": cluster.address, "merge": "order"}
 

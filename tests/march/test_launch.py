@@ -27,11 +27,11 @@ from tests.march.looks import TILES, suited
 
 SIZE = (41, 35)
 TRANSFER = TransferFunction(((0.0, "navy"), (0.5, "orange"), (1.0, "white")), ((0.2, 0.0), (0.5, 0.25), (1.0, 0.9)))
-EXACT = [name for name in modes() if name not in ("composite", "mean")]  # nothing is added up
+EXACT = [name for name in modes() if name not in ("composite", "mean")]  # nothing accumulates
 CAMERAS = {
     "across": Camera.orbit(25, 35, fit="volume"),
     "along an axis": Camera.orbit(0, 0, projection="orthographic", fit="volume"),
-    "oblique": Camera.orbit(40, -30, fov=120, fit="volume"),  # some rays step along themselves
+    "oblique": Camera.orbit(40, -30, fov=120, fit="volume"),  # some rays step along their own direction
 }
 
 

@@ -86,7 +86,7 @@ def test_the_last_is_the_picture_to_the_last_bit(renderer: Renderer, mode: str, 
 @pytest.mark.parametrize("budget", [TINY, HUGE])
 def test_pictures_of_any_shape(renderer: Renderer, size: tuple[int, int], budget: float) -> None:
     want = renderer.render(CAMERA, size=size)
-    for _ in range(2):  # with what is known from the first time, too
+    for _ in range(2):  # with the rates measured the first time, too
         made = checked(renderer.refine(CAMERA, size=size, seconds=budget), want)
         if budget == HUGE:
             assert len(made) == 1
@@ -240,7 +240,7 @@ def test_measured_times_are_remembered(device: Device, monkeypatch: pytest.Monke
     with Renderer(marschner_lobb(12), device=device) as renderer:
         assert drawn(Camera.orbit(30, 20)) == 3
         assert drawn(Camera.orbit(32, 20)) == 1
-        # a quarter of the budget may be enough for the whole of it, by what the last one took
+        # a quarter of the time may suffice for the final picture, by the last measurement
         assert drawn(Camera.orbit(33, 20).zoomed(1.02), cmap="magma") in (1, 2)
         assert drawn(Camera.orbit(200, 20), cmap="magma") in (1, 2)
         assert drawn(Camera.orbit(120, 20), mode="mip") == 3
@@ -262,7 +262,7 @@ def test_rates() -> None:
     assert not rate.sees(view, ("mip",))
     assert rate.grown(90_000, 0.5, 0.36).power == pytest.approx(0.75)  # measured: 1
     assert rate.grown(90_000, 0.5, 1e9).power == pytest.approx(0.75)
-    assert rate.grown(20_000, 0.5, 0.08) is rate  # too near to tell
+    assert rate.grown(20_000, 0.5, 0.08) is rate  # too close to decide
     assert rate.grown(90_000, 1.0, 0.36) is rate  # of another step
 
 
@@ -293,7 +293,7 @@ def test_cancellation_at_each_check(renderer: Renderer, look: dict[str, Any]) ->
             asked = 0
             made = list(renderer.refine(CAMERA, size=SIZE, seconds=TINY, cancelled=stop, **look))
             assert not any(picture.final for picture in made) or asked < last
-            assert asked <= last  # nobody is asked again
+            assert asked <= last  # the callback is not called again
     np.testing.assert_array_equal(renderer.render(CAMERA, size=SIZE, **look), want)
 
 
@@ -383,7 +383,7 @@ def test_closing_a_renderer_between_two_pictures(device: Device) -> None:
     first = next(pictures)
     before = hashed(first)
     renderer.close()
-    assert renderer.field.closed  # whoever merely holds the pictures to come keeps nothing
+    assert renderer.field.closed  # merely holding the iterator keeps nothing alive
     with pytest.raises(OptionError, match="the renderer was closed"):
         next(pictures)
     assert list(pictures) == []
@@ -546,7 +546,7 @@ def test_launches_follow_measured_times(renderer: Renderer, monkeypatch: pytest.
     with renderer.device.limited(launch_seconds=0.01):
         renderer.render(Camera.orbit(45, 20), "composite", (16, 16))
     cut = made[0]
-    rate, areas = cut._guess / 12, []  # seconds a pixel, of the rays that there are
+    rate, areas = cut._guess / 12, []  # seconds per pixel, over all rays
     for x, y, w, h in cut.tiles(4096, 4096):
         areas.append(w * h)
         cut.spent(w * h, w * h * rate)
@@ -554,14 +554,14 @@ def test_launches_follow_measured_times(renderer: Renderer, monkeypatch: pytest.
         assert y + h <= 4096
     assert sum(areas) == 4096 * 4096
     seconds = np.array(areas) * rate
-    assert seconds[:3].max() <= max(0.01, 256 * rate)  # nothing was known
+    assert seconds[:3].max() <= max(0.01, 256 * rate)  # no rate was measured
     whole = seconds[len(seconds) // 2 :]
     assert whole.max() <= max(0.011, 256 * rate)
     assert np.median(whole) >= min(0.005, 256 * rate)
     assert max(areas) * cut._guess <= max(launch._DEAF, 256 * cut._guess)
     tiles = cut.tiles(4096, 4096)
     first = next(tiles)
-    cut.spent(256, 0.02)  # what takes long is believed at once
+    cut.spent(256, 0.02)  # a longer time is adopted at once
     assert np.prod(first[2:]) >= np.prod(next(tiles)[2:])
     cut.expect(rate)
     assert cut._per_pixel == pytest.approx(3 * rate)

@@ -422,7 +422,7 @@ def test_a_closed_renderer_says_so(device: Device) -> None:
     for fetch in ("buffer", "image") if device.has_images else ("buffer",):
         with pytest.raises(OptionError, match="released"), device.limited(fetch=fetch):
             renderer.render(size=(8, 8))
-    renderer.close()  # twice does no harm
+    renderer.close()  # closing twice is allowed
 
 
 def test_progress_rises_to_one(renderer: Renderer) -> None:

@@ -154,7 +154,7 @@ def test_most_of_an_empty_volume_is_skipped(device: Device, mode: str, tile: str
     with device.limited(tile=TILES[tile]), Renderer(volume, device=device) as renderer:
         options = suited(mode, {"mode": mode, "size": (200, 200), "transfer": transfer, "isovalue": 0.5})
         pictures = renderer.render(outputs=("visited", "rgba"), background=None, **options)
-        # rays past the object seek the extreme of what the prefilter leaves there
+        # rays past the object search the extreme of the prefilter's residue
         bright = pictures["rgba"][..., 1]
         hits = (bright < 0.5 if mode == "minip" else bright > 0.2) & np.isfinite(pictures["visited"])
         share = np.nanmean(pictures["visited"][hits if mode in ("mip", "minip", "attenuated") else ...])

@@ -121,7 +121,7 @@ def test_noise_reverses_the_order() -> None:
     assert found["bspline3"] > 1.4 * found["linear"] > 5 * found[noisy.filter]  # 0.164, 0.109, 0.018
     assert "pays not to pass through" in " ".join(noisy.sentences)
     for given in (clean, noisy):
-        assert "fine as the samples" not in " ".join(given.sentences)  # which is no word for noise
+        assert "fine as the samples" not in " ".join(given.sentences)  # which does not describe noise
 
 
 # -- hard edges, wherever they lie -----------------------------------------------------------------------------------
@@ -138,7 +138,7 @@ def test_the_alignment_of_a_box_does_not_matter() -> None:
         assert given.filter == "linear", shift
         assert "one sample to the next" in " ".join(given.sentences)
         found = errors(volume, box(half, 32))
-        assert loses(given, found, 1.0) < 1.15  # one alignment favours one filter, another another
+        assert loses(given, found, 1.0) < 1.15  # each alignment favours another filter
     rng = np.random.default_rng(2)
     for _ in range(8):
         half = rng.uniform(-0.5, 0.5, 3)

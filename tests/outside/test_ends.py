@@ -31,7 +31,7 @@ def smooth() -> NDArray[np.float32]:
 EYE = {"perspective": (25.0, -20.0, 14.0), "wide": (9.0, -1.0, 7.0)}
 CAMERAS = {
     "perspective": clvol.Camera(position=EYE["perspective"], fov=26),
-    "wide": clvol.Camera(position=EYE["wide"], fov=100),  # some rays step along themselves
+    "wide": clvol.Camera(position=EYE["wide"], fov=100),  # some rays step along their own direction
 }
 
 

@@ -73,8 +73,8 @@ def test_values_types_and_shapes_match(kind: str, device: Device) -> None:
         if kind == "?" and (order or chosen):
             continue  # rejected by both: below
         if np.dtype(kind).kind in "iu" and order == 0 and chosen:
-            continue  # rounded otherwise: below
-        if options["mode"] == "symmetric" and (order or 1) > 1:  # on short axes SciPy errs: below
+            continue  # rounds differently: below
+        if options["mode"] == "symmetric" and (order or 1) > 1:  # SciPy is wrong on short axes: below
             if len(old) > 3:
                 continue
             old, new = tuple(8 * n for n in old), tuple(8 * n for n in new)

@@ -17,7 +17,7 @@ from clvol.device import Device
 torch = pytest.importorskip("torch")
 import clvol.torch  # noqa: E402
 
-FAST = {"fast_mode": True, "atol": 1e-6}  # against differences along one random direction
+FAST = {"fast_mode": True, "atol": 1e-6}  # compared with differences along one random direction
 
 
 def problem(shape: tuple[int, ...] = (4, 5, 6), count: int = 7, kind: Any = torch.float64) -> tuple[Any, Any]:

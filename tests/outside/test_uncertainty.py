@@ -177,7 +177,7 @@ def test_neither_noise_nor_smoothing_need_be_known(device: Device) -> None:
 @pytest.mark.parametrize("filter", ["linear", "bspline3", "bspline3(0.1)"])
 def test_correlated_noise(device: Device, filter: str) -> None:
     """Blurred along x and y, as by a scanner's filter: a smoothing spline averages it less than white noise."""
-    n = 64  # enough places for the correlation to be told
+    n = 64  # enough places to detect the correlation
     step, normal = 2 / (n - 1), np.array([0.3, -0.4, 0.8])
     plane = Phantom(lambda p: p @ normal / step, lambda p: np.broadcast_to(normal / step, p.shape), 0.3)
     noise = np.random.default_rng(4).standard_normal((n, n, n))

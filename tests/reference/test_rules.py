@@ -22,7 +22,7 @@ MODES = {
     "grid-constant(2.5)": "grid-constant",
     "overlap": "wrap",
 }
-# SciPy's prefilter for "reflect" starts wrongly on short axes: by the largest pole to the power of 2n - 1
+# SciPy's prefilter for "reflect" has wrong initial values on short axes: by the largest pole to the power of 2n - 1
 SHAPES = {"reflect": ((17, 24), (16, 18, 17)), "": ((6, 7), (1, 5), (2, 3), (5, 6, 7), (1, 2, 4), (20, 3, 17), (1, 1, 1))}
 
 

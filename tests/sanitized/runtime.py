@@ -31,7 +31,7 @@ from clvol.device import cache, opencl, probe
 HERE = Path(__file__).parent
 VERSIONS = ("", *(f"-{n}" for n in range(14, 23)))  # of clang
 FLAGS = ("-cl-std=CL1.2", "-Xclang", "-finclude-default-header", "-target", "x86_64-pc-linux-gnu")
-# what a mode or a filter has no use for is there for the others; and vectors are wider than the oldest processors' registers
+# a mode or filter may not use what others need; and vectors are wider than the oldest processors' registers
 WARNINGS = ("-Wall", "-Wextra", "-Werror", "-Wno-unused-parameter", "-Wno-unused-function", "-Wno-psabi")
 SANITIZED = ("-O0", "-g1", "-fPIC", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-shared-libasan")
 FILLED = 0x7F  # the bytes of new buffers: large numbers, and no whole number that is an index

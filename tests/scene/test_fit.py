@@ -75,7 +75,7 @@ def test_specks_of_noise_do_not_count(mode: str) -> None:
     data[np.random.default_rng(0).random(data.shape) < 5e-4] = 5.0
     assert sphere_of_matter(replace(volume, data=data), *MODES[mode]).radius < 16  # but those next to it, as of 50 with all
     lonely = np.zeros((40, 40, 40), np.float32)
-    lonely[30, 20, 10] = 5.0  # all that there is
+    lonely[30, 20, 10] = 5.0  # the whole volume
     assert sphere_of_matter(Volume(lonely), *MODES["mip"]).radius < 3
 
 

@@ -72,7 +72,7 @@ def test_the_table_represents_the_function(transfer: TransferFunction, pieces: i
     way = Stored(offset, exponent)
     stored = np.ldexp(values - offset, -exponent).astype(np.float32)
     back = np.ldexp(stored.astype(np.float64), exponent) + offset
-    if exponent < 100:  # else they are hardly numbers of float32
+    if exponent < 100:  # else they are near the limits of float32
         assert transfer.block(1.0, way)["pieces"] == pieces
         np.testing.assert_allclose(looked_up(transfer, stored, way), transfer(back), rtol=0, atol=3e-6)
     assert np.isfinite(looked_up(transfer, stored, way)).all()
@@ -183,7 +183,7 @@ def test_ranges_of_any_size(scale: float) -> None:
         table = chosen.table()
         assert np.isfinite(table[: 12 * int(chosen.block(1.0)["pieces"]) or None]).all()
         assert np.isfinite(chosen([0, scale, -scale])).all()
-        if 1e-37 < scale < 1e37:  # else float32 holds no such numbers or slopes
+        if 1e-37 < scale < 1e37:  # else float32 cannot represent these numbers or slopes
             red = looked_up(chosen, np.array(chosen.value_range, np.float32))[:, 0]
             assert red[0] < red[1] == pytest.approx(chosen(scale)[0])
 

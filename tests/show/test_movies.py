@@ -141,7 +141,7 @@ def test_a_cluster_makes_the_same_movie(tmp_path: Path, capsys: pytest.CaptureFi
         assert told == [(i + 1) / 9 for i in range(9)]
         coming = frames(volume, [*cameras, None], cluster=cluster, mode="mip", size=(30, 20))
         next(coming)
-        coming.close()  # what is not wanted is not drawn
+        coming.close()  # unrequested frames are not rendered
         with pytest.raises(OptionError, match="lod"):
             list(frames(volume, cameras, cluster=cluster, lod=-1))
         made = []

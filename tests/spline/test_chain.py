@@ -107,7 +107,7 @@ def test_values_gradients_and_jacobians_match_the_reference(device: Device, prec
     np.testing.assert_allclose(got.jacobian.data, determinants, rtol=0, atol=within * max(1, np.abs(determinants).max()))
     pulled = clvol.warp(volume, like, chain, derivative=1, wrt="fixed", **options)
     total = np.einsum("...ij,...i->...j", jacobian, gradient)
-    # both factors are off: Intel's compiler makes it 2.6 times what values are
+    # both factors are rounded: with Intel's compiler the error is 2.6 times that of values
     np.testing.assert_allclose(pulled.gradient, total, rtol=0, atol=4 * within * np.abs(total).max())
     for made in (got.values, got.jacobian):
         assert (made.spacing, made.origin) == (like.spacing, like.origin)

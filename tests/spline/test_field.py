@@ -33,7 +33,7 @@ def random_volume(shape: tuple[int, ...] = (5, 6, 7)) -> Volume:
     return Volume(data, (0.7, 1.3, 2.1)[:d], (3.0, -5.0, 7.0)[:d], ROTATION if d == 3 else None, "mm")
 
 
-# -- the facts that the project was started from ---------------------------------------------------------------
+# -- known facts at the start of the project ---------------------------------------------------------------
 
 POINTS = np.random.default_rng(0).uniform(-0.8, 0.8, (200_000, 3))
 
@@ -372,7 +372,7 @@ def test_prefilter_preserves_ones(device: Device) -> None:
         np.testing.assert_allclose(prefilter(np.ones((4, 5, 6)), boundary=rule, device=device), 1, atol=1e-6)
 
 
-# -- what a reviewer found -----------------------------------------------------------------------------------------
+# -- regressions -----------------------------------------------------------------------------------------
 
 
 def test_prefilter_of_volumes_and_images(device: Device) -> None:

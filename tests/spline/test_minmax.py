@@ -62,7 +62,7 @@ def test_bernstein_coefficients_of_a_cell_match_the_filter() -> None:
 ROWS: dict[str, Filter] = {
     **filters(),
     **{name: as_filter(name) for name in SMOOTHED},
-    # fits that sum to one nearly, that jump, and one that takes values below 0 everywhere
+    # fits that nearly sum to one, that jump, and one with negative values everywhere
     "nearly one": from_callable("nearly-one", lambda x: np.sinc(x) * np.sinc(x / 4), 4, degree=2),
     "jumps": from_callable("jumps", lambda x: np.exp(-x * x / 0.98), 2, degree=0),
     "negative": from_pieces("negative", [[-1.0, 0.25], [-0.75, 0.5]]),

@@ -104,8 +104,10 @@ def test_coefficients_of_smoothing_splines(device: Device, name: str, rule: str)
             continue
         data = rng.normal(size=shape).astype(np.float32)
         wanted = reference.prefilter(data, name, rule)
-        largest = max(np.abs(wanted).max(), np.abs(data).max())  # smoothing leaves less than what is rounded on the way
-        allowed = 2 * RELATIVE if rule.startswith(("nearest", "grid-constant")) else RELATIVE  # padded: constants round one way
+        largest = max(np.abs(wanted).max(), np.abs(data).max())  # the smoothed result is smaller than the intermediate rounding
+        allowed = (
+            2 * RELATIVE if rule.startswith(("nearest", "grid-constant")) else RELATIVE
+        )  # padded: constants round in one direction
         np.testing.assert_allclose(prefilter(data, name, rule, device), wanted, rtol=0, atol=allowed * largest)
 
 

@@ -24,7 +24,7 @@ import pytest
 
 __all__ = ["Browser", "browser", "open_browser", "why_none"]
 
-# A driver's browser must not look for updates and the like, nor find a machine that is not this one.
+# The browser must not check for updates and the like, nor reach another machine.
 FLAGS = (
     "--headless",
     "--no-sandbox",  # tests run as root in containers

@@ -96,7 +96,7 @@ def test_volumes_that_fit_at_no_level_are_rejected(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(memory, "available", lambda: 1000)
     with pytest.raises(OutOfMemoryError, match=r"its smallest size, .600, 600, 600., takes 1648 MiB: clvol.pyramid"):
         View(lazy)
-    assert samples.read < samples.shape[0] ** 3 // 20  # what is looked at of its options
+    assert samples.read < samples.shape[0] ** 3 // 20  # for its automatic options
 
 
 def test_options_are_rejected_before_everything_is_read() -> None:
@@ -131,7 +131,7 @@ def test_a_multi_resolution_label_map_is_not_refined(device: Device, monkeypatch
 
 def test_pixels_without_finer_detail_read_nothing(view: View, client: Client, samples: Waves) -> None:
     assert view.volume.shape == (SIDE // 4,) * 3
-    read = samples.read  # from which it was decided how it looks
+    read = samples.read  # which decided its look
     client.resize(16, 16)
     client.still()
     assert len(client.of("status")) == 0

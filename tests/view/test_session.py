@@ -238,10 +238,10 @@ def test_a_drag_shows_previews_then_the_still_picture_in_one_undo_step(client: C
 def test_a_change_undone_before_it_was_sent_can_be_redone(client: Client) -> None:
     client.resize(*SIZE)
     client.still()
-    client.wait(lambda m: m["type"] == "state" and "effective" in m)  # nothing of this state is left to tell
+    client.wait(lambda m: m["type"] == "state" and "effective" in m)  # this state has nothing left to send
     client.forget()
     first = client.session.state
-    client.event("wheel", x=40, y=30, dx=0, dy=-100)  # told when it rests
+    client.event("wheel", x=40, y=30, dx=0, dy=-100)  # sent when it rests
     client.session.receive({"type": "do", "what": "undo", "id": 7})
     client.wait(lambda m: m["type"] == "reply" and m["id"] == 7)
     client.wait(lambda m: m["type"] == "state" and m["can_redo"] and not m["can_undo"])
@@ -268,7 +268,7 @@ def test_after_a_click_and_a_change_the_session_still_responds(client: Client, m
     monkeypatch.setattr(client.session._drawer, "shots", lambda order: budgets.append(order.budget) or shots(order))
     for kind, buttons in (("pointer_down", [1]), ("pointer_up", [])):
         client.event(kind, pane="3d", x=20, y=20, button=1, buttons=buttons)
-    client.set(step=0.25)  # takes longer than what was seen before
+    client.set(step=0.25)  # takes longer than any previous one
     client.wait(lambda m: m["type"] == "frame" and m["final"] and m["number"] > 1)
     client.forget()
     client.set(step=0.3)
@@ -486,7 +486,7 @@ def test_a_failing_device_is_reported_and_retried(view: View, monkeypatch: pytes
     client.forget()
     client.set(camera__zoom=1.4)
     client.still()
-    assert [(m["text"], m["kind"]) for m in client.of("status")] == [("", "info")]  # what was wrong is over
+    assert [(m["text"], m["kind"]) for m in client.of("status")] == [("", "info")]  # the error is gone
     client.close()
 
 
@@ -522,7 +522,7 @@ def test_two_sessions_share_the_coefficients_not_the_state(view: View) -> None:
     deadline = time.monotonic() + 60  # statistics beside a picture may still build a kernel
     while any(entry.users for entry in view.resident.renderers._entries.values()) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert len(view.resident.renderers._entries) == 2  # the last two, now that nobody uses another
+    assert len(view.resident.renderers._entries) == 2  # the last two, now that no other is in use
     assert not any(entry.users for entry in view.resident.renderers._entries.values())
 
 
@@ -627,7 +627,7 @@ def test_the_wiper_reports_the_error_of_both_filters(view: View) -> None:
     noise = view.volume.noise.sigma
     assert math.hypot(other["x"], noise) == pytest.approx(expected.x or 0, rel=1e-3, abs=noise)
     client.forget()
-    client.set(wiper={"filter": "linear", "at": 0.5})  # what was measured of another is not shown beside it
+    client.set(wiper={"filter": "linear", "at": 0.5})  # the measurement of another is not shown beside it
     client.wait(lambda m: m["type"] == "wiper" and m["errors"] is None)
     message, _ = client.wait(lambda m: m["type"] == "wiper" and m["errors"])
     assert [row["filter"] for row in message["errors"]["filters"]] == ["bspline3", "linear"]

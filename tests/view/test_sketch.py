@@ -108,7 +108,7 @@ def test_facts_do_not_wait_for_coefficients(client: Client, made_late: threading
     client.wait(lambda m: m["type"] == "state" and "effective" in m)
     client.wait(lambda m: m["type"] == "overlay")
     assert not made_late.is_set()
-    assert len(client.of("frame")) == 1  # and the sketch is sent once
+    assert len(client.of("frame")) == 1  # and the preview is sent once
 
 
 def test_a_wheel_and_a_pick_do_not_wait_for_coefficients(client: Client, made_late: threading.Event) -> None:

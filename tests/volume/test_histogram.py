@@ -55,7 +55,7 @@ def test_measured_values_are_not_exact_background() -> None:
 
 def test_noise_of_air_is_invisible() -> None:
     data = np.where(BALL, 100, 20) + RNG.normal(0, 5, SHAPE)
-    data[0, 0, 0] = -5000  # one voxel tells nothing
+    data[0, 0, 0] = -5000  # a single voxel is no evidence
     seen = TransferFunction.automatic(data)(data)[..., 3]
     assert (seen[~BALL] > 0).mean() < 0.01
     assert (seen[BALL] > 0).mean() > 0.99
@@ -67,7 +67,7 @@ def test_a_bright_background_is_recognised_at_the_faces() -> None:
     seen = TransferFunction.automatic(data)(data)[..., 3]
     assert (seen[~BALL] > 0).mean() < 0.01
     assert (seen[BALL] > 0).mean() > 0.99
-    assert matter_of(Volume(data[6:18, 6:18, 6:18])).sign == 1  # nothing says what is background
+    assert matter_of(Volume(data[6:18, 6:18, 6:18])).sign == 1  # the background is unknown
 
 
 def test_padding_below_air_does_not_hide_air_as_background() -> None:

@@ -167,7 +167,7 @@ def test_it_is_frozen() -> None:
         VOLUME.data[0] = 9
     mine = np.zeros((2, 2))
     Volume(mine)
-    mine[0, 0] = 1  # the caller's array stays his
+    mine[0, 0] = 1  # the caller's array stays writable
 
 
 def test_masked_arrays_without_masked_elements_are_accepted() -> None:

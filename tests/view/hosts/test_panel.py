@@ -69,7 +69,7 @@ def shown(browser: Browser, view: Watched) -> Iterator[Watched]:
     with serve(view) as server:
         browser.open(server.url)
         browser.wait(FINAL, 60)
-        browser.console()  # what other tests left
+        browser.console()  # left by other tests
         yield view
         browser.open("about:blank")  # else the page goes on asking a server that has ended
     view.close()
@@ -128,7 +128,7 @@ def test_labels_are_reached_by_keys(browser: Browser, organs: Watched) -> None:
     browser.js(f"{ROWS}[0].querySelector('input').focus()")
     browser.key(" ", windowsVirtualKeyCode=32, code="Space")
     browser.wait(lambda: labels_of(organs) == {"shown": [1, 7]})
-    assert browser.js("return document.activeElement.closest('label').textContent") == "liver"  # rows are not made anew
+    assert browser.js("return document.activeElement.closest('label').textContent") == "liver"  # rows are not recreated
 
 
 def test_the_search_finds_labels_beyond_the_list(browser: Browser, many: Watched) -> None:

@@ -159,7 +159,7 @@ def test_the_token_becomes_a_cookie_and_leaves_the_address() -> None:
 def test_a_ticket_lets_in_once(monkeypatch: pytest.MonkeyPatch) -> None:
     async def work(visitor: Visitor) -> None:
         assert await visitor.status(url=ticket) == 303
-        assert await visitor.status(url=ticket) == 303  # who has the cookie may come again
+        assert await visitor.status(url=ticket) == 303  # the cookie admits again
         async with aiohttp.ClientSession() as other:
             for url in (ticket, late):
                 async with other.get(url, allow_redirects=False) as answer:
@@ -434,7 +434,7 @@ def test_a_message_of_a_gigabyte_is_rejected_before_it_is_read(frames: int) -> N
         await visitor.enter()
         ws = await visitor.connect()
         await told(ws, "info")
-        reader, transport = ws._reader, ws._writer.transport  # a client that keeps to no rule
+        reader, transport = ws._reader, ws._writer.transport  # a client that ignores the rules
         assert reader is not None
         sent = 0
         chunk = bytes(1 << 20)
@@ -619,7 +619,7 @@ def test_an_idle_client_is_disconnected_and_its_view_freed() -> None:
 
     async def silent_ack(ws: aiohttp.ClientWebSocketResponse) -> None:
         with contextlib.suppress(ConnectionError):
-            await ws.send_json({"type": "ack", "frame": 1})  # of pictures, which is the page's doing alone
+            await ws.send_json({"type": "ack", "frame": 1})  # of pictures, which only the page causes
 
     with serving(view, limits=Limits(idle=0.5)) as server:
         visit(server, work)
@@ -646,7 +646,7 @@ def test_a_client_that_vanishes_during_a_picture() -> None:
         wait_for(lambda: all(session.closed.is_set() for session in view.sessions))
         wait_for(lambda: server.clients == 0)
         for session in view.sessions:
-            session.send({"type": "frame", "number": 2, "pane": "3d"}, b"late")  # a thread that has not noticed
+            session.send({"type": "frame", "number": 2, "pane": "3d"}, b"late")  # a thread that has not noticed yet
 
 
 def test_a_client_that_leaves_before_its_session_starts() -> None:
@@ -832,7 +832,7 @@ def visit_url(url: str, work: Callable[[Visitor], Coroutine[Any, Any, None]]) ->
     visit(SimpleNamespace(url=url), work)  # type: ignore[arg-type]  # its address is what is used
 
 
-SLACK = 1 + os.getloadavg()[0] / (os.cpu_count() or 1)  # of seconds on a machine that does something else too
+SLACK = 1 + os.getloadavg()[0] / (os.cpu_count() or 1)  # seconds, on a busy machine
 
 
 def test_the_command_renders_and_ctrl_c_stops_it(device: Device) -> None:
@@ -855,7 +855,7 @@ def test_the_command_renders_and_ctrl_c_stops_it(device: Device) -> None:
             expected = clvol.render(clvol.phantoms.sphere(16), mode="mip", filter="linear", size=(64, 48), device=device)
             np.testing.assert_array_equal(picture[..., :3], clvol.show.picture.to_bytes(expected)[..., :3])
             code, said, took = await asyncio.to_thread(command.end)
-            assert (code, said.replace("1 error generated.\n", "")) == (0, "")  # of LLVM, which Ctrl-C hinders while it builds
+            assert (code, said.replace("1 error generated.\n", "")) == (0, "")  # from LLVM, disturbed by Ctrl-C during a build
             assert took < SLACK
             assert (await ended(ws))[0] == aiohttp.WSCloseCode.GOING_AWAY
 

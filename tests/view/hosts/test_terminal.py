@@ -66,7 +66,7 @@ def test_half_blocks_encode_two_pixels() -> None:
     text = ansi(picture)
     assert_array_equal(seen(text, 5, 3)[0], picture)
     assert text.count("▀") == 15
-    assert ansi(np.zeros((2, 300, 3), np.uint8)).count("\x1b") == 3  # a colour is said once
+    assert ansi(np.zeros((2, 300, 3), np.uint8)).count("\x1b") == 3  # each colour is set once
     assert_array_equal(seen(ansi(picture[:5]), 5, 3)[0][:5], picture[:5])
 
 
