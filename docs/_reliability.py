@@ -41,18 +41,18 @@ def soak() -> str:
 
 def _soak(run: dict[str, Any]) -> str:
     machine, faults, programs = run["machine"], len(run["faults"]), run["programs"]
-    told = (
+    text = (
         f"{run['date']}: {run['minutes']:g} minutes with {run['threads']} threads on {machine['cores']} cores "
-        f"({machine['opencl'].strip()}, Python {machine['python']}). {_count(run['draws'])} pieces of work: {run['catalogue']} "
-        f"sets of arguments, drawn again and again, and {_count(run['draws_of_new_arguments'])} that were drawn once, for which "
-        f"{_count(programs['made'])} programs were made, {_count(programs.get('compiled', 0))} kernels of them compiled anew. "
-        f"Results that differed, and foreign exceptions: {faults or 'none'}.\n\n"
+        f"({machine['opencl'].strip()}, Python {machine['python']}). {_count(run['draws'])} operations: {run['catalogue']} "
+        f"repeated sets of arguments and {_count(run['draws_of_new_arguments'])} unique ones, with "
+        f"{_count(programs['made'])} programs built and {_count(programs.get('compiled', 0))} kernels compiled. "
+        f"Different results, and foreign exceptions: {faults or 'none'}.\n\n"
     )
     rows = []
     for name, row in run["held"].items():
         scale = 1e6 if name == "resident" else 1
         rows.append((row["what"], *(_count(row[key] / scale) for key in ("first", "last", "most")), "yes" if row["grew"] else "no"))
-    return told + _table(("what the process holds", "first third", "last third", "most", "grew"), rows)
+    return text + _table(("resource", "first third", "last third", "maximum", "grew"), rows)
 
 
 def fuzz() -> str:
@@ -61,7 +61,7 @@ def fuzz() -> str:
         return _NONE
     counts = {
         "tried": "tried",
-        "refused": "refused",
+        "refused": "rejected",
         "accepted": "read",
         "crashes": "crashes",
         "hangs": "over 5 s",
@@ -75,14 +75,14 @@ def fuzz() -> str:
     rows = [[row["format"], *(row.get(key, 0) for key in counts), *(row[key] for key in _WORST)] for row in found]
     sums = [sum(row.get(key, 0) for row in found) for key in counts]
     rows.append(["all", *sums, *(max(row[key] for row in found) for key in _WORST)])
-    told = [[row[0], *map(_count, row[1:-2]), f"{row[-2]:.1f}", _count(row[-1])] for row in rows]
+    cells = [[row[0], *map(_count, row[1:-2]), f"{row[-2]:.1f}", _count(row[-1])] for row in rows]
     few = [row["format"] for row in found if row["tried"] < _AIM]
-    missed = f"\nThe aim of {_count(_AIM)} inputs has not been reached for: {', '.join(few)}.\n" if few else ""
-    return _table(("input", *counts.values(), "slowest, s", "memory, MB"), told) + missed
+    missed = f"\nFewer than {_count(_AIM)} inputs for: {', '.join(few)}.\n" if few else ""
+    return _table(("input", *counts.values(), "slowest, s", "memory, MB"), cells) + missed
 
 
 TABLES: dict[str, Callable[[], str]] = {"soak": soak, "fuzz": fuzz}
-"""By the name that the page has for them."""
+"""By name in the page."""
 
 
 def with_tables(page: str) -> str:

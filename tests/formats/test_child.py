@@ -73,7 +73,7 @@ def test_a_hang_is_an_error(hang: str) -> None:
 
 
 @linux
-def test_memory_beyond_the_announced_size_is_refused() -> None:
+def test_memory_beyond_the_announced_size_is_rejected() -> None:
     with pytest.raises(FormatError, match=r"must take at most 128 MiB of memory, for 0 bytes of samples"):
         run(exec, "bytearray(1 << 30)")
     with pytest.raises(FormatError, match=r"must take at most 1 MiB"):
