@@ -45,7 +45,7 @@ def _soak(run: dict[str, Any]) -> str:
         f"{run['date']}: {run['minutes']:g} minutes with {run['threads']} threads on {machine['cores']} cores "
         f"({machine['opencl'].strip()}, Python {machine['python']}). {_count(run['draws'])} operations: {run['catalogue']} "
         f"repeated sets of arguments and {_count(run['draws_of_new_arguments'])} unique ones, with "
-        f"{_count(programs['made'])} programs built and {_count(programs.get('compiled', 0))} kernels compiled. "
+        f"{_count(programs['made'])} programs created and {_count(programs.get('compiled', 0))} kernels compiled. "
         f"Different results, and foreign exceptions: {faults or 'none'}.\n\n"
     )
     rows = []
