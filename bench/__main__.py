@@ -1,12 +1,11 @@
-"""Runs every measurement beside its peers, prints a table, and writes it down with the machine and the versions.
+"""Runs every measurement beside its peers, prints a table, and saves it with the machine and the versions.
 
     python -m bench [--quick] [--only WORD] [--output FILE] [--no-huge]
     python -m bench --pictures DIR
     python -m bench.compare OLD.json [NEW.json]
 
-Each row is timed beside its peers in turn (ours, theirs, ours, ...), after one run of each that is not counted; medians are
-compared. "roofline" is the share that our rate is of what the machine can do at most of what the work takes at the least
-(see machine.py and the costs in cases.py).
+Each row alternates with its peers (ours, theirs, ours, ...), after one uncounted run of each; medians are compared. "roofline"
+is our rate as a fraction of the machine's maximum for the minimum cost of the work (see machine.py and the costs in cases.py).
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from bench.machine import Cost, Limits, describe, measure_limits
 
 RESULTS = Path(__file__).parent / "results"
 FORMAT = 2
-BUSY = 0.5  # load at the start above which times are not to be trusted
+BUSY = 0.5  # Times measured at a higher initial load are unreliable
 
 
 def main() -> None:
@@ -72,7 +71,7 @@ def main() -> None:
                 console.print_exception(max_frames=4)
                 rows.append({"name": case.name, "skipped": "it failed"})
                 broken.append(case.name)
-    limits = limits.best(measure_limits(bench.device))  # the machine may have been busy with something else the first time
+    limits = limits.best(measure_limits(bench.device))  # the machine may have been busy the first time
     add_rooflines(rows, limits)
     console.print(table_of(rows))
     for line in footnotes(rows, limits):
@@ -94,7 +93,7 @@ def main() -> None:
 
 
 def row_of(case: Case) -> dict[str, Any]:
-    """One case measured, as it is written to the results."""
+    """One measured case, in the format of the results."""
     load = os.getloadavg()[0]
     work = case.prepare()
     row: dict[str, Any] = {"name": case.name, "load": load}
@@ -138,7 +137,7 @@ def _colored(ratio: float) -> str:
 
 
 def footnotes(rows: list[dict[str, Any]], limits: Limits) -> list[str]:
-    """Growth with size, what failed, what is not the same work, and what the roofline refers to."""
+    """Growth with size, failures, work that is not the same, and the reference of the roofline."""
     seconds = {row["name"]: row["seconds"]["clvol"] for row in rows if "seconds" in row}
     lines = []
     for mode in ("isosurface", "mip"):
@@ -159,7 +158,7 @@ def footnotes(rows: list[dict[str, Any]], limits: Limits) -> list[str]:
 
 
 def pictures(bench: Bench, folder: Path, console: Console) -> None:
-    """Every picture by us and by the peers, as files and side by side: is the comparison one of the same thing?"""
+    """Every picture by us and by the peers, as files and side by side, to check that they show the same."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, make in shots(bench).items():
         shot = make()

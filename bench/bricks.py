@@ -1,11 +1,11 @@
-"""Pictures of a volume in a store, by bricks under a budget of memory, beside reading all of it; and bricks beside one piece.
+"""Pictures of a stored volume by bricks within a memory budget, beside reading all of it; and bricks beside one piece.
 
     python -m bench.bricks [--size 1024] [--memory 2048] [--piece 512] [--folder DIR] [--json FILE]
 
-The volume is uint16 made by a formula: a few shells with bumps on noise of the background, written by `clvol.pyramid`. Every
-row is timed in this run, after kernels are built: the first picture (the coarsest level), that of the level which suits the
-picture's size, that of the finest level, with how many bricks were read, and how long it takes to read all samples once. The files
-were just written: reads come from the system's cache, as far as it holds them. A folder that holds the store already is used.
+The volume is uint16 from a formula, shells with bumps on background noise, written by `clvol.pyramid`. All rows are timed in
+this run, after kernels are built: the first picture (the coarsest level), that of the level that suits the picture's size, and
+that of the finest level, with the number of bricks read, and the time to read all samples once. The files were just written:
+reads come from the system's cache as far as it reaches. An existing store in the folder is reused.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _VEILED: dict[str, Any] = {"transfer": _VEIL}
 
 
 class Shells:
-    """The volume, computed where it is read."""
+    """The volume, computed on read."""
 
     dtype = np.dtype(np.uint16)
     chunks = (64, 64, 64)
@@ -59,13 +59,13 @@ def timed(work: Any, *arguments: Any, **options: Any) -> tuple[float, Any]:
     return time.perf_counter() - start, result
 
 
-def out_of_core(store: Path, budget: int) -> list[dict[str, Any]]:
+def out_of_core(store: Path, memory: int) -> list[dict[str, Any]]:
     """Pictures of the store, each by a renderer that has read nothing yet."""
     rows = []
     for mode, options in (("isosurface", {"isovalue": _ISOVALUE}), ("composite", _VEILED)):
         for lod in (None, 1.0, 0.0):
             seconds, opened = timed(clvol.open, store, trusted=True)
-            with BrickedField(opened, memory=budget) as field, clvol.Renderer(field) as renderer:
+            with BrickedField(opened, memory=memory) as field, clvol.Renderer(field) as renderer:
                 if lod is None:  # the first that refine gives
                     some, picture = timed(next, renderer.refine(_CAMERA, mode, _SIZE, **options))
                 else:
@@ -104,7 +104,7 @@ def reading(store: Path) -> dict[str, Any]:
 
 
 def in_pieces(size: int) -> list[dict[str, Any]]:
-    """Coefficients and a picture from samples in memory: by one brick and by 2³ beside one piece, in turns; and once more."""
+    """Coefficients and a picture from samples in memory: one brick, 2³ bricks and one piece, alternating; and a second picture."""
     volume = clvol.Volume(Shells(size)[:size, :size, :size])
     lazy = clvol.LazyVolume(volume.data, limits=volume.value_range, labels=False)
     kinds: dict[str, Callable[[], Any]] = {

@@ -1,4 +1,4 @@
-"""The work that is measured, and our side of it; peers.py has the same by others."""
+"""The measured work, and our side of it; peers.py has the other programs."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from clvol.spline.prefilter import prefilter_in_place
 __all__ = ["Bench", "Case", "Measurement", "Skip", "Work", "all_cases", "draw", "measure", "samples_on_lattice", "shots"]
 
 Array = NDArray[Any]
-_EDGE = 16  # samples from the faces within which boundary rules differ from program to program
-_PATIENCE = 4.0  # seconds spent on one peer of a case after which it is not repeated
+_EDGE = 16  # samples from the faces, within which programs' boundary rules differ
+_PATIENCE = 4.0  # seconds: a peer that has taken this long is not repeated
 TURNS = ((0.0, 0.0), (30.0, 20.0), (65.0, 50.0))  # azimuth, elevation: planes across y, y and z or x, near the diagonal
 
 
@@ -44,7 +44,7 @@ class Skip(Exception):
 
 @dataclass
 class Work:
-    """A case made ready: ours, the same by others, and what it takes at the least."""
+    """A prepared case: our run, the peers' runs, and the minimum cost."""
 
     ours: Callable[[], Any]
     peers: dict[str, Peer] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class Work:
 
 @dataclass
 class Measurement:
-    """What came out; `seconds` are medians."""
+    """The results; `seconds` are medians."""
 
     seconds: dict[str, float]
     spread: dict[str, tuple[float, float]]
@@ -68,14 +68,14 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Case:
-    """One kind of work under the name that it has in the results; `prepare` makes it ready."""
+    """One kind of work under its name in the results; `prepare` sets it up."""
 
     name: str
     prepare: Callable[[], Work | dict[str, Any]]
 
 
 def measure(work: Work) -> Measurement:
-    """Ours, theirs, ours, theirs, ... after one run of each that is not counted.
+    """Alternate ours and theirs, after one uncounted run of each.
 
     Slow peers are not repeated for more than a few seconds.
     """
@@ -87,7 +87,7 @@ def measure(work: Work) -> Measurement:
     for name, peer in work.peers.items():
         try:
             theirs = peer.run()
-        except Exception as error:  # whatever a peer raises: the others are measured all the same
+        except Exception as error:  # whatever a peer raises, the others are still measured
             failed[name] = f"{type(error).__name__}: {error}"
             continue
         if work.compare is not None:
@@ -117,17 +117,17 @@ def measure(work: Work) -> Measurement:
 # A cubic weight is a polynomial of degree 3: three multiply-adds, its slope two. A row of taps is one load of four.
 
 _WEIGHTS, _SLOPES = 3 * 4 * 3, 3 * 4 * 2
-PREFILTER = Cost(bytes=8, multiply_adds=9)  # every sample read and every coefficient written once; two recursions an axis, gain
+PREFILTER = Cost(bytes=8, multiply_adds=9)  # every sample read and every coefficient written once; two recursions per axis, gain
 VALUE = Cost(bytes=16, loads=16, multiply_adds=_WEIGHTS + 64 + 16 + 4)  # a point in, a value out
 # the same for points that are sorted first: read twice, written with their places and read again
 SCATTERED = Cost(bytes=2 * 12 + 2 * 16 + 4, loads=16, multiply_adds=VALUE.multiply_adds)
 # rows by weights and slopes; columns by weights, slopes, weights; slices likewise, for (x, y, z, value)
 GRADIENT = Cost(bytes=24, loads=16, multiply_adds=_WEIGHTS + _SLOPES + 2 * 64 + 3 * 16 + 3 * 4)
-MAGNIFY = Cost(bytes=4.5, multiply_adds=3.5 * (1 + 1 / 2 + 1 / 4) + 9 / 8)  # three or four taps an axis, axis by axis
+MAGNIFY = Cost(bytes=4.5, multiply_adds=3.5 * (1 + 1 / 2 + 1 / 4) + 9 / 8)  # three or four taps per axis, axis by axis
 
 
 def plane_cost(spacing: float, shaded: bool) -> Cost:
-    """Of a sample on a plane whose slices were blended for a tile of 16 × 16 rays, `spacing` voxels apart."""
+    """The cost of a sample on a plane whose slices were blended for a tile of 16 × 16 rays, `spacing` voxels apart."""
     blended = (16 * spacing + 3) ** 2 / 16**2  # coefficients of the blend, a sample
     weights = 2 * 4 * 3
     if not shaded:
@@ -141,7 +141,7 @@ def plane_cost(spacing: float, shaded: bool) -> Cost:
 
 
 class Bench:
-    """Sizes, the device, and volumes that several cases share."""
+    """Sizes, the device, and shared volumes."""
 
     def __init__(self, *, quick: bool = False, huge: bool = True) -> None:
         self.quick = quick
@@ -152,7 +152,7 @@ class Bench:
         self.row, self.smoothed = as_filter("bspline3"), as_filter("bspline3(0.1)")
         self.rule = as_boundary("mirror")
         self.head = lru_cache(maxsize=2)(self._head)
-        self.renderer = lru_cache(maxsize=2)(self._renderer)  # of few at a time: the largest take most of the memory
+        self.renderer = lru_cache(maxsize=2)(self._renderer)  # few at a time: the largest take most of the memory
 
     @property
     def device(self) -> Device:
@@ -170,7 +170,7 @@ class Bench:
     # -- prefilter --
 
     def resident_prefilter(self, n: int) -> Work:
-        """The kernels alone, on what is on the device already."""
+        """The kernels alone, on data already on the device."""
         resident, theirs = self.coefficients(n, self.row), peers.of("prefilter", self.head(n))
         theirs["clvol, λ = 0.1"] = Peer(partial(_prefilter, self.coefficients(n, self.smoothed)))
         return Work(partial(_prefilter, resident), theirs, float(n**3), "Mvoxel/s", PREFILTER, self.repeats)
@@ -225,7 +225,7 @@ class Bench:
     # -- samples inside frames --
 
     def samples_in_frames(self, *, spacing: float, shaded: bool) -> Work:
-        """Every sample of the lattice is taken: nothing is skipped, no ray ends early."""
+        """Every sample of the lattice: no skipping, no early termination."""
         renderer = self.renderer(self.n)
         size = (64, 64) if self.quick else (256, 256)
         radius = float(np.linalg.norm(renderer.volume.corners[0] - renderer.volume.center))
@@ -270,7 +270,7 @@ class Bench:
         return Work(partial(draw, renderer, shot), {}, float(self.size[0] * self.size[1]), "Mpixel/s", None, self.repeats)
 
     def require(self, n: int, kind: str) -> None:
-        """Raise `Skip` if a volume of this size cannot be drawn here."""
+        """Raise `Skip` if a volume of this size cannot be rendered here."""
         coefficients = 4 * (n + 8) ** 3
         try:
             self.device.buffers.require_room(coefficients)
@@ -309,7 +309,7 @@ class Bench:
 
 
 def all_cases(bench: Bench) -> Iterator[Case]:
-    """Every case, in an order in which neighbours share volumes."""
+    """Every case, ordered so that neighbours share volumes."""
     n = bench.n
     large = [2 * n, *([] if bench.quick or not bench.huge else [4 * n])]
     yield Case(f"prefilter {n}³, on the device", lambda: bench.resident_prefilter(n))
@@ -342,7 +342,7 @@ def camera() -> clvol.Camera:
 
 
 def shots(bench: Bench) -> dict[str, Callable[[], Shot]]:
-    """The pictures that peers make too."""
+    """The pictures that peers render too."""
     ramp = clvol.TransferFunction.ramp((0.0, 2300.0))
 
     def shot(mode: str, transfer: clvol.TransferFunction) -> Shot:
@@ -369,7 +369,7 @@ def draw(renderer: clvol.Renderer, shot: Shot, **options: Any) -> Array:
 
 
 def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[int, int], step: float) -> float:
-    """How many samples a frame has if none is skipped: lengths of the rays in the volume by their distance (see `Planes`)."""
+    """The number of samples in a frame without skipping: lengths of rays in the volume over their spacing (see `Planes`)."""
     aspect = size[0] / size[1]
     view = camera.view(volume, aspect)
     planes = Planes(volume, view, aspect, step)
@@ -393,14 +393,14 @@ def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[i
 
 
 def _prefilter(resident: Coefficients) -> None:
-    """What `coefficients_of` does between copying the samples and filling the halo."""
+    """The part of `coefficients_of` between copying the samples and filling the halo."""
     extent, sizes = tuple(resident.extent.tolist()), tuple(resident.size[:3].tolist())
     prefilter_in_place(resident.device, resident.buffer, resident.filter, resident.boundary, extent, sizes, resident.volume.ndim)
     resident.device.finish()
 
 
 def _difference(ours: Array, theirs: Array) -> float:
-    """Root mean square, as a share of the range; of the points that both have."""
+    """The RMS difference relative to the range, over the points that both have."""
     count = min(len(ours), len(theirs))
     a, b = ours[:count], theirs[:count]
     return float(np.sqrt(np.mean((a - b) ** 2, dtype=np.float64)) / np.ptp(a))

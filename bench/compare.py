@@ -1,9 +1,9 @@
-"""What changed since an earlier result.
+"""Changes since an earlier result.
 
     python -m bench.compare OLD.json [NEW.json]
 
-Without NEW.json, the latest of bench/results but OLD.json. "change" is the old time by the new one: more than one is faster.
-Where a peer did the same work in both, "beside" is the change of the ratio to it: the speed of the machine, which differs
+Without NEW.json, the latest of bench/results other than OLD.json. "change" is the old time over the new one: above one is
+faster. "beside" is the change of the ratio to a peer that did the same work in both: the speed of the machine, which varies
 from day to day, cancels out.
 """
 
@@ -23,22 +23,22 @@ __all__ = ["compare", "read"]
 
 RESULTS = Path(__file__).parent / "results"
 _FORMATS = (1, 2)
-# the names that the peers and the same work had in format 1
+# names of the peers and of the same work in format 1
 _PEERS = {"scipy spline_filter": "scipy", "scipy map_coordinates": "scipy", "scipy zoom": "scipy"}
 _NAMES = {
     "prefilter and upload": "prefilter 256³ and upload",
     "magnify ×2, prefilter included": "magnify ×2, 128³, prefilter included",
 }
-_STEADY = 0.05  # a smaller change is not one
+_STEADY = 0.05  # smaller changes are noise
 
 
 def read(file: Path) -> dict[str, Any]:
-    """A report of any format that was ever written, in terms of the present one.
+    """A report of any former format, converted to the present one.
 
     Raises
     ------
     ValueError
-        The file is none; the message says why.
+        The file is not a report; the message says why.
     """
     try:
         report = json.loads(file.read_text(encoding="utf-8"))
@@ -59,7 +59,7 @@ def read(file: Path) -> dict[str, Any]:
 
 
 def compare(old: dict[str, Any], new: dict[str, Any]) -> list[dict[str, Any]]:
-    """Work that is in both: `old`, `new`, `change`, and `beside`, the change beside each peer that is in both."""
+    """Work that is in both: `old`, `new`, `change`, and `beside`, the change relative to each peer in both."""
     rows = []
     for name, now in new["results"].items():
         before = old["results"].get(name)

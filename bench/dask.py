@@ -45,7 +45,7 @@ def waves(block_info: Any = None) -> NDArray[Any]:
 
 
 def calls(source: Any, side: int, chunk: int) -> dict[str, dict[str, Callable[[], Any]]]:
-    """What is measured: lazy arrays by work and by library."""
+    """The measured lazy arrays, by work and library."""
     half = (side // 2,) * 3
     floating = source.astype(np.float32)
     found: dict[str, dict[str, Callable[[], Any]]] = {
@@ -64,7 +64,7 @@ def calls(source: Any, side: int, chunk: int) -> dict[str, dict[str, Callable[[]
     if find_spec("ome_zarr"):
         from ome_zarr.dask_utils import resize
 
-        low_pass = {"order": 1, "mode": "reflect", "anti_aliasing": True, "preserve_range": True}  # as its pyramids are made
+        low_pass = {"order": 1, "mode": "reflect", "anti_aliasing": True, "preserve_range": True}  # as in its pyramids
         found["halve, low-pass"]["ome-zarr"] = lambda: resize(source, half, **low_pass)
     return found
 
@@ -82,14 +82,14 @@ def make(volume: Path, side: int, chunk: int, dtype: str) -> None:
 
 
 def peak() -> int:
-    """Bytes that this process has had in memory at most."""
+    """The peak memory of this process, in bytes."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def measured(
     folder: Path, source: Any, side: int, chunk: int, repeats: int, only: str, library: str, client: Any
 ) -> Iterator[dict[str, Any]]:
-    """A row for each call: its median of seconds, and the most memory that a worker has had until then."""
+    """A row per call: median seconds, and the peak memory of a worker so far."""
     corner = min(side, 2 * chunk)
     small = calls(source[:corner, :corner, :corner], corner, chunk)
     for name, all_of_them in calls(source, side, chunk).items():

@@ -1,7 +1,7 @@
-"""What the soak does: small pieces of work over all that is public, each the same whenever it is drawn with the same seed.
+"""The work of the soak: small operations over the public API, each reproducible from its seed.
 
-A deed is a function of a `World` and of random numbers, by which it chooses its options; what it returns is compared to the
-last bit. `DEEDS` are all of them by name, with how many seeds the catalogue holds of each.
+A deed is a function of a `World` and a random generator, which chooses its options; its result is compared to the last bit.
+`DEEDS` lists them by name, with the number of seeds of each in the catalogue.
 """
 
 from __future__ import annotations
@@ -84,9 +84,9 @@ class Deed:
     Parameters
     ----------
     work : callable
-        Takes a `World` and random numbers.
+        Takes a `World` and a random generator.
     count : int
-        Seeds of the catalogue; others are drawn once.
+        Seeds in the catalogue; others are used once.
     """
 
     work: Callable[[World, Random], Any]
@@ -105,7 +105,7 @@ def _deed(count: int) -> Callable[[Callable[[World, Random], Any]], Callable[[Wo
 
 
 class World:
-    """What all threads of a process share: volumes, files, and renderers, fields and interpolators that stay open."""
+    """State shared by all threads of a process: volumes, files, and open renderers, fields and interpolators."""
 
     def __init__(self, folder: Path, quick: bool = False) -> None:
         self.folder, self.quick = folder, quick
@@ -141,7 +141,7 @@ class World:
 
     @contextmanager
     def own_folder(self) -> Iterator[Path]:
-        """A new folder for files of one deed, which leaves nothing."""
+        """A new folder for the files of one deed, removed afterwards."""
         folder = Path(tempfile.mkdtemp(dir=self.folder))
         try:
             yield folder
@@ -150,11 +150,11 @@ class World:
 
 
 def do(world: World, name: str, seed: int) -> tuple[str, bool]:
-    """The hash of what a deed gives, and whether that was a refusal."""
+    """The hash of a deed's result, and whether it was a rejection."""
     random = np.random.default_rng([seed, *name.encode()])
     try:
         return _hash(DEEDS[name].work(world, random)), False
-    except clvol.ClvolError as error:  # of options that do not go together: the same error each time
+    except clvol.ClvolError as error:  # incompatible options: the same error each time
         text = str(error).replace(os.fspath(world.folder), "")
         return f"{type(error).__name__}: {text}", True
 
@@ -166,7 +166,7 @@ def _hash(value: Any) -> str:
 
 
 def _feed(update: Callable[[bytes], Any], value: Any) -> None:
-    """All bits of a result."""
+    """Hash all bits of a result."""
     match value:
         case clvol.Volume():
             _feed(update, (value.data, value.spacing, value.origin, value.direction, value.units or ""))
@@ -270,7 +270,7 @@ def _look(world: World, random: Random) -> dict[str, Any]:
 
 @_deed(40)
 def frames_of_one_renderer(world: World, random: Random) -> Any:
-    """Every thread draws with the same ones."""
+    """All threads share these renderers."""
     return _one(random, world.renderers).render(**_look(world, random))
 
 
@@ -316,7 +316,7 @@ def pictures_kept(world: World, random: Random) -> Any:
 
 @_deed(8)
 def closed_under_another(world: World, random: Random) -> Any:
-    """Closing while another thread draws gives it right pictures or a refusal."""
+    """Closing while another thread renders gives it correct pictures or an error."""
     look = _look(world, random)
     with clvol.Renderer(world.volumes["blob"], "bspline3") as renderer:
         right = renderer.render(**look)
@@ -364,7 +364,7 @@ def samples(world: World, random: Random) -> Any:
 
 @_deed(20)
 def one_field(world: World, random: Random) -> Any:
-    """Every thread asks the same ones."""
+    """All threads share these fields."""
     field = _one(random, world.fields)
     points = _points(field.volume, random)
     which = int(random.integers(5))
@@ -536,7 +536,7 @@ def labelled_arrays(world: World, random: Random) -> Any:
 
 @_deed(16)
 def filters_of_ones_own(world: World, random: Random) -> Any:
-    """Ever new ones, hence ever new programs."""
+    """New filters each time, hence new programs."""
     b, c = (float(v) for v in random.uniform(0, 1, 2).round(3))
     w = round(float(random.uniform(0.5, 2)), 3)
     chosen = (
@@ -615,7 +615,7 @@ def figures_drawn(world: World, random: Random) -> Any:
 
 
 def _written(folder: Path, volumes: Mapping[str, clvol.Volume]) -> Iterator[tuple[str, Path]]:
-    """Files in formats that are only read."""
+    """Files in read-only formats."""
     data: Any = np.asarray(volumes["ct"].data, "<i2", order="C")
     (folder / "samples.raw").write_bytes(data.tobytes())
     yield "raw", folder / "samples.raw"
@@ -672,7 +672,7 @@ def files_read(world: World, random: Random) -> Any:
 
 @_deed(4)
 def stores(world: World, random: Random) -> Any:
-    """A pyramid is made, opened, read by parts, and sampled by bricks."""
+    """Make a pyramid, open it, read parts of it, and sample it by bricks."""
     volume = world.volumes["ct"]
     with world.own_folder() as folder:
         source = clvol.LazyVolume(volume.data, volume.spacing)
@@ -702,7 +702,7 @@ def pickles(world: World, random: Random) -> Any:
 
 
 def _refused(world: World, folder: Path) -> tuple[Callable[[], Any], ...]:
-    """Calls of which each must raise an error of clvol's."""
+    """Calls that must each raise a clvol error."""
     volume, renderer, field = world.volumes["blob"], world.renderers[0], world.fields[0]
     return (
         lambda: clvol.read(folder / "missing.nrrd"),
@@ -776,7 +776,7 @@ def calls_refused(world: World, random: Random) -> Any:
 
 @_deed(4)
 def work_abandoned(world: World, random: Random) -> Any:
-    """An exception out of a call's own report of progress, and the next call right."""
+    """An exception from a call's progress callback; the next call must be correct."""
     volume = world.volumes["blob"]
 
     def stop(_: float) -> None:

@@ -1,11 +1,11 @@
-"""What only a new process shows: how long the first frame takes, and the most memory ever held.
+"""Measurements that need a new process: time to the first frame, and peak memory.
 
     python -m bench.fresh FILE
     python -m bench.fresh WHO N
 
-FILE is a volume as a .npy file. Prints a JSON object: `seconds` from `Renderer` to the first frame, `bytes` that the peak
-rose by, from after the imports. With WHO (see `LARGE`) and N it is one cubic zoom from N³ to (2 N)³: its seconds, and the bytes
-that the peak rose by, from what was held with the input.
+FILE is a volume as a .npy file. Prints a JSON object: `seconds` from `Renderer` to the first frame, `bytes` by which the peak
+rose since the imports. With WHO (see `LARGE`) and N it measures one cubic zoom from N³ to (2 N)³: its seconds, and the bytes by
+which the peak rose above the memory with the input.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _by_zoom(module: str) -> Callable[[Array], object]:
 
 
 def _by_resize() -> Callable[[Array], object]:
-    """The call of nnU-Net, which makes float64 of its input first."""
+    """nnU-Net's call, which first converts its input to float64."""
     resize = import_module("skimage.transform").resize
     return lambda data: resize(data.astype(float), tuple(2 * n for n in data.shape), 3, mode="edge", anti_aliasing=False, clip=True)
 
@@ -94,7 +94,7 @@ def _measure_large(who: str, n: int) -> dict[str, float]:
 
 
 def _peak(what: str = "VmHWM") -> int:
-    """The most bytes ever resident; not `ru_maxrss` where it can be had otherwise: that counts the parent before exec."""
+    """The peak resident bytes; `ru_maxrss` only as a fallback, since it includes the parent before exec."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith(what))

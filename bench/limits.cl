@@ -1,4 +1,4 @@
-// Loops that do one thing as fast as the device can: what machine.py measures its limits with.
+// Loops that each run at a limit of the device, for machine.py.
 
 typedef float8 lanes;   // not float16: PoCL cannot compile it for every processor
 
@@ -30,7 +30,7 @@ kernel void multiply_add(global lanes *result, const int count)
     result[get_global_id(0)] = sum;
 }
 
-// Vectors of four, which is a row of taps, from 16 KiB again and again: count * 1024 loads.
+// Vectors of four, like a row of taps, repeatedly from 16 KiB: count * 1024 loads.
 kernel void load_rows(global const int4 *rows, global int4 *result, const int count)
 {
     int4 a[8];

@@ -1,4 +1,4 @@
-"""The machine: what it is, and what it can do at most, measured by the loops of limits.cl."""
+"""The machine: its description, and its limits, measured by the loops of limits.cl."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ class Cost:
 
 @dataclass(frozen=True)
 class Limits:
-    """What all cores together do in a second."""
+    """Rates per second of all cores together."""
 
     copy: float  # bytes read and written, from one array to another
-    update: float  # the same in place: the old content of what is written needs no separate reading
+    update: float  # the same in place: the written memory needs no separate read
     loads: float  # vectors of four floats from the nearest cache
     multiply_adds: float  # single floats
 
     def best(self, other: Limits) -> Limits:
-        """The greater of each."""
+        """The elementwise maximum."""
         return Limits(*(max(a, b) for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     def share(self, cost: Cost, items_per_second: float) -> tuple[float, str]:
-        """How much of the binding limit a rate is, and which one that is: the roofline."""
+        """The rate as a fraction of the binding limit, and the name of that limit: the roofline."""
         bounds = {
             "bandwidth": cost.bytes / max(self.copy, self.update),
             "loads": cost.loads / self.loads,
@@ -71,7 +71,7 @@ def measure_limits(device: Device) -> Limits:
     text = (Path(__file__).parent / "limits.cl").read_text(encoding="utf-8")
     built = cl.Program(device.context, text).build(options=["-cl-std=CL1.2"])
     cpu = device.kind == "cpu"
-    local = (1,) if cpu else (64,)  # PoCL keeps the variables of several work-items in memory, not in registers
+    local = (1,) if cpu else (64,)  # PoCL keeps variables of several work-items in memory, not in registers
     workers = int(device.handle.max_compute_units) * (8 if cpu else 2048)
 
     def best(work: Callable[[], Any]) -> float:
@@ -119,7 +119,7 @@ def describe(device: Device) -> dict[str, Any]:
 
 
 def available_memory() -> int:
-    """Bytes that can still be had without swapping; 0 where that is not told."""
+    """Bytes available without swapping; 0 if unknown."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     except OSError:

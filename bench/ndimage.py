@@ -1,11 +1,11 @@
-"""`clvol.ndimage` beside SciPy and others, call by call, each with what is aimed at.
+"""`clvol.ndimage` beside SciPy and others, call by call, each with its goal.
 
     python -m bench.ndimage [--quick] [--long] [--only WORD] [--markdown] [--output FILE]
 
-Every call is the same text for both: a function of the module. Rows are timed as in `python -m bench` (ours, theirs, ours, ...,
-medians) and can be compared by `python -m bench.compare OLD.json NEW.json`. About two minutes on two idle cores; `--long` also
-measures SciPy and scikit-image on the largest array, a quarter of an hour each (else they are measured on a smaller one, and what
-they took is multiplied, as the table says), and takes a series of 100 images, not 8.
+Every call is the same text for both modules. Rows are timed as in `python -m bench` (alternating, medians) and can be compared
+by `python -m bench.compare OLD.json NEW.json`. About two minutes on two idle cores. `--long` also measures SciPy and
+scikit-image on the largest array, a quarter of an hour each (otherwise a smaller array is measured and its time scaled, as the
+table states), and uses a series of 100 images, not 8.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ __all__ = ["Aim", "Row", "rows", "table_in_markdown"]
 
 RESULTS = Path(__file__).parent / "results" / "ndimage"
 FORMAT = 2
-BUSY = 0.5  # load at the start above which times are not to be trusted
+BUSY = 0.5  # Times measured at a higher initial load are unreliable
 NEEDS = {"scikit-image": "skimage", "SimpleITK": "SimpleITK", "torch": "torch", "torch-interpol": "interpol", "numba": "numba"}
 
 Array = NDArray[Any]
@@ -56,12 +56,12 @@ POINT = Cost(bytes=3 * 8 + 8, loads=VALUE.loads, multiply_adds=VALUE.multiply_ad
 
 @dataclass(frozen=True)
 class Aim:
-    """What a row should reach.
+    """The goal of a row.
 
     Attributes
     ----------
     times : float, optional
-        As fast as SciPy, at least.
+        Speed relative to SciPy, at least.
     seconds : float, optional
         At most.
     """
@@ -77,14 +77,14 @@ class Aim:
         )
 
     def reached(self, row: dict[str, Any]) -> bool:
-        """Whether a measured row is what it should be."""
+        """Whether a measured row reaches its goal."""
         fast = self.times is None or row["times_as_fast_as"].get("SciPy", self.times) >= self.times
         return fast and (self.seconds is None or row["seconds"]["clvol"] <= self.seconds)
 
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table: its name, what is aimed at, how it is made ready."""
+    """One row of the table: its name, its goal, how to prepare it."""
 
     name: str
     aim: Aim
@@ -92,14 +92,14 @@ class Row:
 
 
 class _Bench:
-    """Sizes and arrays; each method makes the rows of one kind of call."""
+    """Sizes and arrays; each method returns the rows of one kind of call."""
 
     def __init__(self, *, quick: bool, long: bool) -> None:
         self.repeats = 2 if quick else 5
         self.sides = (12, 16) if quick else (64, 128)
         self.filtered = (12, 16) if quick else (64, 128, 256)
         self.large = 24 if quick else 400
-        self.few = self.large if long else 12 if quick else 64  # of those who would take a quarter of an hour
+        self.few = self.large if long else 12 if quick else 64  # for peers that would take a quarter of an hour
         self.bold = (3, 9, 11, 9) if quick else (100 if long else 8, 97, 115, 97)
         self.generator = np.random.default_rng(12)
 
@@ -220,7 +220,7 @@ class _Bench:
         return work
 
     def series(self, *, points: bool) -> Work:
-        """A series of volumes, each moved a little, as after the correction of motion."""
+        """A series of volumes, each slightly moved, as in motion correction."""
         frames, *shape = self.bold
         series, out = self.noise(self.bold, np.float32), np.empty(self.bold, np.float32)
         moves = [_motion(self.generator, tuple(shape)) for _ in range(frames)]
@@ -246,7 +246,7 @@ class _Bench:
         return work
 
     def largest(self) -> dict[str, Any]:
-        """The default resampling of nnU-Net, in new processes: seconds, and bytes beyond the input."""
+        """nnU-Net's default resampling, in new processes: seconds, and bytes beyond the input."""
         n, few = self.large, self.few
         wanted = 4 * ((2 * n) ** 3 + 2 * n**3)
         if 0 < available_memory() < 1.3 * wanted:
@@ -322,7 +322,7 @@ def main() -> None:
     for row in rows(quick=options.quick, long=options.long):
         if options.only in row.name:
             console.print(f"[dim]{row.name}[/dim]")
-            found.append(_measured(replace(row, aim=Aim()) if options.quick else row))  # aims are for the sizes proper
+            found.append(_measured(replace(row, aim=Aim()) if options.quick else row))  # goals are for the full sizes
     load.append(os.getloadavg()[0])
     limits = limits.best(measure_limits(device))
     add_rooflines(found, limits)
@@ -376,7 +376,7 @@ def _measured(row: Row) -> dict[str, Any]:
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    """Work, time, share of the limit, ratio to SciPy, aim, others."""
+    """Work, time, fraction of the limit, ratio to SciPy, goal, others."""
     if "skipped" in row:
         return [row["name"], "–", "", "–", "", row["skipped"]]
     ratios = dict(row["times_as_fast_as"])
@@ -425,12 +425,12 @@ def _has(name: str) -> bool:
 
 
 def _cost(cost: Cost, kind: type[np.generic], order: int) -> Cost | None:
-    """Where it is known: of cubics, in float32."""
+    """The cost where it is known: of cubics, in float32."""
     return cost if kind is np.float32 and order == 3 else None
 
 
 def _turned(n: int) -> tuple[Array, Array]:
-    """A matrix that turns a cube by some degrees about three axes, and the offset that keeps its middle."""
+    """A matrix that rotates a cube by some degrees about three axes, and the offset that keeps its centre."""
     x, y, z = np.radians((7, 4, 10))
     about_x = np.array([[np.cos(x), -np.sin(x), 0], [np.sin(x), np.cos(x), 0], [0, 0, 1]])
     about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
@@ -441,7 +441,7 @@ def _turned(n: int) -> tuple[Array, Array]:
 
 
 def _motion(generator: np.random.Generator, shape: tuple[int, ...]) -> tuple[Array, Array]:
-    """A small turn about the middle and a small shift."""
+    """A small rotation about the centre and a small shift."""
     a, b, c = generator.normal(0, 0.01, 3)
     matrix = np.array([[1, -c, b], [c, 1, -a], [-b, a, 1]])
     middle = (np.asarray(shape) - 1) / 2
@@ -464,7 +464,7 @@ def _torch_zoom(data: Array) -> dict[str, Peer]:
 
 
 def _torch_affine(data: Array, matrix: Array, offset: Array) -> dict[str, Peer]:
-    """A cube on a turned grid; positions are from -1 to 1 there."""
+    """A cube on a rotated grid; PyTorch's positions range from -1 to 1."""
     if not _has("torch"):
         return {}
     functional, tensor = importlib.import_module("torch.nn.functional"), _tensor(data)
@@ -489,7 +489,7 @@ def _itk_affine(data: Array, table: Array, shape: tuple[int, ...], order: int) -
 
 
 def _difference(ours: Array, theirs: Array) -> float:
-    """The largest, as a share of the range; infinite for results of another shape."""
+    """The maximum difference relative to the range; infinite for different shapes."""
     if ours.shape != theirs.shape:
         return float("inf")
     return float(np.abs(ours - theirs).max() / np.ptp(ours))

@@ -1,8 +1,8 @@
-"""The same work by others: every entry of `TASKS` prepares a `Peer`, whose `run` is what is timed.
+"""The same work by other programs: every entry of `TASKS` prepares a `Peer`, whose `run` is timed.
 
-What a peer needs is prepared outside of the time, as far as the peer allows: points in its own arrays, coefficients
-where they are not the work, textures, normals. Peers are an extra (``pip install clvol[bench]``); one that is missing
-or does not work here is left out, with the reason.
+Preparation is outside of the time as far as the peer allows: points in its own arrays, coefficients unless they are the work,
+textures, normals. Peers are an extra (``pip install clvol[bench]``); one that is missing or does not work here is omitted, with
+the reason.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Shot:
 
 
 def of(task: str, work: Any) -> dict[str, Peer]:
-    """The peers that can do a task here, prepared."""
+    """The available peers for a task, prepared."""
     found = {}
     for name, (needs, prepare) in TASKS[task].items():
         if needs is None or needs not in missing():
@@ -98,7 +98,7 @@ def of(task: str, work: Any) -> dict[str, Peer]:
 
 @lru_cache(maxsize=1)
 def missing() -> dict[str, str]:
-    """Peers that cannot take part, and why; each is tried in a process of its own, for some would end it."""
+    """Unavailable peers, and why; each is tried in its own process, since some would crash it."""
     tried = {}
     for name, program in _TRIALS.items():
         try:
@@ -131,7 +131,7 @@ def _scipy_prefilter(data: Array) -> Peer:
 
 
 def _scipy_sample(work: Points) -> Peer:
-    few = work.at[: 1 << 20]  # it takes its time, in proportion
+    few = work.at[: 1 << 20]  # slow, proportional to the size
     turned = np.ascontiguousarray(few[:, ::-1].T)
     return Peer(
         lambda: ndimage.map_coordinates(work.coefficients, turned, np.float32, 3, "mirror", prefilter=False),
@@ -157,7 +157,7 @@ def _scipy_magnify(data: Array) -> Peer:
 @lru_cache(maxsize=1)
 def _vtk() -> Any:
     vtk = importlib.import_module("vtk")
-    vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)  # it tells of every display that it does not find
+    vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)  # it reports every display that it does not find
     vtk.vtkSMPTools.SetBackend("STDThread")
     return vtk
 
@@ -234,7 +234,7 @@ def _vtk_frame(mapper: str) -> Callable[[Shot], Peer | None]:
     def prepare(shot: Shot) -> Peer | None:
         vtk = _vtk()
         on_cpu = mapper == "vtkFixedPointVolumeRayCastMapper"
-        if on_cpu and shot.mode == "isosurface":  # it has none
+        if on_cpu and shot.mode == "isosurface":  # it does not support it
             return None
         volume, draws = vtk.vtkVolume(), getattr(vtk, mapper)()
         draws.SetInputData(_vtk_image(shot.data))
@@ -427,7 +427,7 @@ TASKS: dict[str, dict[str, tuple[str | None, Prepare]]] = {
 
 
 def renderer_of_opengl() -> str | None:
-    """What draws for VTK's OpenGL mappers, such as "llvmpipe"."""
+    """The OpenGL renderer of VTK's mappers, such as "llvmpipe"."""
     if "VTK drawing" in missing():
         return None
     window = _vtk().vtkRenderWindow()

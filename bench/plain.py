@@ -1,7 +1,7 @@
-"""The same work in plain loops, compiled by numba: what a capable programmer gets in an afternoon.
+"""The same work in plain loops, compiled by numba: what a capable programmer writes in an afternoon.
 
-Cubic B-splines with the boundary rule "mirror", float32. Arrays are [z, y, x], coefficients have no halo, points are
-(x, y, z) in samples.
+Cubic B-splines with the boundary rule "mirror", float32. Arrays are [z, y, x], coefficients have no halo, points are (x, y, z)
+in samples.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numba import njit, prange
 
 POLE = np.float32(math.sqrt(3.0) - 2.0)
 GAIN = np.float32(6.0)
-REACH = 14  # samples that the start of the recursion is summed over: POLE**14 is 1e-8
+REACH = 14  # samples in the initial sum of the recursion: POLE**14 is 1e-8
 SIXTH, THIRD = np.float32(1 / 6), np.float32(1 / 3)
 
 
@@ -49,7 +49,7 @@ def prefilter(data):
 
 @njit(fastmath=True)
 def _prefilter_rows(c):
-    """Along the first axis of two: all of a row at once."""
+    """Along the first of two axes: a whole row at once."""
     n, width = c.shape
     for i in range(n):
         for x in range(width):
@@ -179,7 +179,7 @@ def sample_linear(data, points):
 
 @njit(parallel=True, fastmath=True)
 def magnify(data):
-    """Twice the samples along each axis, axis by axis; sample j lies at j / 2 of the given ones."""
+    """Twice the samples along each axis, axis by axis; sample j lies at j / 2 of the input."""
     c = prefilter(data)
     nz, ny, nx = c.shape
     result = np.empty((2 * nz, 2 * ny, 2 * nx), np.float32)
@@ -211,7 +211,7 @@ def magnify(data):
 
 @njit(inline="always", fastmath=True)
 def _half(before, here, after, past, odd):
-    """The spline at a sample, or half way to the next."""
+    """The spline at a sample, or half-way to the next."""
     if odd:
         return (before + past + np.float32(23) * (here + after)) * np.float32(1 / 48)
     return (before + after + np.float32(4) * here) * SIXTH

@@ -1,11 +1,11 @@
-"""How fast `clvol.pyramid` makes a store, beside the disk, ome-zarr's and dask's downscaling, and what memory it takes.
+"""The speed and memory of `clvol.pyramid`, beside the disk, and ome-zarr's and dask's downscaling.
 
     python -m bench.pyramid [--size 1024] [--memory 2G] [--folder DIR] [--output FILE]
 
-A volume of uint16 made by a formula, with a little noise, is written plane by plane as a Zarr store, packed as ours are. Then each
-makes a smaller copy of half the samples along each axis from that store, in a process of its own: megabytes are those of the
-source, seconds those of the work without imports, memory the peak of the process beyond what it had after imports. The disk's own
-rates are those of one file of as many bytes, written and synchronised, and read again.
+A uint16 volume from a formula, with a little noise, is written plane by plane as a Zarr store, compressed like ours. Then each
+case makes a copy with half the samples along each axis from that store, in its own process: megabytes are those of the source,
+seconds exclude imports, memory is the peak beyond that after the imports. The disk's rates are those of one file of the same
+size, written and synced, then read.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MIB = 1 << 20
 
 
 def planes(size: int, first: int, count: int) -> np.ndarray[Any, np.dtype[np.uint16]]:
-    """Some slices of the volume: waves of several lengths, and noise of a tenth of a percent of the range."""
+    """Some slices of the volume: waves of several lengths, and noise of 0.1 % of the range."""
     z, y, x = np.ogrid[first : first + count, :size, :size]
     wave = np.sin(0.05 * x).astype(np.float32) * np.cos(0.04 * y).astype(np.float32) + np.sin(0.03 * z + 0.02 * x).astype(
         np.float32
@@ -41,7 +41,7 @@ def planes(size: int, first: int, count: int) -> np.ndarray[Any, np.dtype[np.uin
 
 
 def make(path: Path, size: int) -> None:
-    """The source."""
+    """Write the source."""
     import zarr
     from zarr.codecs import BloscCodec
 
@@ -59,27 +59,27 @@ def make(path: Path, size: int) -> None:
 # -- what is timed, each in a process of its own -----------------------------------------------------------------------
 
 
-def clvol_all(source: Path, target: Path, budget: int) -> None:
+def clvol_all(source: Path, target: Path, memory: int) -> None:
     import clvol
 
-    clvol.pyramid(clvol.open(source, trusted=True), target, levels=2, memory=budget, filter="bspline3")
+    clvol.pyramid(clvol.open(source, trusted=True), target, levels=2, memory=memory, filter="bspline3")
 
 
-def clvol_reduced(source: Path, target: Path, budget: int) -> None:
+def clvol_reduced(source: Path, target: Path, memory: int) -> None:
     import clvol
 
-    clvol.pyramid(clvol.open(source, trusted=True), target, levels=2, memory=budget, filter="bspline3", bounds=False)
+    clvol.pyramid(clvol.open(source, trusted=True), target, levels=2, memory=memory, filter="bspline3", bounds=False)
 
 
-def clvol_average(source: Path, target: Path, budget: int) -> None:
+def clvol_average(source: Path, target: Path, memory: int) -> None:
     import clvol
 
     clvol.pyramid(
-        clvol.open(source, trusted=True), target, levels=2, memory=budget, bounds=False, method="average", filter="linear"
+        clvol.open(source, trusted=True), target, levels=2, memory=memory, bounds=False, method="average", filter="linear"
     )
 
 
-def ome_zarr(source: Path, target: Path, budget: int) -> None:  # noqa: ARG001  # it knows none
+def ome_zarr(source: Path, target: Path, memory: int) -> None:  # noqa: ARG001  # it has no limit
     """Its writer of dask arrays, which copies and halves them (skimage's resize, by blocks)."""
     da: Any = importlib.import_module("dask.array")
     from ome_zarr.writer import write_image
@@ -87,7 +87,7 @@ def ome_zarr(source: Path, target: Path, budget: int) -> None:  # noqa: ARG001  
     write_image(da.from_zarr(str(source), "0"), str(target), axes="zyx", scale_factors=[{"z": 2, "y": 2, "x": 2}])
 
 
-def dask_mean(source: Path, target: Path, budget: int) -> None:  # noqa: ARG001
+def dask_mean(source: Path, target: Path, memory: int) -> None:  # noqa: ARG001
     """Means of blocks, and a copy."""
     da: Any = importlib.import_module("dask.array")
     array = da.from_zarr(str(source), "0")
@@ -111,8 +111,8 @@ CASES: dict[str, Callable[[Path, Path, int], None]] = {
 }
 
 
-def child(name: str, source: Path, target: Path, budget: int) -> None:
-    """One case: its seconds and peak of memory as JSON."""
+def child(name: str, source: Path, target: Path, memory: int) -> None:
+    """Run one case; print seconds and peak memory as JSON."""
     import resource
 
     import dask.array as _dask
@@ -128,7 +128,7 @@ def child(name: str, source: Path, target: Path, budget: int) -> None:
         clvol.pyramid(small, target.with_name("small.zarr"), levels=2, filter="bspline3", overwrite=True)
     before = _resident()
     start = time.perf_counter()
-    CASES[name](source, target, budget)
+    CASES[name](source, target, memory)
     seconds = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     print(json.dumps({"seconds": seconds, "peak": peak - before}))
@@ -139,7 +139,7 @@ def _resident() -> int:
 
 
 def disk(folder: Path, nbytes: int) -> dict[str, float]:
-    """Megabytes a second that the disk writes, synchronised, and reads, from a cache that was dropped where that is allowed."""
+    """Megabytes per second written (synced) and read by the disk, from a dropped cache where permitted."""
     block, path = np.random.default_rng(0).bytes(16 * _MIB), folder / "disk"
     start = time.perf_counter()
     with path.open("wb", buffering=0) as file:
@@ -168,8 +168,8 @@ def main() -> None:
     arguments.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
     given = arguments.parse_args()
     if given.child:
-        name, source, target, budget = given.child
-        child(name, Path(source), Path(target), int(budget))
+        name, source, target, memory = given.child
+        child(name, Path(source), Path(target), int(memory))
         return
     nbytes = 2 * given.size**3
     with tempfile.TemporaryDirectory(dir=given.folder) as made:
@@ -205,7 +205,7 @@ def main() -> None:
             )
     if given.output:
         given.output.write_text(
-            json.dumps({"size": given.size, "budget": given.memory, "disk": rates, "cases": rows}, indent=2), encoding="utf-8"
+            json.dumps({"size": given.size, "memory": given.memory, "disk": rates, "cases": rows}, indent=2), encoding="utf-8"
         )
 
 

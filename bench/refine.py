@@ -1,9 +1,9 @@
-"""How often the first picture of `Renderer.refine` is in time, and how soon nobody waits for what nobody wants any more.
+"""How often the first picture of `Renderer.refine` is in time, and how quickly it stops when cancelled.
 
-    python -m bench.refine [--quick] [--cameras N] [--budget SECONDS] [--output FILE]
+    python -m bench.refine [--quick] [--cameras N] [--seconds SECONDS] [--output FILE]
 
-Cameras are drawn at random, each another view than the one before, or go around in steps of 3°. A cancelled iterator ends when the
-launch that runs ends: how long that takes is measured, and the longest time between two questions whether it is cancelled.
+Cameras are random, each different from the one before, or orbit in steps of 3°. A cancelled iterator stops after the running
+launch: that delay is measured, and the longest time between two calls of the `cancelled` callback.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Look = dict[str, Any]
 
 
 def looks() -> dict[str, Look]:
-    """What is drawn, and for how many cameras budgets are measured: those of the first two."""
+    """The measured looks; first pictures are timed for the first two."""
     ramp = clvol.TransferFunction.ramp((0.0, 2300.0))
     translucent: Look = {"mode": "composite", "transfer": scene.TRANSLUCENT}
     return {
@@ -61,15 +61,15 @@ def around(count: int) -> Iterator[clvol.Camera]:
 
 
 def kept(
-    renderer: clvol.Renderer, cameras: Iterable[clvol.Camera], size: tuple[int, int], budget: float, look: Look
+    renderer: clvol.Renderer, cameras: Iterable[clvol.Camera], size: tuple[int, int], seconds: float, look: Look
 ) -> dict[str, Any]:
-    """When first pictures were there, as shares of the budget, and how large they are. The very first one does not count."""
-    next(renderer.refine(size=size, seconds=budget, **look))  # builds kernels, and knows a rate
+    """Times of first pictures, as fractions of the limit, and their sizes. The very first does not count."""
+    next(renderer.refine(size=size, seconds=seconds, **look))  # builds kernels and measures a rate
     shares, pixels, long = [], [], 0
     for camera in cameras:
         started = time.perf_counter()
-        first = next(renderer.refine(camera, size=size, seconds=budget, **look))
-        shares.append((time.perf_counter() - started) / budget)
+        first = next(renderer.refine(camera, size=size, seconds=seconds, **look))
+        shares.append((time.perf_counter() - started) / seconds)
         pixels.append(first[..., 0].size)
         long += first.step > 0.5
     return {
@@ -82,10 +82,10 @@ def kept(
     }
 
 
-def questions(renderer: clvol.Renderer, size: tuple[int, int], budget: float, look: Look, cancels: int) -> dict[str, Any]:
-    """The longest time between two questions, and from an answer of yes to the end, in milliseconds; and what refining costs."""
+def questions(renderer: clvol.Renderer, size: tuple[int, int], seconds: float, look: Look, cancels: int) -> dict[str, Any]:
+    """The longest time between two calls of `cancelled`, and from cancellation to the end, in ms; and the cost of refining."""
     camera = clvol.Camera.orbit(30, 15, zoom=1.8, fit="volume")
-    renderer.render(camera, size=(16, 16), **look)  # what is computed once is there
+    renderer.render(camera, size=(16, 16), **look)  # compute cached data first
     started = time.perf_counter()
     want = renderer.render(camera, size=size, **look)
     alone = time.perf_counter() - started
@@ -97,7 +97,7 @@ def questions(renderer: clvol.Renderer, size: tuple[int, int], budget: float, lo
 
     started, count, last = time.perf_counter(), 0, want
     asked.append(started)
-    for count, last in enumerate(renderer.refine(camera, size=size, seconds=budget, cancelled=note, **look), 1):  # noqa: B007
+    for count, last in enumerate(renderer.refine(camera, size=size, seconds=seconds, cancelled=note, **look), 1):  # noqa: B007
         pass
     whole = time.perf_counter() - started
     asked.append(started + whole)
@@ -113,7 +113,7 @@ def questions(renderer: clvol.Renderer, size: tuple[int, int], budget: float, lo
 
         timer = threading.Timer(random.uniform(0, min(whole, _PATIENCE)), stop)
         timer.start()
-        finals = [picture.final for picture in renderer.refine(camera, size=size, seconds=budget, cancelled=flag.is_set, **look)]
+        finals = [picture.final for picture in renderer.refine(camera, size=size, seconds=seconds, cancelled=flag.is_set, **look)]
         ended = time.perf_counter()
         timer.cancel()
         timer.join()
@@ -137,30 +137,35 @@ def main() -> None:
     arguments.add_argument("--quick", action="store_true", help="small work: a check that all of it runs")
     arguments.add_argument("--cameras", type=int, default=200, metavar="N")
     arguments.add_argument("--cancels", type=int, default=20, metavar="N", help="of each kind of picture")
-    arguments.add_argument("--budget", type=float, default=0.05, metavar="SECONDS")
+    arguments.add_argument("--seconds", type=float, default=0.05, metavar="SECONDS")
     arguments.add_argument("--output", type=Path, metavar="FILE")
     options = arguments.parse_args()
     side, size = (32, (96, 96)) if options.quick else (256, SIZE)
     cameras, cancels = (3, 2) if options.quick else (options.cameras, options.cancels)
     console, load = Console(width=150), os.getloadavg()[0]
-    report: dict[str, Any] = {"machine": {**describe(as_device()), "load": load}, "budget": options.budget, "kept": {}, "asked": {}}
+    report: dict[str, Any] = {
+        "machine": {**describe(as_device()), "load": load},
+        "seconds": options.seconds,
+        "kept": {},
+        "asked": {},
+    }
     with clvol.Renderer(scene.head(side, as_device(), "float32"), "bspline3") as renderer:
         paths = {"random": anywhere, "moving": around}
-        budgets = Table("first pictures", "in time", "median", "95 %", "worst", "side", "longer steps", box=None)
+        firsts = Table("first pictures", "in time", "median", "95 %", "worst", "side", "longer steps", box=None)
         for (path, where), (name, look) in itertools.product(paths.items(), list(looks().items())[:2]):
-            row = report["kept"][f"{name}, {path}"] = kept(renderer, where(cameras), size, options.budget, look)
-            shares = (f"{1000 * options.budget * row[key]:.0f} ms" for key in ("median", "percentile_95", "worst"))
-            budgets.add_row(f"{name}, {path}", f"{row['kept']:.0%}", *shares, f"{row['side']:.0f}", f"{row['longer_steps']:.0%}")
+            row = report["kept"][f"{name}, {path}"] = kept(renderer, where(cameras), size, options.seconds, look)
+            shares = (f"{1000 * options.seconds * row[key]:.0f} ms" for key in ("median", "percentile_95", "worst"))
+            firsts.add_row(f"{name}, {path}", f"{row['kept']:.0%}", *shares, f"{row['side']:.0f}", f"{row['longer_steps']:.0%}")
         asked = Table(
             "cancelled", "render", "refine", "pictures", "between questions, 99 %", "longest", "to the end", "longest", box=None
         )
         for name, look in looks().items():
-            row = report["asked"][name] = questions(renderer, size, options.budget, look, cancels)
+            row = report["asked"][name] = questions(renderer, size, options.seconds, look, cancels)
             times = (
                 "-" if row[key] is None else f"{row[key]:.1f} ms" for key in ("between_99", "between", "to_end_median", "to_end")
             )
             asked.add_row(name, f"{row['render']:.3f} s", f"{row['refine']:.3f} s", str(row["pictures"]), *times)
-    console.print(budgets, asked, sep="\n\n")
+    console.print(firsts, asked, sep="\n\n")
     console.print(f"[dim]load {load:.1f} before, {os.getloadavg()[0]:.1f} at the end[/dim]")
     if options.output:
         options.output.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")

@@ -1,10 +1,10 @@
-"""Are surfaces exact? ``python -m bench.roots`` holds a million random rays against float64.
+"""Are surfaces exact? ``python -m bench.roots`` compares a million random rays with float64.
 
-The function is SciPy's spline, the truth `clvol.reference.march.roots`: eigenvalues in every cell of every ray. A ray is right if
-its depth is within 1e-4 voxel of the truth. Near a tangent nothing in float32 can be: such a ray counts as rounding if the truth
-is what was drawn for a ray that is moved by up to 1e-4 voxel, or for an isovalue that is moved by 3e-6 of the largest magnitude
-of a coefficient; or if the function is that near to the isovalue where the surface was drawn, and passes it nowhere before. All
-else is wrong: a surface missed, or another one than the first.
+The function is SciPy's spline, the truth `clvol.reference.march.roots`: eigenvalues in every cell of every ray. A ray is
+correct if its depth is within 1e-4 voxel of the truth. Near a tangent no float32 result can be: such a ray counts as rounding
+if its result is the truth for a ray moved by up to 1e-4 voxel, or for an isovalue moved by 3e-6 of the largest coefficient; or
+if the function is that close to the isovalue at the result, and crosses it nowhere before. Everything else is wrong: a missed
+surface, or one that is not the first.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ __all__ = ["DEPTH", "SCENES", "Count", "Surface", "check"]
 
 Array = NDArray[np.float64]
 DEPTH = 1e-4  # of a voxel
-_SHIFT, _LIFT = 1e-4, 3e-6  # what rounding may move: rays, of a voxel; isovalues, of the largest magnitude
-_NEAR = 0.05  # voxels; near a tangent the least move of a ray moves the surface far along it
+_SHIFT, _LIFT = 1e-4, 3e-6  # tolerances for rounding: of rays in voxels, of isovalues relative to the largest magnitude
+_NEAR = 0.05  # voxels; near a tangent a tiny move of a ray moves the surface far along it
 _EDGE = 63  # pixels along the edge of a picture: odd, so that some rays lie on planes of cells
 _ORDERS = {"nearest": 0, "linear": 1, "bspline2": 2, "bspline3": 3, "bspline4": 4, "bspline5": 5}
 
@@ -60,7 +60,7 @@ class Surface:
         return result
 
     def depths(self, rays: Rays, which: Any, shift: Array | float = 0.0, lift: float = 0.0) -> Array:
-        """Where some of the rays first meet the isovalue; both moved, if asked."""
+        """The first crossings of the isovalue by some rays; both optionally moved."""
         some = rays[which]
         moved = replace(some, origin=some.origin + shift)
         return first_crossings(self.values, self.volume, as_filter(self.filter), moved, self.isovalue + lift)
@@ -68,7 +68,7 @@ class Surface:
 
 @dataclass
 class Count:
-    """What came out for so many rays."""
+    """The outcome for a number of rays."""
 
     rays: int = 0
     hits: int = 0
@@ -83,7 +83,7 @@ def _cube(n: int) -> tuple[Array, Array, Array]:
 
 
 def _shell(thickness: float) -> Surface:
-    """A smooth ridge, of which so many voxels lie above the isovalue."""
+    """A smooth ridge with the given number of voxels above the isovalue."""
     x, y, z = _cube(25)
     width = 1.5
     ridge = np.exp(-((np.sqrt(x * x + y * y + z * z) - 0.6) ** 2) * 12**2 / (2 * width**2))
@@ -91,7 +91,7 @@ def _shell(thickness: float) -> Surface:
 
 
 def _touching() -> Surface:
-    """A parabola through whose lowest samples the isovalue goes: a double root on every ray."""
+    """A parabola whose lowest samples equal the isovalue: a double root on every ray."""
     x, _, _ = _cube(17)
     return Surface(clvol.Volume(x * x), 0.0)
 
@@ -127,14 +127,14 @@ def _cameras(volume: clvol.Volume, rng: np.random.Generator) -> Iterator[Camera]
 
 
 def _box(volume: clvol.Volume, rng: np.random.Generator) -> tuple[Any, Any]:
-    """Some part of the domain, perhaps a thin one."""
+    """A part of the domain, sometimes thin."""
     low, high = volume.corners.min(0), volume.corners.max(0)
     ends = np.sort(low + rng.random((2, 3)) * (high - low), 0)
     return ends[0], ends[1]
 
 
 def check(surface: Surface, rays: int, seed: int = 0, edge: int = _EDGE, **options: Any) -> Count:
-    """Hold pictures of a surface against the truth, by so many random rays at least; `options` are the renderer's."""
+    """Compare pictures of a surface with the truth, for at least the given number of random rays; `options` are the renderer's."""
     count, rng, voxel = Count(), np.random.default_rng(seed), float(np.mean(surface.volume.spacing))
     largest = float(np.abs(surface.coefficients).max())
     with clvol.Renderer(surface.volume, surface.filter) as renderer:
@@ -158,7 +158,7 @@ def check(surface: Surface, rays: int, seed: int = 0, edge: int = _EDGE, **optio
 
 
 def _apart(a: Array, b: Array) -> Array:
-    """How far two depths are from each other: nothing if both are infinite, infinitely if one is."""
+    """The difference of two depths: zero if both are infinite, infinite if one is."""
     with np.errstate(invalid="ignore"):
         return np.where(np.isinf(a) & np.isinf(b), 0.0, np.abs(a - b))
 
@@ -166,7 +166,7 @@ def _apart(a: Array, b: Array) -> Array:
 def _explained(
     surface: Surface, rays: Rays, which: NDArray[np.int64], got: Array, voxel: float, largest: float
 ) -> NDArray[np.bool_]:
-    """Whether what was drawn is the truth for a ray and an isovalue that are moved a little."""
+    """Whether the result is the truth for a slightly moved ray and isovalue."""
     across = np.cross(rays.direction[which], np.eye(3)[np.abs(rays.direction[which]).argmin(1)])
     sides = across, np.cross(rays.direction[which], across)
     explained = np.zeros(which.size, bool)
@@ -175,7 +175,7 @@ def _explained(
         left = np.flatnonzero(~explained)
         depths = surface.depths(rays, which[left], share * _SHIFT * voxel * sides[side][left], lift * _LIFT * largest)
         explained[left] = _apart(got[left], depths) <= _NEAR * voxel
-    # along a tangent plane the function stays within rounding of the isovalue: then any place is as good that nothing lies before
+    # along a tangent plane the function stays within rounding of the isovalue: any place is right if nothing lies before it
     left = np.flatnonzero(~explained & np.isfinite(got))
     lift = _LIFT * largest
     there = np.abs(surface.values(rays.at(got[left], which[left])) - surface.isovalue) <= lift

@@ -1,11 +1,11 @@
-"""What a picture by a cluster takes: a simulation of who does what when, checked against runs, and carried on to what no one has.
+"""The cost of a picture by a cluster: a simulation, checked against runs, and extrapolated.
 
     python -m bench.scale [--size 256] [--workers 1 2 4 8] [--json FILE]
 
-The simulation takes the plan that clvol itself makes (boxes of bricks, areas of the picture, who waits for whom) and constants:
-seconds to read a brick, to cast a sample, to pass a byte on, of any task, of a worker that opens a volume, and of the scheduler
-for a task, which takes a core too. These are measured with one worker; with more the simulation is compared. Then it is asked
-about volumes of up to 10¹³ voxels and 1,000 workers, with constants of such machines, which are assumed and said.
+The simulation uses clvol's own plan (boxes of bricks, areas of the picture, dependencies) and constants: seconds to read a
+brick, to cast a sample, to send a byte, per task, per worker that opens a volume, and per task in the scheduler, which needs a
+core too. They are measured with one worker, and the simulation is compared with runs of more. Then it predicts volumes of up to
+10¹³ voxels and 1,000 workers, with constants that are assumed for such machines and stated.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from clvol.march.bricks import pixels_of
 
 _CAMERA = clvol.Camera.orbit(30, 20, fit="volume")
 _PIXELS = 512
-_FEW = 64  # pixels of a picture that takes hardly more than its tasks
+_FEW = 64  # pixels of a picture that costs little more than its tasks
 _REPEATS = 3
 _NOTHINGS = 200  # tasks that do nothing
 
@@ -109,9 +109,10 @@ def simulated(
 ) -> float:
     """Seconds until the last task is done.
 
-    Each worker does one at a time, in the order of the list, at the rate `alone`, and all of them at most at the rate `together`.
-    The scheduler is one of them: a task that waits for no other begins when it has sent it. `joined`: workers know the volume.
-    `spread` is the standard deviation of the logarithm of a task's time, and `slow` workers take twice as long for all.
+    Each worker does one task at a time, in list order, at the rate `alone`, and all of them together at most at the rate
+    `together`. The scheduler is one of them: a task without dependencies starts once it has been sent. `joined`: workers have
+    opened the volume. `spread` is the standard deviation of the logarithm of a task's time, and `slow` workers take twice as
+    long for everything.
     """
     rng = np.random.default_rng(0)
     factor = np.exp(rng.normal(0, spread, len(tasks))) if spread else np.ones(len(tasks))
@@ -122,13 +123,13 @@ def simulated(
         for other in task.before:
             after[other].append(number)
     ready: list[list[int]] = [[] for _ in range(workers + 1)]
-    scheduler = workers  # what is ready there is to be sent
+    scheduler = workers  # ready tasks wait to be sent
     for number, task in enumerate(tasks):
         if not task.before:
             heapq.heappush(ready[scheduler], number)
     held: set[Any] = set()
     known = set(range(workers)) if joined else set()
-    active: dict[int, tuple[int, float]] = {}  # by worker: the task, and the seconds of a core that are left of it
+    active: dict[int, tuple[int, float]] = {}  # by worker: the task, and its remaining core seconds
     now, done = 0.0, 0
     idle = set(range(workers + 1))
     while done < len(tasks):
@@ -168,7 +169,7 @@ def simulated(
 def plan(
     field: Any, view: Any, size: tuple[int, int], workers: int, areas: int, *, seen: Any = None, step: float = 0.5
 ) -> list[Task]:
-    """The tasks of a picture as `ClusterDrawing` makes them; `seen` says of a brick whether it may matter."""
+    """The tasks of a picture as in `ClusterDrawing`; `seen` tells whether a brick may matter."""
     tree = parts.groups_of(field.bricks.counts, parts._GROUPS * workers)
     groups = list(parts.visible(tree, field, view))
     grid, (width, height) = field.volume.grid, size
@@ -177,7 +178,7 @@ def plan(
     bricks = {
         g.number: tuple(b for b in itertools.product(*map(range, g.first, g.stop)) if seen is None or seen(b)) for g in groups
     }
-    depth = field.edge * 1.5 / step  # samples of a ray through a brick, about
+    depth = field.edge * 1.5 / step  # approximate samples of a ray through a brick
     tasks: list[Task] = []
     for y, x in itertools.product(range(0, height, edge), range(0, width, edge)):
         before: tuple[int, ...] = ()
@@ -194,7 +195,7 @@ def plan(
 
 
 def as_tree(tasks: Sequence[Task]) -> list[Task]:
-    """A plan of rays that go through boxes in order, for rays that go through all boxes at once (`merge="tree"`)."""
+    """Convert a plan in order to one in which rays traverse all boxes at once (`merge="tree"`)."""
     areas: dict[int, list[int]] = {}
     first: dict[int, int] = {}
     for number, task in enumerate(tasks):
@@ -222,7 +223,7 @@ def _meets(brick: Any, view: Any, grid: Any, size: tuple[int, int], area: tuple[
 
 
 def measured(cluster: Cluster, store: Path, edge: int) -> dict[str, float]:
-    """Medians of a first picture, of a second one and of one of few pixels."""
+    """Medians of a first picture, of a second one and of one with few pixels."""
     times: dict[str, list[float]] = {"first": [], "second": [], "small": []}
     bricks = 0
     with _edge(edge):
@@ -239,7 +240,7 @@ def measured(cluster: Cluster, store: Path, edge: int) -> dict[str, float]:
 
 
 def dispatched(cluster: Cluster) -> float:
-    """Seconds of the processor that this process, in which the scheduler is, takes for a task that does nothing."""
+    """Processor seconds of this process, which runs the scheduler, for a task that does nothing."""
     rounds = []
     for _ in range(_REPEATS):
         start, before = time.process_time(), None
@@ -257,7 +258,7 @@ def _nothing(_: object) -> None:
 
 @contextlib.contextmanager
 def _of_single_threads(workers: int) -> Iterator[Cluster]:
-    """So many processes of this machine, which compute with one core each."""
+    """Start n processes on this machine, each limited to one core."""
     import distributed
 
     env = {"POCL_MAX_PTHREAD_COUNT": "1", "CL_CONFIG_CPU_FORCE_MAX_COMPUTE_UNITS": "1"}
@@ -273,13 +274,13 @@ def _of_single_threads(workers: int) -> Iterator[Cluster]:
 
 @contextlib.contextmanager
 def _edge(edge: int) -> Iterator[None]:
-    """Bricks of one size, whoever makes them."""
+    """One brick size for all configurations."""
     with mock.patch("clvol.bricks.field.edge_for", return_value=edge):
         yield
 
 
 def store_of(size: int, folder: Path) -> Path:
-    """A volume of the shells, as an array of Zarr."""
+    """The volume of shells, as a Zarr array."""
     import zarr
 
     store, edge = folder / f"scale-{size}.zarr", 64
@@ -292,7 +293,7 @@ def store_of(size: int, folder: Path) -> Path:
 
 
 def checked(size: int, counts: Sequence[int], folder: Path) -> list[dict[str, Any]]:
-    """Runs by one process and by several of this machine, and what the simulation says of the latter."""
+    """Runs by one process and by several on this machine, and the simulation of the latter."""
     store, tiny, edge, cores = store_of(size, folder), store_of(64, folder), 64, len(os.sched_getaffinity(0))
     with _edge(edge), BrickedField(clvol.open(store, trusted=True), "linear") as field:
         view = _CAMERA.view(field.volume.grid, 1.0)
@@ -323,9 +324,9 @@ def checked(size: int, counts: Sequence[int], folder: Path) -> list[dict[str, An
 
 
 def fitted(run: dict[str, float], tiny: dict[str, float], dispatch: float, tasks: Sequence[Task], few: int, bricks: int) -> Costs:
-    """The constants that give the runs of one worker, and those of a volume of one brick; a byte is taken as 1 ns.
+    """Constants that reproduce the runs of one worker, and those of a one-brick volume; a byte counts as 1 ns.
 
-    A first picture takes longer than a second one by what it takes to join, and by the bricks.
+    A first picture takes longer than a second one by joining and by the bricks.
     """
     byte, more, one = 1e-9, run["first"] - run["second"], tiny["first"] - tiny["second"]
     brick = (more - one) / (bricks - 1)
@@ -347,24 +348,24 @@ LARGE = Costs(
 )
 """Of a worker with 16 cores: bricks of 128³ uint16 at 400 MB/s unpacked, and 2·10⁸ coefficients a second, margins included;
 4·10⁸ samples a second; a network of 1 GB/s; a scheduler that sends 1,000 tasks a second; 0.2 s to open the volume."""
-_STORE = 20e9  # bytes a second that a store gives to all workers together
+_STORE = 20e9  # bytes per second that a store delivers to all workers together
 
 
 def large(edge_of_volume: int, workers: int, pixels: int, share: float) -> dict[str, Any]:
-    """A picture of a volume of which that share of bricks matters, by workers that have read nothing yet."""
+    """A picture of a volume of which the given fraction of bricks matters, by workers that have read nothing yet."""
     volume = clvol.LazyVolume(np.broadcast_to(np.uint16(0), (edge_of_volume,) * 3), limits=(0, 1), labels=False)
     with _edge(128), BrickedField(volume, "linear") as field:
         view = _CAMERA.view(field.volume.grid, 1.0)
         radius = field.bricks.counts[0] / 2
 
-        def seen(at: tuple[int, ...]) -> bool:  # a shell, as thick as the share asks for
+        def seen(at: tuple[int, ...]) -> bool:  # a shell, as thick as the fraction requires
             r = math.dist(at, (radius,) * 3) / radius
             return abs(r - 0.62) < share / (4 * math.pi * 0.62**2) * 8 / 2
 
         groups = parts._GROUPS * workers
         coarse = field if len(field.bricks) <= 60_000 else None
         begun = time.perf_counter()
-        if coarse is None:  # boxes in place of bricks: the plan is the same, bricks of a box are counted together
+        if coarse is None:  # boxes instead of bricks: the plan is the same, and the bricks of a box are counted together
             tasks, wanted = _by_boxes(field, view, pixels, workers, share)
         else:
             tasks = plan(field, view, (pixels, pixels), workers, parts._AREAS * workers, seen=seen)
@@ -372,7 +373,7 @@ def large(edge_of_volume: int, workers: int, pixels: int, share: float) -> dict[
         planned = time.perf_counter() - begun
     nbytes = wanted * 128**3 * 2.0
     costs = LARGE
-    if nbytes / _STORE > wanted * costs.brick / workers:  # the store is what all wait for
+    if nbytes / _STORE > wanted * costs.brick / workers:  # the store is the bottleneck
         costs = replace(costs, brick=nbytes / _STORE / wanted * workers)
     even = simulated(tasks, costs, workers)
     ragged = simulated(tasks, costs, workers, spread=0.5, slow=max(1, workers // 100))
@@ -393,7 +394,7 @@ def large(edge_of_volume: int, workers: int, pixels: int, share: float) -> dict[
 
 
 def _by_boxes(field: Any, view: Any, pixels: int, workers: int, share: float) -> tuple[list[Task], int]:
-    """As `plan`, of so many bricks that they are counted by boxes."""
+    """Like `plan`, but counting bricks by boxes."""
     tree = parts.groups_of(field.bricks.counts, parts._GROUPS * workers)
     groups = list(parts.visible(tree, field, view))
     grid = field.volume.grid

@@ -1,8 +1,8 @@
-// A head as a scanner sees it, in units of a CT scanner plus 1000 (air 0, water 1000): nested ellipsoids with soft
+// A head as in a CT scan, in Hounsfield units plus 1000 (air 0, water 1000): nested ellipsoids with soft
 // edges, texture and noise. The object is that of the cube [-1, 1]^3 whatever the number of samples: x to the
 // right, y to the back, z up.
 
-// No built-in functions: where PoCL does not know the processor it leaves them as calls, and 512^3 samples took a minute.
+// No built-in functions: where PoCL does not know the processor they remain calls, and 512^3 samples took a minute.
 #ifdef __clang__
 #define root __builtin_sqrtf
 #else
@@ -32,14 +32,14 @@ INLINE float blend(float a, float b, float share)
     return a + (b - a) * share;
 }
 
-// About how far inside an ellipsoid at (cx, cy, cz) with the radii a, b and c a point is.
+// The approximate depth inside an ellipsoid at (cx, cy, cz) with the radii a, b and c a point is.
 INLINE float ellipsoid(float x, float y, float z, float cx, float cy, float cz, float a, float b, float c)
 {
     const float u = (x - cx) / a, v = (y - cy) / b, w = (z - cz) / c;
     return (1.0f - root(u * u + v * v + w * w)) * low(a, low(b, c));
 }
 
-// How far inside a round bar about (cx, cy) with radius r.
+// The depth inside a round bar about (cx, cy) with radius r.
 INLINE float bar(float x, float y, float cx, float cy, float r)
 {
     return r - root((x - cx) * (x - cx) + (y - cy) * (y - cy));

@@ -1,4 +1,4 @@
-"""What is measured on: a head as a scanner sees it, the same object at any number of samples, made by scene.cl."""
+"""The measured scene: a head as in a scan, the same object at any number of samples, computed by scene.cl."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from clvol.device import Device
 __all__ = ["BONE", "OPAQUE", "TRANSLUCENT", "head"]
 
 BONE = 1500.0  # the isovalue between soft matter and bone
-SCALE = {"float32": 1.0, "uint16": 16.0, "uint8": 0.1}  # stored values for each unit of the scene
+SCALE = {"float32": 1.0, "uint16": 16.0, "uint8": 0.1}  # stored values per unit of the scene
 _C_TYPES = {"float32": "float", "uint16": "ushort", "uint8": "uchar"}
 _SLICES = 32  # a launch
 

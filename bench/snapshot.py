@@ -1,10 +1,10 @@
-"""Draws and samples a fixed set of everything, and tells what differs from the same set made by another commit.
+"""Renders and samples a fixed set of cases, and compares it with that of another commit.
 
     python -m bench.snapshot OUT.npz            # with this commit's clvol
-    python -m bench.snapshot OLD.npz NEW.npz    # what differs, to the last bit
+    python -m bench.snapshot OLD.npz NEW.npz    # differences, to the last bit
 
-Every mode meets every filter in both widths of lanes, every mode and every filter meet every evaluator, and the boundary rule
-turns with them so that each meets every mode, filter and evaluator. Points, grids and prefilters are sampled likewise.
+Every mode meets every filter in both lane widths; every mode and filter meets every evaluator; the boundary rule rotates so
+that each meets every mode, filter and evaluator. Points, grids and prefilters are sampled likewise.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def volume(shape: tuple[int, ...] = (13, 15, 14)) -> clvol.Volume:
-    """Smooth noise over 0..1 with skew axes and spacings that differ."""
+    """Smooth noise over 0..1 with sheared axes and unequal spacings."""
     noise = clvol.Volume(np.random.default_rng(7).random(shape)).gaussian(0.8).data
     data = ((noise - noise.min()) / np.ptp(noise)).astype(np.float32)
     d = len(shape)
@@ -90,7 +90,7 @@ def make() -> Arrays:
     for mode, row in itertools.product(modes, clvol.filters()):
         for tile in ("wide", "eights"):
             draw(f"{mode}, {row}, {tile}", row, mode, tile)
-        next(rules)  # so that the rules turn against the filters
+        next(rules)  # so that rules and filters combine differently
     for mode, tile, flags in itertools.product(modes, TILES, range(3)):
         look: dict[str, Any] = {"gradient": "central"} if flags == 1 else {}
         if flags == 2 and mode in ("composite", "isosurface"):
@@ -150,7 +150,7 @@ def make() -> Arrays:
 
 
 def compare(old: Arrays, new: Arrays) -> list[str]:
-    """A line for each array that differs in any bit, NaN in the same place being equal, or that only one of the two has."""
+    """A line for each array that differs in any bit (NaN in the same place is equal), or that only one set has."""
     lines = []
     for name in old.keys() | new.keys():
         if name not in old or name not in new:

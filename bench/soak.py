@@ -1,20 +1,20 @@
-"""Random work over all that is public, for a long time, in several threads; nothing may change and nothing may grow.
+"""Random work over the public API, for a long time, in several threads; no result may change and no resource may grow.
 
     python -m bench.soak --minutes N [--threads T] [--seed S] [--new SHARE] [--output FILE]
 
-Each deed of deeds.py gives the same result, to the last bit, whenever it is drawn with the same seed. Those of a catalogue are
-computed beforehand, one after the other in the one thread of another process, and then drawn again and again by all threads of
-this one; some draws are of seeds that were never seen, which the other process computes after. Now and then all threads wait,
-and what the process holds is counted: resident memory, open descriptors, threads, files left behind, and buffers on the device.
-After a first quarter, in which caches fill, the median of the last third must not exceed that of the first: memory by 2 % or
-20 MB at most, all else by nothing. Memory is judged in runs of ten minutes or more, until when caches fill, and of ``--new 0``:
-runtimes keep some of each program that they build (PoCL 3.0: 16 kB of one whose text has 140 kB, be it from its cache), and new
-arguments need new ones. Without new ones all programs are kept, where otherwise the 128 used last are. Where the C library is
-glibc's, what is free in its heaps is given back before memory is counted: how much stays there depends on how threads' requests
-mix, not on what is held. What was resident before that is written down too. Exit status 1 says that a result changed, a foreign
-exception came, or something grew; 2 that a deed did not end.
+Each deed of deeds.py gives the same result, to the last bit, for the same seed. The deeds of a catalogue are computed in
+advance, one after the other in the single thread of another process, then repeated by all threads of this one; some draws use
+new seeds, which the other process computes afterwards. From time to time all threads pause, and the process's resources are
+counted: resident memory, open descriptors, threads, files left behind, and buffers on the device. After a first quarter, in
+which caches fill, the median of the last third must not exceed that of the first: memory by 2 % or 20 MB at most, all else not
+at all. Memory is judged in runs of ten minutes or more, the time that caches need to fill, and of ``--new 0``: runtimes keep
+some memory of each program that they build (PoCL 3.0: 16 kB of one with 140 kB of text, even from its cache), and new arguments
+need new programs. Without new ones all programs are kept; otherwise the 128 most recently used are. With glibc, free heap memory
+is returned before memory is counted: how much of it remains depends on the mix of threads' requests, not on what is held. The
+resident memory before that is recorded too. Exit status 1 means that a result changed, a foreign exception occurred, or
+something grew; 2 that a deed did not finish.
 
-Kernels are built anew, in a temporary cache, unless POCL_CACHE_DIR says where one is.
+Kernels are rebuilt in a temporary cache unless POCL_CACHE_DIR names one.
 """
 
 from __future__ import annotations
@@ -55,22 +55,22 @@ HELD = {"resident": "resident memory, MB", "descriptors": "descriptors", "thread
 }
 """What is counted, in words."""
 _WARM_UP = 0.25  # of the time
-_SLACK, _SLACK_SHARE = 20e6, 0.02  # bytes by which resident memory may differ
+_SLACK, _SLACK_SHARE = 20e6, 0.02  # bytes by which resident memory may grow
 _ALL = 1 << 20  # programs
 _FILLING = 10  # minutes in which caches fill
-_STUCK = 600  # seconds that a deed may take
+_STUCK = 600  # maximum seconds per deed
 _STATUS_STUCK = 2
 _SHOWN = 5
 
 
 class Buffers:
-    """OpenCL's memory objects that are alive, counted as they are made and released."""
+    """Live OpenCL memory objects, counted on creation and release."""
 
     def __init__(self) -> None:
         self.sizes: dict[int, int] = {}
 
     def watch(self) -> None:
-        """Put counting classes in place of pyopencl's."""
+        """Replace pyopencl's classes by counting ones."""
         import pyopencl as cl
 
         for name in ("Buffer", "Image"):
@@ -95,7 +95,7 @@ class Buffers:
 
 
 class Reference:
-    """The process that computes one deed after the other in one thread."""
+    """The process that computes one deed at a time in one thread."""
 
     def __init__(self, quick: bool) -> None:
         command = [sys.executable, "-m", "bench.soak", "--reference", *(["--quick"] if quick else [])]
@@ -127,7 +127,7 @@ class Reference:
 
 
 def answer(questions: IO[str], answers: IO[str], quick: bool) -> None:
-    """The reference process: a line with a deed's name and its seed each, and what comes of it."""
+    """The reference process: for each line with a deed's name and seed, the outcome."""
     from bench.deeds import World, do
 
     with tempfile.TemporaryDirectory(prefix="clvol-soak-") as folder:
@@ -159,9 +159,9 @@ class Soak:
         self._to_check: queue.Queue[tuple[str, int, str] | None] = queue.Queue(64)
 
     def run(self, seconds: float, threads: int, buffers: Buffers) -> list[dict[str, float]]:
-        """Work for that long, and what was held from time to time.
+        """Work for the given time; returns the measurements over time.
 
-        Threads work until they are told that it is over, never by a clock of their own: one that had left would be waited for.
+        Threads stop when they are signalled, never by their own clock: one that had stopped early would block the others.
         """
         self._gate = threading.Barrier(threads + 1)
         begun = time.perf_counter()
@@ -175,7 +175,7 @@ class Soak:
             while time.perf_counter() + pause < begun + seconds:
                 time.sleep(pause)
                 self._pausing.set()
-                self._gate.wait(_STUCK)  # all threads have come
+                self._gate.wait(_STUCK)  # all threads have arrived
                 self._pausing.clear()
                 gc.collect()
                 samples.append({"seconds": time.perf_counter() - begun, **held(self.world.folder, buffers)})
@@ -247,7 +247,7 @@ class Soak:
 
 
 def held(folder: Path, buffers: Buffers) -> dict[str, float]:
-    """What the process holds now; nothing of the system's where it does not tell."""
+    """What the process holds now; system values only where the system reports them."""
     told: dict[str, float] = {"threads": threading.active_count()}
     with contextlib.suppress(OSError):
         told |= {"untrimmed": _resident(), "descriptors": len(list(Path("/proc/self/fd").iterdir()))}
@@ -263,7 +263,7 @@ def _resident() -> int:
 
 
 def grown(samples: Sequence[dict[str, float]]) -> dict[str, dict[str, Any]]:
-    """Of each thing that was counted the medians of the first and last third after the warm-up, and whether it grew."""
+    """For each measured quantity, the medians of the first and last third after the warm-up, and whether it grew."""
     steady = samples[int(_WARM_UP * len(samples)) :]
     third = max(1, len(steady) // 3)
     rows: dict[str, dict[str, Any]] = {}
@@ -279,7 +279,7 @@ def grown(samples: Sequence[dict[str, float]]) -> dict[str, dict[str, Any]]:
 def _catalogue(
     reference: Reference, without: Sequence[str], quick: bool, console: Console
 ) -> tuple[dict[tuple[str, int], str], int]:
-    """The hash of each deed and seed, and how many of them are refusals."""
+    """The hash of each deed and seed, and the number of rejections among them."""
     from bench.deeds import DEEDS
 
     chosen = {name: deed for name, deed in DEEDS.items() if name not in without}
@@ -296,7 +296,7 @@ def _catalogue(
 
 
 def _programs_counted() -> Counter[str]:
-    """How many programs were made, and of these how many the compiler had to build or finish, counted from now on."""
+    """The number of programs created, and of those that the compiler had to build or finish, from now on."""
     from clvol.device import program
     from clvol.device.runtimes.pocl import KernelCache
 
@@ -307,7 +307,7 @@ def _programs_counted() -> Counter[str]:
         counts["made"] += 1
         return make(*given)
 
-    def compiled(kernels: KernelCache) -> None:  # asked for before each call of the compiler
+    def compiled(kernels: KernelCache) -> None:  # requested before each call of the compiler
         counts["compiled"] += 1
         room(kernels)
 
@@ -318,7 +318,7 @@ def _programs_counted() -> Counter[str]:
 
 @contextlib.contextmanager
 def kernels() -> Iterator[None]:
-    """A cache of kernels that ends with the run, unless there is one to use: ever new programs would stay in the user's."""
+    """A kernel cache that is removed after the run, unless one is given: new programs would fill the user's."""
     if os.environ.get("POCL_CACHE_DIR"):
         yield
         return
@@ -347,7 +347,7 @@ def main() -> None:
         status = _soak(options, Path(folder))
     sys.stdout.flush()
     if status == _STATUS_STUCK:
-        os._exit(status)  # the end of the interpreter would wait for what the threads hold
+        os._exit(status)  # interpreter shutdown would wait for the threads
     sys.exit(status)
 
 
@@ -369,7 +369,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     catalogue, refusals = _catalogue(reference, options.without, options.quick, console)
     world = World(folder, options.quick)
     soak = Soak(world, reference, catalogue, options.seed, options.new)
-    for _ in range(options.threads):  # or the second one would come whenever two threads first read files at once
+    for _ in range(options.threads):  # else a second one would start when two threads first read files concurrently
         worker.prepare(())
     samples = soak.run(60 * options.minutes, options.threads, buffers)
     rows = grown(samples)
@@ -419,7 +419,7 @@ def _show(soak: Soak, rows: dict[str, dict[str, Any]], console: Console) -> None
 
 
 def table_of(rows: dict[str, dict[str, Any]], title: str) -> Table:
-    """What was held, for people."""
+    """The measurements as a table."""
     table = Table(title=title)
     for column in ("held", "first third", "last third", "most", "grew"):
         table.add_column(column, justify="left" if column == "held" else "right")

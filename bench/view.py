@@ -100,7 +100,7 @@ def main() -> None:
 
 
 def begin(browser: Browser, url: str, size: int) -> None:
-    """The page with a pane of that size, when its still picture is there."""
+    """The page with a pane of that size, once its still picture is shown."""
     browser.open(url)
     browser.wait(f"document.querySelector({PANE!r})")
     _, _, width, height = browser.box(PANE)
@@ -120,7 +120,7 @@ def settle(browser: Browser) -> None:
 
 
 def until(browser: Browser, condition: str, seconds: float) -> None:
-    """Wait in the page itself: questions from outside take a share of the processors, by way of two more processes."""
+    """Wait inside the page: polling from outside would take processor time in two more processes."""
     browser.driver.set_script_timeout(seconds + 10)
     found = browser.driver.execute_async_script(
         f"""
@@ -143,7 +143,7 @@ def press(browser: Browser) -> tuple[float, float]:
 
 
 def drag_to_new(browser: Browser) -> float:
-    """Seconds from a move of the mouse, after rest, to the first new picture on the screen."""
+    """Seconds from a mouse move after rest to the first new picture on the screen."""
     settle(browser)
     x, y = press(browser)
     time.sleep(0.6)
@@ -156,7 +156,7 @@ def drag_to_new(browser: Browser) -> float:
 
 
 def drag_to_still(browser: Browser) -> float:
-    """Seconds from the mouse's release, after a drag, to the still picture."""
+    """Seconds from the mouse's release after a drag to the still picture."""
     settle(browser)
     browser.js("benchFrames.length = 0; benchDrawn.length = 0; benchEvents.length = 0")
     browser.drag((60, 20), CANVAS, buttons=1)
@@ -166,7 +166,7 @@ def drag_to_still(browser: Browser) -> float:
 
 
 def rate(browser: Browser, seconds: float) -> dict[str, Any]:
-    """Pictures a second while the mouse moves with each frame of the screen."""
+    """Pictures per second while the mouse moves with each screen frame."""
     settle(browser)
     x, y = press(browser)
     done = browser.driver.execute_async_script(
@@ -201,9 +201,9 @@ def rate(browser: Browser, seconds: float) -> dict[str, Any]:
 
 
 def elsewhere(url: str, size: int, seconds: float) -> dict[str, float]:
-    """Pictures a second while something is dragged, how large they are, and seconds from its end to the still picture.
+    """Pictures per second during a drag, their size, and seconds from its end to the still picture.
 
-    Of a browser on another machine, that is: a client that only acknowledges what it gets stands for it.
+    For a browser on another machine: a client that only acknowledges frames stands for it.
     """
 
     async def drag() -> tuple[list[tuple[int, float]], float]:
@@ -247,15 +247,15 @@ def elsewhere(url: str, size: int, seconds: float) -> dict[str, float]:
 
 
 def first_pictures(browser: Browser, volume: clvol.Volume, rounds: int) -> list[list[float]]:
-    """Seconds from the start of the command, whose kernels are built, to the first picture in a browser that is open.
+    """Seconds from the start of the command, with built kernels, to the first picture in an open browser.
 
-    And to the first one of all samples: one of few comes before it.
+    And to the first one of all samples; a preview precedes it.
     """
     found = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "volume.nrrd"
         clvol.write(volume, path)
-        # as installed, with compiled modules: the first round, which does not count, may compile them
+        # as installed, with compiled modules: the first, uncounted round may compile them
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         for _ in range(rounds + 1):
             begun = time.time()

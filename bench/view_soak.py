@@ -1,14 +1,14 @@
-"""Hands that do not know what they do, at the viewer's server for a long time: nothing may go wrong and nothing may grow.
+"""Random clients at the viewer's server for a long time: nothing may fail and nothing may grow.
 
     python -m bench.view_soak --minutes N [--clients C] [--seed S] [--samples N] [--output FILE]
 
-In rounds, clients without a browser come by websocket, all at once, and go. Each draws events of pointer and keys, changes of the
-state, deeds (of undo, pictures and movies that are saved, ...) and, now and then, messages that are none; half of the clients leave
-in the midst of it, the others wait for the answer to a last question. Between rounds, when nobody is there, what the process holds
-is counted, as in soak.py, and judged as there. Exit status 1 says that an exception came which no client is to see, that an answer
-or a connection was lost, or that something grew.
+In rounds, clients without a browser connect by websocket, all at once, and leave. Each sends random pointer and key events,
+changes of state, requests (undo, saved pictures and movies, ...) and, sometimes, invalid messages; half of the clients leave
+abruptly, the others wait for the answer to a last request. Between rounds, when no client is connected, the process is measured
+and judged as in soak.py. Exit status 1 means that an internal exception occurred, that an answer or a connection was lost, or
+that something grew.
 
-Kernels are built anew, in a temporary cache, unless POCL_CACHE_DIR says where one is.
+Kernels are rebuilt in a temporary cache unless POCL_CACHE_DIR names one.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from tests.view.clients import random_changes, random_event
 __all__ = ["main"]
 
 _ROUND = 10.0  # seconds in which clients act
-_ANSWER = 300.0  # seconds for an answer, behind programs that are compiled
+_ANSWER = 300.0  # seconds for an answer, including compilation
 _FILLING = 10  # minutes in which caches fill
 _PANES = ("3d", "x", "y", "z")
 _DEEDS = ("undo", "redo", "reset", "fit", "save_picture", "copy_python", "copy_toml", "copy_url", "pick", "heat", "movie")
@@ -48,7 +48,7 @@ _SHOWN = 5
 
 
 class Faults(logging.Handler):
-    """What went wrong, with what the viewer logs as an error: exceptions that are not of the client's making."""
+    """Faults, including errors that the viewer logs: exceptions that the client did not cause."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
@@ -63,7 +63,7 @@ class Faults(logging.Handler):
 
 
 def message(chance: random.Random, size: tuple[int, int]) -> str:
-    """Whatever a client may send."""
+    """Any message that a client may send."""
     kind = chance.choices(("event", "resize", "set", "do", "nonsense"), (80, 3, 8, 8, 1))[0]
     if kind == "nonsense":
         return chance.choice(_NONSENSE)
@@ -158,7 +158,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
             rounds += 1
             if not _quiet(server):
                 faults.add(f"round {rounds}: sessions have not ended; {[thread.name for thread in threading.enumerate()]}")
-            view.close()  # or what is held on the device would depend on what was looked at last
+            view.close()  # else device memory would depend on the last view
             gc.collect()
             samples.append({"seconds": time.monotonic() - begun, **held(folder, buffers)})
     rows = grown(samples)
@@ -177,7 +177,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
 
 
 def _quiet(server: Any) -> bool:
-    """Whether nobody is there, and all sessions end: what they drew may have to be compiled to the end."""
+    """Whether no client is connected and all sessions have ended: their kernels may have to finish compiling."""
     end = time.monotonic() + _ANSWER
     while time.monotonic() < end:
         working = any(thread.name.startswith("clvol") and thread.name != "clvol: page" for thread in threading.enumerate())

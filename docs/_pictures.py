@@ -1,4 +1,4 @@
-"""Pictures of the gallery: what a script calls `picture` is shown beneath it."""
+"""Pictures of the gallery: a script's `picture` is shown below it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import clvol
 
 
 def scraper(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:  # noqa: ARG001
-    """Save the picture that a block made, once, and give the text that shows it."""
+    """Save the picture of a block, once, and return the text that shows it."""
     picture = block_vars["example_globals"].pop("picture", None)
     if picture is None:
         return ""

@@ -1,8 +1,8 @@
-"""The tables of reliability.md that come from what tests and soaks wrote down.
+"""Generates the tables of reliability.md from the results of tests and soaks.
 
     python docs/_reliability.py
 
-puts them into the page, between ``<!-- table: NAME -->`` and ``<!-- end -->``.
+writes them between ``<!-- table: NAME -->`` and ``<!-- end -->``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _count(number: float) -> str:
 
 
 def soak() -> str:
-    """Of the soaks of the last day: what was drawn, and what was held."""
+    """The soaks of the last day: work done, and resources held."""
     runs = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(SOAK.glob("*.json"))]
     last = max((run["date"] for run in runs), default="")
     return "\n".join(_soak(run) for run in runs if run["date"] == last) or _NONE
@@ -41,27 +41,27 @@ def soak() -> str:
 
 def _soak(run: dict[str, Any]) -> str:
     machine, faults, programs = run["machine"], len(run["faults"]), run["programs"]
-    told = (
+    text = (
         f"{run['date']}: {run['minutes']:g} minutes with {run['threads']} threads on {machine['cores']} cores "
-        f"({machine['opencl'].strip()}, Python {machine['python']}). {_count(run['draws'])} pieces of work: {run['catalogue']} "
-        f"sets of arguments, drawn again and again, and {_count(run['draws_of_new_arguments'])} that were drawn once, for which "
-        f"{_count(programs['made'])} programs were made, {_count(programs.get('compiled', 0))} kernels of them compiled anew. "
-        f"Results that differed, and foreign exceptions: {faults or 'none'}.\n\n"
+        f"({machine['opencl'].strip()}, Python {machine['python']}). {_count(run['draws'])} operations: {run['catalogue']} "
+        f"repeated sets of arguments and {_count(run['draws_of_new_arguments'])} unique ones, with "
+        f"{_count(programs['made'])} programs created and {_count(programs.get('compiled', 0))} kernels compiled. "
+        f"Different results, and foreign exceptions: {faults or 'none'}.\n\n"
     )
     rows = []
     for name, row in run["held"].items():
         scale = 1e6 if name == "resident" else 1
         rows.append((row["what"], *(_count(row[key] / scale) for key in ("first", "last", "most")), "yes" if row["grew"] else "no"))
-    return told + _table(("what the process holds", "first third", "last third", "most", "grew"), rows)
+    return text + _table(("resource", "first third", "last third", "maximum", "grew"), rows)
 
 
 def fuzz() -> str:
-    """Of all runs of the fuzzers, a row a format."""
+    """All runs of the fuzzers, a row per format."""
     if not FUZZ.exists():
         return _NONE
     counts = {
         "tried": "tried",
-        "refused": "refused",
+        "refused": "rejected",
         "accepted": "read",
         "crashes": "crashes",
         "hangs": "over 5 s",
@@ -75,18 +75,18 @@ def fuzz() -> str:
     rows = [[row["format"], *(row.get(key, 0) for key in counts), *(row[key] for key in _WORST)] for row in found]
     sums = [sum(row.get(key, 0) for row in found) for key in counts]
     rows.append(["all", *sums, *(max(row[key] for row in found) for key in _WORST)])
-    told = [[row[0], *map(_count, row[1:-2]), f"{row[-2]:.1f}", _count(row[-1])] for row in rows]
+    cells = [[row[0], *map(_count, row[1:-2]), f"{row[-2]:.1f}", _count(row[-1])] for row in rows]
     few = [row["format"] for row in found if row["tried"] < _AIM]
-    missed = f"\nThe aim of {_count(_AIM)} inputs has not been reached for: {', '.join(few)}.\n" if few else ""
-    return _table(("input", *counts.values(), "slowest, s", "memory, MB"), told) + missed
+    missed = f"\nFewer than {_count(_AIM)} inputs for: {', '.join(few)}.\n" if few else ""
+    return _table(("input", *counts.values(), "slowest, s", "memory, MB"), cells) + missed
 
 
 TABLES: dict[str, Callable[[], str]] = {"soak": soak, "fuzz": fuzz}
-"""By the name that the page has for them."""
+"""By name in the page."""
 
 
 def with_tables(page: str) -> str:
-    """The page with its tables made anew."""
+    """The page with regenerated tables."""
     return _PLACE.sub(lambda match: match[1] + "\n" + TABLES[match[2]]() + "\n" + match[3], page)
 
 

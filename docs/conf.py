@@ -1,4 +1,4 @@
-"""How the site is built: ``make docs`` runs every notebook and script anew, and takes warnings for errors."""
+"""Builds the site: ``make docs`` runs every notebook and script, and treats warnings as errors."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ exclude_patterns = ["_build", "gallery", "auto_gallery/*.ipynb"]
 templates_path = ["_templates"]
 
 smartquotes = False  # quotes in docstrings are code
-default_role = "autolink"  # `Volume` in a docstring is a link where that is the name of something, and italic where it is not
+default_role = "autolink"  # `Volume` in a docstring is a link if the name exists, and italic otherwise
 autosummary_imported_members = True
-autosummary_ignore_module_all = False  # __all__ says what is public
-autodoc_typehints = "none"  # docstrings say them for people
+autosummary_ignore_module_all = False  # __all__ defines the public names
+autodoc_typehints = "none"  # docstrings describe them
 autodoc_member_order = "bysource"
 toc_object_entries_show_parents = "hide"
 numpydoc_show_class_members = False  # autodoc does
@@ -83,7 +83,7 @@ html_sidebars: dict[str, list[str]] = {"start": []}
 
 
 def _require_no_requests(app: Sphinx, error: Exception | None) -> None:
-    """Pages are read without a network: none asks another place for a script, a style, a font or a picture."""
+    """Require that pages work offline: none loads a script, style, font or picture from elsewhere."""
     if error is not None or app.builder.format != "html":
         return
     asks = re.compile(

@@ -1,4 +1,4 @@
-"""What the examples of docs/scipy.md share: which module computes, its time, its largest difference to SciPy; a phantom."""
+"""Shared by the examples of docs/scipy.md: choice of module, timing, the maximum difference from SciPy; a phantom."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def options_for(text: str | None, output: str) -> argparse.ArgumentParser:
 
 
 def timed(module: str, work: Work) -> Results:
-    """The results of a work by `module`.ndimage; prints its seconds and, of clvol, the largest differences to SciPy."""
+    """The results of `module`.ndimage; prints seconds and, for clvol, the maximum differences from SciPy."""
     theirs, their_seconds = _timed(work, "scipy")
     print(f"scipy.ndimage: {their_seconds:.3f} s")
     if module == "scipy":
         return theirs
-    work(import_module("clvol.ndimage"))  # builds the kernels, once an installation
+    work(import_module("clvol.ndimage"))  # builds the kernels, once per installation
     results, seconds = _timed(work, module)
     print(f"clvol.ndimage: {seconds:.3f} s, {their_seconds / seconds:.1f} times as fast")
     for name, result in results.items():
@@ -45,7 +45,7 @@ def timed(module: str, work: Work) -> Results:
 
 
 def _timed(work: Work, module: str) -> tuple[Results, float]:
-    """The least of three times."""
+    """The minimum of three runs."""
     ndimage, times = import_module(f"{module}.ndimage"), []
     for _ in range(3):
         started = time.perf_counter()
@@ -55,7 +55,7 @@ def _timed(work: Work, module: str) -> tuple[Results, float]:
 
 
 def save(panels: list[Array], output: str, times: int = 1) -> None:
-    """Write pictures of one height side by side, values 0 to 1, so many pixels for one; print the file's name."""
+    """Write pictures of one height side by side, values 0 to 1, each pixel repeated n times; print the file's name."""
     panels = [np.clip(panel, 0, 1).repeat(times, 0).repeat(times, 1) for panel in panels]
     gap = np.ones((panels[0].shape[0], 6, *panels[0].shape[2:]))
     try:

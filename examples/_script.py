@@ -1,4 +1,4 @@
-"""What every example of a figure does with its command line: draw the figure, write it, print what it shows."""
+"""The command line of the figure examples: draw the figure, write it, print its numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def options_for(text: str | None, output: str) -> argparse.ArgumentParser:
 
 
 def make(name: str, parser: argparse.ArgumentParser) -> None:
-    """Draw a figure of `clvol.figures.FIGURES`: all options but the output are its own; a scan is the name of a file."""
+    """Draw a figure of `clvol.figures.FIGURES`: all options but the output are its own; a scan is a file name."""
     options = vars(parser.parse_args())
     output = options.pop("output")
     try:

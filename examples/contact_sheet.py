@@ -1,9 +1,9 @@
-"""Every volume of a folder, and every phantom, as clvol shows it where nothing is asked for; beside it PyVista, where it is there.
+"""Every volume of a folder, and every phantom, with clvol's defaults; beside it PyVista, if installed.
 
     python examples/contact_sheet.py [FOLDER] --output sheet.png
 
-A row a volume: composite, isosurface and maximum. Beneath each picture stand how much of it is lit, and how brightly: the mean
-luminance, 0 to 255, of what is. PyVista's pictures are `add_volume` and `add_mesh(contour())` with its own defaults.
+One row per volume: composite, isosurface and maximum. Below each picture is the fraction of lit pixels and their mean
+luminance, 0 to 255. PyVista's pictures are `add_volume` and `add_mesh(contour())` with its own defaults.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Pixels = NDArray[np.uint8]
 
 MODES = ("composite", "isosurface", "mip")
 PEERS = ("volume", "contour")
-LIT = 8  # of 255: what stands out from the background
+LIT = 8  # of 255: the visible difference from the background
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 
 
@@ -51,10 +51,10 @@ def main() -> None:
 
 
 def volumes(folder: Path | None) -> Iterator[tuple[str, clvol.Volume]]:
-    """Of the files that are read, and the phantoms, by name."""
+    """The volumes of all readable files, and the phantoms, by name."""
     for path in sorted(folder.iterdir()) if folder is not None else []:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", clvol.ClvolWarning)  # which of several is shown
+            warnings.simplefilter("ignore", clvol.ClvolWarning)  # which of several volumes is shown
             try:
                 volume = clvol.read(path)
             except clvol.ClvolError as error:
@@ -69,7 +69,7 @@ def volumes(folder: Path | None) -> Iterator[tuple[str, clvol.Volume]]:
 
 
 def pictures(volume: clvol.Volume, options: argparse.Namespace) -> Iterator[tuple[str, Pixels]]:
-    """A volume in each mode, and as PyVista shows it, where it is installed."""
+    """A volume in each mode, and by PyVista if it is installed."""
     size = (options.pixels, options.pixels)
     for mode in MODES:
         yield mode, to_bytes(clvol.render(volume, mode=mode, size=size)[..., :3])
@@ -82,7 +82,7 @@ def pictures(volume: clvol.Volume, options: argparse.Namespace) -> Iterator[tupl
 
 
 def peer(pyvista: Any, volume: clvol.Volume, kind: str, size: tuple[int, int]) -> Pixels:
-    """PyVista's picture of the same samples; its defaults, but for a scale of colours."""
+    """PyVista's picture of the same samples; its defaults, without the colour bar."""
     image = pyvista.ImageData(dimensions=volume.size, spacing=volume.spacing)
     native = volume.data.dtype.newbyteorder("=")
     image["values"] = np.ascontiguousarray(volume.data, native).ravel()
@@ -99,7 +99,7 @@ def peer(pyvista: Any, volume: clvol.Volume, kind: str, size: tuple[int, int]) -
 
 
 def said(picture: Pixels) -> str:
-    """How much of a picture differs from its corner, and how bright that is."""
+    """The fraction of a picture that differs from its corner, and its brightness."""
     luminance = picture.astype(np.float64) @ LUMINANCE
     lit = np.abs(picture.astype(np.float64) - picture[0, 0]).max(-1) > LIT
     return f"{100 * lit.mean():.0f} % lit, luminance {luminance[lit].mean() if lit.any() else 0:.0f}"

@@ -1,6 +1,6 @@
 """Error against time per sample, all filters on one plot: which filter should I use?
 
-Nothing is both faster and better than what lies on the line.
+No filter is both faster and better than those on the line.
 
     python examples/cost.py --output cost.png
 """

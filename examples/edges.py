@@ -1,6 +1,6 @@
-"""Clouds and caves: a cube with hard edges, sampled as it is, after an ideal low-pass, and after a Gaussian one.
+"""Clouds and caves: a cube with hard edges, sampled directly, after an ideal low-pass, and after a Gaussian one.
 
-What is drawn around it is the paper's clouds, what is drawn in its faces the paper's caves (section 3).
+The artefacts around it are the paper's clouds, those in its faces the paper's caves (section 3).
 
     python examples/edges.py --output edges.png
 """

@@ -1,6 +1,6 @@
-"""Figure 1 of the paper: where reconstruction happens in volume rendering, as one real ray sees it.
+"""Figure 1 of the paper: where reconstruction happens in volume rendering, for one real ray.
 
-A ray runs among the samples; values are reconstructed wherever it needs them, classified, shaded and accumulated to a pixel.
+A ray passes among the samples; values are reconstructed wherever it needs them, classified, shaded and accumulated to a pixel.
 
     python examples/figure1.py --output figure1.png
 """

@@ -1,6 +1,6 @@
 """Figure 2 of the paper: frequency responses of direct B-spline interpolation, eq. (17), and of the hybrid, eq. (18).
 
-Beside them those of trilinear interpolation and of Mitchell's filter, against which the hybrid is to be judged.
+Trilinear interpolation and Mitchell's filter are drawn for comparison.
 
     python examples/figure2.py --output figure2.png
 """

@@ -1,6 +1,6 @@
 """Figure 3 of the paper: an object by direct B-spline interpolation and by the hybrid, their difference, their frame times.
 
-Trilinear interpolation alone is drawn beside them.
+Trilinear interpolation is drawn beside them.
 
     python examples/figure3.py --output figure3.png [--scan SCAN]
 """

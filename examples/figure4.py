@@ -1,6 +1,6 @@
 """Figure 4 of the paper: mean square errors of the six reconstructions, in 2-D and in 3-D, on several inputs.
 
-Functions are compared where they are known; the photograph, the box and a scan of yours are given by every second sample.
+Functions are compared with their known values; the photograph, the box and a scan are reconstructed from every second sample.
 
     python examples/figure4.py --output figure4.png [--scan SCAN]
 """

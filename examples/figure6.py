@@ -1,8 +1,8 @@
 """Figure 6 of the paper: the Marschner-Lobb function sampled 40³ and reconstructed by six filters.
 
-The sinc is exact: the samples are magnified by the FFT and drawn through a spline, and the panel says how far that is
-from exact. The function itself is drawn beside them, without samples. Each panel gives the root mean square error
-of its values and the mean angle between its normals and the true ones.
+The sinc is exact: the samples are magnified by the FFT and rendered through a spline, and the panel states how far that is from
+exact. The function itself is rendered beside them, without samples. Each panel gives the root mean square error of its values
+and the mean angle between its normals and the true ones.
 
     python examples/figure6.py --output figure6.png
 """

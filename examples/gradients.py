@@ -1,6 +1,6 @@
-"""Gradient errors: renders by six filters, below each the angle of its normals to the true ones in colour.
+"""Gradient errors: renders by six filters; below each the angle of its normals to the true ones in colour.
 
-Surfaces are lit by gradients, so this is what is seen of an error.
+Surfaces are shaded by gradients, so these errors are visible.
 
     python examples/gradients.py --output gradients.png
 """

@@ -1,7 +1,7 @@
-"""One volume, many processes: OpenCL works in those that are spawned, not in those that are forked after it was used.
+"""One volume, many processes: OpenCL works in spawned processes, not in those forked after it was used.
 
-Volumes, cameras, transfer functions and fields are pickled; a field makes its coefficients again in the process that gets it, so
-each process should get it once, as its workers' initializer does here.
+Volumes, cameras, transfer functions and fields can be pickled; a field recomputes its coefficients in the process that gets it,
+so each process should get it once, as the workers' initializer does here.
 
 python examples/in_processes.py --with multiprocessing
 python examples/in_processes.py --with concurrent.futures
@@ -23,23 +23,23 @@ import numpy as np
 import clvol
 from clvol.phantoms import marschner_lobb
 
-_field: clvol.Field | None = None  # of a worker
+_field: clvol.Field | None = None  # set in each worker
 
 
 def keep(field: clvol.Field) -> None:
-    """What a worker begins with: the field, whose coefficients were made as it was unpickled."""
+    """A worker's initializer: keep the field, whose coefficients were computed when it was unpickled."""
     global _field
     _field = field
 
 
 def picture_of(azimuth: float) -> str:
-    """A picture from one side, in few letters."""
+    """A picture from one side, as a short text."""
     assert _field is not None
     return letters(clvol.render(_field, clvol.Camera.orbit(azimuth), "mip", size=(48, 48)))
 
 
 def picture_with(field: clvol.Field, azimuth: float) -> str:
-    """The same where the field comes with every task: joblib pickles it each time."""
+    """The same with the field sent with every task: joblib pickles it each time."""
     with field:
         return letters(clvol.render(field, clvol.Camera.orbit(azimuth), "mip", size=(48, 48)))
 
@@ -49,7 +49,7 @@ def letters(picture: Any) -> str:
 
 
 class Views:
-    """A data set of PyTorch's: each worker of a DataLoader gets a copy, and makes the field at the first item."""
+    """A PyTorch data set: each worker of a DataLoader gets a copy, and creates the field at the first item."""
 
     def __init__(self, volume: clvol.Volume, azimuths: Iterable[float]) -> None:
         self.volume, self.azimuths = volume, tuple(azimuths)

@@ -1,8 +1,8 @@
-"""The comparison of Figure 6 on a real scan: the same surface by six filters, and what the default draws.
+"""The comparison of Figure 6 on a real scan: the same surface by six filters, and by the default.
 
     python examples/real_scan.py SCAN --output scan.png [--isovalue V] [--zoom Z]
 
-SCAN is a file that `clvol.read` knows (NIfTI; NRRD and MetaImage need clvol[medical]).
+SCAN is a file that `clvol.read` can read (NIfTI; NRRD and MetaImage need clvol[medical]).
 """
 
 from __future__ import annotations

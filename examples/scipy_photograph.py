@@ -1,9 +1,9 @@
-"""A photograph whose horizon is put straight: turned by some degrees, its three colours together.
+"""Levelling the horizon of a photograph: rotation by some degrees, three colours together.
 
     python examples/scipy_photograph.py --with scipy
     python examples/scipy_photograph.py --with clvol
 
-The photograph is made here: mountains over a lake in the evening, 8 bits, with the grain of a film.
+The photograph is synthetic: mountains over a lake in the evening, 8 bits, with film grain.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ TILT = 4.0  # degrees
 
 
 def photograph(height: int, width: int) -> Array:
-    """Mountains over a lake, taken with the camera held askew; uint8, shape (height, width, 3)."""
+    """Mountains over a lake, with a tilted camera; uint8, shape (height, width, 3)."""
     generator = np.random.default_rng(7)
     j, i = np.mgrid[:height, :width]
     tilt = np.radians(TILT)
@@ -52,7 +52,7 @@ def photograph(height: int, width: int) -> Array:
 
 
 def straightened(image: Array, ndimage: Any) -> dict[str, Array]:
-    """The image turned back."""
+    """The image rotated back."""
     return {"photograph": ndimage.rotate(image, TILT, axes=(0, 1), reshape=False, order=3, mode="mirror")}
 
 

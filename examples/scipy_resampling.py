@@ -1,4 +1,4 @@
-"""A scan and its labels brought to another spacing, as before the training of nnU-Net: cubic for values, linear for each label.
+"""Resampling a scan and its labels to another spacing, as before training nnU-Net: cubic for values, linear for each label.
 
     python examples/scipy_resampling.py --with scipy
     python examples/scipy_resampling.py --with clvol
@@ -47,7 +47,7 @@ def main() -> None:
     millimetres = [" × ".join(f"{10 * SIZE / n:.1f}" for n in size) for size in (values.shape, shape)]
     print(f"{' × '.join(map(str, values.shape))} samples of {millimetres[0]} mm to {millimetres[1]} mm")
     results = timed(options.module, partial(resampled, values, labels, shape / values.shape))
-    old = [np.arange(m) * n // m for n, m in zip(values.shape, shape.tolist(), strict=True)]  # the voxels as they were
+    old = [np.arange(m) * n // m for n, m in zip(values.shape, shape.tolist(), strict=True)]  # the original voxels
     middle = shape[2] // 2
     panels = [values[np.ix_(*old)][..., middle], results["values"][..., middle], results["labels"][..., middle] / 2]
     save([panel[::-1] for panel in panels], options.output, 3)

@@ -1,9 +1,9 @@
-"""A 4-D series whose motion is known, each image brought back to the first by a cubic, rigid transformation, in threads.
+"""Motion correction of a 4-D series: each image is aligned with the first by a cubic, rigid transformation, in threads.
 
     python examples/scipy_series.py --with scipy
     python examples/scipy_series.py --with clvol
 
-The series is a phantom of a head that nods and turns, sampled where it is at the time, with noise.
+The series is a phantom of a head that nods and turns, sampled at its position at each time, with noise.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def motion(frames: int, shape: tuple[int, ...]) -> list[Move]:
 
 
 def series_of(moves: list[Move], shape: tuple[int, ...]) -> Array:
-    """The phantom in each position, of shape (time, z, y, x)."""
+    """The phantom in each position, shape (time, z, y, x)."""
     generator = np.random.default_rng(4)
     index = np.indices(shape).reshape(3, -1)
     centre = (np.asarray(shape)[:, None] - 1) / 2
@@ -49,7 +49,7 @@ def series_of(moves: list[Move], shape: tuple[int, ...]) -> Array:
 
 
 def corrected(series: Array, moves: list[Move], ndimage: Any) -> dict[str, Array]:
-    """Every image in the place of the first."""
+    """Every image aligned with the first."""
     result = np.empty_like(series)
 
     def back(number: int) -> None:

@@ -1,6 +1,6 @@
 """Interpolation between slices: errors against their distance, and a plane across slices that are 3 pixels apart.
 
-With a scan, slices of it are left out, and reconstructed from the others.
+For a scan, slices are omitted and reconstructed from the others.
 
     python examples/slices.py --output slices.png [--scan SCAN]
 """

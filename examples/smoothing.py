@@ -1,6 +1,6 @@
-"""A scan before and after smoothing: by linear interpolation, through every sample, and with lambda from the data.
+"""A scan before and after smoothing: by linear interpolation, interpolated, and with lambda from the data.
 
-What lambda was decided on is printed, and stands below the picture.
+The reasons for lambda are printed, and shown below the picture.
 
     python examples/smoothing.py scan.nhdr --output smoothing.png
 """

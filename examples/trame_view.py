@@ -1,9 +1,9 @@
-"""A page of trame that shows a volume and turns it: a picture by clvol, and the pointer's events back.
+"""A trame page that shows a volume and rotates it: pictures by clvol, and pointer events back.
 
     pip install trame trame-vuetify "clvol[pocl]"
     python examples/trame_view.py scan.nii.gz        # or without a file: a phantom
 
-trame carries the picture and the events; the session of `clvol.view` draws in a thread of its own.
+trame transports the picture and the events; the session of `clvol.view` renders in its own thread.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class Page:
         self.build()
 
     def connect(self, view: View) -> None:
-        """Begin to draw, now that there is a loop which shows it."""
+        """Start rendering, now that an event loop runs."""
         self.loop = asyncio.get_running_loop()
         self.session = view.session(self.sent)
         self.tell(event_type="resize", width=SIZE, height=SIZE, ratio=1)
 
     def sent(self, message: dict[str, Any], data: bytes | None) -> None:
-        """What the session says, in its thread: trame's state belongs to the loop."""
+        """Handle a message of the session, in its thread: trame's state belongs to the loop."""
         if message["type"] == "frame" and data is not None and self.loop is not None:
             self.loop.call_soon_threadsafe(self.show, message, data)
 
@@ -62,9 +62,9 @@ class Page:
         self.session.receive({"type": "event", "event": event})
 
     def moved(self, event: dict[str, Any]) -> None:
-        """An event of the page."""
+        """Handle an event of the page."""
         kind = NAMES[event.pop("type")]
-        if kind == "pointer_move":  # a button that is held is said by a bit mask
+        if kind == "pointer_move":  # pressed buttons are a bit mask
             event["buttons"] = [n + 1 for n in range(3) if event["buttons"] >> n & 1]
         else:
             event.pop("buttons", None)

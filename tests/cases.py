@@ -1,4 +1,4 @@
-"""What tests share: volumes and points to compute with, and the tables of what must be refused."""
+"""Shared by the tests: volumes and points, and tables of arguments that must be rejected."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ __all__ = [
 
 MASKED: Final = np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
 
-# -- what is refused ------------------------------------------------------------------------------
+# -- rejected arguments ------------------------------------------------------------------------------
 
 BAD_WHOLE: Final[tuple[Any, ...]] = ("a", "8", None, True, 2.5, 2.0, 1j, np.nan, np.inf, [2], (2, 2), np.array([2, 3]))
 """No whole number, whatever its bounds."""
@@ -87,7 +87,7 @@ def every(**calls: tuple[Callable[[Any], object], Iterable[Any]]) -> list[Any]:
 
 
 def examples(count: int) -> int:
-    """Of a property, a sixth of them, or all in `make thorough`."""
+    """A sixth of hypothesis's examples, or all in `make thorough`."""
     return count if os.environ.get("CLVOL_TEST_THOROUGH") else max(4, count // 6)
 
 

@@ -1,4 +1,4 @@
-"""Fixtures that every test file may ask for."""
+"""Fixtures for all test files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clvol.base.errors import DeviceError
 from clvol.device import Device, devices
 from clvol.filter.table import filters, register_filter, unregister_filter
 
-# Files of few tests that take long
+# Files with few, slow tests
 _LONG = {
     f"test_{name}.py"
     for name in ("guarded", "sanitized", "fuzz", "scipy", "docs", "examples", "page", "browser", "readme", "bench")
@@ -47,7 +47,7 @@ def _found() -> list[Device]:
 
 
 def _usable(device: Device) -> bool:
-    """PoCL is none where it cannot link; that is no failure where another runtime is."""
+    """PoCL is not usable where it cannot link; that is no failure if another runtime exists."""
     try:
         device.require_usable()
     except DeviceError:
@@ -70,8 +70,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             families.setdefault((item.parent, getattr(item, "originalname", item.name), on), []).append(item)
     for family in families.values():
         marker = family[0].get_closest_marker("one_in")
-        assert marker is not None  # it is what they are here for
-        # by the case's id, so that another case more does not choose all of them anew
+        assert marker is not None  # the condition above
+        # by the case's id, so that a new case does not change the whole selection
         kept = sorted(family, key=lambda item: zlib.crc32(item.name.encode()))[: -(-len(family) // marker.args[0])]
         for item in family:
             if item not in kept:

@@ -1,4 +1,4 @@
-"""Elements of DICOM files, as tests put them together."""
+"""Elements of DICOM files, for tests."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["element", "sequence"]
 
 
 def element(tag: int, kind: str, value: str | bytes) -> bytes:
-    """Of an explicit, little-endian file."""
+    """One element of an explicit, little-endian file."""
     group, number = tag >> 16, tag & 0xFFFF
     content = value.encode() if isinstance(value, str) else value
     content += (b"\0" if kind == "UI" else b" ") * (len(content) % 2)
@@ -18,5 +18,5 @@ def element(tag: int, kind: str, value: str | bytes) -> bytes:
 
 
 def sequence(tag: int, *items: bytes) -> bytes:
-    """Of items, each the elements that it holds."""
+    """A sequence of items, each a list of elements."""
     return element(tag, "SQ", b"".join(struct.pack("<HHI", 0xFFFE, 0xE000, len(item)) + item for item in items))

@@ -34,7 +34,7 @@ def noise(*shape: int) -> NDArray[np.float32]:
 
 
 def far_points(shape: tuple[int, ...], count: int) -> NDArray[np.float64]:
-    """All of `PLACES` along each axis and along all at once, among points inside and a little outside."""
+    """All of `PLACES` along each axis and along all at once, among points inside and just outside."""
     d = len(shape)
     points = np.random.default_rng(count).uniform(-3, max(shape) + 3, (count, d))
     odd = np.concatenate(
@@ -44,12 +44,12 @@ def far_points(shape: tuple[int, ...], count: int) -> NDArray[np.float64]:
 
 
 def finite(values: NDArray[np.generic], points: NDArray[np.float64]) -> None:
-    """At finite points, that is; no point that is not has any value but NaN or what `fill` says."""
+    """Require finite values at finite points; other points give NaN or the `fill` value."""
     assert np.isfinite(values[(np.abs(points) < 1e5).all(-1)]).all()
 
 
 def points(rules: Iterable[str], names: Iterable[str]) -> None:
-    """Values and derivatives at points anywhere, in both types of points, few and many, of volumes and images."""
+    """Values and derivatives at arbitrary points, in both types, few and many, of volumes and images."""
     for rule, name in itertools.product(rules, names):
         for shape, count in (((7, 18, 21), 70), ((7, 18, 21), 1), ((5, 9), 33), ((1, 1), 3)):
             for derivative in (0, 1) if filters()[name].degree else (0,):
@@ -72,7 +72,7 @@ def small(names: Iterable[str], precision: Precision = "single") -> None:
 
 
 def texels(names: Iterable[str]) -> None:
-    """The evaluators that read images, in pictures and at points."""
+    """Evaluators that read images, in pictures and at points."""
     for name in names:
         field = noise(5, 9, 12)
         at = far_points(field.shape, 33)
@@ -83,7 +83,7 @@ def texels(names: Iterable[str]) -> None:
 
 
 def sorted_points(rules: Iterable[str]) -> None:
-    """Points that are sorted first, many of them far outside."""
+    """Points that are sorted first, many far outside."""
     for precision, rule in itertools.product(BOTH, rules):
         shape = (7, 18, 21)
         with clvol.Field(noise(*shape), "bspline3", rule, precision=precision) as field, field.device.limited(sorting=True):
@@ -94,7 +94,7 @@ def sorted_points(rules: Iterable[str]) -> None:
 
 
 def pictures(names: Iterable[str], size: tuple[int, int] = (17, 15)) -> None:
-    """Every mode of slabs, lines and single voxels; guides, clipping, lists of rays, tiles of rays and of single ones."""
+    """Every mode for slabs, lines and single voxels; guides, clipping, lists of rays, tiles of rays and single rays."""
     low, high = (2.0, 1.0, 1.0), (9.0, 7.0, 3.0)
     for name, shape in itertools.product(names, ((9, 12, 20), (3, 30, 9), (1, 2, 33), (1, 1, 1))):
         with clvol.Renderer(noise(*shape), filter=name) as renderer:
@@ -110,13 +110,13 @@ def pictures(names: Iterable[str], size: tuple[int, int] = (17, 15)) -> None:
 
 
 def bricks(names: Iterable[str], size: tuple[int, int] = (17, 15), seen: Iterable[str] = (), *, few: bool = False) -> None:
-    """The same by bricks, the last ones along each axis thinner: rays of pixels and listed ones, guides, bounds and none."""
+    """The same by bricks, the last ones thinner: rays of pixels and listed rays, guides, with and without bounds."""
     shapes = (((9, 12, 20), 8), ((3, 30, 9), 8), ((1, 2, 33), 16), ((1, 1, 1), 8))
     seen = tuple(seen or modes())
     for name, (shape, edge) in itertools.product(names, shapes[: 1 if few else None]):
         with clvol.BrickedField(noise(*shape), name, edge=edge) as field, clvol.Renderer(field) as renderer:
             for camera, mode, step in itertools.product(LOOKS[: 1 if few else 2], seen, (0.6, 3)):
-                field.drop()  # so that rays are asked
+                field.drop()  # so that rays are checked
                 assert np.isfinite(renderer.render(camera, mode, size, step)).all()
             for mode in {"composite", "isosurface"} & {*seen}:
                 made = renderer.render(LOOKS[0], mode, size, outputs=("rgba", "depth", "normal", "position", "visited"))
@@ -169,7 +169,7 @@ def chains() -> None:
 
 
 def adjoints() -> None:
-    """Points inside, just outside and far outside, where the rule brings them to the outermost places."""
+    """Points inside, just outside and far outside, which the rule maps to the outermost positions."""
     rng = np.random.default_rng(0)
     for name, precision in zip(("nearest", "linear", "bspline2", "bspline5"), BOTH * 2, strict=True):
         for shape in ((1, 1), (9, 7), (3, 8, 5)):
@@ -179,7 +179,7 @@ def adjoints() -> None:
 
 
 def uncertainty() -> None:
-    """How far surfaces may be off, of volumes that are hardly larger than the stencils."""
+    """Uncertainty of surfaces in volumes hardly larger than the stencils."""
     for shape in ((9, 12, 20), (2, 3, 9)):
         with clvol.Renderer(noise(*shape)) as renderer:
             renderer.render(LOOKS[0], "isosurface", (9, 7), isovalue=0.1, outputs=("rgba", "uncertainty"), sigma=0.1)
@@ -216,7 +216,7 @@ ALL: dict[str, Callable[[], None]] = {
 
 
 def run(tasks: dict[str, Callable[[], None]]) -> None:
-    """All of these, one after the other."""
+    """Run all of these."""
     as_device()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", clvol.ClvolWarning)

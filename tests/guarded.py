@@ -48,7 +48,7 @@ def guarded(size: int, side: str) -> NDArray[np.uint8]:
 
 
 def let_go(memory: NDArray[np.uint8]) -> None:
-    """Free what `guarded` gave, once nothing on a device uses it: a process may have 65,530 maps."""
+    """Free the memory of `guarded` once no device uses it: a process may have 65,530 maps."""
     first = memory.ctypes.data // mmap.PAGESIZE * mmap.PAGESIZE - GUARD
     room = -(-memory.nbytes // mmap.PAGESIZE) * mmap.PAGESIZE
     _library().munmap(ctypes.c_void_p(first), ctypes.c_size_t(room + 2 * GUARD))
@@ -59,7 +59,7 @@ def _library() -> ctypes.CDLL:
 
 
 def guard(side: str) -> None:
-    """Makes every buffer of every device a guarded one."""
+    """Make every buffer of every device a guarded one."""
 
     gone: list[NDArray[np.uint8]] = []  # of buffers that are gone
 
@@ -98,7 +98,7 @@ def guard(side: str) -> None:
 
 
 def read_past(bytes: int) -> None:
-    """Of buffers of several lengths, the four bytes that end so far past the end; 0 is the last number itself."""
+    """The four bytes that end the given distance past buffers of several lengths; 0 is the last number itself."""
     device = as_device()
     kernel = cl.Kernel(cl.Program(device.context, _READ_PAST).build(), "read_past")
     got = device.buffers.allocate(4)

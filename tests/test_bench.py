@@ -1,4 +1,4 @@
-"""The benchmarks: that the commands run, and that what they compute from times is right. No speed is tested."""
+"""The benchmarks: commands run, and derived numbers are correct. No speed is tested."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_compare_reads_the_results_of_the_repository() -> None:
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"format": 99, "results": []}'])
-def test_compare_refuses_what_is_no_report(tmp_path: Path, content: str) -> None:
+def test_compare_rejects_invalid_reports(tmp_path: Path, content: str) -> None:
     file = tmp_path / "report.json"
     file.write_text(content)
     done = command("bench.compare", str(file), str(file))
@@ -124,7 +124,7 @@ def test_ndimage_is_measured_beside_scipy_which_agrees(tmp_path: Path) -> None:
         (ndimage.Aim(seconds=0.05), False, "≤ 50 ms"),
     ],
 )
-def test_aims_are_compared_with_what_was_measured(aim: ndimage.Aim, reached: bool, text: str) -> None:
+def test_goals_are_compared_with_measurements(aim: ndimage.Aim, reached: bool, text: str) -> None:
     row = {"seconds": {"clvol": 0.1, "SciPy": 1.0}, "times_as_fast_as": {"SciPy": 10.0}}
     assert aim.reached(row) is reached
     assert str(aim) == text
@@ -160,7 +160,7 @@ def test_roofline_names_the_limit_that_binds() -> None:
 
 
 @pytest.mark.thorough
-def test_a_short_soak_finds_nothing_and_what_it_would_find(tmp_path: Path) -> None:
+def test_a_short_soak_passes_and_detects_planted_faults(tmp_path: Path) -> None:
     output = tmp_path / "soak.json"
     done = command("bench.soak", "--minutes", "0.1", "--quick", "--output", str(output))
     report = json.loads(output.read_text(encoding="utf-8"))
@@ -168,12 +168,12 @@ def test_a_short_soak_finds_nothing_and_what_it_would_find(tmp_path: Path) -> No
     assert report["draws"] > report["catalogue"] > 30
     assert set(report["by_deed"]) <= set(DEEDS)
     assert {"buffers", "files"} <= {name for name, row in report["held"].items() if row["first"] > 0}
-    # so short a time says nothing of what caches hold, which still fill
+    # in so short a time caches still fill
     assert [name for name in ("descriptors", "threads", "files") if report["held"][name]["grew"]] == []
 
 
 @pytest.mark.thorough
-def test_a_short_soak_of_the_viewer_finds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_short_soak_of_the_viewer_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("aiohttp")
     monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path))
     output = tmp_path / "soak.json"
@@ -187,7 +187,7 @@ def test_a_short_soak_of_the_viewer_finds_nothing(tmp_path: Path, monkeypatch: p
 @pytest.mark.parametrize(
     ("name", "step", "grew"), [("buffers", 0, False), ("buffers", 1, True), ("resident", 1e5, False), ("resident", 1e6, True)]
 )
-def test_what_grows_in_a_soak_is_told(name: str, step: float, grew: bool) -> None:
+def test_growth_in_a_soak_is_reported(name: str, step: float, grew: bool) -> None:
     after_a_jump = [{name: 0.0}] * 15 + [{name: 1e8 + step * i} for i in range(45)]
     assert soak.grown(after_a_jump)[name]["grew"] is grew
 
@@ -200,12 +200,12 @@ class _Answers:
 
 
 @pytest.mark.parametrize(("seconds", "stuck"), [(1.2, False), (30.0, True)])
-def test_a_soak_waits_for_deeds_that_end_and_tells_of_those_that_do_not(
+def test_a_soak_waits_for_finishing_work_and_reports_hangs(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, seconds: float, stuck: bool
 ) -> None:
-    """A deed of 1.2 s begins before the last count of what is held, and ends when the time is over."""
+    """Work of 1.2 s begins before the last measurement, and ends after the time is over."""
     released = threading.Event()
-    slow: list[int] = []  # the thread that comes first
+    slow: list[int] = []  # the first thread
 
     def do(*_: Any) -> tuple[str, bool]:
         slow.append(threading.get_ident())
@@ -221,13 +221,13 @@ def test_a_soak_waits_for_deeds_that_end_and_tells_of_those_that_do_not(
     assert (work.stuck, len(work.faults), len(samples)) == (stuck, int(stuck), int(not stuck))
 
 
-def test_a_soak_works_at_all_that_is_public() -> None:
+def test_a_soak_covers_the_public_api() -> None:
     text = (ROOT / "bench/deeds.py").read_text(encoding="utf-8")
     assert [name for name in clvol.__all__ if not re.search(rf"\b(clvol\.{name}|{name}\.\w)", text) and name not in NOT_DONE] == []
 
 
 @pytest.mark.thorough
-def test_budgets_of_pictures_are_measured(tmp_path: Path) -> None:
+def test_render_times_against_their_limit_are_measured(tmp_path: Path) -> None:
     done = command("bench.refine", "--quick", "--output", str(tmp_path / "report.json"))
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""The image of the Dockerfile, without Docker: its commands are read from the file and run here."""
+"""The image of the Dockerfile, without Docker: its commands are parsed and run here."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FILE = ROOT / "Dockerfile"
 
 
 def instructions() -> list[tuple[str, str]]:
-    """(name, arguments) of each, comments away and lines joined."""
+    """(name, arguments) of each, without comments, lines joined."""
     text = re.sub(r"(?m)^\s*#.*\n", "", FILE.read_text(encoding="utf-8")).replace("\\\n", " ")
     return [(line.split(None, 1)[0], " ".join(line.split(None, 1)[1].split())) for line in text.splitlines() if line.strip()]
 
@@ -52,7 +52,7 @@ def free_port() -> int:
         return int(one.getsockname()[1])
 
 
-def test_it_is_few_lines_of_a_slim_image_whose_program_is_not_root() -> None:
+def test_it_is_short_slim_and_does_not_run_as_root() -> None:
     found = instructions()
     assert len(found) <= 16
     assert found[0] == ("FROM", "python:3.12-slim-bookworm")
@@ -70,7 +70,7 @@ def test_it_is_few_lines_of_a_slim_image_whose_program_is_not_root() -> None:
     assert dict(found)["EXPOSE"] == started()[started().index("--port") + 1]
 
 
-def test_packages_are_pinned_to_what_is_needed() -> None:
+def test_only_required_packages_are_installed() -> None:
     (line,) = [rest for name, rest in instructions() if name == "RUN" and "apt-get" in rest]
     steps = [step.strip() for step in line.split("&&")]
     assert steps[0] == "apt-get update"
@@ -80,7 +80,7 @@ def test_packages_are_pinned_to_what_is_needed() -> None:
     assert not ci or "binutils gcc libc6-dev" in ci  # what the tests of a clean machine install
 
 
-def test_all_that_the_package_is_built_from_is_copied() -> None:
+def test_all_build_inputs_are_copied() -> None:
     copied = [rest.split() for name, rest in instructions() if name == "COPY"]
     sources = {source for *few, _ in copied for source in few}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -99,7 +99,7 @@ def test_its_commands_run(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 def test_its_commands_run_in_a_fresh_installation_by_a_user_without_rights() -> None:
-    """All but what needs Debian: the packages of apt, which must be here already."""
+    """All except Debian's apt packages, which must be installed already."""
     for tool in ("ld", "gcc"):
         if shutil.which(tool) is None:
             pytest.skip(f"{tool} is not installed")
@@ -131,7 +131,7 @@ def test_its_commands_run_in_a_fresh_installation_by_a_user_without_rights() -> 
 
 
 def interpreter() -> Path:
-    """A Python that others may run too, if there is one: Debian's, where this one lies in a home."""
+    """A Python that other users may run, if there is one: Debian's, if this one is in a home."""
     own = Path(sys.executable).resolve()
     fits = "import ensurepip, sys; sys.exit(sys.version_info < (3, 11))"
     for python in (own, Path("/usr/bin/python3")):
@@ -143,12 +143,12 @@ def interpreter() -> Path:
 
 
 def reachable(python: Path) -> bool:
-    """Whether others may run it: its interpreter may lie in a home."""
+    """Whether other users may run it: its interpreter may be in a home."""
     return all(parent.stat().st_mode & 0o001 for parent in python.resolve().parents)
 
 
 def require_commands(program: list[str], home: Path, environment: dict[str, str], user: int | None = None, where: str = "") -> None:
-    """The commands after USER do what they are there for: a picture, and a page."""
+    """Run the commands after USER and require their results: a picture, and a page."""
     program = [f"{where}/{program[0]}"] if where else program
     picture = the_picture()
     subprocess.run([*program, *picture[1:]], cwd=home, env=environment, check=True, timeout=300, user=user)
@@ -174,7 +174,7 @@ def require_commands(program: list[str], home: Path, environment: dict[str, str]
 
 
 def addresses(stream: int) -> Iterator[str]:
-    """What the command prints."""
+    """The addresses that the command prints."""
     end, text = time.monotonic() + 60, ""
     while time.monotonic() < end:
         if select.select([stream], [], [], 0.5)[0]:

@@ -1,4 +1,4 @@
-"""The pages' Python runs as it stands there, their commands are ones, and the API's pages name all that is public.
+"""Documentation pages: their Python runs as written, their commands parse, and the API pages list all public names.
 
 Notebooks and the gallery run in `make docs`.
 """
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not in a checkout")
 
 
 def given(page: str) -> dict[str, object]:
-    """What the reader of a page has at hand."""
+    """The variables that a page assumes."""
     random = np.random.default_rng(0)
     volume = clvol.Volume(random.normal(size=(12, 14, 16)))
     identity = np.eye(4)
@@ -73,12 +73,12 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
     assert device is not None
 
 
-def test_the_api_names_all_that_is_public() -> None:
+def test_the_api_pages_list_all_public_names() -> None:
     listed = (DOCS / "api" / "index.rst").read_text(encoding="utf-8").split()
     assert [name for name in clvol.__all__ if name not in listed] == []
 
 
-def test_the_commands_of_the_pages_are_ones() -> None:
+def test_the_commands_of_the_pages_parse() -> None:
     pages = [DOCS / "start.md", DOCS / "viewing.md", *(DOCS / "how-to").glob("*.md"), *(DOCS / "tutorials").glob("*.md")]
     text = "".join(page.read_text(encoding="utf-8") for page in pages)
     found = [line for block in SHELL.findall(text) for line in block.splitlines() if line.startswith("clvol ")]
@@ -91,14 +91,14 @@ def test_the_commands_of_the_pages_are_ones() -> None:
 RELIABILITY = DOCS / "reliability.md"
 
 
-def test_the_tests_that_reliability_names_are_there() -> None:
+def test_the_tests_named_in_reliability_exist() -> None:
     named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", RELIABILITY.read_text(encoding="utf-8"))
     assert len(named) > 30
     text = {file: (DOCS.parent / file).read_text(encoding="utf-8") for file, _ in named}
     assert [f"{file}::{name}" for file, name in named if name and f"\ndef {name}(" not in text[file]] == []
 
 
-def test_reliability_says_which_tests_run_only_by_make_thorough() -> None:
+def test_reliability_marks_thorough_tests() -> None:
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`( \(thorough\))?", RELIABILITY.read_text(encoding="utf-8"))
     wrong = []
     for file, name, marked in named:
@@ -109,7 +109,7 @@ def test_reliability_says_which_tests_run_only_by_make_thorough() -> None:
     assert wrong == []
 
 
-def test_the_tables_of_reliability_are_those_of_the_results() -> None:
+def test_the_tables_of_reliability_match_the_results() -> None:
     spec = spec_from_file_location("_reliability", DOCS / "_reliability.py")
     assert spec is not None
     assert spec.loader is not None
@@ -120,6 +120,6 @@ def test_the_tables_of_reliability_are_those_of_the_results() -> None:
     assert page == made.with_tables(page), "run: python docs/_reliability.py"
 
 
-def test_the_guide_names_every_key_of_the_viewer() -> None:
+def test_the_guide_lists_every_key_of_the_viewer() -> None:
     text = (DOCS / "viewing.md").read_text(encoding="utf-8")
     assert [key for key, what in KEYS.items() if f"| {key} | {what} |" not in text] == []

@@ -30,7 +30,7 @@ class Done(NamedTuple):
 
 
 def run(name: str, *arguments: object, folder: Path) -> Done:
-    """A script as Python runs it, in this process: it need not import everything anew."""
+    """Run a script in this process, which avoids repeated imports."""
     out, err, code = io.StringIO(), io.StringIO(), 0
     before = sys.argv, sys.path[:]
     sys.argv, sys.path[0:0] = [str(EXAMPLES / name), *map(str, arguments)], [str(EXAMPLES)]
@@ -48,7 +48,7 @@ def run(name: str, *arguments: object, folder: Path) -> Done:
     return Done(code, out.getvalue(), err.getvalue())
 
 
-def test_a_script_runs_in_a_process_of_its_own(tmp_path: Path, device: Device) -> None:
+def test_a_script_runs_in_its_own_process(tmp_path: Path, device: Device) -> None:
     command = [sys.executable, str(EXAMPLES / "real_scan.py"), "missing.npy"]
     done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=120, check=False, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (1, "")
@@ -70,7 +70,7 @@ def test_figure6_draws_the_figure_and_prints_its_errors(tmp_path: Path, device: 
 
 
 @pytest.mark.parametrize("arguments", [("--pixels", 0), ("--samples", 1), ("--output", "a.gif", "--pixels", 8, "--samples", 4)])
-def test_figure6_tells_what_is_wrong(tmp_path: Path, device: Device, arguments: tuple[object, ...]) -> None:
+def test_figure6_reports_errors(tmp_path: Path, device: Device, arguments: tuple[object, ...]) -> None:
     done = run("figure6.py", *arguments, folder=tmp_path)
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
@@ -112,12 +112,12 @@ def test_every_figure_has_an_example(tmp_path: Path, device: Device, name: str, 
     assert device is not None
 
 
-def test_no_figure_is_without_an_example() -> None:
+def test_examples_and_figures_correspond() -> None:
     there = {path.stem.removeprefix("figure") for path in EXAMPLES.glob("*.py")}
     assert set(FIGURES) <= there
 
 
-def test_the_contact_sheet_holds_every_volume(tmp_path: Path, device: Device) -> None:
+def test_the_contact_sheet_contains_every_volume(tmp_path: Path, device: Device) -> None:
     (tmp_path / "scans").mkdir()
     np.save(tmp_path / "scans" / "scan.npy", np.pad(np.ones((4, 4, 4)), 3))
     (tmp_path / "scans" / "notes.txt").write_text("no volume")

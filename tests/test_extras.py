@@ -1,4 +1,4 @@
-"""What an extra brings is named where it is missing."""
+"""A missing optional package is reported with its extra."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Calls that fail leave memory, descriptors and the device's buffers where they were."""
+"""Failing calls leave memory, descriptors and device buffers unchanged."""
 
-# ruff: noqa: ARG005  # what a call is tried on is handed to all
+# ruff: noqa: ARG005  # all calls get the same arguments
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ HOLED = np.where(DATA > 0.9, np.nan, DATA)
 POINTS = np.full((50, 3), 4.0)
 HUGE = np.broadcast_to(np.float32(1), (1 << 13,) * 3)
 FEW, MANY = 4, 1000  # calls of each kind
-GROWS = 24 << 20  # bytes, that so many calls of all kinds may leave behind in pools of allocators
+GROWS = 24 << 20  # bytes that n calls of all kinds may leave in allocator pools
 
 
 class Stop(Exception):
-    """What a caller's own function raises."""
+    """Raised by a caller's callback."""
 
 
 def stop(*_: object) -> None:
@@ -38,7 +38,7 @@ def stop(*_: object) -> None:
 
 
 def after(count: int) -> Callable[[float], None]:
-    """A report of progress that interrupts as Ctrl-C does, the `count`-th time."""
+    """A progress callback that interrupts, like Ctrl-C, on its `count`-th call."""
     calls = itertools.count(1)
 
     def told(_: float) -> None:
@@ -49,7 +49,7 @@ def after(count: int) -> Callable[[float], None]:
 
 
 class Given:
-    """What calls are tried on."""
+    """The objects that calls are tried on."""
 
     def __init__(self, folder: Path, device: Device) -> None:
         self.device = device
@@ -70,7 +70,7 @@ class Given:
 
 
 CALLS: list[Callable[[Given], Any]] = [
-    # what is asked for is wrong
+    # invalid requests
     lambda g: clvol.Volume(np.zeros((2, 2, 2, 2))),
     lambda g: clvol.Volume(DATA, (1, 2)),
     lambda g: clvol.Volume(DATA, direction=np.zeros((3, 3))),
@@ -110,7 +110,7 @@ CALLS: list[Callable[[Given], Any]] = [
     lambda g: clvol.write(VOLUME, g.folder / "no folder" / "a.npz"),
     lambda g: clvol.write(VOLUME, g.folder / "a.unknown"),
     lambda g: clvol.save(np.zeros((4, 4, 9)), g.folder / "a.png"),
-    # samples that cannot be used
+    # invalid samples
     lambda g: clvol.Field(HOLED, device=g.device),
     lambda g: clvol.render(HOLED, device=g.device),
     lambda g: clvol.prefilter(HOLED, device=g.device),
@@ -129,7 +129,7 @@ CALLS: list[Callable[[Given], Any]] = [
     lambda g: g.closed(POINTS),
     lambda g: g.closed.resample((2, 2, 2)),
     lambda g: clvol.Renderer(g.closed),
-    # interrupted, or what the caller gave fails
+    # interrupted, or the caller's callback fails
     lambda g: g.field(POINTS, progress=stop),
     lambda g: g.field.resample((20, 20, 20), progress=after(1)),
     lambda g: clvol.resample(VOLUME, (20, 20, 20), device=g.device, progress=after(1)),
@@ -150,7 +150,7 @@ def held() -> tuple[int, int]:
 
 
 def live(monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
-    """How many buffers of those made from now on are alive."""
+    """The number of live buffers among those created from now on."""
     import weakref
 
     import pyopencl as cl
@@ -180,7 +180,7 @@ def _size(buffer: Any) -> int:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory and descriptors are read from /proc")
 @pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.thorough)])
-def test_failing_calls_leave_nothing_behind(count: int, tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failing_calls_leak_nothing(count: int, tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     given = Given(tmp_path, device)
 
     def fail(times: int) -> None:

@@ -1,4 +1,4 @@
-"""Volumes beyond 4 GiB and 2³⁰ samples are right in their last corner: no index wraps around."""
+"""Volumes beyond 4 GiB and 2³⁰ samples are correct in their last corner: no index overflows."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ def need(gib: float) -> None:
 
 
 def room(device: Device, gib: float) -> None:
-    """In one buffer; PoCL asks at its start how much memory is free."""
+    """In one buffer; PoCL checks free memory at its start."""
     if device.largest < gib * GIB:
         pytest.skip(f"needs a buffer of {gib} GiB; the device allows {device.largest / GIB:.1f}")
 
 
 def corner() -> NDArray[np.uint8]:
-    """Smooth: rays that touch noise may miss it by their rounding."""
+    """Smooth: rays that graze noise may miss it by rounding."""
     z, y, x = np.indices((CORNER,) * 3)
     return np.rint(127 + 100 * np.sin(z / 3) * np.cos(y / 4) * np.sin(x / 5)).astype(np.uint8)
 
 
-def test_a_large_volume_is_sampled_resampled_and_drawn_as_its_corner_alone(device: Device) -> None:
+def test_a_large_volume_matches_its_corner_alone(device: Device) -> None:
     need(9)
     room(device, 4.8)
-    data = np.zeros(LARGE, np.uint8)  # of no memory, but for the corner
+    data = np.zeros(LARGE, np.uint8)  # sparse, except the corner
     data[-CORNER:, -CORNER:, -CORNER:] = corner()
     small = clvol.Volume(corner(), origin=tuple(float(n - CORNER) for n in LARGE[::-1]))
     low = np.array([n - INNER for n in LARGE[::-1]], np.float64)
@@ -70,11 +70,11 @@ def test_a_large_volume_is_sampled_resampled_and_drawn_as_its_corner_alone(devic
     *numbers, (drawn, expected) = zip(*answers, strict=True)
     for large, alone in numbers:
         np.testing.assert_allclose(large, alone, atol=1e-3 * np.abs(alone).max())  # float32 positions are coarser far out
-    assert expected.std() > 0.05  # there is something to see
+    assert expected.std() > 0.05  # not empty
     assert (np.abs(drawn - expected) > 0.01).mean() < 0.005  # rays on the edges of surfaces
 
 
-def test_a_result_beyond_4_gib_is_right_at_its_end(device: Device) -> None:
+def test_a_result_beyond_4_gib_is_correct_at_its_end(device: Device) -> None:
     need(6)
     room(device, 4.4)
     volume = clvol.Volume(np.random.default_rng(0).random((6, 7, 8), dtype=np.float32))
@@ -88,7 +88,7 @@ def test_a_result_beyond_4_gib_is_right_at_its_end(device: Device) -> None:
 
 
 def test_files_beyond_4_gib_keep_their_last_sample(tmp_path: Path) -> None:
-    """Sparse ones: what is zero takes no room on the disk."""
+    """Sparse files: zeros take no disk space."""
     need(6)
     shape, itemsize = (1030, 2048, 2048), 1  # 4.02 GiB
     raw = tmp_path / "large.raw"

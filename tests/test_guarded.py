@@ -1,4 +1,4 @@
-"""No kernel touches what lies before or after its buffers, by a byte."""
+"""No kernel touches a byte outside its buffers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def run(device: Device, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("side", [pytest.param("start", marks=pytest.mark.thorough), "end"])
-def test_nothing_past_a_buffer_is_touched(device: Device, side: str) -> None:
+def test_no_byte_outside_a_buffer_is_touched(device: Device, side: str) -> None:
     done = run(device, side)
     assert done.returncode == 0, done.stdout[-200:] + done.stderr[-2000:]
     assert done.stdout.split()[-1] == "done"
@@ -30,12 +30,12 @@ def test_nothing_past_a_buffer_is_touched(device: Device, side: str) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("side", ["start", "end"])
-def test_nothing_past_a_buffer_is_touched_by_any_kernel(device: Device, side: str) -> None:
+def test_no_byte_outside_a_buffer_is_touched_by_any_kernel(device: Device, side: str) -> None:
     done = run(device, side, "all")
     assert done.returncode == 0, done.stdout[-200:] + done.stderr[-2000:]
 
 
 @pytest.mark.parametrize("past", [0, 4, 16])
-def test_four_bytes_past_a_buffer_are_noticed(device: Device, past: int) -> None:
+def test_four_bytes_past_a_buffer_are_detected(device: Device, past: int) -> None:
     done = run(device, "past", str(past))
     assert done.returncode == (-signal.SIGSEGV if past else 0), done.stderr

@@ -1,4 +1,4 @@
-"""The shape of the house: floors by import-linter's contracts (pyproject.toml), and sizes that may shrink but not grow.
+"""The code's structure: layers by import-linter's contracts (pyproject.toml), and sizes that may only shrink.
 
 python -m tests.test_house    # prints the figures
 """
@@ -22,7 +22,7 @@ _MODES = "Isosurface|Composite|Mip|Minip|Mean|Attenuated"
 
 
 class Figure(NamedTuple):
-    """A measured number and what it may be at most."""
+    """A measured number and its maximum."""
 
     found: int
     most: int
@@ -39,7 +39,7 @@ def modules() -> dict[str, ast.Module]:
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
-    """What is imported at run time, inside functions too: not what only type checkers import."""
+    """Run-time imports, including those in functions, without those for type checkers."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
             continue
@@ -53,7 +53,7 @@ def imports(tree: ast.AST) -> Iterator[str]:
 
 @cache
 def depth(name: str) -> int:
-    """The number of modules in the longest chain of imports that begins with this one."""
+    """The number of modules in the longest chain of imports from this one."""
     below = {other for other in imports(modules()[name]) if other in modules()} - {name, "clvol"}
     return 1 + max(map(depth, below), default=0)
 
@@ -87,13 +87,13 @@ def lines_of(path: str) -> int:
 
 
 def public_members(node: ast.ClassDef) -> int:
-    """Methods and properties of the class's own; a dataclass's fields are its data."""
+    """Public methods and properties of a class; fields of a dataclass are its data."""
     names = {child.name for child in node.body if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef))}
     return len([name for name in names if not name.startswith("_")])
 
 
 def figures() -> dict[str, Figure]:
-    """Each figure of the house beside its limit."""
+    """Each figure with its limit."""
     longest = {name: (node.end_lineno or 0) - node.lineno + 1 for name, node in classes().items()}
     members = {name: public_members(node) for name, node in classes().items()}
     return {

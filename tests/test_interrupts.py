@@ -1,4 +1,4 @@
-"""Ctrl-C at any moment: out soon, the next result right to the last bit, the memory back."""
+"""Ctrl-C at any moment: prompt exit, a correct next result to the last bit, and freed memory."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def interrupted(samples: int, count: int, seed: int) -> dict[str, Any]:
     return found
 
 
-def test_interrupts_of_all_work(device: Device) -> None:
+def test_interrupts_of_all_operations(device: Device) -> None:
     assert device is not None
     found = interrupted(24, 24, 1)
     assert len(found["latencies"]) >= 6
@@ -90,7 +90,7 @@ def test_interrupts_of_all_work(device: Device) -> None:
 
 
 @pytest.mark.thorough
-def test_hundreds_of_interrupts_of_all_work(device: Device, capsys: pytest.CaptureFixture[str]) -> None:
+def test_hundreds_of_interrupts_of_all_operations(device: Device, capsys: pytest.CaptureFixture[str]) -> None:
     assert device is not None
     found = interrupted(160, 300, 2)
     latencies = found["latencies"]
@@ -115,7 +115,7 @@ while True:
 
 
 def signalled(code: list[str], seconds: float, *, ready: bool) -> tuple[int, str, float]:
-    """A process that gets SIGINT after so many seconds, perhaps from when it says that it is ready: how it ends, and how soon."""
+    """A process that gets SIGINT after a delay, counted from its ready message if there is one: exit status and time to exit."""
     process = subprocess.Popen([sys.executable, *code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8")
     try:
         if ready:
@@ -131,8 +131,8 @@ def signalled(code: list[str], seconds: float, *, ready: bool) -> tuple[int, str
 
 
 @pytest.mark.thorough
-def test_fresh_processes_interrupted_while_coefficients_are_made(device: Device, capsys: pytest.CaptureFixture[str]) -> None:
-    """Those that do not catch it end as Python does, not by a crash on the way out."""
+def test_fresh_processes_interrupted_while_computing_coefficients(device: Device, capsys: pytest.CaptureFixture[str]) -> None:
+    """If they do not catch it they exit as Python does, without a crash at exit."""
     assert device is not None
     random.seed(3)
     ends = [signalled(["-X", "faulthandler", "-c", MAKING], random.uniform(0, 0.5), ready=True) for _ in range(30)]
@@ -179,7 +179,7 @@ print(interrupted, hashlib.sha256(numpy.asarray(picture).tobytes()).hexdigest())
 
 
 @pytest.mark.thorough
-def test_a_package_whose_import_was_interrupted_is_imported_whole_the_next_time(device: Device) -> None:
+def test_an_interrupted_import_can_be_repeated(device: Device) -> None:
     assert device is not None
     said = [
         subprocess.run(
@@ -192,8 +192,8 @@ def test_a_package_whose_import_was_interrupted_is_imported_whole_the_next_time(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
-def test_the_command_ends_with_one_line_even_while_it_imports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In place of a library that it imports is one that waits."""
+def test_the_command_exits_with_one_line_even_during_imports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A library that it imports is replaced by one that waits."""
     (tmp_path / "numpy.py").write_text("import time; print('ready', flush=True); time.sleep(30)\n")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     code, said, seconds = signalled(["-m", "clvol", "--version"], 0.2, ready=True)
@@ -201,7 +201,7 @@ def test_the_command_ends_with_one_line_even_while_it_imports(tmp_path: Path, mo
     assert seconds < 10
 
 
-# -- launches that are short, so that Ctrl-C is heard between them -------------------------------------------
+# -- launches are short, so that Ctrl-C works between them -------------------------------------------
 
 
 def test_the_prefilter_waits_between_launches(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,7 +219,7 @@ def test_the_prefilter_waits_between_launches(device: Device, monkeypatch: pytes
 
 @pytest.mark.parametrize("order", ["C", "F", "between"])
 def test_numpy_copies_in_parts(device: Device, order: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Samples that kernels cannot read, of the other byte order."""
+    """Samples in a byte order that kernels cannot read."""
     shape = (40, 30, 50)
     data = np.arange(np.prod(shape)).reshape(shape).astype(">i4")
     laid = {"C": data, "F": np.asfortranarray(data), "between": np.ascontiguousarray(data.transpose(1, 0, 2)).transpose(1, 0, 2)}[

@@ -1,4 +1,4 @@
-"""Results do not depend on how many cores compute them, or on how work is cut."""
+"""Results do not depend on the number of cores or on how work is split."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def test_results_do_not_depend_on_the_number_of_cores(device: Device) -> None:
         assert done.returncode == 0, done.stderr
         units, *hashes = done.stdout.split()
         seen[units] = hashes
-    assert len(seen) == 2  # so many cores there were
+    assert len(seen) == 2  # the number of cores
     assert len({tuple(hashes) for hashes in seen.values()}) == 1
 
 
-def test_results_do_not_depend_on_how_work_is_cut(device: Device) -> None:
+def test_results_do_not_depend_on_how_work_is_split(device: Device) -> None:
     data = np.random.default_rng(0).standard_normal((9, 40, 21)).astype(np.float32)
     points = np.random.default_rng(1).uniform(-3, 45, (3000, 3))
     made = []
@@ -52,7 +52,7 @@ def test_results_do_not_depend_on_how_work_is_cut(device: Device) -> None:
 
 
 def test_tiles_of_rays_agree(device: Device) -> None:
-    """But for rounding: a plane is blended where it fits a tile, else samples are read one by one."""
+    """Within rounding: a plane is blended where it fits a tile, otherwise samples are read one by one."""
     data = np.random.default_rng(0).standard_normal((9, 40, 21)).astype(np.float32)
     made = []
     for tile in (BY_PLANES, BY_PLANES._replace(width=8, height=8), BY_RAYS):
@@ -63,8 +63,8 @@ def test_tiles_of_rays_agree(device: Device) -> None:
 
 
 @pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"])
-def test_constants_come_back_to_the_ends_of_every_type(device: Device, kind: str) -> None:
-    """Interpolating splines reproduce them: closed form, within one rounding of float32 (or float64, where samples need it)."""
+def test_constants_are_reproduced_up_to_the_limits_of_every_type(device: Device, kind: str) -> None:
+    """Interpolating splines reproduce them within one rounding of float32 (or float64, where samples need it)."""
     type_ = np.dtype(kind)
     ends = [np.finfo(type_).max, np.finfo(type_).min] if type_.kind == "f" else [np.iinfo(type_).max, np.iinfo(type_).min]
     points = np.random.default_rng(2).uniform(0, 4, (20, 3))

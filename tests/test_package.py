@@ -27,7 +27,7 @@ _NOT_OURS = {".git", ".venv", ".hypothesis", ".mypy_cache", ".ruff_cache", ".pyt
 in_a_checkout = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not in a checkout")
 
 
-def test_the_version_is_that_of_the_metadata() -> None:
+def test_the_version_matches_the_metadata() -> None:
     assert clvol.__version__ == version("clvol")
 
 
@@ -66,7 +66,7 @@ def test_extras_are_declared() -> None:
         assert ("sys_platform" in line) == (extra == "pocl")  # PoCL's wheels exist for one platform
 
 
-def test_names_are_sorted_and_there() -> None:
+def test_public_names_are_sorted_and_exist() -> None:
     assert list(clvol.__all__) == sorted(clvol.__all__)
     assert all(hasattr(clvol, name) for name in clvol.__all__)
 
@@ -97,13 +97,13 @@ def test_importing_is_cheap_and_needs_no_opencl(module: str) -> None:
     assert done.stdout.split() == []
 
 
-def test_importing_it_imports_nothing_yet() -> None:
+def test_importing_is_lazy() -> None:
     code = "import clvol, sys; print('numpy' in sys.modules, [name for name in clvol.__all__ if not hasattr(clvol, name)])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
     assert done.stdout.strip() == "False []"
 
 
-def test_each_name_is_from_where_type_checkers_see_it() -> None:
+def test_lazy_imports_match_the_type_stubs() -> None:
     tree = ast.parse(Path(str(clvol.__file__)).read_text(encoding="utf-8"))
     (seen,) = (node.body for node in tree.body if isinstance(node, ast.If))
     places = {n.name: one.module for one in seen if isinstance(one, ast.ImportFrom) for n in one.names if one.module != "clvol"}
@@ -115,13 +115,13 @@ def test_only_what_is_public_is_shown() -> None:
     assert {*clvol.__all__, *clvol._PARTS} <= {*dir(clvol)} <= {*clvol.__all__, *clvol._PARTS, *clvol._OPTIONAL, "__version__"}
 
 
-def test_public_parts_are_attributes_before_they_are_imported() -> None:
+def test_public_submodules_are_attributes_before_import() -> None:
     code = "import clvol; print([name for name in clvol._PARTS if getattr(clvol, name).__name__ != f'clvol.{name}'])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
     assert done.stdout.strip() == "[]"
 
 
-def test_no_module_is_hidden_by_a_function_of_its_name() -> None:
+def test_no_function_shadows_a_module() -> None:
     for found in pkgutil.walk_packages(clvol.__path__, "clvol."):
         if not found.name.endswith("__main__"):
             try:
@@ -157,14 +157,14 @@ def test_no_file_names_a_machine() -> None:
 
 @pytest.fixture(scope="module")
 def archives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The source archive, and the wheel made from it, built without the network."""
+    """The source archive, and the wheel built from it, without network access."""
     if not (ROOT / "pyproject.toml").is_file() or any(find_spec(name) is None for name in ("build", "hatchling")):
         pytest.skip("needs a checkout, build and hatchling")
     return built(tmp_path_factory.mktemp("package"))
 
 
 def built(folder: Path, **environment: str) -> tuple[Path, Path]:
-    """The archives of a copy of the checkout: the build must not see, or leave, anything in it."""
+    """The archives of a copy of the checkout, so that the build neither reads nor leaves files in it."""
     tree = folder / "tree"
     if not tree.exists():
         shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*_NOT_OURS, "clean"))
@@ -181,7 +181,7 @@ def built(folder: Path, **environment: str) -> tuple[Path, Path]:
     return source, wheel
 
 
-def test_the_wheel_holds_what_runs(archives: tuple[Path, Path]) -> None:
+def test_the_wheel_contains_what_runs(archives: tuple[Path, Path]) -> None:
     with zipfile.ZipFile(archives[1]) as wheel:
         names = set(wheel.namelist())
         info = f"clvol-{clvol.__version__}.dist-info"
@@ -199,8 +199,8 @@ def test_the_wheel_holds_what_runs(archives: tuple[Path, Path]) -> None:
     assert "Requires-Python: >=3.11" in metadata
 
 
-def test_built_elsewhere_and_at_another_time_they_are_the_same_files(archives: tuple[Path, Path], tmp_path: Path) -> None:
-    """Other dates, permissions and order of files, another time zone, language and hash seed."""
+def test_builds_are_reproducible(archives: tuple[Path, Path], tmp_path: Path) -> None:
+    """With other dates, permissions, file order, time zone, language and hash seed."""
     tree = tmp_path / "another place" / "tree"
     tree.mkdir(parents=True)
     for path in sorted((archives[0].parents[1] / "tree").rglob("*"), reverse=True):
@@ -215,7 +215,7 @@ def test_built_elsewhere_and_at_another_time_they_are_the_same_files(archives: t
         assert (first.name, first.read_bytes()) == (second.name, second.read_bytes())
 
 
-def test_nothing_but_the_package_is_in_the_wheel(archives: tuple[Path, Path]) -> None:
+def test_the_wheel_contains_only_the_package(archives: tuple[Path, Path]) -> None:
     with zipfile.ZipFile(archives[1]) as wheel:
         kinds = {Path(name).suffix for name in wheel.namelist() if name.startswith("clvol/")}
     assert kinds == {".py", ".cl", ".typed", ".html", ".js", ".css", ".yaml"}  # no data, no binary
@@ -243,7 +243,7 @@ def test_the_wheel_runs_from_where_it_is_unpacked(archives: tuple[Path, Path], t
     assert int(size) > 1000
 
 
-def test_the_source_archive_holds_what_builds_and_tests(archives: tuple[Path, Path]) -> None:
+def test_the_source_archive_contains_all_to_build_and_test(archives: tuple[Path, Path]) -> None:
     with tarfile.open(archives[0]) as source:
         names = {name.partition("/")[2] for name in source.getnames()}
     assert {f"cl/{kernel}" for kernel in KERNELS} <= names

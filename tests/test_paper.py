@@ -1,4 +1,4 @@
-"""What the paper claims, measured: where it holds, and where it does not. docs/paper.md tells the numbers."""
+"""The paper's claims, measured: where they hold, and where they do not. docs/paper.md states the numbers."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def test_interpolation_leaves_the_convex_hull_of_the_samples() -> None:
     assert samples.min() <= values.min() <= values.max() <= samples.max()
 
 
-def test_interpolation_does_not_diminish_the_variation_of_the_samples() -> None:
+def test_interpolation_is_not_variation_diminishing() -> None:
     step = analysis.step_response("bspline3")
     assert (step.overshoot, step.ringing) == (pytest.approx(0.108, abs=0.001), pytest.approx(0.589, abs=0.001))
     step = analysis.step_response("bspline3-approx")
     assert (step.overshoot, step.ringing) == (0, pytest.approx(0, abs=1e-12))
 
 
-def test_a_sample_of_the_interpolation_acts_less_by_the_pole_with_every_sample() -> None:
+def test_the_influence_of_a_sample_decays_by_the_pole() -> None:
     halfway = analysis.impulse_response("bspline3", np.arange(1.5, 9))
     np.testing.assert_allclose(halfway[1:] / halfway[:-1], np.sqrt(3) - 2, rtol=1e-6)
     assert abs(analysis.impulse_response("bspline3", 6.5)) < 1e-3
@@ -80,7 +80,7 @@ def test_the_hybrid_lies_between_direct_and_the_cubics() -> None:
     assert rms[1] == pytest.approx(0.0178, rel=0.02)
 
 
-def test_gradients_of_the_hybrid_are_as_good_as_direct_ones_by_central_differences(page: str) -> None:
+def test_hybrid_gradients_are_as_good_as_direct_central_differences(page: str) -> None:
     volume, points = phantoms.marschner_lobb(41), np.random.default_rng(1999).uniform(-0.8, 0.8, (20_000, 3))
     truth = phantoms.marschner_lobb_gradient(points)
     made = []
@@ -118,7 +118,7 @@ def test_pictures_are_reconstructed_from_rays(page: str, device: Device) -> None
     states(page, pattern, numbers["aliasing"]["1"], numbers["aliasing"]["16"])
 
 
-def test_an_ideal_low_pass_makes_clouds_and_caves_and_a_gaussian_none(page: str, device: Device) -> None:
+def test_an_ideal_low_pass_makes_clouds_and_caves_and_a_gaussian_does_not(page: str, device: Device) -> None:
     made = {
         (lowpass, name): edges.strays(edges.scanned(40, lowpass), as_filter(name), device)
         for lowpass in edges.LOWPASSES
@@ -131,7 +131,7 @@ def test_an_ideal_low_pass_makes_clouds_and_caves_and_a_gaussian_none(page: str,
     states(page, rf"rises by {NUMBER} after the ideal low-pass, .* hides it \({NUMBER}\)\. .* worse still, {NUMBER} ", *others)
 
 
-def test_between_slices_the_spline_errs_least_while_they_hold_the_waves(page: str, device: Device) -> None:
+def test_the_spline_has_the_smallest_error_between_slices_that_resolve_the_waves(page: str, device: Device) -> None:
     names = ["linear", "mitchell", "hybrid", "bspline3"]
     made = slices.from_function([as_filter(name) for name in names], 61, (2, 3, 6), device)
     pattern = f"linear interpolation errs by {NUMBER}, Mitchell's by {NUMBER}, the hybrid by {NUMBER}"
@@ -141,7 +141,7 @@ def test_between_slices_the_spline_errs_least_while_they_hold_the_waves(page: st
 
 
 @pytest.mark.skipif(not TOOTH.is_file(), reason="the scan of a tooth is not here")
-def test_slices_left_out_of_a_tooth(page: str, device: Device) -> None:
+def test_omitted_slices_of_a_tooth(page: str, device: Device) -> None:
     pytest.importorskip("SimpleITK")
     made = slices.from_scan(read(TOOTH), [as_filter(name) for name in ("mitchell", "linear", "bspline3", "hybrid")], (2, 4), device)
     states(
@@ -152,7 +152,7 @@ def test_slices_left_out_of_a_tooth(page: str, device: Device) -> None:
     assert made[4]["hybrid"] == pytest.approx(made[4]["bspline3"], rel=0.005)
 
 
-def test_noise_turns_the_order_of_the_six_over(page: str, device: Device) -> None:
+def test_noise_reverses_the_order_of_the_six(page: str, device: Device) -> None:
     sphere, waves = noise.cases()
     names = ["bspline3", "linear", "bspline3-approx", "bspline3(auto)"]
     made = noise.measure(sphere, [as_filter(name) for name in names], (0.1,), device)
@@ -170,7 +170,7 @@ def test_noise_turns_the_order_of_the_six_over(page: str, device: Device) -> Non
     states(page, f"noise of three thousandths, {NUMBER} against {NUMBER}", *(n["rms"] for n in easy))
 
 
-def test_the_page_tells_what_noise_filters_keep(page: str) -> None:
+def test_the_page_states_the_noise_that_filters_keep(page: str) -> None:
     lines = re.findall(rf"^\| (nearest|`[^`]+`) \| {NUMBER} \| {NUMBER} \|$", page, re.MULTILINE)
     assert len(lines) == 10
     for name, along, within in lines:
@@ -180,7 +180,7 @@ def test_the_page_tells_what_noise_filters_keep(page: str) -> None:
 
 
 @pytest.mark.thorough
-def test_whether_the_sinc_errs_least_depends_on_the_data(errors: dict[tuple[str, int], dict[str, float]]) -> None:
+def test_whether_the_sinc_has_the_smallest_error_depends_on_the_data(errors: dict[tuple[str, int], dict[str, float]]) -> None:
     least = {case: min(made, key=lambda name: made[name]) for case, made in errors.items()}
     assert least[("Marschner–Lobb", 3)] == least[("Marschner–Lobb, z = 0", 2)] == analysis.EXACT_SINC
     assert least[("zone plate", 3)] == least[("zone plate", 2)] == "bspline3"
@@ -188,8 +188,8 @@ def test_whether_the_sinc_errs_least_depends_on_the_data(errors: dict[tuple[str,
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("size", [48, 49, 50, 51, 53])
-def test_at_hard_edges_linear_errs_least_and_the_sinc_more_than_the_spline(size: int) -> None:
-    """For any size: where the edges lie among the samples kept is averaged over."""
+def test_at_hard_edges_linear_has_the_smallest_error_and_the_sinc_more_than_the_spline(size: int) -> None:
+    """For any size: averaged over the position of edges among the kept samples."""
     hard = mean_square([analysis.compare(phantoms.box(size), FIGURE_6, lowpass="none", points=1000, timing=False)])
     assert list(hard) == list(FIGURE_6)
     assert min(hard, key=lambda name: hard[name]) == "linear"
@@ -198,7 +198,7 @@ def test_at_hard_edges_linear_errs_least_and_the_sinc_more_than_the_spline(size:
 
 
 @pytest.mark.thorough
-def test_the_table_of_errors_on_the_page_is_what_is_measured(page: str, errors: dict[tuple[str, int], dict[str, float]]) -> None:
+def test_the_table_of_errors_on_the_page_is_measured(page: str, errors: dict[tuple[str, int], dict[str, float]]) -> None:
     head, _, *lines = re.findall(r"^\|.*\|$", page[page.index("| input |") :], re.MULTILINE)[: len(errors) + 2]
     assert len(head.split("|")) - 3 == len(FIGURE_6)
     for line, ((name, dimensions), made) in zip(lines, errors.items(), strict=True):
@@ -211,7 +211,7 @@ def test_the_table_of_errors_on_the_page_is_what_is_measured(page: str, errors: 
 
 
 def states(page: str, pattern: str, *values: float) -> None:
-    """The page's numbers where `pattern` matches it are these, rounded as they are written there."""
+    """Require that the numbers on the page, where `pattern` matches, are these, rounded as written there."""
     found = re.search(pattern, " ".join(page.split()))
     assert found, pattern
     assert len(found.groups()) == len(values)
@@ -224,7 +224,7 @@ def states(page: str, pattern: str, *values: float) -> None:
 NUMBER = r"(\d[\d.]*(?:e-\d+)?(?<!\.))"
 
 
-def test_the_page_tells_what_properties_were_measured(page: str) -> None:
+def test_the_page_states_the_measured_properties(page: str) -> None:
     samples = np.random.default_rng(0).uniform(0, 1, (24, 24, 24))
     values = reference.sample(Volume(samples), np.random.default_rng(1).uniform(0, 23, (100_000, 3)), "bspline3")
     held = reference.prefilter(samples, "bspline3")
@@ -243,7 +243,7 @@ def test_the_page_tells_what_properties_were_measured(page: str) -> None:
     assert np.abs(np.array(ideal) - 100 * analysis.WILBRAHAM_GIBBS).max() < 0.01
 
 
-def test_the_page_tells_what_the_hybrid_was_measured_to_do(page: str) -> None:
+def test_the_page_states_the_measurements_of_the_hybrid(page: str) -> None:
     direct, hybrid, linear = (analysis.bands(name) for name in ("bspline3", "hybrid", "linear"))
     states(page, f"direct errs by at most {NUMBER}, the hybrid by {NUMBER}", direct.passband_error, hybrid.passband_error)
 
@@ -269,7 +269,7 @@ def test_the_page_tells_what_the_hybrid_was_measured_to_do(page: str) -> None:
 
 
 def nearest_of_every_second(data: np.ndarray, first: tuple[int, ...], margin: int = 4) -> float:
-    """The mean square error of `nearest` with one choice of the samples kept; half-way it takes the upper one."""
+    """The mean square error of `nearest` for one choice of the kept samples; half-way it takes the upper one."""
     at, near = [], []
     for n, start in zip(data.shape, first, strict=True):
         kept = np.arange(start, n, 2)
@@ -279,7 +279,7 @@ def nearest_of_every_second(data: np.ndarray, first: tuple[int, ...], margin: in
 
 
 @pytest.mark.thorough
-def test_the_page_tells_what_the_six_were_measured_to_do(
+def test_the_page_states_the_measurements_of_the_six(
     page: str, errors: dict[tuple[str, int], dict[str, float]], device: Device
 ) -> None:
     hard = errors["box, hard edges", 3]
@@ -302,7 +302,7 @@ def test_the_page_tells_what_the_six_were_measured_to_do(
     states(page, rf"scatter by {NUMBER} \(.* Mitchell's by {NUMBER}, .* B-spline by {NUMBER} .* worse still, {NUMBER}\.", *scatter)
 
 
-def test_the_page_tells_the_constants_of_cubics(page: str) -> None:
+def test_the_page_states_the_constants_of_cubics(page: str) -> None:
     constants = [analysis.approximation(name).constant for name in ("omoms3", "moms3", "bspline3")]
     states(page, f"its constant is {NUMBER}, that of `moms3`, .* 1/42, {NUMBER}, and that of the B-spline {NUMBER}", *constants)
     rows = analysis.compare(phantoms.marschner_lobb_function, ["omoms3", "moms3"], timing=False)
@@ -310,7 +310,7 @@ def test_the_page_tells_the_constants_of_cubics(page: str) -> None:
 
 
 def test_the_rivals_of_the_hybrid_at_eight_fetches(page: str) -> None:
-    """Shifted linear interpolation by SciPy: coefficients by a causal recursion, drawn a fifth of a sample further on."""
+    """Shifted linear interpolation by SciPy: coefficients by a causal recursion, evaluated a fifth of a sample further on."""
     shift = (1 - 1 / np.sqrt(3)) / 2
     volume, pad = phantoms.marschner_lobb(41), 20
     held = np.pad(volume.data.astype(np.float64), pad, mode="reflect")
@@ -340,7 +340,7 @@ def test_the_rivals_of_the_hybrid_at_eight_fetches(page: str) -> None:
 
 
 def test_the_sinc_rings_at_the_peak_of_figure_6() -> None:
-    """Along a ring about the axis, where the function is constant; 40³ samples, none of them on the axis."""
+    """Along a ring about the axis, where the function is constant; 40³ samples, none on the axis."""
     volume, angle = phantoms.marschner_lobb(40), np.linspace(0, 2 * np.pi, 181)
     points = np.stack([0.15 * np.cos(angle), 0.15 * np.sin(angle), 0 * angle], -1)
     scatter = {"bspline3": float(reference.sample(volume, points, "bspline3").std())}
@@ -348,7 +348,7 @@ def test_the_sinc_rings_at_the_peak_of_figure_6() -> None:
     assert scatter["sinc"] > 5 * scatter["bspline3"]
 
 
-def test_the_approximation_makes_waves_shallow() -> None:
+def test_the_approximation_flattens_waves() -> None:
     depth = {
         n: float(rings(n, CRESTS).mean() - rings(n, TROUGHS).mean()) for n in ("bspline3-approx", "linear", "mitchell", "bspline3")
     }
@@ -374,7 +374,7 @@ def test_interpolation_is_sharper_than_mitchell_of_the_same_size() -> None:
     assert analysis.step_response("mitchell").overshoot == pytest.approx(0.036, abs=0.001)
 
 
-def test_the_page_of_claims_names_what_is_there(page: str) -> None:
+def test_the_page_of_claims_names_existing_tests(page: str) -> None:
     sources = {p: p.read_text(encoding="utf-8") for p in (ROOT / "tests").rglob("test_*.py")}
     every = "\n".join(sources.values())
     named = re.findall(r"(tests/[\w/]+\.py)::(test_\w+)", page)
@@ -391,7 +391,7 @@ def test_the_page_of_claims_names_what_is_there(page: str) -> None:
 
 
 @pytest.mark.skipif(not TOOTH.is_file(), reason="the scan of a tooth is not here")
-def test_most_of_what_was_called_an_error_on_a_tooth_is_the_low_pass() -> None:
+def test_most_of_the_error_on_a_tooth_is_the_low_pass() -> None:
     pytest.importorskip("SimpleITK")
     table = analysis.compare(read(TOOTH), ["bspline3"], timing=False, points=100, max_samples=1 << 20)
     told = re.search(

@@ -1,4 +1,4 @@
-"""Copies and pickles of volumes are what the volumes were: read-only, so that what is known of them stays true."""
+"""Copies and pickles of volumes equal their originals, and stay read-only, so that cached facts remain true."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_samples_stay_read_only(again: Callable[[Any], Any]) -> None:
         assert getattr(other, name) == getattr(volume, name)
 
 
-def test_a_pickle_of_what_can_be_written_cannot(again: Callable[[Any], Any]) -> None:
+def test_a_pickle_of_a_writable_volume_is_read_only(again: Callable[[Any], Any]) -> None:
     data = np.zeros((2, 3, 4))
     volume = clvol.Volume(data)
     assert volume.value_range == (0, 0)
@@ -56,7 +56,7 @@ def test_a_pickle_of_what_can_be_written_cannot(again: Callable[[Any], Any]) -> 
     assert other.value_range == (other.data.min(), other.data.max())
 
 
-def test_volumes_stay_read_only_and_hold_their_samples_once(again: Callable[[Any], Any]) -> None:
+def test_volumes_stay_read_only_and_store_their_samples_once(again: Callable[[Any], Any]) -> None:
     volumes = clvol.Volumes(np.arange(4 * 60.0).reshape(4, 3, 4, 5), spacing=(1, 2, 3), units="mm")
     other = again(volumes)
     assert (other.shape, other.axes, other.grid.spacing, other.grid.units) == ((4, 3, 4, 5), ("volume",), (1, 2, 3), "mm")

@@ -1,4 +1,4 @@
-"""What goes to other processes: pickles, spawned workers, and the error in a child that was forked too late."""
+"""Other processes: pickles, spawned workers, and the error in a child that was forked too late."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ AGAIN: dict[str, Callable[[Any], Any]] = {
     ],
     ids=lambda one: type(one).__name__,
 )
-def test_values_come_back_equal(one: object, way: str) -> None:
+def test_pickled_values_are_equal(one: object, way: str) -> None:
     back = AGAIN[way](one)
     assert (back, type(back)) == (one, type(one))
 
 
-def test_volumes_and_scenes_come_back(device: Device) -> None:
+def test_pickled_volumes_and_scenes_are_equal(device: Device) -> None:
     scene = Scene(Medium(VOLUME, TransferFunction.ramp((0.0, 1.0)), filter="bspline3"), background="white")
     back = pickle.loads(pickle.dumps(scene))
     np.testing.assert_array_equal(back.media[0].volume.data, DATA)
@@ -70,7 +70,7 @@ def test_volumes_and_scenes_come_back(device: Device) -> None:
 
 
 def test_hashes_of_filters_are_those_of_the_process() -> None:
-    """A filter that was looked up, and so knows its hash, must be found in tables of a process whose strings hash otherwise."""
+    """A filter that has cached its hash must be found in tables of a process with another hash seed."""
     row = as_filter("bspline3")
     hash(row)
     script = (
@@ -82,7 +82,7 @@ def test_hashes_of_filters_are_those_of_the_process() -> None:
 
 
 @pytest.mark.parametrize("way", AGAIN)
-def test_fields_renderers_and_interpolators_are_made_again(device: Device, way: str) -> None:
+def test_fields_renderers_and_interpolators_are_rebuilt(device: Device, way: str) -> None:
     data = np.where(DATA > 0.99, np.nan, DATA)
     with Field(data, "bspline3", "reflect", device, nan="local") as field, AGAIN[way](field) as back:
         assert (back.filter, back.boundary, back.device) == (field.filter, field.boundary, device)
@@ -100,7 +100,7 @@ def test_fields_renderers_and_interpolators_are_made_again(device: Device, way: 
         np.testing.assert_array_equal(other(POINTS[:, ::-1]), at(POINTS[:, ::-1]))
 
 
-def test_closed_ones_are_refused(device: Device) -> None:
+def test_closed_ones_are_rejected(device: Device) -> None:
     field, renderer = Field(DATA, device=device), Renderer(DATA, "bspline3", device=device)
     for one in (field, renderer):
         one.close()
@@ -143,7 +143,7 @@ assert (field(at) == before).all()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_every_way_in_says_so_after_a_fork_and_the_child_ends(device: Device) -> None:
+def test_every_entry_point_raises_after_a_fork_and_the_child_exits(device: Device) -> None:
     assert device is not None
     done = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, encoding="utf-8", timeout=120, check=False)
     assert done.returncode == 0, done.stderr
@@ -159,7 +159,7 @@ def test_every_way_in_says_so_after_a_fork_and_the_child_ends(device: Device) ->
         pytest.param("torch", marks=pytest.mark.thorough),
     ],
 )
-def test_processes_draw_what_this_one_draws(device: Device, way: str) -> None:
+def test_processes_render_what_this_one_renders(device: Device, way: str) -> None:
     assert device is not None
     if way in ("joblib", "torch") and importlib.util.find_spec(way) is None:
         pytest.skip(f"{way} is not installed")
@@ -203,8 +203,8 @@ assert len(results) == 6 and all(result == serial for result in results)
 """
 
 
-def test_the_first_use_from_several_threads_at_once_gives_what_one_gives(device: Device) -> None:
-    """And the lazy parts of one Renderer, one Field, one Volume are first wanted by all at once."""
+def test_concurrent_first_uses_match_a_single_thread(device: Device) -> None:
+    """The lazy attributes of one Renderer, Field and Volume are first used by all threads at once."""
     assert device is not None
     done = subprocess.run([sys.executable, "-c", FIRST], capture_output=True, encoding="utf-8", timeout=300, check=False)
     assert done.returncode == 0, done.stderr

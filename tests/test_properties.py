@@ -36,7 +36,7 @@ def somewhere(shape: tuple[int, ...], seed: int, beyond: float = 0.5, count: int
 
 
 def largest(samples: np.ndarray, name: str | Filter, rule: str) -> float:
-    """What rounding errors are relative to."""
+    """The scale of rounding errors."""
     return 1 + float(np.abs(reference.prefilter(samples, name, rule)).max())
 
 
@@ -46,7 +46,7 @@ def largest(samples: np.ndarray, name: str | Filter, rule: str) -> float:
 @settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(data, degrees, rules, st.integers(0, 2**32 - 1))
 def test_convex_hull(coefficients: np.ndarray, degree: int, rule: str, seed: int) -> None:
-    """A value lies within the k + 1 coefficients along each axis that are near: those of the boundary rule included."""
+    """A value lies within the k + 1 nearby coefficients along each axis, including those of the boundary rule."""
     moves = as_boundary(rule).outside in ("constant", "overlap")  # positions past the outer samples are others, or none
     points = somewhere(coefficients.shape, seed, 0 if moves else 0.5)
     values = reference.sample(coefficients, points, bspline(degree, prefilter=False), rule)
@@ -89,7 +89,7 @@ def test_variation_diminishing_along_lines_of_a_volume(
 
 
 def changes(values: np.ndarray) -> int:
-    """Changes of sign; what rounding may have made is no crossing."""
+    """Sign changes; those within rounding do not count."""
     signs = np.sign(values[np.abs(values) > 1e-9])
     return int((signs[1:] != signs[:-1]).sum())
 
@@ -196,8 +196,8 @@ def test_shifted_samples_give_the_shifted_function(samples: np.ndarray, name: st
 
 @settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(data, names, rules, st.integers(0, 2**32 - 1))
-def test_turned_samples_give_the_turned_function(samples: np.ndarray, name: str, rule: str, seed: int) -> None:
-    """By 90° in the xy plane; the gradient turns too."""
+def test_rotated_samples_give_the_rotated_function(samples: np.ndarray, name: str, rule: str, seed: int) -> None:
+    """By 90° in the xy plane; the gradient rotates too."""
     points, height = somewhere(samples.shape, seed), samples.shape[-1]
     turned = np.rot90(samples, axes=(-2, -1))  # what lay at x lies at row width - 1 - x
     there = points.copy()

@@ -1,4 +1,4 @@
-"""What does not fit is refused at once, before any of it is allocated, by every function that makes something large."""
+"""Every function with large results rejects what does not fit, before any allocation."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import sys
 import pytest
 
 MIB = 1 << 20
-ROOM = 1024  # MiB of the container that the process believes to be in
-GROWS = 64  # MiB, at most, by which a refused call may grow the process: drivers, kernels and what the calls before left
+ROOM = 1024  # MiB of the simulated container
+GROWS = 64  # MiB by which a rejected call may grow the process: drivers, kernels and remains of previous calls
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits are read from /proc and /sys")
 
@@ -159,7 +159,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, fl
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_what_does_not_fit_is_refused_before_it_is_made(call: str, answers: dict[str, tuple[str, float, float]]) -> None:
+def test_results_that_do_not_fit_are_rejected_before_allocation(call: str, answers: dict[str, tuple[str, float, float]]) -> None:
     said, grown, seconds = answers[call]
     assert said.startswith("OutOfMemoryError: "), said
     assert grown < GROWS, f"{grown:.0f} MiB"
@@ -167,7 +167,7 @@ def test_what_does_not_fit_is_refused_before_it_is_made(call: str, answers: dict
 
 
 @pytest.mark.parametrize("call", BY_BRICKS)
-def test_what_does_not_fit_is_made_by_bricks_in_half_of_the_room(call: str, answers: dict[str, tuple[str, float, float]]) -> None:
+def test_volumes_that_do_not_fit_go_by_bricks(call: str, answers: dict[str, tuple[str, float, float]]) -> None:
     said, grown, _ = answers[call]
     assert said == "done"
     assert grown < ROOM // 2 + 2 * GROWS, f"{grown:.0f} MiB"

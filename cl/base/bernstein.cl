@@ -9,7 +9,7 @@
 #include "base/lanes.cl"
 
 #define COEFFICIENT_COUNT (BERNSTEIN_DEGREE + 1)
-#define NARROWEST 2e-7f   // of the interval: where float32 tells no two places apart, several roots are one
+#define NARROWEST 2e-7f   // of the interval: where float32 cannot separate positions, several roots count as one
 
 constant float bernstein_choose[COEFFICIENT_COUNT] = BERNSTEIN_CHOOSE;
 
@@ -53,7 +53,7 @@ INLINE void copy_polynomial(real to[COEFFICIENT_COUNT], const real from[COEFFICI
 OUT_OF_LINE mask first_change(real q[COEFFICIENT_COUNT], mask active, real *start, real *width)
 {
     real rest[COEFFICIENT_COUNT], tail[COEFFICIENT_COUNT], left[COEFFICIENT_COUNT];
-    real begin = (real)(0.0f), share = (real)(0.5f);   // where the rest begins; how much of it is looked at next
+    real begin = (real)(0.0f), share = (real)(0.5f);   // where the rest begins; the part of it to examine next
     mask found = NONE;
     *start = begin;
     *width = (real)(1.0f);
@@ -84,7 +84,7 @@ OUT_OF_LINE mask first_change(real q[COEFFICIENT_COUNT], mask active, real *star
         copy_polynomial(rest, tail, none);
         begin = choose(none, begin + part, begin);
         share = choose(none, MIN(2.0f * share, (real)(0.5f)), 0.5f * share);
-        active &= !here & (1.0f - begin >= NARROWEST);   // what is left is no place of its own
+        active &= !here & (1.0f - begin >= NARROWEST);   // the remaining interval is below float32's resolution
     }
 }
 
@@ -101,7 +101,7 @@ INLINE real polynomial_at(const real scaled[COEFFICIENT_COUNT], const real u)
 }
 
 // The root of polynomials that change sides once on 0..1: regula falsi that halves the value of an end that stays (Illinois), and
-// bisects every third time, until float32 tells no places apart.
+// bisects every third time, until float32 cannot separate positions.
 INLINE real root_between(const real q[COEFFICIENT_COUNT])
 {
     real scaled[COEFFICIENT_COUNT];

@@ -24,7 +24,7 @@ INLINE real square_root(real x) { return (real)(square_root_8(x.lo), square_root
 #endif
 #endif
 
-// Of the functions that are built in, eight numbers at a time at most.
+// Built-in functions take at most eight numbers at a time.
 #if LANES == 16
 INLINE real round_down(real x) { return (real)(floor(x.lo), floor(x.hi)); }
 #else
@@ -32,8 +32,8 @@ INLINE real round_down(real x) { return floor(x); }
 #endif
 
 // Logarithm and power to the base 2 within 3e-7, without a call: for x > 0, normal, and |y| small. Polynomials by
-// Estrin's scheme: what a sample costs is how long its operations wait for each other.
-// log_2_of takes x - 1 apart, for the lanes where it is given (and x nearly 1): x itself does not hold it.
+// Estrin's scheme: the latency of dependent operations dominates the cost of a sample.
+// log_2_of takes x - 1 separately, for the lanes where it is given (and x is nearly 1): x lacks its digits.
 INLINE real log_2_of(real x, mask given, real less)
 {
     union { real f; mask i; } bits, part;
@@ -53,8 +53,8 @@ INLINE real log_2(real x) { return log_2_of(x, NONE, x); }
 
 INLINE real exp_2(real y)
 {
-    y = MIN(MAX(y, (real)(-60.0f)), (real)(60.0f));   // no result is so small that processors slow down
-    const mask whole = to_mask(y + choose(y < 0.0f, (real)(-0.5f), (real)(0.5f)));   // the nearest: cut off is towards zero
+    y = MIN(MAX(y, (real)(-60.0f)), (real)(60.0f));   // no result is subnormal, which would be slow
+    const mask whole = to_mask(y + choose(y < 0.0f, (real)(-0.5f), (real)(0.5f)));   // rounds to nearest: conversion truncates
     const real f = y - to_real(whole);
     const real f2 = f * f, f4 = f2 * f2;             // exp(f ln 2), |f| <= 1/2
     const real low = madd(f2, madd(f, (real)(5.5504109e-2f), 0.24022651f), madd(f, (real)(0.69314718f), 1.0f));
@@ -65,7 +65,7 @@ INLINE real exp_2(real y)
     return p * scale.f;
 }
 
-// 1 - exp_2(y) for y <= 0, to full precision where that is small too: there `scale` is 1.
+// 1 - exp_2(y) for y <= 0, to full precision even where it is small: there `scale` is 1.
 INLINE real one_less_exp_2(real y)
 {
     y = MAX(y, (real)(-60.0f));

@@ -39,7 +39,7 @@ typedef double coord;
 typedef float coord;
 #endif
 
-// A type as it may lie at any address that is a multiple of four.
+// A type at any address that is a multiple of four.
 #define AT_ANY_ADDRESS __attribute__((aligned(4)))
 typedef scalar4 scalar4_at AT_ANY_ADDRESS;
 typedef scalar8 scalar8_at AT_ANY_ADDRESS;

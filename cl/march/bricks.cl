@@ -8,11 +8,11 @@
 #include "march/picture.cl"
 #include "march/states.cl"
 
-#define SHOWN_NORMALS (FINISHED_THERE ? 3 : 0)   // which field they begin at
+#define SHOWN_NORMALS (FINISHED_THERE ? 3 : 0)   // the field at which they begin
 #define SHOWN_FIELDS (SHOWN_NORMALS + (GUIDES ? 3 : 0))
 #define SHOWN_AT(field) shown[KEPT_AT(field)]
 
-// The number of the tile whose first pixel is (left, top), of those that are kept.
+// The index of the tile whose first pixel is (left, top), among those stored.
 INLINE int number_of_tile(constant frame_t *frame, const int left, const int top)
 {
     const int across = (frame->picture.kept[0] + TILE_WIDTH - 1) / TILE_WIDTH;
@@ -122,7 +122,7 @@ kernel void ask_brick(constant frame_t *frame, global const float4 *table, globa
         some = any_lane(inside) && matters(tile.states + g, frame, table, low, high, enter, inside);
     }
     if (some)
-        *wanted = 1;   // all that write it write the same
+        *wanted = 1;   // all writers write the same value
 }
 
 // The results of the rays of a packet that have just ended, as far as they are known.

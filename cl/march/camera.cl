@@ -61,7 +61,7 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
     ray.world = scale3(world, per_unit);
 
     ray.ahead = camera->ahead * stretch;
-    ray.enter = camera->orthographic ? -NOWHERE : -ray.ahead;   // nothing lies behind a perspective camera
+    ray.enter = camera->orthographic ? -NOWHERE : -ray.ahead;   // nothing is visible behind a perspective camera
     ray.leave = NOWHERE;
     clip_axis(ray.origin.x, ray.direction.x, geometry->low[0], geometry->high[0], &ray.enter, &ray.leave);
     clip_axis(ray.origin.y, ray.direction.y, geometry->low[1], geometry->high[1], &ray.enter, &ray.leave);

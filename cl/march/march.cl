@@ -114,7 +114,7 @@ OUT_OF_LINE void make_plane(plane_t *plane, COEFFICIENTS coefficients, const int
 INLINE real sample_t_of(const ray_t *ray, float n)
 {
     const real t = madd(n, ray->step, ray->first);
-    // the ends of a ray a little inside: on the face itself rounding would decide whether they are read from past the edge
+    // the ends of a ray, moved slightly inside: on the face itself rounding would decide whether they are read outside
     const real inset = 1e-3f * ray->step;
     return ENDPOINTS ? MIN(MAX(t, ray->enter + inset), ray->leave - inset) : t;
 }
@@ -139,7 +139,7 @@ INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, r
 INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame,
                          global const float4 *table, const mask wanted[PACKETS], const float start, const float stop)
 {
-    plane_t planes[SLAB];   // one for each sample number, made when the first packet needs it
+    plane_t planes[SLAB];   // one per sample number, blended when the first packet needs it
     for (int i = 0; i < SLAB; ++i)
         planes[i].made = planes[i].usable = 0;
     for (int g = 0; g < PACKETS; ++g) {
@@ -161,7 +161,7 @@ INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 ext
                 continue;
 #endif
 #if PLANES
-            // before and after the planes, where rays have their ends alone, one may lie past what is stored
+            // before and after the planes, where rays only have their ends, one may be past the stored coefficients
             if (tile->planar && !plane->made && n >= 0.0f && n < frame->planes.count)
                 make_plane(plane, coefficients, extent, frame, tile->left, tile->top, tile->way, n);
 #endif

@@ -1,7 +1,7 @@
 // The blended plane under a tile of rays: makes marching fast on CPUs.
 //
 // All rays of a tile cross the same planes of samples, and the weights along the axis across a plane are the same for every
-// sample on it. So the slices of coefficients under the tile are blended once a plane, and a sample takes TAPS × TAPS taps of
+// sample on it. So the slices of coefficients under the tile are blended once per plane, and a sample takes TAPS × TAPS taps of
 // the blend instead of TAPS³ of the volume:
 //
 //   a cubic sample       16 loads of rows of four taps from the volume, or 4 from the blend
@@ -25,10 +25,10 @@ typedef struct {
     int u, v;                        // the first stored coefficient under the tile ...
     float from_u, from_v;            // ... and where its cell begins (cell_origin)
     int columns, rows;               // how many there are
-    int first_column, first_row;     // those before are not at hand, and nobody needs them
+    int first_column, first_row;     // those before are not resident, and not needed
     int slice;                       // the first slice that takes part, and the fraction past it
     float t;
-    int made, usable;                // whether it was needed yet, and whether the tile's footprint fits
+    int made, usable;                // whether it has been blended, and whether the tile's footprint fits
     int sloped;                      // whether `slopes` is filled for this plane
     float values[PLANE_ROOM], slopes[PLANE_ROOM];
 } plane_t;
@@ -75,7 +75,7 @@ OUT_OF_LINE void plane_blend(const plane_t *plane, global const float *coefficie
 INLINE void plane_ahead(const plane_t *plane, global const float *coefficients, const int4 extent, constant frame_t *frame, float way)
 {
     const int slice = plane->slice + (way > 0.0f ? TAPS + 1 : -2), axis = frame->planes.axis;
-    if (axis == 0 || slice < STORED_FROM(frame, axis) || slice >= STORED_TO(frame, extent, axis))   // along x they lie in the lines at hand
+    if (axis == 0 || slice < STORED_FROM(frame, axis) || slice >= STORED_TO(frame, extent, axis))   // along x they are in the lines already loaded
         return;
     for (int j = plane->first_row; j < plane->rows; ++j) {
         global const float *row = coefficients + plane->u + (plane->v + j) * plane->along_v + slice * plane->across;
@@ -119,7 +119,7 @@ INLINE void plane_move(plane_t *plane, global const float *coefficients, const i
     }
 }
 
-// The cells of LANES samples on a plane. Positions outside are moved inside: lanes that are not active may hold anything.
+// The cells of LANES samples on a plane. Positions outside are moved inside: inactive lanes may have any value.
 typedef struct { lane_indices_u at; real tu, tv; } plane_cell_t;
 
 INLINE plane_cell_t plane_locate(const plane_t *plane, real u, real v)
@@ -178,7 +178,7 @@ INLINE void plane_columns(const float *blend, const plane_cell_t *c, const real 
 #endif
 }
 
-// LANES samples on a plane: what the value keeps for the gradient.
+// LANES samples on a plane: data that the value saves for the gradient.
 typedef struct { plane_cell_t cell; real wu[TAPS], wv[TAPS], columns[TAPS]; } plane_sample_t;
 
 INLINE real plane_value(const plane_t *plane, plane_sample_t *s, real u, real v)

@@ -26,7 +26,7 @@ typedef struct { int made, usable; } plane_t;
 typedef struct { int nothing; } plane_sample_t;
 #endif
 
-// The samples that are being gathered. (An image cannot be a member: coefficients are passed separately.)
+// The samples being gathered. (An image cannot be a member: coefficients are passed separately.)
 typedef struct {
     constant frame_t *frame;
     global const float4 *table;     // of the transfer function
@@ -61,7 +61,7 @@ RARE float value_one(COEFFICIENTS coefficients, const sample_t *sample, float x,
 }
 
 // The value some stored coefficients away: the same fraction of another cell. (Adding to the position would round,
-// and where the function jumps the neighbour would at times be the wrong one.)
+// and where the function jumps the neighbour would sometimes be wrong.)
 RARE float value_beside(COEFFICIENTS coefficients, const int4 extent, cell_t c, int x, int y, int z)
 {
     c.x += x; c.y += y; c.z += z;
@@ -121,7 +121,7 @@ RARE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, 
 
 // -- LANES rays: anywhere on them ------------------------------------------------------------------------------
 
-// Lanes that are not active are not evaluated.
+// Inactive lanes are not evaluated.
 INLINE real value_at(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
 {
     const real3 p = at3(sample->ray->origin, sample->ray->direction, t);

@@ -12,7 +12,7 @@
 #include "march/camera.cl"
 #include "march/window.cl"
 
-#define MAX_LOOKS 32    // blocks that are read for a box, at most
+#define MAX_LOOKS 32    // maximum number of blocks read for a box
 #define COARSEST 4      // 1 << COARSEST slabs are skipped at once at most
 #define MAX_PARTS 32    // of a ray, where samples may come in any order
 #define MARGIN ((real)(ENDPOINTS ? 1.0f : 0.0f))   // sample numbers before and after the planes, for the two ends of a ray
@@ -122,7 +122,7 @@ typedef struct {
     int slab, until;            // the next slab, and where the part ends
     int slabs, level, deep;     // how many there are; 1 << level are tried at once; a part has 1 << deep
     int parts;
-    float promise[MAX_PARTS];   // of each part, at most
+    float promise[MAX_PARTS];   // maximum per part
 } segments_t;
 
 // If the order is free, the most promising part is first, and only once.
@@ -132,7 +132,7 @@ INLINE int next_part(segments_t *s)
     for (int i = 1; i < s->parts; ++i)
         part = s->promise[i] > s->promise[part] ? i : part;
     if (s->promise[part] == -INFINITY)
-        return 0;   // no ray has samples in those that are left
+        return 0;   // no ray has samples in the remaining ones
     s->promise[part] = -INFINITY;
     s->slab = part << s->deep;
     s->until = part + 1 < s->parts ? (part + 1) << s->deep : s->slabs;
@@ -155,7 +155,7 @@ INLINE segments_t segments_of(const tile_t *tile, global const float2 *minmax, c
         for (s.parts = 0; s.parts << s.deep < s.slabs; ++s.parts) {
             const float start = madd(s.parts << s.deep, slab, tile->first), stop = madd(1 << s.deep, slab, start - 1.0f);
             const float2 values = values_of(minmax, frame, halo, tile, 0, PACKETS, start, stop);
-            (void)values;   // not every mode promises by them
+            (void)values;   // not every mode uses them in PROMISE
             s.promise[s.parts] = PROMISE(values.x, values.y);
         }
     }

@@ -18,7 +18,7 @@ enum { MEAN, VALUE, EVEN, ODD, KINDS };   // of stencils
 
 typedef struct {
     float value;      // mean square of the error
-    float slope[3];   // mean squares of what varies in the slopes along x, y, z
+    float slope[3];   // mean squares of the variation of the slopes along x, y, z
     float mean[3];    // slopes of the mean error
 } errors_t;
 
@@ -126,7 +126,7 @@ kernel void uncertainty(COEFFICIENTS coefficients, const int4 extent, global con
     const float square = gradient.x * gradient.x + gradient.y * gradient.y + gradient.z * gradient.z;
     value *= u->gain;
     const float rounding = u->rounding * (value * value + g.x * g.x + g.y * g.y + g.z * g.z);
-    if (!(square > rounding * u->steepest)) {   // there is no slope but what rounding makes
+    if (!(square > rounding * u->steepest)) {   // the slope is only rounding
         result[0] = INFINITY;
         result[1] = 180.0f;
         return;

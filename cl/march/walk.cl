@@ -24,7 +24,7 @@
 // Rays along an axis, in cells. Plane number n is before cell n. There are no cells outside the domain: rays stay in the outer
 // ones, wherever they enter and leave.
 typedef struct {
-    real origin, direction, per_direction;   // at t = 0; cells a unit of t; units of t a cell
+    real origin, direction, per_direction;   // at t = 0; cells per unit of t; units of t per cell
     mask up, ahead, step;   // whether towards larger numbers; 1 and 1 if so, else 0 and -1
     mask from, to;          // the first and the last plane on the way
 } axis_t;
@@ -160,8 +160,8 @@ typedef struct {
     real end;             // of the stretch
     mask active;
     lanes_u x, y, z, to_x, to_y, to_z;   // fractions of the cells there
-    lanes_u side, sign;   // of what was looked at; where this cell begins
-    lane_masks_u found;   // whether it holds a root
+    lanes_u side, sign;   // of the part searched; where this cell begins
+    lane_masks_u found;   // whether it contains a root
 } walker_t;
 
 // Starts rays on a stretch, and returns its length.
@@ -186,7 +186,7 @@ OUT_OF_LINE real set_out(walker_t *w, const ray_t *ray, const state_t *state, co
     w->cell.x = cell_at(&w->axes.x, begin);
     w->cell.y = cell_at(&w->axes.y, begin);
     w->cell.z = cell_at(&w->axes.z, begin);
-    // the whole of the first cell, whatever lies before the stretch: every walk looks at it in the same way
+    // the whole first cell, even before the stretch: every walk searches it in the same way
     w->t = MAX(MAX(entry_of(&w->axes.x, w->cell.x), entry_of(&w->axes.y, w->cell.y)), MAX(entry_of(&w->axes.z, w->cell.z), ray->enter));
     w->side.all = state->side;
     w->found.all = NONE;
@@ -366,7 +366,7 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
             w->to_z.all = fraction_at(&w->axes.z, w->cell.z, w->until);
             const lane_masks_u active = { w->active };
             for (int i = 0; i < LANES; ++i) {
-                rays[count] = g * LANES + i;   // kept if it is active
+                rays[count] = g * LANES + i;   // written if it is active
                 count += active.each[i] != 0;
             }
         }

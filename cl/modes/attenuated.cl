@@ -15,7 +15,7 @@ INLINE real faded(constant frame_t *frame, real value, real t)
 
 #define RANK(frame, value, t) faded(frame, value, t)
 #define BEYOND(a, b) ((a) > (b))
-#define FURTHEST(frame, low, high, t) (1.00001f * faded(frame, (real)(high), t))   // exp_2 errs by 3e-7 either way
+#define FURTHEST(frame, low, high, t) (1.00001f * faded(frame, (real)(high), t))   // the error of exp_2 is up to 3e-7 either way
 #define SHOWN(frame, rank) ((frame)->transfer.low + (rank))
 #define PROMISE(low, high) (high)   // before it fades
 

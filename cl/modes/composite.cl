@@ -51,15 +51,15 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     s->green = choose(seen, madd(share, color.green, s->green), s->green);
     s->blue = choose(seen, madd(share, color.blue, s->blue), s->blue);
     add_opacity(s, share, seen);
-    const mask halved = seen & (transmittance(s) <= 0.5f) & (light > 0.5f);   // half of the light is stopped
+    const mask halved = seen & (transmittance(s) <= 0.5f) & (light > 0.5f);   // half of the light is absorbed
     if (any_lane(halved)) {
-        const real past = log_2(2.0f * light) / -through;   // where in the stretch, were it all of one kind
+        const real past = log_2(2.0f * light) / -through;   // the position in the stretch, if it were homogeneous
         s->depth = choose(halved, madd(MIN(past, (real)(1.0f)), length, t - before), s->depth);
     }
     return finished(s, frame);
 }
 
-// The depth is exact if one stretch alone stops half of the light; a stretch does not know the transmittance in front of it.
+// The depth is exact if one stretch alone absorbs half of the light; a stretch does not know the transmittance in front of it.
 INLINE void merge(state_t *front, const state_t *back)
 {
     const real light = transmittance(front);

@@ -6,7 +6,7 @@ typedef struct { real hit, side; } state_t;
 
 #define STRETCHES 1
 #define SOUGHT(frame) (frame)->mode.isovalue
-#define REACH 1.0f   // a stretch goes on to where the next begins
+#define REACH 1.0f   // a stretch extends to where the next begins
 #define ANY_ORDER 0
 #define PROMISE(low, high) 0.0f
 

@@ -1,10 +1,10 @@
 // The function along straight lines within a cell, for LANES of them: a polynomial of degree 3 DEGREE in Bernstein form.
 //
-// On a line from one point of a cell to another, the weight of a tap along an axis is a polynomial of degree DEGREE in the share
+// On a line from one point of a cell to another, the weight of a tap along an axis is a polynomial of degree DEGREE in the fraction
 // u of the way. Sums and products of these are taken in scaled Bernstein form, whose coefficients C(n, j) b[j] multiply as those
 // of ordinary polynomials do. The weights along x are summed over a row of taps, then rows over y, then slices over z.
 //
-// Where bounds are those of control points (HULL in minmax.cl) the results lie in the hull of the cell's own, but for rounding,
+// Where bounds are those of control points (HULL in minmax.cl) the results lie in the hull of the cell's own, up to rounding,
 // which PAD_SIZE covers. Where they are bounds of values alone, coefficients may lie outside; roots may not.
 //
 // Set by the host: PASCAL, row m of whose table holds C(DEGREE - m, j - m) for j = 0 to DEGREE; BERNSTEIN_DEGREE and

@@ -7,24 +7,24 @@
 #include "base/platform.cl"
 
 #define REPEATED 0   // with a period, whose second half may be folded back
-#define CONSTANT 1   // as REPEATED between the outer samples, and one value elsewhere
+#define CONSTANT 1   // as REPEATED between the outer samples, constant elsewhere
 #define OVERLAP 2    // repeated from outer sample to outer sample
-#define ENDING 3     // the last coefficients go on, whatever they are
+#define ENDING 3     // the last coefficients continue, whatever they are
 
 // n: samples along the axis. period: see Boundary.length. along: the sign that derivatives along the axis get.
 INLINE coord boundary_position(coord x, const int n, const int period, int *along)
 {
     const coord last = n - 1;
-    (void)last;   // not every rule asks for it
+    (void)last;   // not every rule uses it
     *along = 1;
 #if BOUNDARY == ENDING
     // past these ends all coefficients are the same, and the function repeats from one to the next
     const coord low = -(coord)(BOUNDARY_PAD + BOUNDARY_REACH), high = last - low;
     return x < low ? low - 1 + (x - floor(x)) : x > high ? high + (x - floor(x)) : x;
 #elif BOUNDARY == CONSTANT
-    return x;   // what is outside has its value already
+    return x;   // positions outside already have their value
 #else
-    // as scipy.ndimage does it, to the last bit: it tells on which side of a jump a position lies
+    // as in scipy.ndimage, to the last bit: it decides on which side of a jump a position lies
 #if BOUNDARY == OVERLAP
     const coord length = MAX(last, (coord)1);
     x = x < 0 ? x + length * (floor(-x / length) + 1) : x > last ? x - length * floor(x / length) : x;

@@ -3,7 +3,7 @@
 //
 //     u = x * GRID_SCALE - LEFT,   base = floor(u),   t = u - base
 //
-// Set by the host: GRID_SCALE, coefficients a sample; LEFT = TAPS/2 - 1, exactly, as a floating constant.
+// Set by the host: GRID_SCALE, coefficients per sample; LEFT = TAPS/2 - 1, exactly, as a floating constant.
 //
 // | for                                    | positions       | counted from               | rounding down |
 // |----------------------------------------|-----------------|----------------------------|---------------|
@@ -23,7 +23,7 @@ typedef struct { int x, y, z; scalar tx, ty, tz; } cell_t;
 // For GRID_POSITION: counts from the coefficient that lies `before` the volume's first, for instance by the halo.
 INLINE scalar cell_origin(int before) { return LEFT - (scalar)before; }
 
-// The largest whole number that is not above x, for what fits an int.
+// The largest integer not above x, if it fits an int.
 INLINE coord whole_below(coord x)
 {
     const coord i = (coord)(int)x;
@@ -59,7 +59,7 @@ INLINE cell_t locate(coord x, coord y, coord z, int halo)
 // The same within the domain, where no stored coefficient that is needed has a negative index.
 INLINE int locate_inner_axis(coord x, int halo, scalar *t)
 {
-#if TAPS == 1   // the function jumps where a rounded sum may not go past
+#if TAPS == 1   // the function jumps where a rounded sum must not cross
     return locate_axis(x, t) + halo;
 #else
     const coord u = GRID_POSITION(x, (coord)LEFT - (coord)halo);

@@ -8,7 +8,7 @@
 
 #include "base/platform.cl"
 
-// Positions, and what is added to them: (x, y, z, unused) or (x, y), in the type of positions.
+// Positions and displacements: (x, y, z, unused) or (x, y), in the type of positions.
 #if DIMENSIONS == 3
 #define VECTOR 4
 #else
@@ -37,7 +37,7 @@ typedef struct {
     constant place_t *maps;
     constant long *grids;
     constant coord *weights;
-    global const coord *values;   // a vector for each coefficient, x fastest, and a number more
+    global const coord *values;   // a vector per coefficient, x fastest, plus one number
     int stages;
 } chain_t;
 

@@ -56,7 +56,7 @@ INLINE scalar fetch_one(COEFFICIENTS coefficients, const int4 extent, int x, int
     return coefficients[offset_of(extent, x, y, z)];
 }
 
-// Where a block of taps begins, so that additions alone reach its rows.
+// The start of a block of taps, so that additions alone reach its rows.
 typedef global const scalar *cursor_t;
 INLINE cursor_t cursor_at(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z)
 {

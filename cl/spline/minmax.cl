@@ -65,7 +65,7 @@ constant float bernstein[CONTROLS][TAPS] = BERNSTEIN;
 // Control points along x and y of LANES cells along x, and all along y, for each slice of their taps.
 typedef float8 lines_t[EDGE][POINTS][CONTROLS];
 
-// Those of block (bx, by, bz) and what follows along x; and the extremes of the taps.
+// Those of block (bx, by, bz) and the next along x; and the extremes of the taps.
 INLINE void control_lines(lines_t lines, global const float *restrict coefficients, const int4 extent, const int4 first, const int bx, const int by,
                           const int bz, float8 *tap_min, float8 *tap_max)
 {
@@ -102,7 +102,7 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
                          global float2 *bounds)
 {
     const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
-    float8 tap_min, tap_max, low[CONTROLS], high[CONTROLS];     // apart, so that they need not wait for each other
+    float8 tap_min, tap_max, low[CONTROLS], high[CONTROLS];     // separate accumulators, so that they need not wait for each other
     for (int r = 0; r < CONTROLS; ++r) {
         low[r] = (float8)(INFINITY);
         high[r] = -low[r];
@@ -138,7 +138,7 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
     }
 }
 
-// The same for each cell by itself: on which side of a value the function is. A brick is SIDES_EDGE cells along each axis.
+// The same for each single cell: on which side of a value the function is. A brick is SIDES_EDGE cells along each axis.
 kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
                        global const float2 *bounds, const float value, global ulong2 *sides)
 {

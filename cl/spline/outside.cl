@@ -1,4 +1,4 @@
-// Points outside the volume's domain: moved to where the function is the same, or assigned a value.
+// Points outside the volume's domain: mapped to an equivalent position, or assigned a value.
 //
 // Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE, whether each gradient follows its value, for points on a grid; EDGE, the
 // distance from the outer samples to the domain's edge; FILL: 0, the boundary rule applies outside; 1, the result there is `fill`,
@@ -26,7 +26,7 @@ typedef struct { int x, y, z; } along_t;
 INLINE int within_volume(position_t at, const int4 size)
 {
 #define WITHIN(axis) at.axis >= -(coord)(EDGE) && at.axis <= size.axis - 1 + (coord)(EDGE)
-    return WITHIN(x) && WITHIN(y) && WITHIN(z);   // 0 where there is no such axis; NaN and infinities are not within
+    return WITHIN(x) && WITHIN(y) && WITHIN(z);   // 0 for missing axes; NaN and infinities are outside
 #undef WITHIN
 }
 

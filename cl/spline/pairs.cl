@@ -1,5 +1,5 @@
 // Value and gradient at one point by paired fetches: one linear fetch serves two taps along each axis (Sigg and Hadwiger, GPU
-// Gems 2, chapter 20). Four taps an axis take 8 fetches in 3-D and 4 in 2-D, six taps take 27 and 9.
+// Gems 2, chapter 20). Four taps per axis take 8 fetches in 3-D and 4 in 2-D, six taps take 27 and 9.
 //
 // Weights must have the same sign within each pair; otherwise the value, or the gradient, falls back to direct taps.
 //

@@ -75,7 +75,7 @@ OUT_OF_LINE void bring_lanes(positions_t *at, const mask4 low, const mask4 high,
 }
 #endif
 
-// As locate_inner and offset_of. The host takes care that an int can count the rows.
+// As locate_inner and offset_of. The host ensures that an int can count the rows.
 INLINE cells_t locate_points(positions_t p, constant coord *m, int4 size, int4 period, int4 extent)
 {
     cells_t c;

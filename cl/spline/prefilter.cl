@@ -10,7 +10,7 @@
 // | what makes it fast                                                | where             |
 // |-------------------------------------------------------------------|-------------------|
 // | eight lines at once; CHAINS times as many side by side, since a recursion waits for its last product | filter_columns |
-// | two poles a stage: memory is passed over half as often            | causal, anticausal |
+// | two poles a stage: memory is traversed half as often              | causal, anticausal |
 // | rows are transposed in blocks of eight, and stay so in between     | filter_rows       |
 // | memory is prefetched AHEAD of its use                              | filter_columns    |
 // | a slice stays in a processor's cache from x to y                   | prefilter_slices  |
@@ -49,7 +49,7 @@ INLINE void add_to_starts(scalar8 start[SUMS], constant scalar *plan, const int 
             start[p] = madd((scalar8)(weight[p * 2 * ends]), v, start[p]);
 }
 
-// One step of a recursion, after its last value and the one before.
+// One step of a recursion, from its last value and the one before.
 INLINE scalar8 causal(scalar8 *last, scalar8 *before, const stage_t stage, const scalar8 x)
 {
 #if ORDER == 2
@@ -70,7 +70,7 @@ INLINE scalar8 anticausal(scalar8 *last, scalar8 *before, const stage_t stage, c
 #endif
 }
 
-// A first value takes the place of what a recursion would give.
+// A first value replaces the result of the recursion.
 INLINE scalar8 started(scalar8 *last, scalar8 *before, const scalar8 first)
 {
     *before = *last;
@@ -165,7 +165,7 @@ INLINE void kept_columns(scalar8 v[LANES], global const scalar *block, const siz
         v[i] = *(global const scalar8_at *)(block + i * pitch);
 }
 
-// One block of a recursion that goes on from `state`. first, last: the block's column that is the first or the last one of the
+// One block of a recursion that continues from `state`. first, last: the block's column that is the first or the last one of the
 // row; it may lie in another block. The recursion's first values stand from there on. Past the row's end lies its halo, for
 // which anything may be written.
 INLINE void causal_block(scalar8 state[2], const stage_t stage, const scalar gain, const scalar8 *given, const int first,

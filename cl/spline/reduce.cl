@@ -2,7 +2,7 @@
 //
 // | what makes it fast                                                       | where       |
 // |--------------------------------------------------------------------------|-------------|
-// | WIDTH lines side by side: one weight serves that many samples             | sum_lines   |
+// | WIDTH lines side by side: one weight serves WIDTH samples                 | sum_lines   |
 // | they are first brought together, however far apart they lie in the array: | bring_lines |
 // | neighbouring sums take much the same samples, which are then in the cache |             |
 //
@@ -13,7 +13,7 @@
 
 #define VECTORS (WIDTH / 8)
 
-// `count` lines of `n` samples, side by side, and a row of what they are outside.
+// `count` lines of `n` samples, side by side, and a row of their outside values.
 INLINE void bring_lines(global scalar *restrict lines, global const scalar *restrict data, const size_t next_line,
                         const size_t next_sample, const int n, const int count, const scalar outside)
 {

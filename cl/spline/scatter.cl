@@ -7,7 +7,7 @@
 //
 // | kernel         | a work-item                                                                      |
 // |----------------|----------------------------------------------------------------------------------|
-// | locate_points  | a point: first tap, fractions, what it adds in units of samples; its brick's number |
+// | locate_points  | a point: first tap, fractions, its contribution in units of samples; its brick's number |
 // | scatter_points | a brick of one colour                                                            |
 //
 // Set by the host: DERIVATIVE, 0 or 1, of the sampling; POINT, the type of positions; BRICK, its length in coefficients; and
@@ -54,7 +54,7 @@ kernel void locate_points(const int4 size, const int4 period, const int4 stored,
     const coord at[3] = { index.x, index.y, index.z };
     int outside = 0;
     for (int axis = 0; axis < DIMENSIONS; ++axis) {
-        if (!(at[axis] - at[axis] == 0)) {   // no such place
+        if (!(at[axis] - at[axis] == 0)) {   // no such position
             brick_of[n] = NO_BRICK;
             return;
         }

@@ -10,7 +10,7 @@
 
 typedef struct {
     real red, green, blue, opacity;
-    real clear;   // 1 - opacity: of nearly opaque matter it is known better than by that
+    real clear;   // 1 - opacity: more precise than opacity for nearly opaque matter
 } color_t;
 
 #define NEARLY_OPAQUE 0.99f   // no point of a table of equal nodes lies between this and 1
@@ -58,7 +58,7 @@ INLINE color_t classify_by_nodes(constant frame_t *frame, global const float4 *t
     return color;
 }
 
-// Whether no value from low to high has any opacity. Behind the nodes lie as many numbers: for each node, the next one that has
+// Whether no value from low to high has any opacity. Behind the nodes are n more numbers: for each node, the next one that has
 // some, itself included.
 INLINE int transparent_by_nodes(constant frame_t *frame, global const float4 *table, float low, float high)
 {
@@ -68,7 +68,7 @@ INLINE int transparent_by_nodes(constant frame_t *frame, global const float4 *ta
     if (!(bottom - bottom == 0.0f && top - top == 0.0f))
         return 0;
     const float from = bottom > 0.0f ? MIN(bottom, last) : 0.0f, to = top > 0.0f ? MIN(top, last) : 0.0f;
-    return visible[(int)from] >= to + 1.0f;   // the first node that is seen colours what lies past the one before it
+    return visible[(int)from] >= to + 1.0f;   // the first visible node colours values past the one before it
 }
 
 // -- pieces ----------------------------------------------------------------------------------------------------
@@ -180,11 +180,10 @@ INLINE int transparent(constant frame_t *frame, global const float4 *table, floa
     return frame->transfer.pieces ? transparent_by_pieces(frame, table, low, high) : transparent_by_nodes(frame, table, low, high);
 }
 
-// The logarithm to the base 2 of the share of light that matter of this colour lets through when it is `thickness` unit distances
-// thick.
+// The base-2 logarithm of the transmittance of matter of this colour that is `thickness` unit distances thick.
 INLINE real log_light(color_t color, real thickness)
 {
-    const mask thin = color.opacity < 0.25f;   // there 1 - opacity has lost some of it
+    const mask thin = color.opacity < 0.25f;   // 1 - opacity has lost digits there
     const real light = thickness * log_2_of(MAX(color.clear, (real)(1e-30f)), thin, -color.opacity);
     return choose(color.clear > 0.0f, light, -NOWHERE);
 }

@@ -1,9 +1,8 @@
-"""
-Regions of a label map
+"""Regions of a label map
 ======================
 
-Labels are names, between which there is nothing: each is drawn in a colour of its own, and never blended with another.
-One alone is drawn as the smooth surface of its indicator.
+Labels are names, with nothing in between: each is rendered in its own colour, and never blended with another.
+A single one is rendered as the smooth surface of its indicator.
 """
 
 import numpy as np

@@ -1,8 +1,7 @@
-"""
-Noisy data
+"""Noisy data
 ==========
 
-A ball in noise: through all samples, and by a smoothing spline whose strength follows from the noise that is found.
+A ball in noise: interpolated, and by a smoothing spline whose strength follows from the estimated noise.
 """
 
 import numpy as np

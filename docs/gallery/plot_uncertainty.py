@@ -1,9 +1,8 @@
-"""
-How far off
+"""How far off
 ===========
 
-How far the true surface may lie from the one that is drawn, place by place: what the filter does to the samples, and
-what it makes of their noise.
+How far the true surface may be from the rendered one, at each place: the error of the filter, and the noise that it
+passes.
 """
 
 import numpy as np

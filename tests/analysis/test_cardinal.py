@@ -1,4 +1,4 @@
-"""The impulse response, in polynomials, against what the reference draws of an impulse."""
+"""The impulse response as polynomials, compared with the reference's reconstruction of an impulse."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROWS = {row.name: row for row in (*filters().values(), bspline(7), bspline(9), *
 
 @pytest.mark.parametrize("derivative", [0, 1, 2])
 @pytest.mark.parametrize("name", ROWS)
-def test_it_is_what_the_reference_draws_of_an_impulse(name: str, derivative: int) -> None:
+def test_matches_the_reference_for_an_impulse(name: str, derivative: int) -> None:
     n = 161
     impulse = np.zeros((1, n))
     impulse[0, n // 2] = 1
@@ -29,7 +29,7 @@ def test_it_is_what_the_reference_draws_of_an_impulse(name: str, derivative: int
     along = drawn if derivative == 0 else drawn[:, 0] if derivative == 1 else drawn[:, 0, 0]
     along = along / reference.sample(Volume([[1.0]]), [[0.0, 0.0]], name if name in filters() else ROWS[name], "wrap")
     row = ROWS[name]
-    # the reference draws the kernel, the pieces its fit; a derivative's error may be 2 n² times as great (Markov)
+    # the reference uses the kernel, the pieces its fit; a derivative's error may be 2 n² times as large (Markov)
     tolerance = 1e-10 * 400**derivative + 2 * row.fit_error * (2 * row.degree**2) ** derivative
     np.testing.assert_allclose(impulse_response(row, x, derivative), along, rtol=0, atol=tolerance)
 
@@ -55,6 +55,6 @@ def test_energy_and_integral_by_hand() -> None:
     ],
     ids=str,
 )
-def test_bad_input_is_refused(bad: dict[str, object]) -> None:
+def test_bad_input_is_rejected(bad: dict[str, object]) -> None:
     with pytest.raises(OptionError):
         impulse_response(**{"filter": "linear", "x": 0.0, **bad})  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Measured errors: the numbers that are known, the ways of knowing the truth, and what cannot be measured."""
+"""Measured errors: known numbers, several definitions of the truth, and input that cannot be measured."""
 
 from __future__ import annotations
 
@@ -48,20 +48,20 @@ def known() -> ErrorTable:
 @pytest.mark.thorough
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", RMSE)
-def test_rms_on_marschner_lobb_is_as_known(known: ErrorTable, name: str) -> None:
+def test_rms_on_marschner_lobb_is_the_known_value(known: ErrorTable, name: str) -> None:
     row = next(r for r in known if r.filter == name)
     assert row.rms == pytest.approx(RMSE[name], rel=0.02)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", DEGREES)
-def test_angle_on_marschner_lobb_is_as_known(known: ErrorTable, name: str) -> None:
+def test_angle_on_marschner_lobb_is_the_known_value(known: ErrorTable, name: str) -> None:
     row = next(r for r in known if r.filter == name)
     assert row.angle_mean == pytest.approx(DEGREES[name], abs=0.5)
 
 
 @pytest.mark.thorough
-def test_a_table_says_what_was_compared(known: ErrorTable) -> None:
+def test_a_table_states_what_was_compared(known: ErrorTable) -> None:
     assert [row.filter for row in known] == list(RMSE)
     assert (known.points, known.boundary, known.evaluated_on, known.timed_on) == (200_000, "mirror", "NumPy, float64", "")
     assert known.samples.shape == (41, 41, 41)
@@ -75,7 +75,7 @@ def test_a_table_says_what_was_compared(known: ErrorTable) -> None:
             known.best(key)
 
 
-def test_numbers_are_their_definitions() -> None:
+def test_numbers_match_their_definitions() -> None:
     grid = Volume(np.random.default_rng(0).normal(size=(12, 14)), (0.5, 0.25), (1.0, -2.0))
     table = compare(grid, ["catmull-rom"], truth=wave, gradient=wave_gradient, points=5000, margin=2, seed=3, timing=False)
     [row] = table
@@ -100,8 +100,8 @@ def test_numbers_are_their_definitions() -> None:
     assert row.ssim == pytest.approx(shown, rel=1e-12)
 
 
-def test_where_the_true_gradient_is_next_to_none_there_is_no_angle() -> None:
-    """Ahead of the step the true gradient is 0 or a millionth of the greatest, and what the filter rings is no direction."""
+def test_a_negligible_true_gradient_has_no_angle() -> None:
+    """Ahead of the step the true gradient is 0 or 10⁻⁶ of the maximum; the filter's ringing there has no direction."""
 
     def ramp(points: np.ndarray) -> np.ndarray:
         return np.maximum(points[:, 0], 0) + 1e-6 * points[:, 1]
@@ -115,7 +115,7 @@ def test_where_the_true_gradient_is_next_to_none_there_is_no_angle() -> None:
     assert np.abs(ahead[0]) > 0.05  # across the true one, which points along y there
 
 
-def test_the_gradient_of_a_function_is_found_by_differences() -> None:
+def test_the_gradient_of_a_function_is_computed_by_differences() -> None:
     options: dict[str, Any] = {"size": 15, "points": 2000, "timing": False}
     [given] = compare(wave, ["bspline3"], gradient=wave_gradient, **options)
     [found] = compare(wave, ["bspline3"], **options)
@@ -123,7 +123,7 @@ def test_the_gradient_of_a_function_is_found_by_differences() -> None:
     assert found.angle_mean == pytest.approx(given.angle_mean, abs=1e-6)
 
 
-def test_a_turned_grid_changes_nothing() -> None:
+def test_a_rotated_grid_changes_nothing() -> None:
     rotation = np.linalg.qr(np.random.default_rng(1).normal(size=(2, 2)))[0]
     empty = Volume(np.zeros((40, 50)), (0.1, 0.2), (3.0, 4.0), rotation)
     lattice = np.stack(np.meshgrid(np.arange(40), np.arange(50), indexing="ij")[::-1], -1)
@@ -138,7 +138,7 @@ def test_a_turned_grid_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("lowpass", ["gaussian", "none"])
-def test_decimation_is_low_pass_every_other_sample_from_each_and_back(lowpass: Any) -> None:
+def test_decimation_is_low_pass_subsampling_and_reconstruction(lowpass: Any) -> None:
     data = np.random.default_rng(0).normal(size=(11, 12, 13)).cumsum(0).cumsum(1).astype(np.float32)
     volume = Volume(data, (1.0, 2.0, 0.5), (1.0, 2.0, 3.0))
     [row] = table = compare(volume, ["bspline3"], margin=1, lowpass=lowpass, fractional=0, timing=False)
@@ -175,18 +175,18 @@ def test_decimation_is_low_pass_every_other_sample_from_each_and_back(lowpass: A
     )
 
 
-def test_shifts_between_samples_meet_all_distances() -> None:
-    """A wave along x: the mean squared error over all shifts is the error kernel's, at the frequency the kept samples see."""
+def test_fractional_shifts_cover_all_distances() -> None:
+    """A wave along x: the mean squared error over all shifts is the error kernel at the frequency of the kept samples."""
     omega, n = 0.45, 400
     data = np.cos(omega * np.arange(n))[None].repeat(9, 0)
-    kept = float(ndimage.gaussian_filter1d(np.cos(omega * np.arange(-200, 201)), 1.0)[200])  # what the low-pass leaves
+    kept = float(ndimage.gaussian_filter1d(np.cos(omega * np.arange(-200, 201)), 1.0)[200])  # what the low-pass preserves
     for name in ("linear", "mitchell", "bspline3"):
         [row] = compare(data, [name], fractional=120, timing=False)
         assert row.rms**2 == pytest.approx(kept**2 / 2 * float(error_kernel(name, 2 * omega)), rel=0.06), name
 
 
-def test_what_is_lost_in_sampling_is_no_filters_error() -> None:
-    """Of noise nearly all is lost in the low-pass; what a filter then makes of it differs several times, and the total hardly."""
+def test_the_loss_in_sampling_is_not_a_filters_error() -> None:
+    """The low-pass removes nearly all noise; filters then differ several times in what remains, hardly in total."""
     data = np.random.default_rng(0).normal(size=(24, 24, 24))
     linear, cubic = table = compare(data, ["linear", "bspline3"], timing=False)
     assert cubic.rms < 0.8 * linear.rms
@@ -194,8 +194,8 @@ def test_what_is_lost_in_sampling_is_no_filters_error() -> None:
     assert table.lost > 0.9 * (cubic.original or 0)
 
 
-def test_overshoot_is_that_of_the_scan_itself() -> None:
-    """A step, which SciPy's cubic spline overshoots by 10.8 %, and which the low-pass makes smooth."""
+def test_overshoot_is_relative_to_the_scan_itself() -> None:
+    """A step: SciPy's cubic spline overshoots it by 10.8 %, and the low-pass smooths it."""
     data = np.zeros((40, 41))
     data[:, 20:] = 1
     drawn = ndimage.map_coordinates(data, [np.full(400, 20.0), np.linspace(0, 40, 400)], order=3, mode="mirror")
@@ -207,14 +207,14 @@ def test_overshoot_is_that_of_the_scan_itself() -> None:
     assert rows["catmull-rom"] > 0.05
 
 
-def test_what_keeps_the_range_follows_from_the_weights() -> None:
+def test_nonnegative_weights_keep_the_range() -> None:
     keeping = {name for name, row in filters().items() if keeps_range(row)}
     assert keeping == {"nearest", "linear", *(f"bspline{n}-approx" for n in (2, 3, 4, 5))}
     assert not keeps_range(as_filter("hybrid"))
     assert not keeps_range(as_filter("bspline3(0.1)"))
 
 
-def test_decimation_of_what_is_smooth_orders_the_filters() -> None:
+def test_decimation_of_smooth_data_orders_the_filters() -> None:
     line = np.cos(2 * np.pi / 30 * np.arange(90))  # of which every third sample has the same period, wherever it begins
     table = compare(line[:, None] * line, COMPARED, factor=3, lowpass="none", boundary="wrap", timing=False)
     rms = {row.filter: row.rms for row in table}
@@ -224,7 +224,7 @@ def test_decimation_of_what_is_smooth_orders_the_filters() -> None:
 
 
 @pytest.mark.parametrize("rule", ["mirror", "reflect", "wrap"])
-def test_exact_sinc_beside_the_filters_is_exact_for_what_is_band_limited(rule: str) -> None:
+def test_the_exact_sinc_is_exact_for_band_limited_data(rule: str) -> None:
     n = 24
     phase = {
         "mirror": np.pi * np.arange(n) / (n - 1),
@@ -250,7 +250,7 @@ def test_exact_sinc_beside_the_filters_is_exact_for_what_is_band_limited(rule: s
         assert held.maximum < 1e-12
 
 
-def test_of_a_large_volume_some_slices_are_compared_at_each_shift() -> None:
+def test_some_slices_of_a_large_volume_are_compared_at_each_shift() -> None:
     data = np.random.default_rng(0).normal(size=(40, 16, 16))
     [row] = table = compare(data, ["linear"], margin=1, lowpass="none", timing=False, max_samples=8 * 2 * 11 * 11)
     assert table.points == 8 * 2 * 11 * 11
@@ -259,8 +259,8 @@ def test_of_a_large_volume_some_slices_are_compared_at_each_shift() -> None:
     assert row.rms == pytest.approx(every[0].rms, rel=0.15)
 
 
-def test_angles_are_not_those_of_empty_space() -> None:
-    """A ball in noisy air: the angle is that at its edge, whatever the size of the air."""
+def test_angles_ignore_empty_space() -> None:
+    """A ball in noisy air: the angle is that at its edge, whatever the amount of air."""
     angles = []
     for n in (32, 56):
         z, y, x = np.indices((n, n, n)) - (n - 1) / 2 - 0.2
@@ -295,7 +295,7 @@ def test_values_from_a_device_and_times(device: Device) -> None:
             assert b.seconds is None or 0 < b.seconds < 60
 
 
-def test_times_alone_are_taken_from_a_device(device: Device) -> None:
+def test_only_times_come_from_a_device(device: Device) -> None:
     table = compare(wave, ["linear", EXACT_SINC], size=9, points=30, timing_device=device)
     assert (table.evaluated_on, table.timed_on) == ("NumPy, float64", device.name)
     assert table[0].seconds is not None
@@ -361,7 +361,7 @@ def test_data_smaller_than_the_filter_give_values(shape: tuple[int, ...]) -> Non
     assert finite(compare(data, COMPARED, truth=plane, points=50, timing=False))
 
 
-def test_memory_that_is_not_there_is_an_error_of_ours() -> None:
+def test_missing_memory_is_a_clvol_error() -> None:
     def full(_: float) -> None:
         raise MemoryError("Unable to allocate 29.8 GiB")
 
@@ -369,13 +369,13 @@ def test_memory_that_is_not_there_is_an_error_of_ours() -> None:
         compare(wave, ["linear"], size=5, points=5, timing=False, progress=full)
 
 
-def test_names_may_come_in_any_sequence() -> None:
+def test_names_may_be_any_sequence() -> None:
     for names in (np.array(["linear", "Exact-Sinc "]), ("linear", EXACT_SINC), iter(["linear", EXACT_SINC])):
         table = compare(wave, names, size=5, points=5, timing=False)  # type: ignore[arg-type]
         assert [row.filter for row in table] == ["linear", EXACT_SINC]
 
 
-def test_filters_of_ones_own_are_compared() -> None:
+def test_custom_filters_are_compared() -> None:
     bump = from_callable("bump", lambda x: np.cos(np.pi * x / 4) ** 2 / 2, 2)
     assert compare(wave, [bump], size=9, points=100, timing=False)[0].filter == "bump"
 
@@ -424,6 +424,6 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
 
 
 @pytest.mark.parametrize(("arguments", "error", "message"), BAD, ids=[m[:40] for _, _, m in BAD])
-def test_bad_input_is_refused(arguments: dict[str, Any], error: type[ClvolError], message: str) -> None:
+def test_bad_input_is_rejected(arguments: dict[str, Any], error: type[ClvolError], message: str) -> None:
     with pytest.raises(error, match=message):
         compare(**arguments)

@@ -20,7 +20,7 @@ RNG = np.random.default_rng(0)
 
 @pytest.mark.parametrize("derivative", [0, 1])
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 40, 41])
-def test_kernel_is_its_fourier_sum_with_half_the_nyquist_term_on_either_side(n: int, derivative: int) -> None:
+def test_kernel_is_its_fourier_sum_with_half_the_nyquist_term_on_each_side(n: int, derivative: int) -> None:
     x = np.concatenate([RNG.uniform(-3 * n, 3 * n, 300), [0, 1, n, -n, 0.5, 1e-9, -1e-5, 0.09, 0.11, n / 2]])
     k = np.arange(-(n // 2), n // 2 + 1)
     weight = np.where((n % 2 == 0) & (np.abs(k) == n // 2), 0.5, 1.0) / n
@@ -30,7 +30,7 @@ def test_kernel_is_its_fourier_sum_with_half_the_nyquist_term_on_either_side(n: 
     np.testing.assert_allclose(got, wanted.real, rtol=0, atol=1e-13)
 
 
-def test_kernel_is_one_at_its_sample_and_nears_the_sinc() -> None:
+def test_kernel_is_one_at_its_sample_and_approaches_the_sinc() -> None:
     np.testing.assert_allclose(dirichlet_kernel(np.arange(8), 8), np.eye(8)[0], atol=1e-15)
     x = np.linspace(-5, 5, 101)
     np.testing.assert_allclose(dirichlet_kernel(x, 4001), np.sinc(x), atol=1e-5)
@@ -52,7 +52,7 @@ def test_magnification_is_sampling_on_the_finer_grid(rule: str, shape: tuple[int
 
 
 @pytest.mark.parametrize("n", [9, 10])
-def test_what_is_band_limited_is_exact_with_its_slope(n: int) -> None:
+def test_band_limited_data_and_slopes_are_exact(n: int) -> None:
     omega = 2 * np.pi * np.arange(1, 5) / n
     x = RNG.uniform(-n, 2 * n, 50)
     samples = sum(np.cos(w * np.arange(n) + k) for k, w in enumerate(omega))
@@ -64,7 +64,7 @@ def test_what_is_band_limited_is_exact_with_its_slope(n: int) -> None:
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_gradients_are_the_numeric_ones_in_the_world(rule: str) -> None:
+def test_gradients_match_numeric_ones_in_the_world(rule: str) -> None:
     rotation = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
     volume = Volume(RNG.normal(size=(4, 5, 6)), (0.7, 1.3, 2.1), (3.0, -5.0, 7.0), rotation)
     points = volume.index_to_world(RNG.uniform(0, 3, (20, 3)))
@@ -89,7 +89,7 @@ def test_the_residual_of_the_spline_is_stated_and_falls_with_the_fourth_power() 
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_the_volume_lies_where_its_samples_are(rule: str) -> None:
+def test_the_volume_keeps_its_placement(rule: str) -> None:
     rotation = np.linalg.qr(RNG.normal(size=(2, 2)))[0]
     volume = Volume(RNG.normal(size=(6, 7)), (0.5, 2.0), (1.0, -3.0), rotation, "mm")
     got = sinc_volume(volume, 3, "bspline5", rule)
@@ -124,7 +124,7 @@ def test_the_volume_lies_where_its_samples_are(rule: str) -> None:
         (lambda: sinc_volume([[np.inf]]), DataError),
     ],
 )
-def test_bad_input_is_refused(call, error) -> None:  # type: ignore[no-untyped-def]
+def test_bad_input_is_rejected(call, error) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(error):
         call()
 
@@ -140,6 +140,6 @@ def test_bad_input_is_refused(call, error) -> None:  # type: ignore[no-untyped-d
         filter=(lambda v: sinc_volume([[1.0]], 2, v), BAD_FILTERS),
     ),
 )
-def test_bad_values_are_refused(call: Any, bad: Any) -> None:
+def test_bad_values_are_rejected(call: Any, bad: Any) -> None:
     with pytest.raises(OptionError):
         call(bad)

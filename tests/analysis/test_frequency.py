@@ -33,7 +33,7 @@ def test_linear_by_its_closed_form() -> None:
 
 
 @pytest.mark.parametrize("name", filters())
-def test_every_row_has_bands_that_its_response_confirms(name: str) -> None:
+def test_every_filter_has_bands_that_its_response_confirms(name: str) -> None:
     got = bands(name, 1.0)
     assert got.cutoff is not None
     assert frequency_response(name, got.cutoff) == pytest.approx(math.sqrt(0.5), abs=1e-9)
@@ -51,7 +51,7 @@ def hybrid_by_eq_18(omega: np.ndarray) -> np.ndarray:
     return np.sinc(omega / (4 * np.pi)) ** 2 * np.cos(omega / 4) ** 4 * (2 + np.cos(omega / 2)) / (2 + np.cos(omega))
 
 
-def test_half_of_it_is_true_that_direct_has_the_better_bands() -> None:
+def test_direct_has_the_better_passband_but_not_the_better_stopband() -> None:
     """Section 4.3, of Figure 2: in the passband, yes; but beyond Nyquist the hybrid lets less through, up to 2.157 pi.
 
     Computed from the paper's equations alone; test_response compares these with clvol's.
@@ -74,7 +74,7 @@ def test_half_of_it_is_true_that_direct_has_the_better_bands() -> None:
     assert more(above).max() > 0.04
 
 
-def test_the_largest_response_to_aliases_is_that_of_the_equations() -> None:
+def test_the_largest_response_to_aliases_matches_the_equations() -> None:
     """For data below half of Nyquist, aliases begin at 3 pi / 2: there direct peaks, the hybrid at 3.1 pi."""
     direct, hybrid = bands("bspline3"), bands("hybrid")
     omega = np.linspace(1.5 * np.pi, 16 * np.pi, 400_001)
@@ -85,22 +85,22 @@ def test_the_largest_response_to_aliases_is_that_of_the_equations() -> None:
     assert hybrid_by_eq_18(np.float64(1.5 * np.pi)) < 0.71 * direct.stopband_peak < 0.25 * hybrid.stopband_peak
 
 
-def test_responses_are_those_of_clvol() -> None:
+def test_responses_match_clvols() -> None:
     assert frequency_response is clvol.frequency_response
     assert clvol.analysis.prefilter_response is clvol.prefilter_response
 
 
-def test_a_kernel_of_zeros_has_no_bands_but_values() -> None:
+def test_a_kernel_of_zeros_has_values_but_no_bands() -> None:
     nothing = bands(from_pieces("nothing", [(0.0,)]))
     assert nothing == Bands("nothing", math.pi / 2, None, 0.0, 1.0, 0.0, None)
 
 
 @pytest.mark.parametrize("edge", [0, -1, math.pi, *BAD_NUMBERS], ids=repr)
-def test_a_bad_edge_is_refused(edge: object) -> None:
+def test_a_bad_edge_is_rejected(edge: object) -> None:
     with pytest.raises(OptionError, match="edge must be a finite number, greater than 0"):
         bands("linear", edge)  # type: ignore[arg-type]
 
 
-def test_a_kernel_that_is_not_even_is_refused() -> None:
+def test_a_kernel_that_is_not_even_is_rejected() -> None:
     with pytest.raises(OptionError, match="even kernel, so that its response is real; got 'skew'"):
         bands(NO_EVEN_KERNEL)

@@ -32,7 +32,7 @@ def test_a_gaussian_low_pass_does_not_ring() -> None:
 
 
 @pytest.mark.parametrize("name", filters())
-def test_a_step_is_what_the_reference_draws(name: str) -> None:
+def test_the_step_response_matches_the_reference(name: str) -> None:
     got = step_response(name)
     n = 240
     samples = np.zeros((1, n))
@@ -76,6 +76,6 @@ def test_rise_of_linear_is_eight_tenths() -> None:
         lambda: lowpass_step("gaussian", sigma="a"),
     ],
 )
-def test_bad_input_is_refused(call) -> None:  # type: ignore[no-untyped-def]
+def test_bad_input_is_rejected(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()

@@ -1,4 +1,4 @@
-"""Slices left out, and slices turned in a circle: beside SciPy, which knows nothing of clvol."""
+"""Omitted slices, and slices rotated in a full circle: compared with SciPy, independently of clvol."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def smooth(shape: tuple[int, ...], seed: int = 0, sigma: float = 2.0) -> np.ndar
 
 
 @pytest.mark.parametrize(("name", "order"), [("linear", 1), ("bspline2", 2), ("bspline3", 3), ("bspline5", 5)])
-def test_what_is_left_out_is_drawn_by_scipy_too(name: str, order: int) -> None:
+def test_predictions_of_omitted_slices_match_scipy(name: str, order: int) -> None:
     data = smooth((24, 26, 30))
     [row] = leave_out(data, [name], sigma=0)
     errors = []
@@ -38,7 +38,7 @@ def test_what_is_left_out_is_drawn_by_scipy_too(name: str, order: int) -> None:
     assert row.z == pytest.approx(np.sqrt(np.mean(np.concatenate(errors) ** 2)), rel=1e-6)
 
 
-def test_noise_changes_no_order_and_is_taken_off() -> None:
+def test_noise_keeps_the_order_and_is_subtracted() -> None:
     clean = smooth((40, 40, 40))
     noisy = clean + np.random.default_rng(1).normal(0, 0.3, clean.shape)
     names = ["nearest", "linear", "bspline3", "bspline3(0.05)"]
@@ -52,7 +52,7 @@ def test_noise_changes_no_order_and_is_taken_off() -> None:
     assert min(seen, key=lambda row: row.z or 0).filter == "bspline3(0.05)"
 
 
-def test_coarse_slices_show_along_their_axis() -> None:
+def test_coarse_slices_raise_the_error_along_their_axis() -> None:
     data = ndimage.gaussian_filter(np.random.default_rng(2).normal(size=(40, 40, 40)), (1, 3, 3), mode="mirror")
     [row] = leave_out(Volume(data, (1, 1, 3)), ["bspline3"], sigma=0)
     assert row.z is not None
@@ -62,7 +62,7 @@ def test_coarse_slices_show_along_their_axis() -> None:
     assert exact.z == pytest.approx(row.z, rel=0.2)
 
 
-def test_short_axes_have_none_left_out() -> None:
+def test_no_slices_of_short_axes_are_omitted() -> None:
     data = smooth((7, 8, 20))
     [row] = leave_out(data, ["linear"], sigma=0)
     assert row.z is None
@@ -76,7 +76,7 @@ def test_short_axes_have_none_left_out() -> None:
 
 
 @pytest.mark.parametrize(("name", "order"), [("linear", 1), ("bspline3", 3), ("bspline5", 5)])
-def test_turning_is_scipys(name: str, order: int) -> None:
+def test_rotation_matches_scipy(name: str, order: int) -> None:
     image = smooth((41, 41), sigma=1.5)
     [row] = table = rotations(image, [name])
     now = image
@@ -89,7 +89,7 @@ def test_turning_is_scipys(name: str, order: int) -> None:
     assert row.maximum == pytest.approx(np.abs(now - image)[disc].max(), rel=1e-6)
 
 
-def test_what_loses_least_turns_best() -> None:
+def test_the_filter_that_loses_least_rotates_best() -> None:
     table = rotations(smooth((8, 60, 64), sigma=1.2), ["nearest", "linear", "mitchell", "bspline3", "bspline5"])
     errors = [row.rms for row in table]
     assert sorted(errors[1:], reverse=True) == errors[1:]
@@ -97,7 +97,7 @@ def test_what_loses_least_turns_best() -> None:
     assert all(row.ssim is not None for row in table)
 
 
-def test_the_circle_has_as_many_turns_as_are_asked_for() -> None:
+def test_the_circle_has_the_requested_number_of_rotations() -> None:
     image = smooth((40, 44))
     few, many = (rotations(image, ["linear"], turns)[0].rms for turns in (3, 18))
     assert many > 1.5 * few
@@ -105,14 +105,14 @@ def test_the_circle_has_as_many_turns_as_are_asked_for() -> None:
     assert quarter.maximum < 1e-9
 
 
-def test_of_a_large_image_the_middle_is_turned() -> None:
+def test_only_the_middle_of_a_large_image_is_rotated() -> None:
     image = smooth((90, 70))
     table = rotations(image, ["linear"], max_pixels=2500)
     assert table.image.data.size <= 2500
     np.testing.assert_array_equal(table.image.data, rotations(np.stack([image] * 3), ["linear"], max_pixels=2500).image.data)
 
 
-def test_a_slice_is_turned_by_the_smoothing_along_x_and_y() -> None:
+def test_a_slice_is_rotated_with_the_smoothing_along_x_and_y() -> None:
     data = smooth((9, 60, 64))
     whole, plain = rotations(data, ["bspline3(0.1,0.3,5)"]), rotations(data[4], ["bspline3(0.1,0.3)"])
     assert whole[0].filter == "bspline3(0.1,0.3,5)"
@@ -143,7 +143,7 @@ BAD: list[tuple[Any, dict[str, Any], type[ClvolError], str]] = [
 
 
 @pytest.mark.parametrize(("call", "arguments", "error", "message"), BAD)
-def test_bad_input_is_refused(call: Any, arguments: dict[str, Any], error: type[ClvolError], message: str) -> None:
+def test_bad_input_is_rejected(call: Any, arguments: dict[str, Any], error: type[ClvolError], message: str) -> None:
     with pytest.raises(error, match=message):
         call(
             **{

@@ -1,4 +1,4 @@
-"""Marschner and Lobb's metrics against values that can be derived by hand."""
+"""Marschner and Lobb's metrics against values derived by hand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def ideal(omega: np.ndarray) -> np.ndarray:
 
 
 def kept(name: str) -> float:
-    """The share of |H|² within the Nyquist region, by another quadrature."""
+    """The fraction of |H|² within the Nyquist region, by another quadrature."""
     return float(integrate.quad(lambda w: float(frequency_response(name, w)) ** 2, 0, np.pi, epsabs=1e-12)[0]) / np.pi
 
 
@@ -32,7 +32,7 @@ def test_the_ideal_filter_neither_smooths_nor_aliases_and_overshoots_as_gibbs_sa
     assert got.filter == "ideal"
 
 
-def test_wider_sincs_come_nearer_to_the_ideal() -> None:
+def test_wider_sincs_approach_the_ideal() -> None:
     short, long = metrics("sinc(2)"), metrics("sinc(8)")
     assert abs(long.smoothing) < abs(short.smoothing) / 3
     assert long.postaliasing < short.postaliasing / 3
@@ -63,14 +63,14 @@ def test_overshoot_by_hand(name: str, overshoot: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["bspline3", "bspline5", "mitchell", "hybrid"])
-def test_a_row_and_its_response_give_the_same(name: str) -> None:
+def test_a_filter_and_its_response_give_the_same(name: str) -> None:
     row, response = metrics(name), metrics(lambda w: frequency_response(name, w))
     for field in ("smoothing", "postaliasing", "overshoot", "smoothing_3d", "postaliasing_3d"):
         assert getattr(row, field) == pytest.approx(getattr(response, field), abs=3e-6)
 
 
 @pytest.mark.parametrize("name", filters())
-def test_every_row_has_finite_metrics(name: str) -> None:
+def test_every_filter_has_finite_metrics(name: str) -> None:
     got = metrics(name)
     assert all(math.isfinite(v) for k, v in vars(got).items() if k != "filter")
     assert got.postaliasing > 0
@@ -94,6 +94,6 @@ def test_a_filter_without_a_closed_form() -> None:
         Filter("skew", ((0.0, 1.0), (1.0, -0.5))),
     ],
 )
-def test_bad_input_is_refused(bad: object) -> None:
+def test_bad_input_is_rejected(bad: object) -> None:
     with pytest.raises(OptionError):
         metrics(bad)  # type: ignore[arg-type]

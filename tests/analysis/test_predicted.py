@@ -1,4 +1,4 @@
-"""Errors to expect: closed forms, and what is met where the truth and the noise are known."""
+"""Expected errors: closed forms, and measurements where the truth and the noise are known."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NAMES = (
 # -- one filter ---------------------------------------------------------------------------------------------------
 
 
-def test_variance_gains_are_the_closed_forms() -> None:
+def test_variance_gains_match_closed_forms() -> None:
     assert variance_gain("nearest") == pytest.approx(1, rel=1e-6)
     assert variance_gain("linear") == pytest.approx(2 / 3, rel=1e-9)  # the mean of (1 - t)² + t²
     assert variance_gain("bspline3-approx") == pytest.approx(151 / 315, rel=1e-9)  # the septic B-spline at 0
@@ -43,21 +43,21 @@ def test_variance_gains_are_the_closed_forms() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_variance_gain_is_the_mean_of_squared_weights(name: str) -> None:
-    """White noise drawn at random places: its variance is what the filter keeps."""
+    """White noise reconstructed at random positions: the gain is the ratio of variances."""
     rng = np.random.default_rng(0)
     drawn = reference.sample(Volume(rng.normal(size=(300, 300))), rng.uniform(10, 289, (40_000, 2)), name)
     assert drawn.std() == pytest.approx(variance_gain(name), rel=0.03)  # a square for two axes, a root for the deviation
 
 
-def test_errors_at_jumps_are_the_closed_forms() -> None:
+def test_errors_at_jumps_match_closed_forms() -> None:
     assert jump_error("nearest") == pytest.approx(1 / 4, rel=1e-3)
     assert jump_error("linear") == pytest.approx(1 / 6, rel=1e-3)
     assert jump_error(EXACT_SINC) == pytest.approx(2 / math.pi**2, rel=1e-5)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_error_at_jumps_is_that_of_a_step(name: str) -> None:
-    """The step as the filter draws it, integrated on a fine grid over all places of the step between two samples."""
+def test_the_error_at_jumps_is_that_of_a_step(name: str) -> None:
+    """The filter's reconstruction of a step, integrated over all positions of the step between two samples."""
     n, fine = 80, 100
     x = (np.arange((n - 1) * fine) + 0.5) / fine
     drawn = reference.lattice((np.arange(n) < n // 2).astype(float), [x], name, "mirror")
@@ -70,8 +70,8 @@ def test_an_error_at_jumps_is_that_of_a_step(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_of_waves_it_is_the_error_kernel(name: str) -> None:
-    """Waves along x: what is expected is Blu and Unser's kernel at their frequency, the cube of one axis alone."""
+def test_the_error_of_waves_is_the_error_kernel(name: str) -> None:
+    """Waves along x: the expected error is Blu and Unser's kernel at their frequency."""
     omega = 2 * np.pi * 5 / 32  # whole periods in a block, so that nothing leaks
     data = np.cos(omega * np.arange(96))[None, None].repeat(40, 0).repeat(40, 1)
     [row] = predict(data, [name], 0.0)
@@ -82,7 +82,7 @@ def test_of_waves_it_is_the_error_kernel(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "nearest"])
-def test_of_waves_gradients_err_by_the_error_kernel_of_derivatives(name: str) -> None:
+def test_the_gradient_error_of_waves_is_the_error_kernel_of_derivatives(name: str) -> None:
     omega = 2 * np.pi * 5 / 32
     data = Volume(np.cos(omega * np.arange(96))[None, None].repeat(40, 0).repeat(40, 1), (0.5, 1.0, 1.0))
     [row] = predict(data, [name], 0.0)
@@ -90,15 +90,15 @@ def test_of_waves_gradients_err_by_the_error_kernel_of_derivatives(name: str) ->
 
 
 @pytest.mark.parametrize("shape", [(48, 50, 46), (120, 130), (6, 60, 60)])
-def test_of_noise_it_is_what_the_filter_leaves(shape: tuple[int, ...]) -> None:
+def test_the_error_of_noise_is_what_the_filter_passes(shape: tuple[int, ...]) -> None:
     data = np.random.default_rng(0).normal(5, 2, shape)
     for row in predict(data, [*NAMES, EXACT_SINC], 2.0):
         assert row.noise == pytest.approx(2 * variance_gain(row.filter) ** (len(shape) / 2), rel=1e-9)
-        assert row.bias < 0.45 * row.noise + 0.2  # what chance leaves of the sum of few blocks
+        assert row.bias < 0.45 * row.noise + 0.2  # the random error of a sum of few blocks
 
 
-def test_noise_of_a_background_is_none() -> None:
-    """Half of the volume is exactly 0: half of the variance of the noise is there."""
+def test_an_exact_background_has_no_noise() -> None:
+    """Half of the volume is exactly 0: it has half of the variance of the noise."""
     data = np.random.default_rng(0).normal(5, 1, (48, 48, 96))
     data[..., :48] = 0
     noise = Noise(1.0, "white", colour=(1.0, 1.0, 1.0), background=0.0, background_share=0.5)
@@ -107,7 +107,7 @@ def test_noise_of_a_background_is_none() -> None:
 
 
 def test_an_axis_has_its_own_smoothing() -> None:
-    """λ along z alone changes what becomes of waves along z alone."""
+    """λ along z changes waves along z alone."""
     omega = 2 * np.pi * 5 / 32
     wave = np.cos(omega * np.arange(64))
     along_z, along_x = wave[:, None, None].repeat(40, 1).repeat(40, 2), wave[None, None].repeat(40, 0).repeat(40, 1)
@@ -117,7 +117,7 @@ def test_an_axis_has_its_own_smoothing() -> None:
         assert row.rms == pytest.approx(math.sqrt(expected / 2), rel=0.05)
 
 
-def test_blocks_say_what_is_sure() -> None:
+def test_blocks_decide_what_is_certain() -> None:
     x = np.arange(80)
     data = np.cos(0.9 * x)[:, None, None] + np.cos(1.1 * x)[None, :, None] + np.cos(x)[None, None]
     table = predict(data, ["linear", "bspline3", "bspline5"], 0.0)
@@ -140,7 +140,7 @@ def test_blocks_say_what_is_sure() -> None:
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (2, 2), (3, 5), (1, 1, 1), (2, 3, 4), (1, 20, 20), (9, 9, 9)])
-def test_small_data_have_an_error_too(shape: tuple[int, ...]) -> None:
+def test_small_data_have_an_expected_error(shape: tuple[int, ...]) -> None:
     data = np.random.default_rng(0).normal(size=shape)
     for row in predict(data, [*NAMES, EXACT_SINC], 0.5):
         for number in (row.bias, row.noise, row.rms, row.gradient_rms or 0.0):
@@ -148,8 +148,8 @@ def test_small_data_have_an_error_too(shape: tuple[int, ...]) -> None:
             assert number >= 0
 
 
-def test_what_is_slower_than_blocks_is_flattened_too() -> None:
-    """A noisy ball by splines that smooth more and more: met at random places, of a volume no longer than a block or two."""
+def test_flattening_of_structures_larger_than_blocks_is_predicted() -> None:
+    """A noisy ball with increasing smoothing, in a volume of one or two blocks."""
     n = 24
     field = 0.5 + (0.75**2 - (np.stack(np.meshgrid(*[np.linspace(-1, 1, n)] * 3)) ** 2).sum(0)) / 1.5
     noisy = field + np.random.default_rng(0).normal(0, 0.1, field.shape)
@@ -165,7 +165,7 @@ def test_what_is_slower_than_blocks_is_flattened_too() -> None:
     assert little.rms < plain.rms + 1e-4
 
 
-def test_of_few_blocks_nothing_is_sure() -> None:
+def test_few_blocks_are_never_certain() -> None:
     data = np.cos(0.9 * np.arange(20))[:, None, None] + np.zeros((1, 20, 12))
     table = predict(data, ["linear", "bspline5"], 0.0)
     assert table.blocks.shape[1] == 4
@@ -175,8 +175,8 @@ def test_of_few_blocks_nothing_is_sure() -> None:
     assert table.detail is None
 
 
-def test_an_order_that_is_chance_is_seldom_sure() -> None:
-    """Detail that is stronger in some places than in others: as many times the other's error as over all volumes is no less."""
+def test_a_random_order_is_seldom_certain() -> None:
+    """Detail whose strength varies over the volume: the ratio of the errors varies no less than over all volumes."""
     tables = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -187,11 +187,11 @@ def test_an_order_that_is_chance_is_seldom_sure() -> None:
         t.surely_less("mitchell", "linear", mitchell / linear) or t.surely_less("linear", "mitchell", linear / mitchell)
         for t in tables
     ]
-    assert np.mean(wrong) < 0.2  # 0.05 of many blocks; 0.33 if those that overlap were taken for independent
+    assert np.mean(wrong) < 0.2  # 0.05 for many blocks; 0.33 if overlapping ones were treated as independent
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_planes_hold_no_detail(kind: type[np.floating]) -> None:
+def test_planes_have_no_detail(kind: type[np.floating]) -> None:
     z, y, x = np.indices((40, 40, 40))
     table = predict(Volume((0.1 + 0.3 * x + 0.7 * y + 0.5 * z).astype(kind), (0.5, 1, 1)), ["linear"], 0.0)
     assert table.detail is None
@@ -209,7 +209,7 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
 
 
 @pytest.mark.parametrize(("arguments", "error", "message"), BAD)
-def test_bad_input_is_refused(arguments: dict[str, Any], error: type[ClvolError], message: str) -> None:
+def test_bad_input_is_rejected(arguments: dict[str, Any], error: type[ClvolError], message: str) -> None:
     with pytest.raises(error, match=message):
         predict(**{"volume": np.arange(12.0).reshape(3, 4), "filters": ["linear"], "noise": 0.0, **arguments})
 

@@ -17,7 +17,7 @@ NOISY = IMAGE + RNG.normal(0, 30, IMAGE.shape)
 
 
 def by_definition(a: np.ndarray, b: np.ndarray, span: float) -> float:
-    """Eqs 13 to 17 of Wang et al. at each place where the window of 11 samples lies within the data."""
+    """Eqs 13 to 17 of Wang et al. wherever the window of 11 samples lies within the data."""
     g = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))
     window = np.ones(())
     for _ in range(a.ndim):
@@ -34,21 +34,21 @@ def by_definition(a: np.ndarray, b: np.ndarray, span: float) -> float:
     return float(np.mean(values))
 
 
-def test_it_is_its_definition() -> None:
+def test_it_matches_its_definition() -> None:
     assert ssim(NOISY, IMAGE, 255) == pytest.approx(by_definition(NOISY, IMAGE, 255), abs=1e-12)
     a, b = RNG.uniform(size=(2, 12, 11, 13))
     assert ssim(a, b) == pytest.approx(by_definition(a, b, float(np.ptp(b))), abs=1e-12)
     assert ssim(a[0, 0], b[0, 0], 1.0) == pytest.approx(by_definition(a[0, 0], b[0, 0], 1.0), abs=1e-12)
 
 
-def test_equal_is_one_and_less_alike_is_less() -> None:
+def test_equal_images_give_one_and_different_ones_less() -> None:
     assert ssim(IMAGE, IMAGE) == pytest.approx(1, abs=1e-12)
     assert ssim(IMAGE.astype(np.float32), IMAGE.astype(int), 200) < 1
     assert 0 < ssim(NOISY, IMAGE) < ssim(IMAGE + 10, IMAGE) < 1
 
 
 def test_constants_by_hand() -> None:
-    """Only the luminance is left: (2 a b + c1) / (a² + b² + c1)."""
+    """Only the luminance term remains: (2 a b + c1) / (a² + b² + c1)."""
     got = ssim(np.full((20, 20), 3.0), np.full((20, 20), 5.0), 10)
     assert got == pytest.approx((30 + 0.01) / (34 + 0.01), abs=1e-12)
 
@@ -56,7 +56,7 @@ def test_constants_by_hand() -> None:
 @pytest.mark.parametrize("unit", [1e-320, 1e-200, 1e-81, 1e100, 1e200, 1e305])
 def test_units_change_nothing(unit: float) -> None:
     scaled = ssim(NOISY * unit, IMAGE * unit)
-    assert scaled == pytest.approx(ssim(NOISY, IMAGE), abs=1e-9 if unit > 1e-300 else 0.1)  # few digits are left of the least
+    assert scaled == pytest.approx(ssim(NOISY, IMAGE), abs=1e-9 if unit > 1e-300 else 0.1)  # few digits remain of the smallest
     assert -1 <= ssim(NOISY * unit, IMAGE * unit, 1.0) <= 1
     assert ssim(IMAGE * unit, IMAGE * unit, 1e-300) == pytest.approx(1)
 
@@ -83,6 +83,6 @@ def test_data_smaller_than_the_window() -> None:
         (IMAGE, IMAGE, {"sigma": 1e12}, OptionError),
     ],
 )
-def test_bad_input_is_refused(a, b, options, error) -> None:  # type: ignore[no-untyped-def]
+def test_bad_input_is_rejected(a, b, options, error) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(error):
         ssim(a, b, **options)

@@ -39,11 +39,11 @@ def test_json_holds_numbers_in_full() -> None:
     assert json.loads(ROWS.to_json()) == [{"name": "a, b", "value": 1 / 3, "plain": 3}, {"name": "c|d", "value": None, "plain": 4}]
 
 
-def test_markdown_is_for_reading() -> None:
+def test_markdown_is_readable() -> None:
     assert ROWS.to_markdown() == ("| Name | Value (°) | plain |\n| --- | --: | --: |\n| a, b | 0.33 | 3 |\n| c\\|d | – | 4 |")
 
 
-def test_rows_of_the_analysis_can_be_put_together() -> None:
+def test_rows_can_be_combined() -> None:
     table = Table([metrics(name) for name in ("linear", "mitchell")])
     assert isinstance(table[0], Metrics)
     assert table.to_markdown().count("\n") == 3
@@ -57,7 +57,7 @@ def test_tables_are_written_by_suffix(tmp_path: Path, name: str, make: str) -> N
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-def test_tables_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
+def test_unwritable_targets_are_rejected(tmp_path: Path) -> None:
     for bad in ("a.txt", "a", "csv"):
         with pytest.raises(FormatError, match=rf"tables are written as \.csv, \.json, \.md; got '{bad}'"):
             ROWS.write(bad)
@@ -66,12 +66,12 @@ def test_tables_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("-inf")])
-def test_json_of_what_is_not_finite_is_refused(bad: float) -> None:
+def test_nonfinite_numbers_in_json_are_rejected(bad: float) -> None:
     with pytest.raises(DataError, match="numbers of a table must be finite to be written as JSON; got value = "):
         Table([Row(name="a", value=bad, plain=1, hidden=np.ones(1))]).to_json()
 
 
-def test_an_empty_table_is_not_written() -> None:
+def test_an_empty_table_is_rejected() -> None:
     for write in (Table().to_csv, Table().to_json, Table().to_markdown):
         with pytest.raises(OptionError, match="at least one row"):
             write()

@@ -55,7 +55,7 @@ def test_constants_by_hand(name: str, derivative: int, order: int, constant: flo
 
 
 def spread(name: str | Filter, order: int) -> float:
-    """The asymptotic constant of least squares: what is left of that of interpolation without its mean over t."""
+    """The asymptotic constant of least squares: that of interpolation without its mean over t."""
     nodes, lengths = np.polynomial.legendre.leggauss(24)
     halves = [(nodes + 1) / 4, (nodes + 3) / 4]  # where taps change at t = 1/2, too
     a = np.stack([taylor_coefficients(name, t, order + 1)[order] for t in halves])
@@ -64,14 +64,14 @@ def spread(name: str | Filter, order: int) -> float:
 
 
 @pytest.mark.parametrize("degree", range(9))
-def test_least_squares_constants_of_splines_are_those_published(degree: int) -> None:
+def test_least_squares_constants_of_splines_are_the_published_ones(degree: int) -> None:
     """Blu and Unser (1999): ``sqrt(|B_2L| / (2L)!)`` with Bernoulli's numbers; linear's is ``1 / (12 sqrt 5)``."""
     order = degree + 1
     wanted = math.sqrt(abs(special.bernoulli(2 * order)[-1]) / math.factorial(2 * order))
     assert spread(bspline(degree), order) == pytest.approx(wanted, rel=1e-7)
 
 
-def test_constants_of_cubics_of_maximal_order_are_those_published() -> None:
+def test_constants_of_cubics_of_maximal_order_are_the_published_ones() -> None:
     """Blu, Thévenaz and Unser (2001): the least of least squares is ``L! / ((2L)! sqrt(2L + 1))``, that of O-MOMS."""
     least = math.factorial(4) / (math.factorial(8) * 3)
     assert spread("omoms3", 4) == pytest.approx(least, rel=1e-7)
@@ -97,8 +97,8 @@ def test_the_least_error_of_interpolation_is_that_of_moms3() -> None:
 
 
 @pytest.mark.parametrize("smoothing", [1e-3, 0.1, 2.0])
-def test_smoothing_adds_itself_to_the_mean_error(smoothing: float) -> None:
-    """Of the cubic: λ times the fourth derivative, beside the 1/720 of interpolation; and nothing to the gradient's order."""
+def test_smoothing_adds_its_own_mean_error(smoothing: float) -> None:
+    """Cubic: λ times the fourth derivative, in addition to the 1/720 of interpolation; the gradient's order is unchanged."""
     row = bspline(3, smoothing=smoothing)
     wanted = math.sqrt((1 / 720 + smoothing) ** 2 + 1 / 1_209_600)
     assert (approximation(row).order, approximation(row).constant) == (4, pytest.approx(wanted, rel=1e-12))
@@ -114,14 +114,14 @@ def test_quasi_interpolation_reaches_the_constant_of_least_squares(degree: int) 
 
 
 @pytest.mark.parametrize("name", ["bspline3(auto)", "bspline3(length=1)", "bspline3(0.1, 0.2)"])
-def test_smoothing_that_is_not_one_number_is_refused(name: str) -> None:
+def test_smoothing_that_is_not_a_single_number_is_rejected(name: str) -> None:
     for call in (approximation, lambda n: error_kernel(n, 1.0), lambda n: taylor_coefficients(n, 0.5)):
         with pytest.raises(OptionError, match=r"decided for a volume|filter\.along\(axis\)"):
             call(name)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_order_is_that_of_the_row(name: str) -> None:
+def test_order_is_the_filters_order(name: str) -> None:
     assert approximation(name).order == as_filter(name).order
 
 
@@ -136,7 +136,7 @@ def test_the_gradient_of_an_interpolating_spline_has_the_constant_of_the_spline_
 
 
 @pytest.mark.parametrize("name", ["sinc", "lanczos3"])
-def test_weights_that_miss_one_leave_an_error_that_stays(name: str) -> None:
+def test_weights_that_do_not_sum_to_one_leave_a_constant_error(name: str) -> None:
     miss = as_filter(name).weights((np.arange(20_000) + 0.5) / 20_000).sum(0) - 1
     assert approximation(name).order == 0
     assert approximation(name).constant == pytest.approx(np.sqrt(np.mean(miss**2)), rel=1e-6)
@@ -144,11 +144,11 @@ def test_weights_that_miss_one_leave_an_error_that_stays(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [*NAMES, "bc(0.2,0.4)"])
-def test_error_kernel_is_the_sum_over_the_images(name: str) -> None:
+def test_error_kernel_is_the_sum_over_aliases(name: str) -> None:
     omega = np.array([0.0, 0.3, 1.0, 2.5, np.pi, 4.0, -1.0, 9.0])
     images = 2 * np.pi * np.concatenate([np.arange(-12, 0), np.arange(1, 13)])
     wanted = (1 - frequency_response(name, omega)) ** 2 + (frequency_response(name, omega[:, None] + images) ** 2).sum(-1)
-    # what lies beyond the images summed falls like 1/omega² where a kernel jumps, faster elsewhere
+    # the remainder beyond the summed aliases falls like 1/omega² if a kernel jumps, else faster
     tolerance = 2e-2 if as_filter(name).continuity < 0 else 1e-5
     np.testing.assert_allclose(error_kernel(name, omega), wanted, rtol=0, atol=tolerance)
     assert error_kernel(name, 1.0).shape == ()
@@ -157,7 +157,7 @@ def test_error_kernel_is_the_sum_over_the_images(name: str) -> None:
 
 @pytest.mark.parametrize("derivative", [0, 1])
 @pytest.mark.parametrize("name", [n for n in NAMES if as_filter(n).order])
-def test_error_kernel_near_0_is_the_leading_error(name: str, derivative: int) -> None:
+def test_error_kernel_near_0_is_the_leading_term(name: str, derivative: int) -> None:
     leading = approximation(name, derivative)
     got = error_kernel(name, 0.05, derivative) / 0.05 ** (2 * derivative)
     assert got == pytest.approx(leading.constant**2 * 0.05 ** (2 * leading.order), rel=0.01)
@@ -167,7 +167,7 @@ def test_error_kernel_near_0_is_the_leading_error(name: str, derivative: int) ->
 @pytest.mark.parametrize(
     "name", ["nearest", "linear", "mitchell", "bspline2", "bspline3", "omoms3", "sinc", "sinc4n", "hybrid", *SMOOTHED]
 )
-def test_error_kernel_is_the_error_measured_on_a_wave(name: str, derivative: int) -> None:
+def test_error_kernel_is_the_measured_error_of_a_wave(name: str, derivative: int) -> None:
     n, turns = 40, 7
     omega = 2 * np.pi * turns / n
     x = (np.arange(n * 200) + 0.5) / 200
@@ -192,7 +192,7 @@ def test_taylor_coefficients_are_moments_of_the_impulse_response(name: str, deri
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_taylor_coefficients_below_the_order_are_those_of_no_error(name: str) -> None:
+def test_taylor_coefficients_below_the_order_are_exact(name: str) -> None:
     order = as_filter(name).order
     got = taylor_coefficients(name, np.linspace(0, 0.99, 34), order + 1)
     np.testing.assert_allclose(got[:order], np.eye(order, 1)[:, 0, None] * np.ones(34), atol=1e-13)
@@ -200,7 +200,7 @@ def test_taylor_coefficients_below_the_order_are_those_of_no_error(name: str) ->
     assert taylor_coefficients(name, 0.5).shape == (6,)
 
 
-def test_rows_in_floating_point() -> None:
+def test_filters_in_floating_point() -> None:
     row = from_pieces("mine", [(2 / 3, 0.0, -1.0, 0.5), (4 / 3, -2.0, 1.0, -1 / 6)], prefilter=True)
     for derivative in (0, 1):
         mine, theirs = approximation(row, derivative), approximation("bspline3", derivative)
@@ -224,7 +224,7 @@ def test_rows_in_floating_point() -> None:
         lambda: taylor_coefficients("linear", 0.5, 3, 2),
     ],
 )
-def test_bad_input_is_refused(call) -> None:  # type: ignore[no-untyped-def]
+def test_bad_input_is_rejected(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()
 
@@ -240,6 +240,6 @@ def test_bad_input_is_refused(call) -> None:  # type: ignore[no-untyped-def]
         terms=(lambda v: taylor_coefficients("linear", 0.5, v), BAD_COUNTS),
     ),
 )
-def test_bad_values_are_refused(call: Any, bad: Any) -> None:
+def test_bad_values_are_rejected(call: Any, bad: Any) -> None:
     with pytest.raises(OptionError):
         call(bad)

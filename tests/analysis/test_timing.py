@@ -1,4 +1,4 @@
-"""Times per sample: filters take turns in every round, and their coefficients are resident only while there is room."""
+"""Times per sample: filters take turns in every round, and coefficients stay resident only while they fit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_every_filter_takes_its_turn_and_the_shortest_time_counts(monkeypatch: p
     def takes(filter: Filter, _evaluator: object, points: Any) -> None:
         nonlocal now
         taken.append((filter.name, len(points)))
-        now += 1000 * filter.support + (50 if len(taken) < 8 else 0)  # at first the machine is busy with something else
+        now += 1000 * filter.support + (50 if len(taken) < 8 else 0)  # at first the machine is busy
 
     monkeypatch.setattr(timing, "coefficients_of", holds)
     monkeypatch.setattr(timing, "choose_evaluator", lambda *_: None)
@@ -43,7 +43,7 @@ def test_every_filter_takes_its_turn_and_the_shortest_time_counts(monkeypatch: p
 
 
 @pytest.mark.parametrize(("room", "groups"), [(10, [[0], [1], [2]]), (4096, [[0, 1], [2]]), (5 * 4096, [[0, 1, 2]])])
-def test_coefficients_are_resident_while_there_is_room(room: int, groups: list[list[int]]) -> None:
+def test_coefficients_are_resident_while_they_fit(room: int, groups: list[list[int]]) -> None:
     assert list(timing._groups(phantoms.sphere(8), FILTERS, room)) == [[FILTERS[i] for i in group] for group in groups]
 
 

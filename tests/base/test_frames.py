@@ -19,7 +19,7 @@ def test_flipped_is_its_own_inverse_and_has_no_negative_zero() -> None:
     assert not np.signbit(flipped(np.zeros(3))).any()
 
 
-def test_only_patients_have_a_ras() -> None:
+def test_only_patient_space_has_ras() -> None:
     np.testing.assert_array_equal(in_frame(POINTS, "RAS", "LPS"), flipped(POINTS))
     assert in_frame(POINTS, "LPS", "image") is POINTS
     with pytest.raises(OptionError, match="whose space is 'image'"):
@@ -27,7 +27,7 @@ def test_only_patients_have_a_ras() -> None:
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_an_affine_in_ras_comes_back(d: int) -> None:
+def test_an_affine_in_ras_round_trips(d: int) -> None:
     rng = np.random.default_rng(d)
     spacing, origin, direction = rng.uniform(0.5, 2, d), rng.normal(size=d), np.linalg.qr(rng.normal(size=(d, d))).Q
     affine = ras_affine(spacing, origin, direction)

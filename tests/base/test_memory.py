@@ -1,4 +1,4 @@
-"""What a process may take is said before it is taken; every limit is believed."""
+"""Available memory: it is checked before it is allocated, and every limit counts."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ def test_the_machine_is_a_limit(root: Path) -> None:
 
 
 @linux
-def test_a_container_of_version_2_is_believed(root: Path) -> None:
+def test_a_limit_of_control_groups_2_counts(root: Path) -> None:
     second(root, "/kube/pod/box")
     limited(root, "kube/pod/box", 2048 * MIB, used=1500, cached=500)
     assert memory.room() == (1048 * MIB, "the container's limit is 2048 MiB")
 
 
 @linux
-def test_each_ancestor_is_a_limit(root: Path) -> None:
+def test_the_limit_of_each_ancestor_group_counts(root: Path) -> None:
     second(root, "/kube/pod/box")
     limited(root, "kube/pod/box", "max", used=100)
     limited(root, "kube/pod", 900 * MIB, used=700)
@@ -75,14 +75,14 @@ def test_each_ancestor_is_a_limit(root: Path) -> None:
 
 @linux
 @pytest.mark.parametrize("mounted", ["/kube/box", "/elsewhere"])
-def test_a_container_sees_its_own_group_as_the_topmost(root: Path, mounted: str) -> None:
+def test_in_a_container_its_group_is_the_root(root: Path, mounted: str) -> None:
     second(root, "/kube/box", mounted)
     limited(root, "", 512 * MIB, used=12)
     assert memory.available() == 500 * MIB
 
 
 @linux
-def test_a_container_of_version_1_is_believed(root: Path) -> None:
+def test_a_limit_of_control_groups_1_counts(root: Path) -> None:
     at = "sys/fs/cgroup/memory"
     put(
         root,
@@ -111,7 +111,7 @@ def test_without_a_limit_the_machine_counts(root: Path) -> None:
 
 
 @linux
-def test_a_group_over_its_limit_has_no_room(root: Path) -> None:
+def test_a_group_over_its_limit_has_no_memory(root: Path) -> None:
     second(root, "/a")
     limited(root, "a", 100 * MIB, used=130)
     assert memory.available() == 0
@@ -120,7 +120,7 @@ def test_a_group_over_its_limit_has_no_room(root: Path) -> None:
 
 
 @linux
-def test_what_is_needed_and_what_there_is_are_said(root: Path) -> None:
+def test_the_message_states_needed_and_available_memory(root: Path) -> None:
     second(root, "/a")
     limited(root, "a", 1000 * MIB, used=0)
     memory.require(900 * MIB, "a result")
@@ -133,20 +133,20 @@ def test_what_is_needed_and_what_there_is_are_said(root: Path) -> None:
 
 
 @linux
-def test_nothing_is_refused_for_what_was_freed(root: Path) -> None:
+def test_freed_memory_is_available_again(root: Path) -> None:
     machine(root, available=1000)
-    for _ in range(5):  # an answer is kept, less what was granted: before a refusal there is a new one
+    for _ in range(5):  # an answer is cached, less the memory granted; before an error it is measured again
         memory.require(900 * MIB, "a result")
 
 
 @linux
-def test_what_is_small_is_not_looked_into(root: Path) -> None:
+def test_small_requests_are_not_checked(root: Path) -> None:
     machine(root, available=0)
     memory.require(1000, "a result")
 
 
 @linux
-def test_the_limits_of_a_shell_are_believed() -> None:
+def test_the_limits_of_ulimit_count() -> None:
     limit = "import resource; resource.setrlimit(resource.RLIMIT_{}, (2 << 30,) * 2); "
     code = limit + "from clvol.base import memory; print(*memory.room())"
     for kind, name in (("AS", "ulimit -v"), ("DATA", "ulimit -d")):
@@ -163,18 +163,18 @@ def test_the_limits_of_a_shell_are_believed() -> None:
         assert said.strip() == f"{name} is 2048 MiB"
 
 
-def test_here_there_is_some() -> None:
+def test_this_machine_has_memory() -> None:
     assert 0 < memory.available() <= sys.maxsize
 
 
-def test_axes_that_kernels_cannot_count_are_refused() -> None:
+def test_axes_too_long_for_kernels_are_rejected() -> None:
     memory.require_addressable("data", ((1 << 31) - 1, 1))
     with pytest.raises(OutOfMemoryError, match="2147483647 samples along each axis"):
         memory.require_addressable("data", (1, 1 << 31))
 
 
 @linux
-def test_results_that_are_not_written_yet_count(root: Path) -> None:
+def test_unwritten_results_count(root: Path) -> None:
     machine(root, available=1000)
     result = memory.empty((400, MIB), "u1", "a result")
     with pytest.raises(OutOfMemoryError):

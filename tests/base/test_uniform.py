@@ -26,7 +26,7 @@ kernel void read_block(constant outer_block *block, global float *numbers)
 """
 
 
-def test_a_block_is_the_struct_that_it_declares(device: Device) -> None:
+def test_a_block_has_the_layout_of_its_struct(device: Device) -> None:
     values = OUTER(first=(1.5, 2.5), inner=INNER(a=3.5, b=(4, 5, 6)), last=7)
     kernel = device.build("read.cl", {}, None, {"read.cl": READER, "outer.cl": OUTER.declaration()}).kernel("read_block")
     numbers = np.empty(6, np.float32)
@@ -51,7 +51,7 @@ def test_a_block_without_fields_can_be_declared() -> None:
 
 
 @pytest.mark.parametrize("mode", modes())
-def test_the_block_of_a_picture_is_the_one_of_numpy(mode: str) -> None:
+def test_the_block_of_a_picture_has_the_layout_of_numpy(mode: str) -> None:
     block, declaration = frame_block(modes()[mode].BLOCK)
     names = re.findall(r"^} (\w+);$", declaration, re.MULTILINE)
     assert names[-1] == "frame_t"

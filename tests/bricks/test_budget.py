@@ -1,4 +1,4 @@
-"""The edge that a budget allows."""
+"""The brick edge that a memory budget allows."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_bricks_fit(size: tuple[int, int, int], chunks: int, wraps: bool, margin
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(8, 300), st.integers(1, 100))
-def test_longer_edges_need_no_less(edge: int, more: int) -> None:
+def test_longer_edges_need_at_least_as_much(edge: int, more: int) -> None:
     for own in (needs(), needs(chunks=64), needs(wraps=True)):
         for bytes_of in (own.buffer, own.resident, own.read):
             assert bytes_of(edge) <= bytes_of(edge + more)
@@ -52,7 +52,7 @@ def test_longer_edges_need_no_less(edge: int, more: int) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(1 << 20, 1 << 33), st.integers(0, 1 << 32))
-def test_a_larger_budget_holds_a_brick_too(budget: int, more: int) -> None:
+def test_a_larger_budget_still_holds_a_brick(budget: int, more: int) -> None:
     if edge_for(needs(), budget, 1 << 40) is not None:
         assert edge_for(needs(), budget + more, 1 << 40) is not None
 
@@ -68,7 +68,7 @@ def test_edges() -> None:
     assert edge_for(needs(), 2 << 30, 3 * MIB) == 32  # as the device's buffers allow
 
 
-def test_chunks_that_are_longer_than_bricks() -> None:
+def test_chunks_longer_than_bricks() -> None:
     planes = Needs(
         (512, 512, 512), 2, 4, False, lambda n: 4 * math.prod(n), [np.arange(513), np.array([0, 512]), np.array([0, 512])], 2 << 18
     )
@@ -80,7 +80,7 @@ def test_chunks_that_are_longer_than_bricks() -> None:
     assert planes.layer(edge) <= 60 * MIB < planes.layer(2 * edge)
 
 
-def test_the_error_says_the_least() -> None:
+def test_the_error_states_the_minimum() -> None:
     own = needs(chunks=200)
     assert str(too_small(own, 32, 9)) == (
         f"memory must be at least {own.read(32)} bytes, which reading a brick of 32³ samples takes with its chunk of {2 * 200**3} "

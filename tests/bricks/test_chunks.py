@@ -1,4 +1,4 @@
-"""Chunks that are kept unpacked."""
+"""The cache of unpacked chunks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DATA = np.random.default_rng(0).integers(0, 4000, (40, 50, 60), np.uint16)
 
 
 class Stored:
-    """An array that is stored by chunks, of which each that is reached into is unpacked whole; what is unpacked is counted."""
+    """A chunked array that unpacks whole chunks and counts them."""
 
     def __init__(self, data: Any, chunks: tuple[int, ...]) -> None:
         self.data, self.shape, self.dtype, self.chunks = data, data.shape, data.dtype, chunks
@@ -48,7 +48,7 @@ def kept(source: Stored, most: int) -> Chunks:
 
 @pytest.mark.parametrize("chunks", [(1, 50, 60), (40, 50, 60), (7, 11, 13), (16, 16, 16), (1, 1, 60)])
 @pytest.mark.parametrize("most", [0, 30_000, 1 << 30])
-def test_parts_are_those_of_the_array(chunks: tuple[int, ...], most: int) -> None:
+def test_parts_match_the_array(chunks: tuple[int, ...], most: int) -> None:
     source = Stored(DATA, chunks)
     read, rng = kept(source, most), np.random.default_rng(1)
     for _ in range(20):
@@ -64,8 +64,8 @@ def test_parts_are_those_of_the_array(chunks: tuple[int, ...], most: int) -> Non
 
 
 @pytest.mark.parametrize("chunks", [(1, 1, 60), (1, 1, 4), (4, 4, 4), (2, 50, 1)])
-def test_small_chunks_are_kept_several_together(chunks: tuple[int, ...]) -> None:
-    """To keep one costs as much as to unpack some thousand samples."""
+def test_small_chunks_are_cached_in_groups(chunks: tuple[int, ...]) -> None:
+    """Caching a chunk costs as much as unpacking some thousand samples."""
     source = Stored(DATA, chunks)
     read = kept(source, 1 << 30)
     at = slice(0, 40), slice(0, 50), slice(0, 60)
@@ -74,7 +74,7 @@ def test_small_chunks_are_kept_several_together(chunks: tuple[int, ...]) -> None
     assert len(read._kept) <= 8
 
 
-def test_chunks_of_dask_are_as_long_as_they_like() -> None:
+def test_dask_chunks_may_be_irregular() -> None:
     da = pytest.importorskip("dask.array")
     array = da.from_array(DATA, chunks=((3, 30, 7), (50,), (1, 59)))
     lines = lines_of(array)
@@ -86,7 +86,7 @@ def test_chunks_of_dask_are_as_long_as_they_like() -> None:
     np.testing.assert_array_equal(read[at], DATA[at])
 
 
-def test_threads_wait_for_a_chunk_that_one_unpacks() -> None:
+def test_threads_wait_for_a_chunk_being_unpacked() -> None:
     go, asked = threading.Event(), threading.Event()
 
     class Held(Stored):
@@ -111,7 +111,7 @@ def test_threads_wait_for_a_chunk_that_one_unpacks() -> None:
     assert source.unpacked == 16, "planes that are kept together, once"
 
 
-def test_a_chunk_that_fails_is_asked_for_again() -> None:
+def test_a_failed_chunk_is_read_again() -> None:
     class Broken(Stored):
         broken = True
 
@@ -132,8 +132,8 @@ def test_a_chunk_that_fails_is_asked_for_again() -> None:
 
 @pytest.mark.parametrize("view", [(0, 0), (90, 0), (0, 90), (40, 20), (220, -20)])
 @pytest.mark.parametrize("chunks", [(1, 96, 96), (48, 4, 96)])
-def test_long_chunks_are_unpacked_once_a_picture(chunks: tuple[int, ...], view: tuple[float, float], device: Device) -> None:
-    """Whatever the view: bricks that share chunks follow each other; and the picture is that of the samples in memory."""
+def test_long_chunks_are_unpacked_once_per_picture(chunks: tuple[int, ...], view: tuple[float, float], device: Device) -> None:
+    """For every view: bricks that share chunks are visited in succession; the picture is unchanged."""
     z, y, x = np.ogrid[:48, :96, :96]
     data = (100 + 60 * np.sin(z / 5) * np.cos(y / 7) * np.sin(x / 9)).astype(np.uint8)
     source, budget = Stored(data, chunks), 4 << 20
@@ -156,8 +156,8 @@ def test_long_chunks_are_unpacked_once_a_picture(chunks: tuple[int, ...], view: 
         np.testing.assert_array_equal(picture, truth.render(camera, "mean", (32, 32), rays=1))
 
 
-def test_bricks_are_such_that_long_chunks_are_kept() -> None:
-    """Smaller, where the budget would not hold the planes of a layer of larger ones; and chunks make room for bricks."""
+def test_brick_size_leaves_room_for_long_chunks() -> None:
+    """Bricks shrink if the budget would not hold the planes of a layer of larger ones; chunks make room for bricks."""
     planes = Stored(np.zeros((256, 256, 256), np.uint8), (1, 256, 256))
     chunks = Stored(planes.data, (64, 64, 64))
     with (
@@ -173,7 +173,7 @@ def test_bricks_are_such_that_long_chunks_are_kept() -> None:
         assert field.nbytes <= 1 << 20
 
 
-def test_what_has_no_chunks_is_read_as_it_is() -> None:
+def test_unchunked_arrays_bypass_the_cache() -> None:
     data = Counted(DATA)
     with clvol.BrickedField(clvol.LazyVolume(data, limits=(0, 4000), labels=False), "linear", edge=16) as field:
         field([[1.0, 1.0, 1.0]])

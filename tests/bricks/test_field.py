@@ -1,4 +1,4 @@
-"""The function of a volume that is read brick by brick is that of the whole volume."""
+"""The function of a volume read by bricks equals that of the whole volume."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from clvol.filter.boundary import boundaries
 from tests.bricks.test_source import Broken, Counted
 
 FILTERS = ("nearest", "linear", "catmull-rom", "bspline2", "bspline3", "bspline3(0.2)", "bspline5", "hybrid", "omoms3")
-BOUND = {"bspline5": 4e-6}  # of a range of 1: what float32 leaves of its prefilter, as of the whole volume's
+BOUND = {"bspline5": 4e-6}  # for a range of 1: float32 rounding of the prefilter, as for the whole volume
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def points(volume: clvol.Volume, past: float, n: int = 4000) -> Any:
 
 
 def needs(field: BrickedField) -> int:
-    """Bytes that one of its bricks takes."""
+    """Bytes per brick."""
     return _needs(field.volume, field.filter, field.boundary).resident(field.edge)
 
 
@@ -67,10 +67,10 @@ def test_hessians_and_frames(volume: clvol.Volume) -> None:
 
 
 @pytest.mark.parametrize("filter", ["linear", "catmull-rom", "nearest"])
-def test_without_a_prefilter_nothing_differs(volume: clvol.Volume, filter: str) -> None:
+def test_without_a_prefilter_results_are_identical(volume: clvol.Volume, filter: str) -> None:
     at = points(volume, 0.4)
     with clvol.Field(volume, filter) as whole, BrickedField(volume, filter, edge=16) as bricked:
-        np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=2e-7)  # positions are rounded otherwise
+        np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=2e-7)  # positions round differently
         np.testing.assert_array_equal(bricked.resample(shape=(20, 50, 60)).data, whole.resample(shape=(20, 50, 60)).data)
 
 
@@ -91,12 +91,12 @@ def test_other_grids(volume: clvol.Volume) -> None:
     with clvol.Field(counts) as whole, BrickedField(counts, edge=16) as bricked:
         a, b = (one.resample(shape=(30, 30, 30), dtype="same").data for one in (whole, bricked))
         assert a.dtype == b.dtype == np.uint8
-        assert np.abs(a.astype(int) - b.astype(int)).max() <= 1  # halves may be rounded either way
+        assert np.abs(a.astype(int) - b.astype(int)).max() <= 1  # halves may round either way
         assert (a != b).mean() < 1e-3
 
 
 def test_memory_stays_within_the_budget(volume: clvol.Volume) -> None:
-    """Bricks make room for others, each is read once while it fits, and what was read is counted."""
+    """Bricks are evicted for others; each is read once while it fits; reads are counted."""
     data = Counted(volume.data)
     at = points(volume, 0.5)
     with BrickedField(clvol.LazyVolume(data, limits=(0, 1)), "linear", edge=16, memory=1 << 20) as bricked:
@@ -113,22 +113,22 @@ def test_memory_stays_within_the_budget(volume: clvol.Volume) -> None:
         assert roomy.reads.dropped == 0
 
 
-def test_what_is_in_memory_is_one_brick_if_it_fits(volume: clvol.Volume) -> None:
-    """Several have margins, whose samples are prefiltered twice; and one is the whole volume to the last bit."""
+def test_a_volume_in_memory_that_fits_is_one_brick(volume: clvol.Volume) -> None:
+    """Several bricks have margins that are prefiltered twice; one brick equals the whole volume to the last bit."""
     at = points(volume, 0.4, 500)
     with clvol.Field(volume) as whole, BrickedField(volume) as one:
         assert one.bricks.counts == (1, 1, 1)
-        np.testing.assert_allclose(one(at), whole(at), rtol=0, atol=3e-7)  # positions are rounded otherwise
+        np.testing.assert_allclose(one(at), whole(at), rtol=0, atol=3e-7)  # positions round differently
     lazy = clvol.LazyVolume(Counted(np.zeros((300, 20, 20), np.uint8)), limits=(0, 1))
     with BrickedField(lazy, "linear") as read_by_parts, BrickedField(np.zeros((300, 20, 20), np.uint8), "linear") as one:
         assert (read_by_parts.bricks.counts, one.bricks.counts) == ((1, 1, 2), (1, 1, 1))
         assert BrickedField(np.zeros((300, 20, 20), np.uint8), "linear", "wrap").bricks.counts == (1, 1, 2)
 
 
-def test_only_bricks_in_which_points_lie_are_read() -> None:
+def test_only_bricks_that_contain_points_are_read() -> None:
     data = Counted(np.zeros((256, 256, 256), np.uint8))
     with BrickedField(clvol.LazyVolume(data, limits=(0, 255)), edge=32) as bricked:
-        settled = data.read  # the middle, for what kind of samples they are
+        settled = data.read  # the centre block, for the kind of the samples
         bricked([[100.0, 100.0, 100.0], [101.0, 102.0, 103.0]])
         assert bricked.reads.bricks == 1
         assert data.read - settled == bricked.reads.samples < 80**3
@@ -144,7 +144,7 @@ def test_small_and_thin_volumes(shape: tuple[int, int, int], boundary: str) -> N
 
 
 @pytest.mark.parametrize("kind", ["u1", "i2", ">u2", "u4", "f8", ">f4", "?"])
-def test_every_type(kind: str) -> None:
+def test_every_dtype(kind: str) -> None:
     data = (200 * np.random.default_rng(4).random((20, 20, 20))).astype(kind)
     data.setflags(write=False)
     volume = clvol.Volume(data)
@@ -153,7 +153,7 @@ def test_every_type(kind: str) -> None:
         np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=2e-4)
 
 
-def test_values_far_from_zero_are_exact_to_their_range() -> None:
+def test_values_far_from_zero_are_exact_relative_to_their_range() -> None:
     volume = clvol.Volume(101325.0 + np.random.default_rng(5).random((20, 20, 20)))
     at = points(volume, 0.4, 500)
     with clvol.Field(volume) as whole, BrickedField(volume, edge=8) as bricked:
@@ -161,7 +161,7 @@ def test_values_far_from_zero_are_exact_to_their_range() -> None:
         np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=2e-6)
 
 
-def test_points_that_are_not_finite(volume: clvol.Volume) -> None:
+def test_nonfinite_points(volume: clvol.Volume) -> None:
     with BrickedField(volume, edge=16) as bricked:
         assert np.isnan(bricked([[np.nan, 0, 0], [np.inf, 0, 0]])).all()
         outside = [[np.nan, 0, 0], [np.inf, 0, 0], [1e4, 0, 0]]
@@ -173,7 +173,7 @@ def test_points_that_are_not_finite(volume: clvol.Volume) -> None:
 
 @pytest.mark.parametrize("boundary", clvol.boundaries())
 def test_faces_between_two_samples(boundary: str) -> None:
-    """The outer half voxels are the outer samples', to their very faces."""
+    """The outer half voxels belong to the outer samples, up to the faces."""
     volume = clvol.Volume(np.random.default_rng(7).random((9, 10, 17), np.float32))
     ends = [[a, b, c] for a in (-0.5, 16.5) for b in (-0.5, 9.5) for c in (-0.5, 8.5)]
     for name in ("nearest", "linear"):
@@ -182,7 +182,7 @@ def test_faces_between_two_samples(boundary: str) -> None:
             np.testing.assert_allclose(bricked.gradient(ends), whole.gradient(ends), rtol=0, atol=1e-6)
 
 
-def test_threads_get_what_one_gets(volume: clvol.Volume) -> None:
+def test_threads_get_the_single_threaded_result(volume: clvol.Volume) -> None:
     at = points(volume, 0.4, 20000)
     with BrickedField(volume, edge=16, memory=1 << 21) as bricked:
         expected, found = bricked(at), {}
@@ -197,7 +197,7 @@ def test_threads_get_what_one_gets(volume: clvol.Volume) -> None:
 
 
 class Together(Counted):
-    """Samples that come when as many readers are at them as were asked for, or after all hope is gone."""
+    """Samples that wait until the given number of readers has arrived, or until a timeout."""
 
     def __init__(self, data: Any, readers: int) -> None:
         super().__init__(data)
@@ -211,14 +211,14 @@ class Together(Counted):
 
 
 def in_threads(*work: Any) -> list[Any]:
-    """What each of them gives, or the error that it raises, by threads of their own."""
+    """The result, or the error, of each call in its own thread."""
     with ThreadPoolExecutor(len(work)) as pool:
         futures = [pool.submit(one) for one in work]
         return [future.exception(timeout=120) or future.result() for future in futures]
 
 
-def test_threads_read_different_bricks_side_by_side(volume: clvol.Volume) -> None:
-    data = Together(volume.data, 3)  # none comes before three are asked for
+def test_threads_read_different_bricks_concurrently(volume: clvol.Volume) -> None:
+    data = Together(volume.data, 3)  # none arrives before three are requested
     corners = volume.index_to_world([[2.0, 2.0, 2.0], [25.0, 20.0, 20.0], [50.0, 38.0, 35.0]])
     with BrickedField(clvol.LazyVolume(data, limits=(0, 1), labels=False), "linear", edge=16) as field:
         truth = BrickedField(volume.data, "linear", edge=16)(volume.world_to_index(corners))
@@ -228,7 +228,7 @@ def test_threads_read_different_bricks_side_by_side(volume: clvol.Volume) -> Non
         assert field.reads.bricks == 3
 
 
-def test_a_brick_that_several_threads_want_is_read_once_and_its_error_is_raised_by_all() -> None:
+def test_a_brick_requested_by_several_threads_is_read_once_and_its_error_reaches_all() -> None:
     asked, go = threading.Event(), threading.Event()
 
     class Held(Counted):
@@ -260,7 +260,7 @@ def test_a_brick_that_several_threads_want_is_read_once_and_its_error_is_raised_
             if error is not None:
                 assert [type(one) for one in found] == [FormatError] * 4
                 assert all("disk on fire" in str(one) for one in found)
-                assert field.nbytes == 0  # nothing is kept of it
+                assert field.nbytes == 0  # it is not cached
             else:
                 assert found == [found[0]] * 4
                 assert field.reads.bricks == 1
@@ -269,7 +269,7 @@ def test_a_brick_that_several_threads_want_is_read_once_and_its_error_is_raised_
 
 
 @pytest.mark.parametrize("room", [1, 2, 3])
-def test_threads_stay_within_a_budget_of_fewer_bricks_than_there_are_threads(room: int) -> None:
+def test_threads_stay_within_a_budget_of_fewer_bricks_than_threads(room: int) -> None:
     rng = np.random.default_rng(7)
     samples, most = rng.random((48, 48, 48)).astype(np.float32), [0]
 
@@ -300,8 +300,8 @@ def test_threads_stay_within_a_budget_of_fewer_bricks_than_there_are_threads(roo
         assert field.store._residents.account._sleeping == []
 
 
-def test_who_holds_a_brick_waits_for_no_room() -> None:
-    """Two threads that each hold one and want another go on, past the budget."""
+def test_a_thread_that_holds_a_brick_does_not_wait_for_memory() -> None:
+    """Two threads that each hold one brick and need another continue, beyond the budget."""
     data = np.random.default_rng(8).random((16, 16, 64)).astype(np.float32)
     with BrickedField(data, "linear", edge=16) as other:
         each = needs(other)
@@ -317,10 +317,10 @@ def test_who_holds_a_brick_waits_for_no_room() -> None:
                     return own.at == (second, 0, 0)
 
         assert in_threads(partial(two, 0, 1), partial(two, 2, 3)) == [True, True]
-        assert field.nbytes <= field.memory  # once they have done
+        assert field.nbytes <= field.memory  # after they finish
 
 
-def test_an_interrupted_reader_leaves_the_brick_to_who_waits() -> None:
+def test_an_interrupted_reader_hands_the_brick_to_a_waiting_thread() -> None:
     asked, calls = threading.Event(), []
 
     class Interrupted(Counted):
@@ -345,19 +345,19 @@ def test_an_interrupted_reader_leaves_the_brick_to_who_waits() -> None:
         assert len(calls) == 2
 
 
-def test_one_that_nobody_keeps_is_freed(volume: clvol.Volume) -> None:
+def test_an_unreferenced_field_is_freed(volume: clvol.Volume) -> None:
     bricked = BrickedField(volume, "linear", edge=16)
     bricked(points(volume, 0.4, 50))
     gone = weakref.ref(bricked)
     gc.disable()
     try:
         del bricked
-        assert gone() is None  # without the collector of cycles
+        assert gone() is None  # without the garbage collector
     finally:
         gc.enable()
 
 
-def test_it_is_closed_and_pickled(volume: clvol.Volume) -> None:
+def test_close_and_pickle(volume: clvol.Volume) -> None:
     with BrickedField(volume, "linear", edge=16) as bricked:
         again = pickle.loads(pickle.dumps(bricked))
         at = points(volume, 0.4, 50)
@@ -389,7 +389,7 @@ def test_bad_input(volume: clvol.Volume) -> None:
             bricked.resample(shape=(3, 3, 3), out=np.zeros((3, 3, 4)))
 
 
-def test_a_brick_that_cannot_be_read_is_an_error_and_nothing_is_lost() -> None:
+def test_an_unreadable_brick_is_an_error_and_the_field_stays_usable() -> None:
     with (
         BrickedField(clvol.LazyVolume(Broken(OSError("disk on fire")), limits=(0, 1)), "linear") as bricked,
         pytest.raises(FormatError, match="disk on fire"),
@@ -421,8 +421,8 @@ SAID: dict[str, Any] = {
 }
 
 
-def test_all_that_a_volume_says_is_kept() -> None:
-    """Whatever fields it will have."""
+def test_all_metadata_of_a_volume_are_kept() -> None:
+    """Including any field added later."""
     data = np.ones((3, 4, 5), np.uint8)
     assert set(SAID) == {one.name for one in dataclasses.fields(clvol.Volume)} - {"data"}, "say here what the new field may be"
     volume, plain = clvol.Volume(data, **SAID), clvol.Volume(data)
@@ -435,8 +435,8 @@ def test_all_that_a_volume_says_is_kept() -> None:
 
 
 @pytest.mark.parametrize("kind", ["uint32", "int64"])
-def test_labels_that_float32_does_not_hold_are_found_where_they_are_read(kind: str) -> None:
-    """Limits may be those of a few samples."""
+def test_labels_beyond_float32_are_found_when_they_are_read(kind: str) -> None:
+    """Limits may come from a few samples."""
     data = np.zeros((48, 48, 48), kind)
     data[40:, 40:, 40:] = 2**24 + 1
     limits = [(0, 5), (0, 2**24 + 1)]

@@ -1,4 +1,4 @@
-"""Bricks partition a volume, and are surrounded by what they need."""
+"""Bricks partition a volume, and have margins."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_neighbours_share_planes(grid: BrickGrid) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(GRIDS)
-def test_margins_are_read_as_far_as_there_are_samples(grid: BrickGrid) -> None:
+def test_margins_end_at_the_samples(grid: BrickGrid) -> None:
     for brick in grid:
         for axis, n in enumerate(grid.size):
             first, last = brick.at[axis] * grid.edge, min((brick.at[axis] + 1) * grid.edge, n)
@@ -72,7 +72,7 @@ def test_margins_are_read_as_far_as_there_are_samples(grid: BrickGrid) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(GRIDS)
-def test_runs_are_the_samples_of_a_brick_within_the_volume(grid: BrickGrid) -> None:
+def test_runs_are_a_bricks_samples_within_the_volume(grid: BrickGrid) -> None:
     for brick in grid:
         for axis, (runs, n) in enumerate(zip(grid.runs(brick), grid.size, strict=True)):
             read = np.concatenate([np.arange(run.start, run.stop) for run in runs])
@@ -83,7 +83,7 @@ def test_runs_are_the_samples_of_a_brick_within_the_volume(grid: BrickGrid) -> N
 
 @settings(max_examples=40, deadline=None)
 @given(GRIDS)
-def test_the_pyramid_covers_a_bricks_cells_and_some_around(grid: BrickGrid) -> None:
+def test_the_pyramid_covers_a_bricks_cells_and_a_margin(grid: BrickGrid) -> None:
     for brick in grid:
         stored = [grid.scale * n + 2 * grid.halo for n in brick.size]
         first, past = grid.pyramid_cells(brick, stored)
@@ -99,7 +99,7 @@ def test_the_pyramid_covers_a_bricks_cells_and_some_around(grid: BrickGrid) -> N
 
 @settings(max_examples=40, deadline=None)
 @given(GRIDS)
-def test_what_rays_see_is_around_the_brick(grid: BrickGrid) -> None:
+def test_the_rendered_region_contains_the_brick(grid: BrickGrid) -> None:
     for brick in grid:
         low, high = grid.seen(brick)
         for axis, n in enumerate(grid.size):

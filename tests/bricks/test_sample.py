@@ -1,4 +1,4 @@
-"""`clvol.sample`, `resample` and `magnify` of volumes that are read part by part, or whose coefficients there is no room for."""
+"""`clvol.sample`, `resample` and `magnify` by bricks: for lazy volumes, and where the coefficients do not fit."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ SLAB = clvol.Volume(np.zeros((110, 4, 100), np.float32), (0.4, 9.0, 1.0), tuple(
 
 
 def displacements(filter: str) -> clvol.DisplacementField:
-    """Of some of the volume, by several of its voxels."""
+    """Over a part of the volume, up to several voxels."""
     values = np.random.default_rng(3).normal(scale=4.0, size=(9, 8, 7, 3))
     return clvol.DisplacementField(values, (9, 11, 14), tuple(VOLUME.origin), TURN, filter=filter)
 
 
 def lattice() -> clvol.BSplineTransform:
-    """Over all of the volume, and further."""
+    """Over the whole volume and beyond."""
     values = np.random.default_rng(4).normal(scale=3.0, size=(9, 9, 9, 3))
     return clvol.BSplineTransform(values, (40, 40, 40), tuple(VOLUME.center - 160))
 
@@ -81,7 +81,7 @@ CALLS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_as_of_the_whole_volume(call: str) -> None:
+def test_results_match_the_whole_volume(call: str) -> None:
     found, truth = CALLS[call](lazy()), CALLS[call](VOLUME)
     assert found.dtype == truth.dtype
     np.testing.assert_allclose(found, truth, rtol=0, atol=BOUND)
@@ -100,8 +100,8 @@ def test_a_few_points_read_a_few_bricks() -> None:
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_volumes_without_room_for_their_coefficients(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bricks are made all the same."""
+def test_volumes_whose_coefficients_do_not_fit(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are evaluated by bricks."""
     truth = CALLS[call](VOLUME)
 
     def refused(*_: Any, **__: Any) -> Any:
@@ -109,7 +109,7 @@ def test_volumes_without_room_for_their_coefficients(call: str, monkeypatch: pyt
 
     monkeypatch.setattr("clvol.spline.field.coefficients_of", refused)
     with pytest.raises(OutOfMemoryError):
-        clvol.Field(VOLUME)  # which is for those who want the coefficients
+        clvol.Field(VOLUME)  # which is for callers that need the coefficients
     warns = pytest.warns(clvol.ClvolWarning, match="by bricks in single precision.*a buffer of the whole volume")
     with nullcontext() if call.startswith("fewer") else warns:  # sums need no coefficients
         found = CALLS[call](VOLUME)
@@ -122,8 +122,8 @@ def test_volumes_without_room_for_their_coefficients(call: str, monkeypatch: pyt
 
 
 @pytest.mark.parametrize("kind", ["uint8", "int16", "float32", "float64"])
-def test_fewer_samples_are_the_same_to_the_last_bit(kind: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the blocks: each sum has its terms in the same order. Results may be larger than memory."""
+def test_reduction_is_the_same_to_the_last_bit(kind: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the blocks: each sum has its terms in the same order. Results may exceed memory."""
     data = np.random.default_rng(5).integers(0, 200, (130, 70, 90)).astype(kind)
     volume = LazyVolume(Counted(data), (1, 1, 2), limits=(float(data.min()), float(data.max())), labels=False)
     truth = clvol.resample(clvol.Volume(data, (1, 1, 2), labels=False), (60, 33, 20), anti_aliasing="least-squares")
@@ -152,7 +152,7 @@ def test_labels_keep_their_type() -> None:
     assert clvol.resample(labels, (20, 30, 40), filter="linear").labels is None
 
 
-def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
+def test_unsupported_options_are_rejected_with_alternatives() -> None:
     volume = lazy()
     for call, match in (
         (lambda: clvol.resample(volume, (4, 5, 6), transform=TURNED, anti_aliasing=True), r"transform or anti_aliasing, not both"),
@@ -171,8 +171,8 @@ def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
 
 @pytest.mark.parametrize("boundary", ["constant", "overlap", "zero", "mirror"])
 @pytest.mark.parametrize("filter", ["nearest", "linear"])
-def test_magnified_samples_lie_where_they_do_whatever_the_world(device: Device, boundary: str, filter: str) -> None:
-    """On the last given ones, where the function may jump, and half way between two."""
+def test_magnified_samples_have_their_positions_in_any_world(device: Device, boundary: str, filter: str) -> None:
+    """On the outer samples, where the function may jump, and half-way between two."""
     rng = np.random.default_rng(0)
     data = (np.arange(180).reshape(6, 3, 10) % 11).astype(np.float32) + 1
     for factor in (2, 3):
@@ -185,7 +185,7 @@ def test_magnified_samples_lie_where_they_do_whatever_the_world(device: Device, 
 
 
 @pytest.mark.parametrize("way", ["gaussian", "least-squares"])
-def test_whole_numbers_far_from_zero_are_low_passed_exactly(device: Device, way: Any) -> None:
+def test_integers_far_from_zero_are_low_passed_exactly(device: Device, way: Any) -> None:
     data = np.random.default_rng(1).integers(100000, 100200, (18, 38, 26), np.int32)
     about: dict[str, Any] = {"shape": (9, 19, 13), "filter": "bspline3", "anti_aliasing": way, "device": device}
     wanted = clvol.resample(clvol.Volume(data, labels=False), **about).data

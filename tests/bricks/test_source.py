@@ -1,4 +1,4 @@
-"""Volumes that are read part by part."""
+"""Lazy volumes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from clvol.device import Device
 
 
 class Counted:
-    """An array that counts what is read of it."""
+    """An array that counts the samples read."""
 
     def __init__(
         self, data: np.ndarray[Any, Any], chunks: tuple[int, ...] | None = None, shape: tuple[Any, ...] | None = None
@@ -37,7 +37,7 @@ def noise(*shape: int) -> np.ndarray[Any, Any]:
     return np.random.default_rng(0).random(shape).astype(np.float32)
 
 
-def test_nothing_is_read_before_it_is_needed() -> None:
+def test_nothing_is_read_until_needed() -> None:
     data = Counted(noise(40, 50, 60))
     volume = LazyVolume(data, (1, 2, 3), (4, 5, 6), units="mm", name="cells")
     assert (volume.size, volume.shape, volume.spacing, volume.units, volume.name) == (
@@ -56,7 +56,7 @@ def test_nothing_is_read_before_it_is_needed() -> None:
 
 
 @pytest.mark.parametrize("chunks", [None, (32, 32, 32), (7, 300, 11), (1, 1, 1)])
-def test_a_sketch_is_of_all_the_volume_and_reads_little(chunks: tuple[int, ...] | None) -> None:
+def test_a_preview_covers_the_volume_and_reads_little(chunks: tuple[int, ...] | None) -> None:
     z, y, x = np.ogrid[:300, :280, :320]
     data = Counted((x + 2.0 * y + 3.0 * z).astype(np.float32), chunks)
     volume = LazyVolume(data, (1, 1, 2), (5, 6, 7))
@@ -69,14 +69,14 @@ def test_a_sketch_is_of_all_the_volume_and_reads_little(chunks: tuple[int, ...] 
     assert sketch.data.mean() == pytest.approx(data.data.mean(), rel=0.05)
 
 
-def test_a_sketch_is_a_level_where_there_is_one() -> None:
+def test_a_preview_is_a_stored_level_if_there_is_one() -> None:
     fine, coarse = Counted(noise(256, 256, 256)), Counted(noise(128, 128, 128))
     volume = LazyVolume(fine, levels=[LazyVolume(coarse, (2, 2, 2), (0.5, 0.5, 0.5))])
     assert volume.preview().shape == (128, 128, 128)
     assert (fine.read, coarse.read) == (0, 128**3)
 
 
-def test_limits_are_those_given_or_found() -> None:
+def test_limits_are_given_or_computed() -> None:
     data = noise(20, 20, 20)
     assert LazyVolume(data).limits == (data.min(), data.max())
     assert LazyVolume(data, limits=(-1, 2)).limits == (-1.0, 2.0)
@@ -86,7 +86,7 @@ def test_limits_are_those_given_or_found() -> None:
             LazyVolume(data, limits=wrong)  # type: ignore[arg-type]
 
 
-def test_missing_samples_are_refused_where_they_are_read_or_replaced() -> None:
+def test_missing_samples_are_rejected_or_replaced_when_read() -> None:
     data = noise(8, 8, 8)
     data[5, 6, 7] = np.nan
     assert np.isfinite(LazyVolume(data).read((0, 0, 0), (8, 8, 5))).all()
@@ -115,7 +115,7 @@ class Broken(Counted):
         (Broken(gives=np.zeros((2, 2, 2), np.uint8)), "must be float32 of shape"),
     ],
 )
-def test_what_cannot_be_read_is_named(data: Broken, words: str) -> None:
+def test_unreadable_samples_are_named(data: Broken, words: str) -> None:
     with pytest.raises(FormatError, match=rf"cannot read samples \[1:3, 1:3, 1:3\] of the volume.*{words}"):
         LazyVolume(data).read((1, 1, 1), (3, 3, 3))
 
@@ -140,18 +140,18 @@ def test_what_cannot_be_read_is_named(data: Broken, words: str) -> None:
         LazyVolume(noise(3, 3, 3)),
     ],
 )
-def test_what_is_no_volume_is_refused(data: Any) -> None:
+def test_input_that_is_not_a_volume_is_rejected(data: Any) -> None:
     with pytest.raises(DataError, match=r"^(data|every axis of data) must"):
         LazyVolume(data)
 
 
-def test_the_largest_volume_is_one_that_arrays_could_hold() -> None:
+def test_a_volume_is_at_most_the_size_of_an_array() -> None:
     shape = (1 << 21, 1 << 21, (1 << 19) - 1)
     volume = LazyVolume(Counted(noise(2, 2, 2), shape=shape))
     assert (volume.shape, volume.grid.shape) == (shape, shape)
 
 
-def test_a_file_that_was_closed_is_told_by_whatever_asks_it(tmp_path: Path, device: Device) -> None:
+def test_every_access_to_a_closed_file_says_so(tmp_path: Path, device: Device) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "v.h5", "w") as file:
         data = file.create_dataset("v", data=noise(9, 9, 9), chunks=(4, 4, 4))
@@ -177,24 +177,24 @@ def test_levels_must_become_smaller() -> None:
             LazyVolume(data).read(low, high)
 
 
-def test_it_becomes_no_array_by_accident() -> None:
+def test_it_does_not_become_an_array_by_accident() -> None:
     volume = LazyVolume(noise(4, 4, 4))
     with pytest.raises(ClvolError, match="becomes no array by accident"):
         np.asarray(volume)
 
 
-def test_limits_are_estimated_where_not_all_samples_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_are_estimated_from_a_subsample(monkeypatch: pytest.MonkeyPatch) -> None:
     data = Counted(noise(20, 20, 20), (10, 10, 10))
     assert not LazyVolume(data).estimated
     monkeypatch.setattr("clvol.bricks.source._PREVIEWED", 1000)
     assert LazyVolume(data).estimated
     assert not LazyVolume(data, limits=(0, 1)).estimated
-    assert not LazyVolume(Counted(data.data)).estimated  # without chunks all are looked at
+    assert not LazyVolume(Counted(data.data)).estimated  # without chunks all are read
     assert data.read == 0
 
 
 @pytest.mark.parametrize("options", [{"filter": "linear"}, {"memory": 64 << 20}])
-def test_a_renderer_of_it_is_pickled_with_its_samples_and_its_budget(device: Device, options: dict[str, Any]) -> None:
+def test_a_renderer_is_pickled_with_its_samples_and_budget(device: Device, options: dict[str, Any]) -> None:
     volume = LazyVolume(clvol.phantoms.sphere(16).data)
     with clvol.Renderer(volume, device=device, **options) as renderer, pickle.loads(pickle.dumps(renderer)) as again:
         assert isinstance(again.field, clvol.BrickedField)
@@ -202,7 +202,7 @@ def test_a_renderer_of_it_is_pickled_with_its_samples_and_its_budget(device: Dev
         np.testing.assert_array_equal(again.render(size=(16, 12)), renderer.render(size=(16, 12)))
 
 
-def test_a_renderer_says_which_size_its_last_picture_shows(device: Device) -> None:
+def test_a_renderer_reports_the_level_of_its_last_picture(device: Device) -> None:
     coarse = LazyVolume(clvol.phantoms.sphere(12).data, (2, 2, 2), (0.5, 0.5, 0.5))
     volume = LazyVolume(clvol.phantoms.sphere(24).data, levels=[coarse])
     with clvol.Renderer(volume, "linear", device=device) as renderer:
@@ -236,7 +236,7 @@ PARTS = [
 
 
 def parts_of(path: Path) -> dict[str, np.ndarray[Any, Any]]:
-    """Maps of a file, and parts of them."""
+    """Maps of a file, and views of them."""
     samples = noise(40, 40)
     samples.tofile(path)
     c = np.memmap(path, np.float32, "r", offset=64, shape=(7, 8, 15))
@@ -255,7 +255,7 @@ def parts_of(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_a_mapped_file_is_pickled_by_its_name(name: str, tmp_path: Path) -> None:
+def test_a_mapped_file_is_pickled_by_name(name: str, tmp_path: Path) -> None:
     data = parts_of(tmp_path / "a")[name]
     volume = LazyVolume(data)
     assert not volume.in_memory
@@ -268,7 +268,7 @@ def test_a_mapped_file_is_pickled_by_its_name(name: str, tmp_path: Path) -> None
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(other)).whole().data, data)
 
 
-def test_what_is_mapped_and_not_in_its_file_is_pickled(tmp_path: Path) -> None:
+def test_mapped_samples_that_differ_from_the_file_are_pickled(tmp_path: Path) -> None:
     noise(10, 10, 10).tofile(tmp_path / "a")
     changed = np.memmap(tmp_path / "a", np.float32, "c", shape=(10, 10, 10))
     changed[3] = 5
@@ -282,13 +282,13 @@ def test_what_is_mapped_and_not_in_its_file_is_pickled(tmp_path: Path) -> None:
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(LazyVolume(plain))).whole().data, plain)
 
 
-def test_what_is_written_to_a_map_is_read_elsewhere(tmp_path: Path) -> None:
+def test_writes_to_a_map_are_read_in_other_processes(tmp_path: Path) -> None:
     data = np.memmap(tmp_path / "a", np.int16, "w+", shape=(4, 5, 6))
     data[...] = 7
     assert (pickle.loads(pickle.dumps(LazyVolume(data))).whole().data == 7).all()
 
 
-def test_a_mapped_file_that_is_another_is_refused(tmp_path: Path) -> None:
+def test_a_replaced_mapped_file_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "a"
     noise(10, 10, 10).tofile(path)
     packed = pickle.dumps(LazyVolume(np.memmap(path, np.float32, "r", shape=(10, 10, 10))))
@@ -304,7 +304,7 @@ def test_a_mapped_file_that_is_another_is_refused(tmp_path: Path) -> None:
         pickle.loads(packed).whole()
 
 
-def test_a_mapped_file_that_changed_and_has_the_same_size_is_refused(tmp_path: Path) -> None:
+def test_a_changed_mapped_file_of_the_same_size_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "a"
     noise(10, 10, 10).tofile(path)
     data = np.memmap(path, np.float32, "r+", shape=(10, 10, 10))
@@ -322,14 +322,14 @@ def test_a_mapped_file_that_changed_and_has_the_same_size_is_refused(tmp_path: P
     with pytest.raises(FormatError, match="has changed since it was opened"):
         pickle.loads(packed).whole()
 
-    data[...] = 5  # of the file that has no name any more
+    data[...] = 5  # of the unlinked file
     data = np.memmap(path, np.float32, "r+", shape=(10, 10, 10))
     data[...] = 3  # is in the file, and its time with it, before it is pickled
     assert (pickle.loads(pickle.dumps(LazyVolume(data))).whole().data == 3).all()
 
 
 @pytest.mark.parametrize("step", [100, 1000, 10**9, 2 * 10**9])
-def test_another_host_may_see_a_mapped_file_with_a_coarser_time_and_another_number(
+def test_another_host_may_report_a_coarser_time_and_another_inode(
     step: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a"
@@ -347,7 +347,7 @@ def test_another_host_may_see_a_mapped_file_with_a_coarser_time_and_another_numb
         pickle.loads(packed).whole()
 
 
-def test_chunks_of_nothing_are_none() -> None:
+def test_empty_chunks_count_as_none() -> None:
     class Odd(Counted):
         chunks = (0, 0, 0)
 

@@ -45,7 +45,7 @@ class Result:
         return json.loads(self.out)
 
     def fails(self, code: int, *words: str) -> None:
-        """One line on standard error that holds `words`, nothing on standard output, nothing written."""
+        """Require one line on standard error that contains `words`, no standard output, and no file."""
         assert self.code == code, self.err
         assert self.out == ""
         assert self.err.startswith("clvol: ")
@@ -70,7 +70,7 @@ def clvol_command(capsys: pytest.CaptureFixture[str]) -> Command:
 
 
 def subprocess_of(*arguments: object, code: str = "", **environment: str) -> subprocess.CompletedProcess[str]:
-    """The command in a process of its own, after the statements in `code`."""
+    """Run the command in its own process, after the statements in `code`."""
     script = f"{code}\nfrom clvol.cli import main\nmain()"
     return subprocess.run(
         [sys.executable, "-c", script, *map(str, arguments)],
@@ -89,7 +89,7 @@ def files() -> list[str]:
 # -- render ---------------------------------------------------------------------------------------------------
 
 
-def test_render_says_what_it_smooths(clvol_command: Command, tmp_path: Path) -> None:
+def test_render_reports_its_smoothing(clvol_command: Command, tmp_path: Path) -> None:
     noisy = clvol.phantoms.sphere(32).data + np.random.default_rng(0).normal(0, 0.2, (32, 32, 32))
     np.save(tmp_path / "noisy.npy", noisy.astype(np.float32))
     done = clvol_command("render", "noisy.npy", "-o", "a.png", *SMALL)
@@ -103,7 +103,7 @@ def test_render_says_what_it_smooths(clvol_command: Command, tmp_path: Path) -> 
     assert drawn == clvol.Renderer(noisy.astype(np.float32)).filter.name
 
 
-def test_render_writes_what_render_gives(clvol_command: Command) -> None:
+def test_render_writes_the_picture_of_the_function(clvol_command: Command) -> None:
     done = clvol_command("render", SPHERE, "-o", "a.png", *SMALL)
     assert (done.code, done.err) == (0, "")
     assert done.out == "output: a.png\nsize: 16 12\nfilter: bspline3\nmode: composite\n"
@@ -148,7 +148,7 @@ def test_options_of_modes_that_are_words(clvol_command: Command) -> None:
     assert "method must be one of exact, stepped; got 'fast'" in wrong.err
 
 
-def test_render_tells_and_shows_what_was_looked_at(clvol_command: Command) -> None:
+def test_render_reports_and_draws_the_samples_evaluated(clvol_command: Command) -> None:
     options = (*SMALL, "--mode", "isosurface", "--isovalue", "-0.25")
     told = clvol_command("render", SPHERE, "-o", "a.png", *options, "--heat-map", "heat.png", "--verbose", "--json").json
     assert told["heat_map"] == "heat.png"
@@ -162,7 +162,7 @@ def test_render_tells_and_shows_what_was_looked_at(clvol_command: Command) -> No
     assert "b.png" not in files()
 
 
-def test_render_tells_and_shows_how_far_the_surface_may_be_off(clvol_command: Command) -> None:
+def test_render_reports_and_draws_the_surface_uncertainty(clvol_command: Command) -> None:
     options = (*SMALL, "--mode", "isosurface", "--isovalue", "-0.25", "--filter", "bspline3")
     told = clvol_command("render", SPHERE, "-o", "a.png", *options, "--uncertainty", "within.png", "--json").json
     assert told["uncertainty"] == "within.png"
@@ -176,7 +176,7 @@ def test_render_tells_and_shows_how_far_the_surface_may_be_off(clvol_command: Co
 
 
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip", "minip", "mean"])
-def test_render_knows_every_mode(clvol_command: Command, mode: str) -> None:
+def test_render_supports_every_mode(clvol_command: Command, mode: str) -> None:
     assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--mode", mode, "--json").json["mode"] == mode
     assert iio.imread("a.png").shape == (12, 16, 3)
 
@@ -240,7 +240,7 @@ def test_render_writes_by_suffix(clvol_command: Command, suffix: str) -> None:
     ],
     ids=lambda x: " ".join(x[-2:]) if isinstance(x, tuple) else None,
 )
-def test_what_the_user_got_wrong_is_one_line(clvol_command: Command, options: tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_a_users_error_is_one_line(clvol_command: Command, options: tuple[str, ...], words: tuple[str, ...]) -> None:
     Path("folder").mkdir()
     output = () if "-o" in options else ("-o", "a.png")
     clvol_command("render", *options, *output).fails(1, *words)
@@ -283,7 +283,7 @@ def test_a_wrong_command_line_exits_with_2(clvol_command: Command, arguments: tu
     assert files() == []
 
 
-def test_nothing_is_drawn_for_an_output_that_cannot_be(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_rendered_for_an_impossible_output(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("render", "resample", "magnify", "read"):
         monkeypatch.setattr(clvol, name, None)
     for command in (("render", SPHERE), ("compare", SPHERE), ("figure6",), ("figure", "6")):
@@ -318,7 +318,7 @@ def test_raw_files_need_a_shape_and_a_type(clvol_command: Command) -> None:
     clvol_command("info", "a.raw", "--shape", "4", "5", "6", "--dtype", "bogus").fails(1, "'bogus'")
 
 
-def test_nan_is_refused_and_filled(clvol_command: Command) -> None:
+def test_nan_is_rejected_or_filled(clvol_command: Command) -> None:
     data = np.array(clvol.phantoms.sphere(8).data)
     data[1, 2, 3], data[0, 0, 0] = np.nan, np.inf
     np.save("a.npy", data)
@@ -332,7 +332,7 @@ def test_nan_is_refused_and_filled(clvol_command: Command) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.npy", "a.npz", "a.nii", "a.nii.gz", "a.nrrd", "a.nhdr", "a.mha", "a.mhd", "a.tif"])
-def test_info_tells_of_every_kind_of_file(clvol_command: Command, name: str) -> None:
+def test_info_describes_every_kind_of_file(clvol_command: Command, name: str) -> None:
     if name.startswith(("a.n", "a.m")) and not name.startswith("a.np"):
         pytest.importorskip("SimpleITK")
     if name.endswith("tif"):
@@ -371,7 +371,7 @@ def test_info_tells_of_every_kind_of_file(clvol_command: Command, name: str) -> 
     assert "finite: yes" in lines
 
 
-def test_info_tells_of_a_dicom_folder(clvol_command: Command) -> None:
+def test_info_describes_a_dicom_folder(clvol_command: Command) -> None:
     sitk = pytest.importorskip("SimpleITK")
     Path("series").mkdir()
     for z in range(3):
@@ -395,7 +395,7 @@ def test_info_tells_of_a_dicom_folder(clvol_command: Command) -> None:
     assert (told["shape"], told["value_range"], told["spacing"]) == ([3, 4, 5], [0, 2], [1, 1, 2])
 
 
-def test_info_tells_of_images_phantoms_and_nan(clvol_command: Command) -> None:
+def test_info_describes_images_phantoms_and_nan(clvol_command: Command) -> None:
     np.save("image.npy", np.zeros((3, 4), np.uint8))
     assert clvol_command("info", "image.npy", "--json").json["shape"] == [3, 4]
     assert clvol_command("info", "phantom:box:3,4,5", "--spacing", "1", "2", "3", "--json").json["spacing"] == [1, 2, 3]
@@ -411,7 +411,7 @@ def test_info_tells_of_images_phantoms_and_nan(clvol_command: Command) -> None:
     assert clvol_command("info", "none.npy", "--fill-nan", "2", "--json").json["value_range"] == [2, 2]
 
 
-def test_info_tells_of_noise_and_of_what_auto_chooses(clvol_command: Command) -> None:
+def test_info_reports_noise_and_the_automatic_smoothing(clvol_command: Command) -> None:
     np.save("noisy.npy", clvol.phantoms.sphere(32).data + 0.1 * np.random.default_rng(0).normal(size=(32, 32, 32)))
     told = clvol_command("info", "noisy.npy", "--json").json
     assert told["noise"] == "white"
@@ -421,7 +421,7 @@ def test_info_tells_of_noise_and_of_what_auto_chooses(clvol_command: Command) ->
     assert clvol_command("info", "phantom:box", "--json").json["noise"] == "binary"
 
 
-def test_info_tells_the_range_of_values_far_from_zero(clvol_command: Command) -> None:
+def test_info_reports_the_range_of_values_far_from_zero(clvol_command: Command) -> None:
     for name, data, text in (
         ("whole", np.array([[2**40 - 700, 2**40 + 4321]]), "1099511627076 1099511632097"),
         ("wide", np.array([[2**63 + 1, 2**64 - 1]], np.uint64), f"{2**63 + 1} {2**64 - 1}"),
@@ -436,7 +436,7 @@ def test_info_tells_the_range_of_values_far_from_zero(clvol_command: Command) ->
     assert clvol_command("info", "whole.npy", "--json").json["value_range"] == [2**40 - 700, 2**40 + 4321]
 
 
-def test_info_of_what_is_no_volume_is_one_line(clvol_command: Command) -> None:
+def test_info_of_a_file_that_is_not_a_volume_is_one_line(clvol_command: Command) -> None:
     Path("a.npy").write_bytes(b"not an array")
     clvol_command("info", "a.npy").fails(1, "a.npy")
     Path("a.txt").write_text("text")
@@ -450,7 +450,7 @@ def test_info_of_what_is_no_volume_is_one_line(clvol_command: Command) -> None:
 
 @pytest.fixture
 def cells(_in_folder: None) -> np.ndarray:
-    """Written as cells.ome.tif: 3 times of 2 channels, each with other values."""
+    """Written as cells.ome.tif: 3 times of 2 channels with different values."""
     tifffile = pytest.importorskip("tifffile")
     data = np.random.default_rng(0).integers(0, 9, (3, 2, 4, 5, 6)) + 10 * np.arange(6).reshape(3, 2, 1, 1, 1)
     about = {"axes": "TZCYX", "Channel": {"Name": ["DAPI", "GFP"]}}
@@ -477,7 +477,7 @@ def test_one_of_several_volumes_is_chosen(clvol_command: Command, cells: np.ndar
 
 
 @pytest.mark.usefixtures("cells")
-def test_what_was_chosen_among_several_is_a_note(clvol_command: Command) -> None:
+def test_a_note_states_the_volume_chosen(clvol_command: Command) -> None:
     done = clvol_command("convert", "cells.ome.tif", "-o", "a.npz")
     assert (done.code, done.err) == (
         0,
@@ -493,7 +493,7 @@ def test_what_was_chosen_among_several_is_a_note(clvol_command: Command) -> None
 
 
 def test_a_pyramid_of_a_file(clvol_command: Command) -> None:
-    """Written, listed, opened again; what is wrong is said in the shell's words, and nothing is written."""
+    """Written, listed, opened again; errors use the shell's options, and then nothing is written."""
     pytest.importorskip("zarr")
     clvol.write(clvol.Volume(np.random.default_rng(0).random((40, 50, 60), np.float32), spacing=(2, 2, 2)), "v.npz")
     done = clvol_command("pyramid", "v.npz", "-o", "v.zarr", "--chunks", "16", "16", "16", "--filter", "linear", "--json").json
@@ -518,7 +518,7 @@ def test_a_pyramid_of_a_file(clvol_command: Command) -> None:
 
 @pytest.fixture
 def ball(_in_folder: None) -> clvol.Volume:
-    """A small ball in a corner of much nothing, stored in ball.zarr in three sizes."""
+    """A small ball in the corner of a large empty volume, stored in ball.zarr at three resolutions."""
     pytest.importorskip("zarr")
     z, y, x = np.ogrid[:72, :72, :72]
     data = np.clip(200 - 4 * ((x - 18) ** 2 + (y - 18) ** 2 + (z - 18) ** 2), 0, None).astype(np.uint8)
@@ -528,7 +528,7 @@ def ball(_in_folder: None) -> clvol.Volume:
 
 
 @pytest.mark.usefixtures("ball")
-def test_what_is_stored_in_several_sizes_is_drawn_by_bricks(clvol_command: Command) -> None:
+def test_a_multi_resolution_store_is_rendered_by_bricks(clvol_command: Command) -> None:
     own = ("render", "ball.zarr", "-o", "a.png", *SMALL, "--fit", "volume", "--mode", "isosurface")
     done = clvol_command(*own, "--memory", "1M", "--lod", "0", "--json").json
     assert {name: done[name] for name in ("filter", "level", "level_shape", "bricks")} == {
@@ -541,7 +541,7 @@ def test_what_is_stored_in_several_sizes_is_drawn_by_bricks(clvol_command: Comma
     camera = clvol.Camera.orbit(30, 20, fit="volume")
     expected = clvol.render(clvol.open("ball.zarr"), camera, "isosurface", size=(16, 12), lod=0)
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.show.picture.to_bytes(expected)[..., :3])
-    told = clvol_command(*own).out  # a picture of 16 × 12 pixels has no use for all samples
+    told = clvol_command(*own).out  # a picture of 16 × 12 pixels does not need all samples
     assert "filter: linear\nmode: isosurface\nlevel: 2, 18 × 18 × 18\nbricks: 1 read, of 1\n" in told
     clvol_command(*own, "--memory", "1K").fails(1, "--memory must be at least", "a brick of 32³ samples takes; got 1024")
     clvol_command(*own, "--memory", "much").fails(1, "--memory must be", "800M or 4G; got 'much'")
@@ -553,12 +553,12 @@ def test_what_is_stored_in_several_sizes_is_drawn_by_bricks(clvol_command: Comma
     [("--level", "0"), ("--evaluator", "paired"), ("--mode", "isosurface", "--uncertainty", "u.png", "--filter", "bspline3")],
 )
 @pytest.mark.usefixtures("ball")
-def test_what_bricks_have_not_is_drawn_of_all_samples(clvol_command: Command, options: tuple[str, ...]) -> None:
+def test_outputs_that_bricks_lack_are_rendered_from_all_samples(clvol_command: Command, options: tuple[str, ...]) -> None:
     assert "bricks" not in clvol_command("render", "ball.zarr", "-o", "a.png", *SMALL, *options, "--json").json
 
 
 @pytest.mark.parametrize("options", [("--by-bricks",), ("--by-bricks", "--mode", "mip")])
-def test_any_volume_is_drawn_by_bricks(clvol_command: Command, options: tuple[str, ...]) -> None:
+def test_any_volume_is_rendered_by_bricks_on_request(clvol_command: Command, options: tuple[str, ...]) -> None:
     drawn = {}
     for name, own in (("whole.png", [o for o in options if o != "--by-bricks"]), ("bricks.png", options)):
         told = clvol_command("render", "phantom:sphere:20", "-o", name, *SMALL, "--filter", "linear", *own)
@@ -568,7 +568,7 @@ def test_any_volume_is_drawn_by_bricks(clvol_command: Command, options: tuple[st
     np.testing.assert_array_equal(drawn["whole.png"], drawn["bricks.png"])
 
 
-def test_what_does_not_fit_into_memory_is_drawn_by_bricks(
+def test_a_volume_that_does_not_fit_is_rendered_by_bricks(
     clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     np.save("ball.npy", ball.data)
@@ -580,7 +580,7 @@ def test_what_does_not_fit_into_memory_is_drawn_by_bricks(
     assert clvol_command(*own).json["bricks_read"] > 0
 
 
-def test_info_reads_few_samples_of_what_is_large(
+def test_info_reads_few_samples_of_a_large_volume(
     clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = clvol_command("info", "ball.zarr")
@@ -603,7 +603,7 @@ def test_info_reads_few_samples_of_what_is_large(
     assert {(shape, high) for shape, _, high in asked} == {((72, 72, 72), (48, 48, 48)), ((18, 18, 18), (18, 18, 18))}
 
 
-def test_a_size_that_fits_is_looked_at(clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_view_uses_a_level_that_fits(clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[Any] = []
     monkeypatch.setattr("clvol.view.hosts.terminal.show_in_terminal", shown.append)
     monkeypatch.setattr("clvol.base.memory.available", lambda: 1 << 20)
@@ -624,7 +624,7 @@ def test_a_size_that_fits_is_looked_at(clvol_command: Command, ball: clvol.Volum
     assert shown[-1].volume.shape == (72, 72, 72)
 
 
-def test_what_is_far_away_is_drawn_listed_and_read(
+def test_remote_stores_are_rendered_listed_and_read(
     clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fsspec = pytest.importorskip("fsspec")
@@ -645,7 +645,7 @@ def test_what_is_far_away_is_drawn_listed_and_read(
 
 
 @pytest.mark.parametrize("options", [(), ("--by-bricks",)])
-def test_missing_samples_of_a_store_are_refused_and_filled(clvol_command: Command, options: tuple[str, ...]) -> None:
+def test_missing_samples_of_a_store_are_rejected_or_filled(clvol_command: Command, options: tuple[str, ...]) -> None:
     zarr = pytest.importorskip("zarr")
     data = np.random.default_rng(0).random((12, 12, 12), np.float32)
     data[5, 6, 7] = np.nan
@@ -683,7 +683,7 @@ def test_several_images_are_listed(clvol_command: Command) -> None:
     assert clvol_command("info", "a.h5", "--series", "first", "--json").json["shape"] == [2, 3, 4]
 
 
-def test_info_says_what_the_file_wants_shown(clvol_command: Command) -> None:
+def test_info_reports_the_display_settings_of_a_file(clvol_command: Command) -> None:
     nibabel = pytest.importorskip("nibabel")
     image = nibabel.Nifti1Image(np.arange(60, dtype=np.int16).reshape(3, 4, 5), np.eye(4))
     image.header["cal_min"], image.header["cal_max"] = 10, 50
@@ -701,7 +701,7 @@ def test_info_says_what_the_file_wants_shown(clvol_command: Command) -> None:
 # -- compare and figure 6 -------------------------------------------------------------------------------------
 
 
-def test_compare_draws_the_filters_asked_for(clvol_command: Command) -> None:
+def test_compare_draws_the_requested_filters(clvol_command: Command) -> None:
     options = ("--pixels", "16", "--boundary", "wrap", "--filters", "linear", "bc(0, 1/2)", "--isovalue", "0.3")
     done = clvol_command("compare", SPHERE, "-o", "a.png", *options, "--json").json
     assert done == {"output": "a.png", "filters": ["linear", "bc(0, 1/2)"], "mode": "isosurface"}
@@ -712,21 +712,21 @@ def test_compare_draws_the_filters_asked_for(clvol_command: Command) -> None:
     np.testing.assert_array_equal(iio.imread("a.png")[:16, :16], clvol.show.picture.to_bytes(tile)[..., :3])
 
 
-def test_compare_draws_surfaces_whatever_else_is_asked_for(clvol_command: Command) -> None:
+def test_compare_always_draws_surfaces(clvol_command: Command) -> None:
     few = ("compare", SPHERE, "-o", "a.png", "--pixels", "8", "--filters", "linear", "--json")
     assert clvol_command(*few).json["mode"] == "isosurface"
     assert clvol_command(*few, "--zoom", "2").json["mode"] == "isosurface"
     assert clvol_command(*few, "--mode", "mip").json["mode"] == "mip"
 
 
-def test_compare_takes_the_six_of_the_figure(clvol_command: Command) -> None:
+def test_compare_accepts_the_six_of_the_figure(clvol_command: Command) -> None:
     done = clvol_command("compare", "phantom:marschner-lobb:8", "-o", "a.png", "--pixels", "8", "--json").json
     assert done["filters"] == list(clvol.figures.SIX)
     assert iio.imread("a.png").shape[1] == 3 * 8 + 2 * 4
     assert clvol_command("compare", SPHERE, "-o", "b.png", "--pixels", "8").out.splitlines()[1].startswith("filters: sinc4n ")
 
 
-def test_compare_tells_what_filters_there_are(clvol_command: Command) -> None:
+def test_compare_lists_the_known_filters(clvol_command: Command) -> None:
     clvol_command("compare", SPHERE, "-o", "a.png", "--filters", "linear", "bogus").fails(1, "bspline3-approx", "'bogus'")
     clvol_command("compare", SPHERE, "-o", "a.png", "--pixels", "0").fails(1, "pixels")
     assert files() == []
@@ -753,7 +753,7 @@ def test_compare_writes_a_table_of_errors(clvol_command: Command) -> None:
     assert files() == ["a.json", "a.md", "a.png", "scan.npz"]
 
 
-def test_compare_writes_errors_found_in_other_ways(clvol_command: Command) -> None:
+def test_compare_writes_errors_of_the_other_experiments(clvol_command: Command) -> None:
     clvol.write(clvol.phantoms.marschner_lobb(24), "scan.npz")
     volume, names = clvol.read("scan.npz"), ("linear", "bspline3")
     few = ("compare", "scan.npz", "--filters", *names)
@@ -771,7 +771,7 @@ def test_compare_writes_errors_found_in_other_ways(clvol_command: Command) -> No
     assert files() == ["b.csv", "e.json", "l.csv", "scan.npz", "t.md"]
 
 
-def test_compare_tells_what_is_wrong_with_a_table(clvol_command: Command) -> None:
+def test_compare_rejects_a_bad_table(clvol_command: Command) -> None:
     clvol_command("compare", SPHERE).fails(
         1, "give --output, a picture, or a table of errors (--table, --expected, --left-out, --t"
     )
@@ -837,12 +837,12 @@ def test_figure_draws_prints_and_names_its_file(clvol_command: Command) -> None:
     ],
     ids=" ".join,
 )
-def test_figure_tells_what_is_wrong(clvol_command: Command, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_figure_reports_errors(clvol_command: Command, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
     clvol_command("figure", *arguments).fails(1, *words)
     assert files() == []
 
 
-def test_without_matplotlib_figures_and_reports_say_what_to_install() -> None:
+def test_without_matplotlib_figures_and_reports_name_the_extra() -> None:
     code = "import sys; sys.modules['matplotlib'] = None"
     for arguments in (("figure", "2"), ("report", SPHERE, "-o", "report")):
         done = subprocess_of(*arguments, code=code)
@@ -856,7 +856,7 @@ def test_without_matplotlib_figures_and_reports_say_what_to_install() -> None:
 # -- report ---------------------------------------------------------------------------------------------------
 
 
-def test_report_writes_a_page_and_says_its_advice(clvol_command: Command) -> None:
+def test_report_writes_a_page_and_prints_its_advice(clvol_command: Command) -> None:
     small = ("--filters", "linear", "bspline3", "--pixels", "16")
     done = clvol_command("report", "phantom:box:12", "-o", "out", *small, "--mode", "mip", "--azimuth", "10")
     assert (done.code, done.err) == (0, "")
@@ -879,7 +879,7 @@ def test_report_writes_a_page_and_says_its_advice(clvol_command: Command) -> Non
     assert files() == ["a.html", "out", "scan.npz"]
 
 
-def test_report_tells_what_is_wrong(clvol_command: Command) -> None:
+def test_report_reports_errors(clvol_command: Command) -> None:
     clvol_command("report", SPHERE, "-o", "none/out").fails(1, "none does not exist")
     if Path("/proc/self").is_dir():
         clvol_command("report", "missing.npz", "-o", "/proc/report").fails(1, "cannot write /proc/report")  # before it is read
@@ -909,7 +909,7 @@ def test_report_tells_what_is_wrong(clvol_command: Command) -> None:
     ],
     ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
 )
-def test_resample_writes_what_resample_gives(
+def test_resample_writes_the_result_of_the_function(
     clvol_command: Command, options: tuple[str, ...], expected: Callable[[clvol.Volume], clvol.Volume]
 ) -> None:
     clvol.write(clvol.Volume(np.zeros((3, 4, 5)), (0.3, 0.2, 0.1), (-1, -2, 0.5)), "like.npz")
@@ -921,13 +921,13 @@ def test_resample_writes_what_resample_gives(
     assert done == {"output": "a.npz", "shape": list(wanted.shape), "spacing": list(wanted.spacing)}
 
 
-def test_resample_leaves_out_what_missing_samples_touch(clvol_command: Command) -> None:
+def test_resample_omits_results_that_missing_samples_touch(clvol_command: Command) -> None:
     data = np.ones((8, 9, 10), np.float32)
     data[3, 3, 3] = np.nan
     clvol.write(clvol.Volume(data), "gap.npz")
     clvol_command("resample", "gap.npz", "-o", "a.npz", "--magnify", "2").fails(1, "samples must be finite")
     assert clvol_command("resample", "gap.npz", "-o", "a.npz", "--magnify", "2", "--nan", "local").code == 0
-    assert np.isnan(clvol.read("a.npz").data).sum() == 7**3  # a cubic reaches less than two samples to either side
+    assert np.isnan(clvol.read("a.npz").data).sum() == 7**3  # a cubic reaches less than two samples on each side
 
 
 def test_resample_takes_exactly_one_grid(clvol_command: Command) -> None:
@@ -950,7 +950,7 @@ def test_resample_takes_exactly_one_grid(clvol_command: Command) -> None:
     ],
     ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
 )
-def test_resample_tells_what_is_wrong(clvol_command: Command, options: tuple[str, ...], word: str) -> None:
+def test_resample_reports_errors(clvol_command: Command, options: tuple[str, ...], word: str) -> None:
     clvol_command("resample", SPHERE, "-o", "a.npz", *options).fails(1, word)
     assert files() == []
 
@@ -983,7 +983,7 @@ def test_devices_are_listed(clvol_command: Command, device: Device) -> None:
     assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--device", rows[0]["number"]).code == 0
 
 
-def test_doctor_finds_this_machine_sound(clvol_command: Command, device: Device) -> None:
+def test_doctor_approves_this_machine(clvol_command: Command, device: Device) -> None:
     told = clvol_command("doctor", "--json").json
     assert told["usable"] is True
     assert [c["ok"] for c in told["checks"][:3]] == [True] * 3
@@ -1005,7 +1005,7 @@ NO_PYOPENCL = (
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("code", [NO_PLATFORM, NO_PYOPENCL], ids=["no platform", "no pyopencl"])
-def test_without_opencl_the_doctor_says_what_to_install(code: str) -> None:
+def test_without_opencl_doctor_says_what_to_install(code: str) -> None:
     done = subprocess_of("doctor", code=code, OCL_ICD_VENDORS=os.devnull)
     assert (done.returncode, done.stderr) == (1, "")
     assert done.stdout.startswith("--  an OpenCL device: ")
@@ -1023,16 +1023,16 @@ def test_without_opencl_the_doctor_says_what_to_install(code: str) -> None:
     assert files() == []
 
 
-def test_the_doctor_notices_a_device_that_computes_wrong_values(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_detects_a_device_with_wrong_results(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clvol, "sample", lambda _, points: np.zeros(len(points)))
     done = clvol_command("doctor")
     assert done.code == 1
     assert "--  it computes right values: this device computes wrong values: off by" in done.out
-    monkeypatch.setattr(clvol, "sample", lambda *_: 1 / 0)  # whatever happens is told, not raised
+    monkeypatch.setattr(clvol, "sample", lambda *_: 1 / 0)  # errors are reported, not raised
     assert "--  it computes right values: division by zero" in clvol_command("doctor").out
 
 
-def test_the_doctor_tells_of_extras(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_lists_extras(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     def version(name: str) -> str:
         raise PackageNotFoundError(name)
 
@@ -1052,7 +1052,7 @@ def test_presets_are_listed(clvol_command: Command) -> None:
 # -- the words of the shell -----------------------------------------------------------------------------------
 
 
-def test_the_look_of_a_picture_is_asked_for_in_the_words_of_its_users(clvol_command: Command) -> None:
+def test_the_look_options_reach_render(clvol_command: Command) -> None:
     volume, options = clvol.phantoms.sphere(8), (*SMALL, "--filter", "bspline3")
 
     def drawn(*look: str, **arguments: Any) -> None:
@@ -1069,7 +1069,7 @@ def test_the_look_of_a_picture_is_asked_for_in_the_words_of_its_users(clvol_comm
     clvol_command("render", SPHERE, "-o", "b.png", "--preset", "bogus").fails(1, "--preset must be one of ct-bone", "'bogus'")
 
 
-def test_errors_and_notes_name_the_options_of_the_shell(clvol_command: Command) -> None:
+def test_errors_and_notes_name_the_shells_options(clvol_command: Command) -> None:
     np.save("gap.npy", np.array([[[1, np.nan, 3]]]))
     clvol_command("render", "gap.npy", "-o", "a.png").fails(1, "clvol: samples must be finite", "with --fill-nan VALUE")
     np.zeros(24, np.uint8).tofile("a.raw")
@@ -1090,7 +1090,7 @@ def test_errors_and_notes_name_the_options_of_the_shell(clvol_command: Command) 
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_scripts_for_completion_are_sound(clvol_command: Command, shell: str) -> None:
+def test_completion_scripts_are_valid(clvol_command: Command, shell: str) -> None:
     script = clvol_command("completion", shell).out
     for word in ("render", "resample", "--channel", "--threshold", "eight-fetch"):
         assert word in script
@@ -1162,7 +1162,7 @@ COMMANDS = (
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself(clvol_command: Command, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_has_help(clvol_command: Command, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     done = clvol_command(command, "--help")
     assert (done.code, done.err) == (0, "")
@@ -1176,11 +1176,11 @@ def test_every_command_explains_itself(clvol_command: Command, command: str, mon
     assert command in clvol_command("--help").out
 
 
-def test_the_version_is_told(clvol_command: Command) -> None:
+def test_the_version_is_printed(clvol_command: Command) -> None:
     assert clvol_command("--version").out.strip() == clvol.__version__
 
 
-def test_help_tells_the_defaults_of_each_command(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_states_the_defaults_of_each_command(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     assert "[default: composite]" in clvol_command("render", "--help").out
     assert "[default: isosurface]" in clvol_command("compare", "--help").out
@@ -1215,11 +1215,11 @@ def test_a_terminal_without_a_degree_sign_gets_the_numbers() -> None:
     assert done.stdout.splitlines()[0].endswith("?")
 
 
-# output that is held back until the end, as users have it, whatever the machine that tests says
+# buffered output, as users have it, whatever the test machine's settings
 BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
 
 
-def test_a_reader_that_has_seen_enough_is_no_error() -> None:
+def test_a_closed_pipe_is_not_an_error() -> None:
     if os.name != "posix":
         pytest.skip("pipes as POSIX has them")
     read, write = os.pipe()
@@ -1254,7 +1254,7 @@ def test_a_full_disk_is_one_line() -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_a_progress_bar_is_drawn_on_a_terminal_only(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_progress_bar_appears_only_on_a_terminal(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL).err == ""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     told: list[float] = []
@@ -1283,7 +1283,7 @@ def test_a_progress_bar_is_drawn_on_a_terminal_only(clvol_command: Command, monk
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 def test_an_interrupt_ends_a_long_render_soon_and_leaves_nothing() -> None:
-    # tells when the first tile is done, for an interrupt before that would try another thing
+    # reports when the first tile is done; an earlier interrupt would test something else
     code = """
 from clvol.march.renderer import Renderer
 render = Renderer.render
@@ -1312,15 +1312,15 @@ main(["render", "phantom:sphere:64", "-o", "a.png", "--size", "4000", "4000", "-
 
 
 @pytest.mark.parametrize("name", ["²", "①", "½", "9" * 5000, "-1"])
-def test_digits_that_are_no_number_are_no_device(clvol_command: Command, name: str) -> None:
+def test_digits_that_are_not_a_number_are_not_a_device(clvol_command: Command, name: str) -> None:
     clvol_command("render", SPHERE, "-o", "a.png", *SMALL, f"--device={name}").fails(1, "device must be one of")
 
 
-def test_numbers_of_thousands_of_digits_are_refused(clvol_command: Command) -> None:
+def test_numbers_of_thousands_of_digits_are_rejected(clvol_command: Command) -> None:
     np.save("a.npy", np.zeros((2, 3, 4, 5), np.float32))
     clvol_command("info", "a.npy", "--channel", "9" * 5000).fails(1, "channel")
     clvol_command("render", f"phantom:sphere:{'9' * 5000}", "-o", "a.png").fails(1, "size of a phantom")
 
 
-def test_colours_of_no_numbers_are_refused(clvol_command: Command) -> None:
+def test_colours_without_numbers_are_rejected(clvol_command: Command) -> None:
     clvol_command("render", SPHERE, "-o", "a.png", "--mode", "isosurface", "--color", "1.2.3 4 5").fails(1, "color")

@@ -1,4 +1,4 @@
-"""Pictures above the bar of progress: the file is the same, and the terminal is left as it was."""
+"""Previews above the progress bar: the file is the same, and the terminal is restored."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from clvol.cli._preview import Preview, Screen, console
 
 pytestmark = pytest.mark.usefixtures("device")
 TERMINAL = {"TERM": "xterm-256color", "COLORTERM": "truecolor", "COLUMNS": "60", "LINES": "20", "PYTHONIOENCODING": "utf-8"}
-# every wait is worth a preview, and no device is so fast that the final picture comes first
+# any wait triggers a preview, and no device is fast enough for the final picture to come first
 EAGER = """
 from clvol.cli import _preview as preview, pictures
 preview._WORTH = preview._SURE = -1.0
@@ -43,7 +43,7 @@ def written(terminal: Console) -> str:
 
 
 def on_a_terminal(*arguments: str, code: str = EAGER, **environment: str) -> tuple[str, str]:
-    """What the command writes to standard error, which is a terminal, and to standard output, which is none."""
+    """The command's output to standard error, a terminal, and to standard output, which is none."""
     import pty
 
     ours, theirs = pty.openpty()
@@ -59,7 +59,7 @@ def on_a_terminal(*arguments: str, code: str = EAGER, **environment: str) -> tup
         while True:
             try:
                 some = os.read(ours, 1 << 16)
-            except OSError:  # of Linux, when nobody has the other end
+            except OSError:  # on Linux, when the other end is closed
                 return
             if not some:
                 return
@@ -76,7 +76,7 @@ def on_a_terminal(*arguments: str, code: str = EAGER, **environment: str) -> tup
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals of POSIX")
 @pytest.mark.parametrize("look", [("--mode", "isosurface"), ("--background", "none")], ids=str)
-def test_the_file_is_that_without(look: tuple[str, ...]) -> None:
+def test_the_file_is_the_same_without_a_preview(look: tuple[str, ...]) -> None:
     command = ("render", "phantom:marschner-lobb:40", "--size", "400", "300", *look)
     shown, out = on_a_terminal(*command, "-o", "with.png")
     plain, plain_out = on_a_terminal(*command, "-o", "without.png", "--no-preview")
@@ -85,7 +85,7 @@ def test_the_file_is_that_without(look: tuple[str, ...]) -> None:
     assert "rendering" in plain
     assert Path("with.png").read_bytes() == Path("without.png").read_bytes()
     assert out.replace("with.png", "") == plain_out.replace("without.png", "")
-    # what stood there is erased, line by line, and the cursor is back
+    # the previous output is erased line by line, and the cursor restored
     _, _, end = shown.rpartition("▀")
     assert end.count("\x1b[2K") >= 16
     assert "\x1b[?25h" in end
@@ -104,14 +104,14 @@ def test_the_file_is_that_without(look: tuple[str, ...]) -> None:
     ],
     ids=str,
 )
-def test_a_bar_alone_where_pictures_cannot_be_shown(more: tuple[str, ...], environment: dict[str, str]) -> None:
+def test_only_a_bar_where_pictures_cannot_be_shown(more: tuple[str, ...], environment: dict[str, str]) -> None:
     shown, out = on_a_terminal("render", "phantom:sphere:8", "-o", "a.png", "--size", "16", "12", *more, **environment)
     assert "▀" not in shown
     assert ("rendering" in shown) == ("--json" not in more and environment.get("TERM") != "dumb")  # where rich draws no bar
     assert "a.png" in out
 
 
-def test_what_is_done_soon_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_quick_picture_shows_no_preview(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr("clvol.cli._preview.time.perf_counter", lambda: now[0])
     picture = np.ones((30, 40, 4), np.float32)
@@ -129,7 +129,7 @@ def test_what_is_done_soon_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     assert not shown_after([(0.0, 0.0), (0.1, 0.01), (0.9, 1.0)])  # nothing is sure yet
     assert shown_after([(0.0, 0.0), (0.5, 0.1)])
     terminal = terminal_of()
-    with Preview("rendering", terminal) as bar:  # the pictures on the way take long
+    with Preview("rendering", terminal) as bar:  # the previews take long
         bar.show(picture)
         now[0] += 3
         bar.show(picture)
@@ -137,7 +137,7 @@ def test_what_is_done_soon_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("size", [(300, 200), (20, 400), (400, 3), (1, 1)], ids=str)
-def test_it_is_as_large_as_there_is_room(size: tuple[int, int]) -> None:
+def test_the_preview_fills_the_available_lines(size: tuple[int, int]) -> None:
     width, height = size
     picture = np.zeros((height, width, 4), np.float32)
     picture[..., 0], picture[..., 3] = 1, 0.5
@@ -163,7 +163,7 @@ def test_it_is_as_large_as_there_is_room(size: tuple[int, int]) -> None:
     ],
     ids=str,
 )
-def test_which_terminals_can(given: dict[str, object], fits: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_supported_terminals(given: dict[str, object], fits: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     found = terminal_of()
     kind = {"width": 60, "height": 20, "color_system": "truecolor"} | given
     made = Console(file=found.file, force_terminal=True, legacy_windows=False, **kind)  # type: ignore[arg-type]
@@ -172,7 +172,7 @@ def test_which_terminals_can(given: dict[str, object], fits: bool, monkeypatch: 
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
-def test_an_error_leaves_the_terminal_tidy() -> None:
+def test_an_error_restores_the_terminal() -> None:
     stopped = (
         EAGER
         + """

@@ -1,4 +1,4 @@
-"""`clvol.dask` beside the eager functions, over random chunkings: equal within what is stated, lazy, and clear about what fails."""
+"""`clvol.dask` and the eager functions over random chunkings: equal within the stated bounds, lazy, with clear errors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ROUNDING = {"single": 4e-7, "double": 1e-15}  # of the largest magnitude; of sam
 
 
 def weights_of(filter: Any, count: int = 2000) -> Array:
-    """What a prefilter makes of an impulse, at distances 0, 1, 2, ...: the middle row of the inverse of the matrix of eq. (11)."""
+    """The prefilter's response to an impulse, at distances 0, 1, 2, ...: the middle row of the inverse of eq. (11)."""
     b = as_filter(filter).undone
     spectrum = b[0] + 2 * np.cos(np.outer(2 * np.pi * np.arange(count) / count, np.arange(1, b.size))) @ b[1:]
     return np.asarray(np.fft.ifft(1 / spectrum).real[: count // 2])
@@ -49,7 +49,7 @@ def gain(filter: Any) -> float:
 
 
 def chunkings(shape: tuple[int, ...], fewest: int = 1) -> st.SearchStrategy[tuple[tuple[int, ...], ...]]:
-    """Chunks of any sizes along each axis, none among them."""
+    """Chunks of any sizes along each axis, empty ones included."""
 
     def along(n: int) -> st.SearchStrategy[tuple[int, ...]]:
         cuts = st.lists(st.integers(0, n), max_size=4).map(sorted)
@@ -66,7 +66,7 @@ def samples(shape: tuple[int, ...], kind: str = "f8", seed: int = 0) -> Array:
     return (made + 1j * rng.uniform(-1, 1, shape) if np.dtype(kind).kind == "c" else made).astype(kind)
 
 
-def test_scipys_functions_are_those_of_ndimage() -> None:
+def test_scipys_functions_match_ndimage() -> None:
     assert all(getattr(lazy, name) is getattr(ndimage, name) for name in SCIPYS)
     assert set(SCIPYS) < set(lazy.__all__)
     with pytest.raises(OptionError, match="chunks must be None where input is no array of dask; got 3"):
@@ -90,7 +90,7 @@ def test_cubics_reach_14_and_24_samples() -> None:
 
 
 @pytest.mark.parametrize("name", [*(name for name, row in filters().items() if row.settled), "bspline3(0.1)", "bspline5(0.1)"])
-def test_the_reach_is_the_shortest_that_leaves_less_out(name: str) -> None:
+def test_the_reach_is_the_shortest_within_the_tolerance(name: str) -> None:
     row = as_filter(name)
     for precision, allowed in (("single", EPSILON["single"]), ("double", EPSILON["double"])):
         reach = lazy.reach(name, precision)
@@ -113,7 +113,7 @@ def test_more_smoothing_reaches_further() -> None:
 @pytest.mark.parametrize("precision", ["single", "double"])
 @given(data=st.data())
 @settings(max_examples=6, deadline=None)
-def test_coefficients_are_those_of_the_whole_array(precision: Any, data: st.DataObject) -> None:
+def test_coefficients_match_the_whole_array(precision: Any, data: st.DataObject) -> None:
     shape = tuple(data.draw(st.lists(st.integers(1, 40), min_size=1, max_size=3)))
     name = data.draw(st.sampled_from(["bspline3", "bspline2", "bspline5", "omoms3", "linear", "bspline3(0.5)", "bspline3(1000)"]))
     rule = data.draw(st.sampled_from([*clvol.boundaries(), "constant(2)", "grid-constant(-1)"]))
@@ -125,14 +125,14 @@ def test_coefficients_are_those_of_the_whole_array(precision: Any, data: st.Data
     wanted = clvol.prefilter(whole, name, rule, precision=precision)
     got = made.compute()
     assert (got.dtype, got.shape) == (made.dtype, shape)
-    # what "zero" and constants put outside counts too
+    # values outside, from "zero" and constants, count too
     span = 2 * max(float(np.abs(whole.astype(float)).max()), abs(as_boundary(rule).cval), 1e-9)
     d, largest = whole.ndim, gain(name) ** whole.ndim * span
     np.testing.assert_allclose(got, wanted, rtol=0, atol=(d * EPSILON[precision] + ROUNDING[precision]) * largest)
 
 
-def test_the_stated_bound_is_nearly_reached() -> None:
-    """Samples of the worst signs: it is not a bound that everything keeps to."""
+def test_the_stated_bound_is_tight() -> None:
+    """For samples with the worst signs."""
     n, cut = 200, 100
     h = weights_of("bspline3")
     reach = lazy.reach("bspline3", "double")
@@ -150,7 +150,7 @@ def test_the_stated_bound_is_nearly_reached() -> None:
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("order", [2, 3, 5])
-def test_coefficients_are_scipys(mode: str, order: int) -> None:
+def test_coefficients_match_scipy(mode: str, order: int) -> None:
     whole = samples((61, 90))
     blocks = da.from_array(whole, chunks=((1, 20, 40), (13, 0, 60, 17)))
     made = ndimage.spline_filter(blocks, order, mode=mode)
@@ -166,7 +166,7 @@ def test_coefficients_are_scipys(mode: str, order: int) -> None:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("shape", [(2, 3, 20, 21, 22), (3, 30, 31)])
-def test_leading_axes_are_volumes_of_their_own(shape: tuple[int, ...]) -> None:
+def test_leading_axes_are_separate_volumes(shape: tuple[int, ...]) -> None:
     whole = samples(shape, "f4")
     dimensions = None if len(shape) > 3 else 2
     blocks = da.from_array(whole, chunks=(1, *[7] * (len(shape) - 1)))
@@ -215,7 +215,7 @@ CALLS: dict[str, Any] = {
 @pytest.mark.parametrize("name", CALLS)
 @given(data=st.data())
 @settings(max_examples=3, deadline=None)
-def test_grids_and_points_are_those_of_the_whole_array(name: str, mode: str, data: st.DataObject) -> None:
+def test_grids_and_points_match_the_whole_array(name: str, mode: str, data: st.DataObject) -> None:
     shape = tuple(data.draw(st.lists(st.integers(2, 40), min_size=2, max_size=3)))
     kind = data.draw(st.sampled_from(["f8", "f8", "f4", "u1", "c16"]))
     order = data.draw(st.sampled_from([0, 1, 2, 3, 5]))
@@ -229,7 +229,7 @@ def test_grids_and_points_are_those_of_the_whole_array(name: str, mode: str, dat
     assert (made.shape, made.dtype) == (wanted.shape, wanted.dtype)
     got = made.compute()
     assert (got.shape, got.dtype) == (wanted.shape, wanted.dtype)
-    if kind == "u1":  # halves may be rounded either way, as each window is computed in float32 or float64
+    if kind == "u1":  # halves may round either way, as each window is computed in float32 or float64
         assert np.abs(got.astype(int) - wanted.astype(int)).max(initial=0) <= 1
         assert np.count_nonzero(got != wanted) <= max(9, 0.01 * got.size)
         return
@@ -246,7 +246,7 @@ def test_points_past_a_last_chunk_of_one_sample_read_what_they_are_mirrored_to()
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("mode", [mode for mode in MODES if mode != "grid-wrap"])
 @pytest.mark.parametrize("order", [0, 1])
-def test_without_a_prefilter_no_bit_differs(order: int, mode: str) -> None:
+def test_without_a_prefilter_results_are_identical(order: int, mode: str) -> None:
     whole = samples((50, 41, 33))
     blocks = da.from_array(whole, chunks=(13, 8, 33))
     for name in ("zoom 0.6", "zoom 2", "zoom gaussian", "shift", "shift far", "scaled", "diagonal", "points and infinities"):
@@ -259,7 +259,7 @@ def test_without_a_prefilter_no_bit_differs(order: int, mode: str) -> None:
 
 
 def test_booleans_are_computed_in_double_precision() -> None:
-    """For results are cut off: none differs but where the function is 1 to the last digits."""
+    """Results are truncated: they differ only where the function is 1 to the last digits."""
     whole = scipy.ndimage.gaussian_filter(np.random.default_rng(0).random((40, 44, 48)), 2) > 0.5
     blocks = da.from_array(whole, chunks=(16, 20, 48))
     for order in (2, 3):
@@ -270,8 +270,8 @@ def test_booleans_are_computed_in_double_precision() -> None:
 
 
 @pytest.mark.parametrize("mode", ["constant", "wrap"])
-def test_edges_where_the_function_jumps_are_where_they_were(mode: str) -> None:
-    """Grids whose points lie on the outer samples, but for rounding."""
+def test_jumps_at_edges_keep_their_positions(mode: str) -> None:
+    """Grids whose points lie on the outer samples, up to rounding."""
     whole = 1 + samples((31, 31, 8)) ** 2
     blocks = da.from_array(whole, chunks=(9, 7, 8))
     table = 0.1 * np.array([[1, 1, 0], [1, -1, 0], [0, 0, 10]])
@@ -286,7 +286,7 @@ def test_edges_where_the_function_jumps_are_where_they_were(mode: str) -> None:
 @pytest.mark.parametrize("low_pass", [False, "gaussian", "least-squares"])
 @given(data=st.data())
 @settings(max_examples=5, deadline=None)
-def test_resampled_volumes_are_those_of_the_whole_array(low_pass: Any, data: st.DataObject) -> None:
+def test_resampled_volumes_match_the_whole_array(low_pass: Any, data: st.DataObject) -> None:
     shape = tuple(data.draw(st.lists(st.integers(2, 40), min_size=2, max_size=3)))
     name = data.draw(
         st.sampled_from(["bspline3", "linear", "nearest", "mitchell", "bspline5", "hybrid", "bspline3(0.5)", "lanczos3n"])
@@ -325,7 +325,7 @@ def test_resampled_volumes_are_those_of_the_whole_array(low_pass: Any, data: st.
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("name", ["linear", "nearest", "mitchell", "catmull-rom", "bspline3-approx"])
 @pytest.mark.parametrize("rule", ["mirror", "reflect", "zero", "nearest", "constant"])
-def test_without_a_prefilter_volumes_are_the_same_bits(name: str, rule: str) -> None:
+def test_without_a_prefilter_volumes_are_identical(name: str, rule: str) -> None:
     whole = samples((40, 33, 27), "f4")
     blocks = da.from_array(whole, chunks=(11, 9, 27))
     for options in ({"shape": (17, 50, 9)}, {"spacing": 2.0}, {"spacing": 0.3, "fill": 4.0, "anchor": "origin"}):
@@ -335,8 +335,8 @@ def test_without_a_prefilter_volumes_are_the_same_bits(name: str, rule: str) -> 
 
 
 @pytest.mark.parametrize("rule", ["mirror", "wrap", "constant"])
-def test_least_squares_has_the_same_bits(rule: str) -> None:
-    """Axes are summed in one order, also where a block's window would ask for another."""
+def test_least_squares_is_bit_identical(rule: str) -> None:
+    """Axes are summed in a fixed order, even if a block's window suggests another."""
     whole = samples((40, 90, 61), "f4")
     for shape in ((20, 45, 31), (11, 80, 20)):
         wanted = clvol.resample(whole, shape, boundary=rule, anti_aliasing="least-squares")
@@ -348,14 +348,14 @@ def test_least_squares_has_the_same_bits(rule: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["f4", "f8", "u1", "c8"])
-def test_zoomed_least_squares_has_the_same_bits(kind: str) -> None:
+def test_zoomed_least_squares_is_bit_identical(kind: str) -> None:
     whole = samples((40, 50, 61), kind)
     blocks = da.from_array(whole, chunks=(16, 50, 23))
     for options in (
         {"zoom": 0.5, "mode": "mirror"},
         {"zoom": (0.3, 1, 0.7), "mode": "constant", "cval": 1.5 - 2j if kind == "c8" else 1.5},
         {"zoom": 0.4, "mode": "grid-wrap", "grid_mode": True, "output": None if kind == "c8" else "i2"},
-        {"zoom": 1, "prefilter": False, "output": None if kind == "c8" else "i2"},  # no axis is summed up
+        {"zoom": 1, "prefilter": False, "output": None if kind == "c8" else "i2"},  # no axis is summed
     ):
         wanted = ndimage.zoom(whole, anti_aliasing="least-squares", **options)
         got = ndimage.zoom(blocks, anti_aliasing="least-squares", **options)
@@ -376,7 +376,7 @@ def test_zoomed_least_squares_has_the_same_bits(kind: str) -> None:
         ("u4", (30, 40, 20), {"method": "nearest"}),
     ],
 )
-def test_pyramids_are_those_that_are_stored(tmp_path: Any, kind: str, shape: Any, about: dict[str, Any]) -> None:
+def test_pyramids_match_stored_ones(tmp_path: Any, kind: str, shape: Any, about: dict[str, Any]) -> None:
     """To the last bit, whatever the chunks."""
     pytest.importorskip("zarr")
     whole, options = samples(shape, kind), {"filter": "bspline3", "boundary": "mirror"} | about
@@ -411,7 +411,7 @@ def test_pyramids_of_series_and_images() -> None:
         halved.compute()
 
 
-def test_whole_numbers_are_rounded_as_in_one_piece() -> None:
+def test_integers_are_rounded_as_in_one_piece() -> None:
     whole = samples((40, 30, 20), "u1")
     blocks = da.from_array(whole, chunks=9)
     np.testing.assert_array_equal(  # halves away from zero, in SciPy's functions
@@ -427,7 +427,7 @@ def test_whole_numbers_are_rounded_as_in_one_piece() -> None:
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("where", ["input", "coordinates", "both"])
-def test_points_of_either_array(where: str, mode: str) -> None:
+def test_points_may_be_either_array_type(where: str, mode: str) -> None:
     whole, at = samples((30, 25, 41)), np.random.default_rng(1).uniform(-60, 90, (3, 9, 40))
     data = whole if where == "coordinates" else da.from_array(whole, chunks=(30, 9, 17))
     points = at if where == "input" else da.from_array(at, chunks=(2, 4, 40))
@@ -439,7 +439,7 @@ def test_points_of_either_array(where: str, mode: str) -> None:
 
 
 @pytest.mark.parametrize("order", [0, 1, 3])
-def test_points_between_the_last_sample_and_the_first_one_of_every_period(order: int) -> None:
+def test_points_between_the_last_and_the_first_sample_of_every_period(order: int) -> None:
     whole = samples((25, 41))
     at = np.array([(x, y) for x in (-25.78, -0.78, -1e-18, -25.0, 24.5, 49.22, -51.0) for y in (-41.06, -0.06, 40.94, 81.9, 3.0)]).T
     wanted = scipy.ndimage.map_coordinates(whole, at, order=order, mode="grid-wrap")
@@ -494,7 +494,7 @@ def test_positions_by_a_function() -> None:
 
 
 def recorded(shape: tuple[int, ...], chunks: int, dtype: str = "f4") -> tuple[Any, set[tuple[int, ...]]]:
-    """An array of dask, and which of its chunks were read."""
+    """A dask array, and the set of chunks that were read."""
     read: set[tuple[int, ...]] = set()
 
     def block(block_info: Any = None) -> Array:
@@ -506,7 +506,7 @@ def recorded(shape: tuple[int, ...], chunks: int, dtype: str = "f4") -> tuple[An
 
 
 @pytest.mark.parametrize("name", [*CALLS, "prefilter", "resample", "magnify", "spline_filter", "geometric_transform"])
-def test_nothing_is_read_before_it_is_asked_for(name: str) -> None:
+def test_nothing_is_read_before_compute(name: str) -> None:
     data, read = recorded((40, 40, 40), 8)
     more: dict[str, Any] = {
         "prefilter": clvol.prefilter,
@@ -522,7 +522,7 @@ def test_nothing_is_read_before_it_is_asked_for(name: str) -> None:
     assert sum(map(len, made.chunks)) > 3 or name.startswith("points")
 
 
-def test_a_block_reads_what_it_needs_and_no_more() -> None:
+def test_a_block_reads_only_what_it_needs() -> None:
     data, read = recorded((200, 200), 20)
     cases = [
         (clvol.prefilter(data).blocks[5, 5], {4, 5, 6}, {4, 5, 6}),  # 12 samples around 100:120
@@ -542,8 +542,8 @@ def test_a_block_reads_what_it_needs_and_no_more() -> None:
     assert read == set()
 
 
-def test_neighbours_take_few_tasks_and_little_of_what_is_passed_on() -> None:
-    """Of 26 neighbours a task each would be most of a scheduler's work; whole ones would be 27 times the samples."""
+def test_neighbours_take_few_tasks_and_little_traffic() -> None:
+    """One task per neighbour would be 26 per block, most of a scheduler's work; whole neighbours would be 27 times the samples."""
     data = da.zeros((5 * 96,) * 3, chunks=96, dtype="uint8")
     made = clvol.prefilter(data)
     cut = {key: task for key, task in made.dask.items() if "-read-" in key[0]}
@@ -561,8 +561,8 @@ def test_neighbours_take_few_tasks_and_little_of_what_is_passed_on() -> None:
     assert (part.name, 1, 2, 2) in dask.core.keys_in_tasks(set(small.dask), [small.dask[(small.name, 2, 2, 2)]])
 
 
-def test_sums_go_along_one_axis_after_the_other() -> None:
-    """A block reads the row that it lies in, not all that lies around it."""
+def test_sums_process_one_axis_at_a_time() -> None:
+    """A block reads its row, not its whole neighbourhood."""
     data = da.zeros((5 * 96,) * 3, chunks=96, dtype="uint8")
     for made in (
         clvol.resample(data, spacing=2.0, anti_aliasing="least-squares"),
@@ -582,13 +582,13 @@ def test_equal_calls_have_equal_keys() -> None:
     assert clvol.resample(data, spacing=2.0, fill=0.0).name != clvol.resample(data, spacing=2.0).name
 
 
-def test_blocks_that_are_needed_alone_are_computed() -> None:
+def test_only_required_blocks_are_computed() -> None:
     whole = samples((60, 60), "f4")
     part = clvol.prefilter(da.from_array(whole, chunks=20))[25:35, 5:15]
     np.testing.assert_allclose(part.compute(), clvol.prefilter(whole)[25:35, 5:15], atol=1e-5)
 
 
-def test_chunks_of_results_are_as_long_as_those_of_the_input() -> None:
+def test_chunks_of_results_match_those_of_the_input() -> None:
     data = da.zeros((100, 64), chunks=((30, 30, 40), (16,) * 4))
     assert ndimage.zoom(data, (2, 1)).chunks == ((40,) * 5, (16,) * 4)
     assert clvol.resample(data, spacing=(1, 2)).chunks == ((40, 10), (16,) * 4)
@@ -600,7 +600,7 @@ def test_chunks_of_results_are_as_long_as_those_of_the_input() -> None:
 # -- errors ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_missing_sample_is_told_with_its_place_and_the_block() -> None:
+def test_a_missing_sample_is_reported_with_its_position_and_block() -> None:
     whole = samples((60, 60), "f4")
     whole[47, 3] = np.nan
     blocks = da.from_array(whole, chunks=20)
@@ -687,7 +687,7 @@ def test_a_failing_block_is_named() -> None:
         (lambda d: lazy.pyramid(d, device=3.5), OptionError, "device must be"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_read(call: Any, error: type[ClvolError] | None, rule: str) -> None:
+def test_impossible_arguments_are_rejected_before_anything_is_read(call: Any, error: type[ClvolError] | None, rule: str) -> None:
     data, read = recorded((40, 40), 20)
     if error is None:
         assert call(data).compute().shape[0] == 0
@@ -708,7 +708,7 @@ def test_arrays_without_samples() -> None:
     assert ndimage.map_coordinates(da.ones((9, 9), chunks=4), np.zeros((2, 0))).compute().shape == (0,)
 
 
-def test_what_gives_something_in_memory_still_reads_the_array() -> None:
+def test_eager_functions_still_read_the_array() -> None:
     whole = samples((20, 20, 20), "f4")
     blocks = da.from_array(whole, chunks=7)
     values = clvol.sample(blocks, [[3.0, 4.0, 5.0]])
@@ -729,7 +729,7 @@ def test_threads_compute_the_same(device: Device) -> None:
     np.testing.assert_array_equal(one, many)
 
 
-def test_graphs_go_to_other_processes(device: Device) -> None:
+def test_graphs_run_in_other_processes(device: Device) -> None:
     whole = samples((40, 40), "f4")
     made = clvol.resample(da.from_array(whole, chunks=20), spacing=2.0, device=device)
     back = pickle.loads(pickle.dumps(made))
@@ -759,7 +759,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork")
-def test_processes_that_are_spawned_compute_and_forked_ones_say_why_not(tmp_path: Any) -> None:
+def test_spawned_processes_compute_and_forked_ones_raise(tmp_path: Any) -> None:
     script = tmp_path / "spawned.py"
     script.write_text(SPAWNED, encoding="utf-8")
     done = subprocess.run([sys.executable, str(script)], capture_output=True, encoding="utf-8", timeout=240, check=False)
@@ -780,7 +780,7 @@ def test_a_local_cluster(tmp_path: Any) -> None:
     ):
         seen = client.run(os.getpid)
         assert len(set(seen.values()) - {os.getpid()}) == 2
-        assert not any(client.run(lambda: "pyopencl" in sys.modules).values())  # nobody has looked for a device yet
+        assert not any(client.run(lambda: "pyopencl" in sys.modules).values())  # no device has been searched for yet
         np.testing.assert_allclose(clvol.prefilter(blocks).compute(), clvol.prefilter(whole), atol=2e-5)
         wanted = ndimage.rotate(whole, 20, mode="mirror")
         np.testing.assert_allclose(ndimage.rotate(blocks, 20, mode="mirror").compute(), wanted, atol=2e-5)
@@ -789,7 +789,7 @@ def test_a_local_cluster(tmp_path: Any) -> None:
             clvol.prefilter(da.from_array(whole, chunks=24)).compute()
 
 
-def test_a_graph_is_made_without_opencl() -> None:
+def test_a_graph_is_built_without_opencl() -> None:
     code = (
         "import sys, dask.array as da, clvol; from clvol import ndimage\n"
         "d = da.zeros((64, 64, 64), chunks=16)\n"
@@ -802,7 +802,7 @@ def test_a_graph_is_made_without_opencl() -> None:
 
 
 def test_blocks_take_turns_on_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels use all cores, and what a block takes on the device is there once."""
+    """Kernels use all cores, and device memory of only one block is allocated at a time."""
     from clvol.spline import field
 
     inside, most, lock = 0, 0, threading.Lock()

@@ -1,4 +1,4 @@
-"""Built kernels on disk: what comes back is what was built, whatever became of the files."""
+"""Built kernels on disk: a loaded kernel is the one that was stored, whatever happened to the files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from clvol.device.runtimes.pocl import KernelCache
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="PoCL by pip is for Linux")
 
-# A kernel that is built in an instant.
+# A kernel that builds instantly.
 TINY = """
 import numpy as np
 from clvol.device import as_device
@@ -58,7 +58,7 @@ DAMAGE = {
 }
 
 
-def test_what_was_not_read_for_long_goes_where_there_is_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_least_recently_used_kernels_are_evicted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "_MOST", 10_000)
     monkeypatch.setattr(cache, "_LOOK", 1_000)
     store = Store(tmp_path)
@@ -76,7 +76,7 @@ def test_what_was_not_read_for_long_goes_where_there_is_too_much(tmp_path: Path,
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners here")
-def test_a_folder_of_others_holds_nothing_that_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert cache.fault(tmp_path / "own") is None
     assert (tmp_path / "own").stat().st_mode & 0o777 == 0o700
     (tmp_path / "open").mkdir()
@@ -88,7 +88,7 @@ def test_a_folder_of_others_holds_nothing_that_is_run(tmp_path: Path, monkeypatc
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_file_is_not_read_but_set_aside(damage: str, tmp_path: Path) -> None:
+def test_a_damaged_file_is_set_aside(damage: str, tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.write("key", "AB/CD/program.bc", b"program")
     store.write("key", "AB/CD/k/1-1-1/k.so", bytes(range(256)))
@@ -105,7 +105,7 @@ def test_a_damaged_file_is_not_read_but_set_aside(damage: str, tmp_path: Path) -
     assert store.read("other") == {"AB/CD/program.bc": b"another"}
 
 
-def test_a_file_is_read_under_its_own_name_and_key_only(tmp_path: Path) -> None:
+def test_a_file_is_only_read_under_its_name_and_key(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.write("key", "a", b"content")
     (file,) = tmp_path.glob("*/key/a")
@@ -116,7 +116,7 @@ def test_a_file_is_read_under_its_own_name_and_key_only(tmp_path: Path) -> None:
     assert store.read("else") == {}
 
 
-def test_a_store_that_cannot_be_written_holds_nothing(tmp_path: Path) -> None:
+def test_an_unwritable_store_is_empty(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     store = Store(tmp_path / "file")
     store.write("key", "a", b"content")
@@ -124,7 +124,7 @@ def test_a_store_that_cannot_be_written_holds_nothing(tmp_path: Path) -> None:
 
 
 @linux
-def test_folders_go_with_their_processes(tmp_path: Path) -> None:
+def test_temporary_folders_are_removed_with_their_processes(tmp_path: Path) -> None:
     mine = KernelCache(tmp_path)
     dead, elsewhere, forgotten = (mine.folder.with_name(f"{name}-dead") for name in (platform.node(), "another", "third"))
     for folder in (dead, elsewhere, forgotten):
@@ -133,7 +133,7 @@ def test_folders_go_with_their_processes(tmp_path: Path) -> None:
     os.utime(forgotten / "lock", (0, 0))
     other = KernelCache(tmp_path)
     assert not dead.exists()
-    assert elsewhere.exists()  # its process may be running on a machine whose locks are not seen here
+    assert elsewhere.exists()  # its process may run on a machine whose locks are invisible here
     assert not forgotten.exists()
     assert mine.folder.is_dir()
     for one in (mine, other):
@@ -142,7 +142,7 @@ def test_folders_go_with_their_processes(tmp_path: Path) -> None:
 
 
 @linux
-def test_what_was_built_is_found_while_another_thread_tries_the_linker(tmp_path: Path) -> None:
+def test_a_built_kernel_is_found_while_another_thread_tests_the_linker(tmp_path: Path) -> None:
     kernels = KernelCache(tmp_path)
     (kernels.folder / "AB" / "CDEF").mkdir(parents=True)
     done = threading.Event()
@@ -163,7 +163,7 @@ def test_what_was_built_is_found_while_another_thread_tries_the_linker(tmp_path:
             done.set()
 
 
-def test_room_and_the_linker_are_tried_before_a_kernel_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disk_space_and_the_linker_are_tested_before_a_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import resource
 
     if shutil.which("ld") is None:
@@ -195,7 +195,7 @@ def test_room_and_the_linker_are_tried_before_a_kernel_is_built(tmp_path: Path, 
 
 
 @linux
-def test_a_folder_that_cannot_be_written_is_said_and_another_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unwritable_folder_is_reported_and_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("POCL_CACHE_DIR", os.devnull)
     monkeypatch.delenv("POCL_KERNEL_CACHE", raising=False)
@@ -216,8 +216,8 @@ def test_a_folder_that_cannot_be_written_is_said_and_another_taken(tmp_path: Pat
         pocl.open_cache()
 
 
-def test_no_home_at_all_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`Path.home` raises where a user has neither HOME nor an entry in the system's table."""
+def test_a_missing_home_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`Path.home` raises if a user has neither HOME nor an entry in the system's table."""
 
     def nobody() -> Path:
         raise RuntimeError("Could not determine home directory.")
@@ -229,7 +229,7 @@ def test_no_home_at_all_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @linux
 @pytest.mark.parametrize("damage", ["bit", *(pytest.param(d, marks=pytest.mark.thorough) for d in ("garbage", "short", "empty"))])
-def test_damaged_kernels_are_built_again(device: Device, damage: str, tmp_path: Path) -> None:
+def test_damaged_kernels_are_rebuilt(device: Device, damage: str, tmp_path: Path) -> None:
     """PoCL would run them: a bus error, an illegal instruction, an abort."""
     if not (device.is_pocl and as_device() is device):
         pytest.skip("PoCL is not the default device")
@@ -250,7 +250,7 @@ def test_damaged_kernels_are_built_again(device: Device, damage: str, tmp_path: 
 
 @linux
 @pytest.mark.thorough
-def test_six_processes_at_once_on_a_cold_cache_compute_the_same(device: Device, tmp_path: Path) -> None:
+def test_six_processes_on_a_cold_cache_compute_the_same(device: Device, tmp_path: Path) -> None:
     code = (
         "import clvol, hashlib; v = clvol.phantoms.sphere(12, radius=0.4)\n"
         "print(hashlib.sha256(clvol.render(v, size=(24, 24)).tobytes()).hexdigest())"
@@ -267,7 +267,7 @@ def test_six_processes_at_once_on_a_cold_cache_compute_the_same(device: Device, 
 
 @linux
 @pytest.mark.thorough
-def test_a_process_that_is_killed_while_it_builds_spoils_nothing(device: Device, tmp_path: Path) -> None:
+def test_a_process_killed_during_a_build_damages_nothing(device: Device, tmp_path: Path) -> None:
     environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path)}
     for pause in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0):
         process = subprocess.Popen([sys.executable, "-c", SAMPLE], env=environment)

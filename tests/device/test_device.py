@@ -1,4 +1,4 @@
-"""Choosing a device, and what a machine may lack: an error that says what to do, never a hang or an abort."""
+"""Choosing a device, and machines that lack something: an error that says what to do, never a hang or an abort."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ except ClvolError as error:
 
 
 def python(code: str, timeout: float = 120, **changes: str | None) -> subprocess.CompletedProcess[str]:
-    """Run `code` in a process of its own, some environment variables set, or absent where None."""
+    """Run `code` in its own process, with environment variables set, or removed where None."""
     environment = {**os.environ, **{k: v for k, v in changes.items() if v is not None}}
     for name, value in changes.items():
         if value is None:
@@ -59,7 +59,7 @@ def test_no_linker_is_an_error_not_an_abort(device: Device, tmp_path: Path) -> N
     assert "binutils" in done.stdout
 
 
-def test_linker_that_fails_is_an_error_not_an_abort(device: Device, tmp_path: Path) -> None:
+def test_a_failing_linker_is_an_error_not_an_abort(device: Device, tmp_path: Path) -> None:
     if not uses_pocl(device):
         pytest.skip("PoCL is not the default device")
     linker = tmp_path / "ld"
@@ -74,9 +74,9 @@ def test_linker_that_fails_is_an_error_not_an_abort(device: Device, tmp_path: Pa
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("home", ["/dev/null", "/nonexistent/home", "read-only", None])
-def test_home_that_cannot_be_written_is_no_hindrance(device: Device, home: str | None, tmp_path: Path) -> None:
+def test_an_unwritable_home_is_no_error(device: Device, home: str | None, tmp_path: Path) -> None:
     if home == "read-only":
-        tmp_path.chmod(0o500)  # the superuser may write there all the same
+        tmp_path.chmod(0o500)  # root may still write there
         home = str(tmp_path)
     done = python(USE, HOME=home, XDG_CACHE_HOME=None, POCL_CACHE_DIR=None, PYOPENCL_NO_CACHE=None)
     assert done.returncode == 0, done.stderr
@@ -158,7 +158,7 @@ def test_choosing(device: Device) -> None:
     assert device.name in repr(device)
 
 
-def test_unknown_devices_are_refused_and_those_found_listed(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_devices_are_rejected_and_known_ones_listed(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     for bad in ("no such device", len(devices()), "99", -1):
         with pytest.raises(OptionError, match="device must be one of 'cpu', 'gpu'") as caught:
             as_device(bad)
@@ -170,14 +170,14 @@ def test_unknown_devices_are_refused_and_those_found_listed(device: Device, monk
     assert as_device().name == device.name
 
 
-def test_quirks_are_answered(device: Device) -> None:
+def test_quirks_are_handled(device: Device) -> None:
     assert device.kind in ("cpu", "gpu", "accelerator")
     for value in (device.has_double, device.has_images, device.is_pocl, device.shares_memory):
         assert isinstance(value, bool)
     assert device.image_limit > 0 or not device.has_images
 
 
-def test_memory_is_refused_before_it_is_touched(device: Device) -> None:
+def test_memory_is_checked_before_it_is_touched(device: Device) -> None:
     for size in (2**60, int(device.handle.global_mem_size)):
         with pytest.raises(OutOfMemoryError, match="MiB"):
             device.buffers.allocate(size)
@@ -185,7 +185,7 @@ def test_memory_is_refused_before_it_is_touched(device: Device) -> None:
         sample(np.broadcast_to(np.uint8(1), (40_000,) * 3), [[0.0, 0, 0]], device=device, precision="double")  # no bricks
 
 
-def test_buffers_hold_what_was_put_in(device: Device) -> None:
+def test_buffers_round_trip(device: Device) -> None:
     data = np.asfortranarray(np.random.default_rng(0).normal(size=(3, 5)).astype(np.float32))
     back = np.empty((3, 5), np.float32)
     device.buffers.download(device.buffers.upload(data), back)
@@ -197,7 +197,7 @@ def test_buffers_hold_what_was_put_in(device: Device) -> None:
         np.testing.assert_array_equal(mapped, data)
 
 
-def test_large_buffers_begin_a_huge_page_and_hold_what_was_put_in(device: Device) -> None:
+def test_large_buffers_start_on_a_huge_page_and_round_trip(device: Device) -> None:
     buffer = device.buffers.allocate(4 * (1 << 21) + 4)
     with device.buffers.mapped(buffer, ((1 << 21) + 1,), write=True) as values:
         if device.kind == "cpu" and sys.platform == "linux":
@@ -209,7 +209,7 @@ def test_large_buffers_begin_a_huge_page_and_hold_what_was_put_in(device: Device
 
 
 @pytest.mark.parametrize("skipped", [0, 1, 5, 40])
-def test_memory_is_lent_from_where_a_runtime_need_not_copy_it(device: Device, skipped: int) -> None:
+def test_borrowed_memory_is_aligned_for_zero_copy(device: Device, skipped: int) -> None:
     data = np.arange(skipped + 24, dtype=np.float32)[skipped:].reshape(2, 3, 4)
     for array in (data, data[::-1, :, 1:]):
         with device.buffers.lent_span(array, write=False) as (buffer, start, strides):
@@ -222,7 +222,7 @@ def test_memory_is_lent_from_where_a_runtime_need_not_copy_it(device: Device, sk
                 assert address % (device.handle.mem_base_addr_align // 8) == 0
 
 
-def test_errors_of_the_runtime_come_out_as_ours(device: Device) -> None:
+def test_runtime_errors_become_clvol_errors(device: Device) -> None:
     import pyopencl
 
     with pytest.raises(DeviceError, match="failed"), device.errors:
@@ -231,12 +231,12 @@ def test_errors_of_the_runtime_come_out_as_ours(device: Device) -> None:
         raise pyopencl.MemoryError("clSomething failed: MEM_OBJECT_ALLOCATION_FAILURE")
 
 
-def test_kernels_that_do_not_build_name_file_and_line(device: Device) -> None:
+def test_build_errors_name_file_and_line(device: Device) -> None:
     with pytest.raises(DeviceError, match=r"filter\.cl"):
         device.build("spline/points.cl", {"COORD_DOUBLE": 0, "DERIVATIVE": 0})
 
 
-def test_no_device_at_all_says_what_to_install(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_device_the_error_says_what_to_install(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     import pyopencl
 
     def refuse() -> list[object]:
@@ -261,14 +261,14 @@ def test_limits_hold_for_a_block(device: Device) -> None:
     assert device.limits is before
 
 
-def test_limits_are_put_back_after_an_error(device: Device) -> None:
+def test_limits_are_restored_after_an_error(device: Device) -> None:
     before = device.limits
     with pytest.raises(KeyboardInterrupt), device.limited(sorted_bytes=1):
         raise KeyboardInterrupt
     assert device.limits is before
 
 
-def test_unknown_limits_are_refused(device: Device) -> None:
+def test_unknown_limits_are_rejected(device: Device) -> None:
     before = device.limits
     with pytest.raises(TypeError, match="no_such_limit"), device.limited(no_such_limit=1):
         pass
@@ -285,13 +285,13 @@ def test_clear_sets_numbers_to_zero(device: Device) -> None:
     assert got.tolist() == [1] * 3 + [0] * 4 + [1] * 3
 
 
-def test_linker_is_here_if_pocl_is(device: Device) -> None:
+def test_the_linker_is_present_if_pocl_is(device: Device) -> None:
     if device.is_pocl and device.kind == "cpu":
         assert shutil.which("ld")
 
 
-def test_limits_of_one_thread_are_not_those_of_another(device: Device) -> None:
-    """However blocks overlap, each thread finds its own limits again."""
+def test_limits_are_per_thread(device: Device) -> None:
+    """However blocks overlap, each thread gets its own limits back."""
     usual, entered, leave = device.limits, threading.Event(), threading.Event()
 
     def other() -> None:
@@ -311,8 +311,8 @@ def test_limits_of_one_thread_are_not_those_of_another(device: Device) -> None:
     assert device.limits == usual
 
 
-def test_threads_that_come_first_share_a_context_and_a_queue(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With two contexts, memory of one and the queue of another, nothing works any more in the process."""
+def test_concurrent_first_uses_share_a_context_and_a_queue(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With two contexts, buffers of one and the queue of another, nothing works for the rest of the process."""
     import pyopencl
 
     fresh, begun, made = Device(device.handle), threading.Barrier(8), []
@@ -350,7 +350,7 @@ def unlocked(self: Any, instance: Any, _: object = None) -> Any:
     return instance.__dict__[self.attrname]
 
 
-def test_a_device_that_vanishes_is_an_error_then_and_later(device: Device) -> None:
+def test_a_vanished_device_is_an_error_then_and_later(device: Device) -> None:
     import pyopencl
 
     class Vanished:
@@ -377,7 +377,7 @@ def test_a_device_that_vanishes_is_an_error_then_and_later(device: Device) -> No
     assert sample([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], "linear", device=device)[0] == 2.5
 
 
-def test_too_few_resources_in_the_middle_are_an_error_and_no_more(device: Device) -> None:
+def test_exhausted_resources_are_an_error_and_the_device_stays_usable(device: Device) -> None:
     import pyopencl
 
     class Full:
@@ -394,14 +394,14 @@ def test_too_few_resources_in_the_middle_are_an_error_and_no_more(device: Device
     device.finish()
 
 
-def test_a_new_default_is_said_once(device: Device, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_new_default_device_is_reported_once(device: Device, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("CLVOL_DEVICE", raising=False)
     choose._last_default.cache_clear()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            first = as_device()  # nothing is known
+            first = as_device()  # the record is empty
             as_device()
             as_device(device)
         (tmp_path / "clvol/default-device").write_text("Old (Old Platform)")
@@ -424,8 +424,8 @@ def test_a_new_default_is_said_once(device: Device, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("failing", ["before", "within"])
-def test_memory_that_was_lent_stays_until_kernels_are_done(device: Device, failing: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever ends the block, an interrupt in its last lines too."""
+def test_borrowed_memory_lives_until_kernels_finish(device: Device, failing: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However the block exits, even by an interrupt in its last lines."""
     values, finished = np.zeros(8, np.float32), []
     queue = device.queue
 

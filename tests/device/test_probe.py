@@ -1,4 +1,4 @@
-"""Runtimes that abort or never answer: an error or a warning that names them, in a process that goes on."""
+"""Runtimes that abort or hang: an error or a warning names them, and the process survives."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ BODIES = {"aborts": "abort();", "never answers": "for (;;) sleep(1000);"}
 
 @pytest.fixture
 def notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of notes, empty."""
+    """The folder of verdicts, empty."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     return tmp_path / "clvol"
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux") or not shutil.which("gcc"), reason="no gcc to make a driver with")
 @pytest.mark.parametrize("does", ["aborts", pytest.param("never answers", marks=pytest.mark.thorough)])
-def test_a_driver_that_ends_the_process_is_left_out_and_named(device: Device, does: str, tmp_path: Path) -> None:
+def test_a_driver_that_aborts_is_excluded_and_named(device: Device, does: str, tmp_path: Path) -> None:
     code = f"#include <stdlib.h>\n#include <unistd.h>\n__attribute__((constructor)) static void begin(void) {{ {BODIES[does]} }}\n"
     library, folder = tmp_path / "libbad.so", tmp_path / "vendors"
     (tmp_path / "bad.c").write_text(code)
@@ -61,7 +61,7 @@ def test_a_driver_that_ends_the_process_is_left_out_and_named(device: Device, do
         return done.stdout.splitlines(), time.perf_counter() - begin
 
     first, seconds = use()
-    # PoCL by pip lies beside the loader, and is found all the same; other runtimes are not
+    # pip's PoCL is beside the loader, and still found; other runtimes are not
     assert first[0].startswith("devices ") or "no OpenCL device was found" in first[0]
     assert str(library) in "".join(first)
     assert ("ended by SIGABRT" if does == "aborts" else "gave no answer within 20 s") in "".join(first)
@@ -71,7 +71,7 @@ def test_a_driver_that_ends_the_process_is_left_out_and_named(device: Device, do
     assert device is not None
 
 
-def test_a_verdict_is_noted_and_believed_until_something_changes(notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_verdict_is_stored_until_something_changes(notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trials: list[Verdict] = []
 
     def trial() -> Verdict:
@@ -100,7 +100,7 @@ def test_a_verdict_is_noted_and_believed_until_something_changes(notes: Path, mo
         assert len(trials) == before + 1
 
 
-def test_failures_are_tried_again_after_a_while(notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failures_are_retried_later(notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trials = []
     monkeypatch.setattr(probe, "_try", lambda: trials.append(1) or Verdict(devices={"a": "ended by SIGABRT"}))
     probe.tried()
@@ -117,15 +117,15 @@ def test_failures_are_tried_again_after_a_while(notes: Path, monkeypatch: pytest
     assert len(trials) == 2
 
 
-def test_where_nothing_can_be_noted_it_is_tried_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_writable_folder_runtimes_are_still_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
     monkeypatch.setattr(probe, "_try", lambda: Verdict(devices={"a": ""}))
     assert probe.tried().devices == {"a": ""}
     probe.forget()
 
 
-def test_a_device_that_ends_the_trial_is_named_and_the_next_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A trial that finds three devices: the second aborts, the third refuses."""
+def test_a_device_that_aborts_the_trial_is_named_and_the_next_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A trial that finds three devices: the second aborts, the third raises an error."""
     script = """
 import json, os, sys
 def say(*words): print("clvol:" + json.dumps(words), flush=True)
@@ -146,7 +146,7 @@ for i in range(first, 3):
     assert not verdict.sound
 
 
-def test_a_loader_that_ends_the_trial_is_an_error_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loader_that_aborts_the_trial_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(intel, "vendors", lambda: None)
     monkeypatch.setattr(probe, "SECONDS", 1.0)
     begun = "print('clvol:[\"begun\"]', flush=True)\n"
@@ -163,7 +163,7 @@ def test_a_loader_that_ends_the_trial_is_an_error_that_says_so(monkeypatch: pyte
             opencl.opencl()
 
 
-def test_a_device_that_failed_its_trial_is_refused_and_comes_last(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_failed_its_trial_is_rejected_and_listed_last(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     fresh = Device(device.handle)
     monkeypatch.setattr("clvol.device.driver.why_not", lambda _: "ended by SIGSEGV")
     with pytest.raises(DeviceError, match="a trial of it in another process ended by SIGSEGV"):
@@ -172,7 +172,7 @@ def test_a_device_that_failed_its_trial_is_refused_and_comes_last(device: Device
         fresh.build("base/sampler.cl", {"COORD_DOUBLE": 0})
 
 
-def test_nothing_is_tried_where_python_is_part_of_another_program(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_tried_in_embedded_python(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(probe, "_try", lambda: pytest.fail("it was"))
     monkeypatch.setattr(sys, "executable", "")
     assert probe.tried() == Verdict()
@@ -180,14 +180,14 @@ def test_nothing_is_tried_where_python_is_part_of_another_program(monkeypatch: p
 
 @pytest.mark.skipif(os.name != "posix", reason="other programs are at hand there")
 @pytest.mark.parametrize("program", ["true", "false", "no such program"])
-def test_nothing_follows_from_a_trial_that_never_began(program: str, notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where Python is part of another program, `sys.executable` may be that."""
+def test_a_trial_that_did_not_start_gives_no_verdict(program: str, notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In embedded Python, `sys.executable` may be the other program."""
     monkeypatch.setattr(sys, "executable", shutil.which(program) or program)
     assert probe.tried() == Verdict()
     assert not list(notes.glob("probe-*.json"))
 
 
-def test_notes_are_few(notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_verdicts_are_stored(notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(probe, "_try", lambda: Verdict(devices={"a": ""}))
     for i in range(20):
         monkeypatch.setenv("OCL_SOMETHING", str(i))

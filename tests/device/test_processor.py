@@ -1,4 +1,4 @@
-"""A processor that PoCL's compiler has no name for, on a record like PoCL's."""
+"""Processors unknown to PoCL's compiler, on a record like PoCL's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def record(*texts: bytes) -> tuple[ctypes.Array[ctypes.c_char_p], int]:
-    """Addresses of texts between words that are no addresses, as long as what is searched, and where it begins."""
+    """Pointers to strings among words that are not pointers, the length to search, and its start."""
     made = (ctypes.c_char_p * 512)()
     for i, text in enumerate(texts):
         made[80 + i] = text
@@ -25,7 +25,7 @@ def record(*texts: bytes) -> tuple[ctypes.Array[ctypes.c_char_p], int]:
     return made, address
 
 
-def test_a_nameless_processor_is_given_the_name_of_a_lesser_one() -> None:
+def test_an_unknown_processor_gets_the_name_of_a_compatible_one() -> None:
     made, address = record(b"x86_64-unknown-linux-gnu", b"generic")
     name = processor.name_processor(address)
     assert name in ("x86-64", "core2", "penryn", "sandybridge", "ivybridge", "bdver1", "haswell", "skylake-avx512")
@@ -36,14 +36,14 @@ def test_a_nameless_processor_is_given_the_name_of_a_lesser_one() -> None:
 @pytest.mark.parametrize(
     "texts", [(b"x86_64-unknown-linux-gnu", b"znver3"), (b"aarch64-unknown-linux-gnu", b"generic"), (b"generic",), ()], ids=repr
 )
-def test_other_records_stay_as_they_are(texts: tuple[bytes, ...]) -> None:
+def test_other_records_are_unchanged(texts: tuple[bytes, ...]) -> None:
     made, address = record(*texts)
     before = bytes(made)
     assert processor.name_processor(address) is None
     assert bytes(made) == before
 
 
-def test_flags_choose_the_best_that_they_cover(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_flags_choose_the_best_supported_name(monkeypatch: pytest.MonkeyPatch) -> None:
     def of(flags: str) -> bytes | None:
         monkeypatch.setattr("pathlib.Path.read_text", lambda *_, **__: f"processor: 0\nflags\t\t: {flags}\n")
         return processor._like_this()

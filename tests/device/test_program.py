@@ -1,4 +1,4 @@
-"""Kernel sources: splicing, line numbers, what the compiler says, and what the sources may not hold."""
+"""Kernel sources: includes, line numbers, compiler messages, and constructs that are not allowed."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def spliced(name: str) -> str:
 
 
 def numbered(text: str) -> list[tuple[str, int, str]]:
-    """Each line with the file and number that a compiler would give it."""
+    """Each line with the file and number that a compiler would report."""
     result, file, line = [], "", 1
     for content in text.splitlines():
         if match := re.fullmatch(r'#line (\d+) "(.+)"', content):
@@ -82,20 +82,20 @@ def test_every_line_keeps_its_file_and_number(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", KERNELS)
-def test_includes_are_spliced_once(name: str) -> None:
+def test_includes_are_inserted_once(name: str) -> None:
     text = spliced(name)
     assert "#include" not in text
     starts = re.findall(r'#line 1 "(.+)"', text)
     assert len(starts) == len(set(starts))
 
 
-def test_an_include_seen_before_leaves_no_gap() -> None:
+def test_a_repeated_include_leaves_no_gap() -> None:
     made = {"a.cl": '#include "b.cl"\nint one;\n#include "b.cl"\n\nint four;\n', "b.cl": "int b;\n"}
     lines = numbered(program.source("a.cl", generated=made))
     assert [line for line in lines if line[2]] == [("b.cl", 1, "int b;"), ("a.cl", 2, "int one;"), ("a.cl", 5, "int four;")]
 
 
-def test_a_mode_takes_its_place() -> None:
+def test_a_mode_replaces_the_placeholder() -> None:
     for mode in modes().values():
         text = program.source("march/draw.cl", {"mode.cl": mode.file}, GENERATED)
         assert f'#line 1 "{mode.file}"' in text
@@ -114,7 +114,7 @@ def test_a_build_error_names_file_and_line(device: Device) -> None:
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_no_kernel_uses_what_a_runtime_cannot_compile(name: str) -> None:
+def test_no_kernel_uses_constructs_that_a_runtime_cannot_compile(name: str) -> None:
     text = without_comments((FOLDER / name).read_text(encoding="utf-8"))
     assert "16" not in re.findall(r"\b(?:float|double|int|uint|vload|vstore)(\d+)\b", text)  # PoCL 3.0 aborts on float16
     for before in text.split("#define LANES 16")[:-1]:
@@ -151,7 +151,7 @@ def test_defines_hold_the_filter_as_float32(name: str) -> None:
     assert defines["LEFT"] == row.support / 2 - 1
 
 
-def test_programs_are_built_once_and_kernels_belong_to_threads(device: Device) -> None:
+def test_programs_are_built_once_and_kernels_are_per_thread(device: Device) -> None:
     made = {"once.cl": "kernel void once(global int *a) { a[0] = 1; }\n"}
     first = device.build("once.cl", {"A": 1}, generated=made)
     assert device.build("once.cl", {"A": 1}, generated=made) is first
@@ -171,13 +171,13 @@ def test_floating_literals() -> None:
     assert [program.literal(v) for v in (1e-9, 1e30)] == ["9.99999972e-10f", "1.00000002e+30f"]
 
 
-def test_the_kernels_are_found() -> None:
+def test_the_kernels_are_installed() -> None:
     assert Path(FOLDER / "march/draw.cl").is_file()
 
 
 @pytest.fixture
 def interrupt_in() -> Iterator[Callable[[float], None]]:
-    """Ctrl-C after a number of seconds, within the test."""
+    """Ctrl-C after the given number of seconds, within the test."""
     before = signal.signal(signal.SIGALRM, signal.default_int_handler)
     yield lambda seconds: signal.setitimer(signal.ITIMER_REAL, seconds) and None
     signal.setitimer(signal.ITIMER_REAL, 0)
@@ -189,8 +189,8 @@ def tiny(device: Device, number: int) -> program.Program:
     return device.build("tiny.cl", {"NUMBER": number}, generated={"tiny.cl": text})
 
 
-def test_a_kernel_has_one_size_of_groups_whatever_the_shape(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """PoCL builds it for each, and apart for launches that begin at 0."""
+def test_group_size_does_not_depend_on_shape(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PoCL builds a kernel once per group size, and again for launches that start at 0."""
     if device.kind != "cpu":
         pytest.skip("other devices choose their groups themselves")
     seen: dict[str, set[Any]] = {}
@@ -210,13 +210,13 @@ def test_a_kernel_has_one_size_of_groups_whatever_the_shape(device: Device, monk
     assert {name: sizes for name, sizes in seen.items() if len(sizes) > 1 or (None, False) in sizes} == {}
 
 
-def test_programs_not_used_for_long_are_freed_unless_in_use(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unused_programs_are_evicted(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clvol.device.device._KEPT", 2)
     monkeypatch.setattr(device.programs, "_built", OrderedDict())
     first, second = tiny(device, 1), tiny(device, 2)
     kernel, freed = first.kernel("tiny"), [weakref.ref(first), weakref.ref(second.kernel("tiny"))]
     del second
-    tiny(device, 1)  # was used now, so the other goes
+    tiny(device, 1)  # was used most recently, so the other is evicted
     tiny(device, 3)
     assert tiny(device, 1) is first
     assert freed[1]() is None
@@ -224,7 +224,7 @@ def test_programs_not_used_for_long_are_freed_unless_in_use(device: Device, monk
     tiny(device, 5)
     assert len(device.programs._built) == 2
     del first
-    assert freed[0]() is None  # the kernel does not keep it, nor it the kernel
+    assert freed[0]() is None  # neither keeps the other alive
     values = np.zeros(8, np.float32)
     with device.buffers.lent(values, write=True) as buffer:
         kernel(device.queue, (8,), None, buffer)
@@ -256,7 +256,7 @@ def test_threads_build_a_program_once(device: Device, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
-def test_ctrl_c_is_heard_while_a_program_is_built_and_the_program_kept(
+def test_ctrl_c_works_during_a_build_and_the_program_is_kept(
     device: Device, interrupt_in: Callable[[float], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     builds, go_on = [], threading.Event()
@@ -280,8 +280,8 @@ def test_ctrl_c_is_heard_while_a_program_is_built_and_the_program_kept(
     assert not device.programs._building
 
 
-def test_where_no_thread_can_be_started_programs_are_built_all_the_same(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As at the end of the interpreter in Python 3.12, or where a container allows no more of them."""
+def test_programs_are_built_where_no_thread_can_start(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For example at interpreter shutdown in Python 3.12, or in a container that allows no more threads."""
 
     def no(*_: Any) -> None:
         raise RuntimeError("can't start new thread")
@@ -298,10 +298,10 @@ def test_where_no_thread_can_be_started_programs_are_built_all_the_same(device: 
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
-def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(
+def test_ctrl_c_works_while_the_runtime_finishes_a_kernel(
     device: Device, interrupt_in: Callable[[float], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """PoCL does that when a kernel is first launched; the memory it works in stays until it has."""
+    """PoCL does this at the first launch; the kernel's memory lives until it is done."""
     queue, go_on = device.queue, threading.Event()
 
     class Slow:
@@ -339,9 +339,7 @@ def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(
     assert held() is None
 
 
-def test_a_linker_that_fails_later_is_an_error_not_an_abort(
-    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_linker_failing_later_is_an_error_not_an_abort(device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if not (device.is_pocl and device.kind == "cpu") or kernel_cache() is None:
         pytest.skip("not PoCL")
     linker = tmp_path / "ld"
@@ -361,7 +359,7 @@ def test_a_linker_that_fails_later_is_an_error_not_an_abort(
     assert values.tolist() == [np.float32(unique)] * 8
 
 
-def test_a_pyopencl_cache_that_fails_is_said(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_pyopencl_cache_is_reported(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     import sqlite3
 
     import pyopencl
@@ -392,7 +390,7 @@ except KeyboardInterrupt:
 @pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals are others here")
 @pytest.mark.parametrize("pause", [0.1, 0.5, 1, 2, 3, 5, 7])
-def test_the_end_of_the_process_while_kernels_are_built_is_no_crash(device: Device, pause: float, tmp_path: Path) -> None:
+def test_exiting_during_a_build_is_no_crash(device: Device, pause: float, tmp_path: Path) -> None:
     environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path)}
     code = EXIT.format(pause=pause)
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120, check=False)
@@ -404,7 +402,7 @@ def test_the_end_of_the_process_while_kernels_are_built_is_no_crash(device: Devi
 
 @pytest.mark.thorough
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_memory_is_flat_over_ever_new_programs(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_flat_over_many_programs(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clvol.device.device._KEPT", 20)
     values, resident = np.zeros(64, np.float32), []
     for number in range(100, 300):
@@ -416,8 +414,8 @@ def test_memory_is_flat_over_ever_new_programs(device: Device, monkeypatch: pyte
     assert resident[1] - resident[0] < 20 << 20
 
 
-def test_a_build_that_a_signal_hinders_is_done_again(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """LLVM removes what it writes when SIGINT comes, whoever hears it."""
+def test_a_build_disturbed_by_a_signal_is_repeated(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """LLVM removes its output on SIGINT, whichever handler is set."""
     cl = program.opencl()
     build, calls = cl.Program.build, []
 

@@ -1,4 +1,4 @@
-"""Set-up by pip alone: Intel's runtime is found where pip puts it and made known to the loader; the doctor says what there is."""
+"""Set-up with pip alone: Intel's runtime is found where pip installs it and registered with the loader; doctor reports it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ VENDORS = ("OCL_ICD_VENDORS", "OPENCL_VENDOR_PATH", "OCL_ICD_FILENAMES", "CL_CON
 
 @pytest.fixture
 def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Intel's runtime as its wheel lies in an environment, without what is in it; no variable of the loader set."""
+    """Intel's runtime, laid out as by its wheel, with empty files; no loader variable set."""
     name = "Library/bin/intelocl64.dll" if sys.platform == "win32" else "lib/libintelocl.so"
     packages = tmp_path / "env/lib/python3/site-packages"
     about = packages / "intel_opencl_rt-2026.2.0.dist-info"
@@ -34,13 +34,13 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.syspath_prepend(packages)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "env"))
     for variable in VENDORS:
-        monkeypatch.setenv(variable, "")  # what the code sets is then undone after the test
+        monkeypatch.setenv(variable, "")  # so that the code's changes are undone after the test
         monkeypatch.delenv(variable)
     return library.resolve()
 
 
 def seen() -> list[str]:
-    """What a loader finds in its folder."""
+    """The contents of a loader's folder."""
     return [file.read_text().strip() for file in sorted(Path(os.environ["OCL_ICD_VENDORS"]).glob("*.icd"))]
 
 
@@ -55,7 +55,7 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="how Lin
 
 
 @linux
-def test_the_loader_finds_intels_runtime_beside_all_others(runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_loader_finds_intels_runtime_beside_others(runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert intel.library() == runtime
     (tmp_path / "gpu.so").touch()
     # in the environment lies what Intel's wheel brings, which names a folder that is not here
@@ -77,7 +77,7 @@ def test_the_loader_finds_intels_runtime_beside_all_others(runtime: Path, tmp_pa
 
 
 @linux
-def test_what_was_set_by_hand_holds(runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_variables_set_by_the_user_are_kept(runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CL_CONFIG_USE_VECTORIZER", "True")
     other = tmp_path / "oneapi/libintelocl.so"
     other.parent.mkdir()
@@ -90,7 +90,7 @@ def test_what_was_set_by_hand_holds(runtime: Path, tmp_path: Path, monkeypatch: 
     assert os.environ["CL_CONFIG_USE_VECTORIZER"] == "True"
 
 
-def test_on_windows_the_loader_is_given_the_file(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_windows_the_loader_gets_the_file(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setenv("PATH", "before")
     monkeypatch.setenv("OCL_ICD_FILENAMES", "other.dll")
@@ -110,7 +110,7 @@ def test_nothing_changes_without_intels_runtime(runtime: Path) -> None:
         assert dict(os.environ) == before
 
 
-def test_pocl_comes_first_where_it_links_and_last_where_it_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pocl_is_first_where_it_links_and_last_where_it_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
     class Fake:
         available = compiler_available = True
 
@@ -145,8 +145,8 @@ def test_pocl_comes_first_where_it_links_and_last_where_it_does_not(monkeypatch:
     assert doctor._used().endswith("CLVOL_DEVICE is portable")
 
 
-def test_python_alone_is_told_what_to_install(tmp_path: Path, device: Device) -> None:
-    """On PATH lies python alone, and there is a home without anything: PoCL cannot link, and the doctor says what can."""
+def test_without_a_linker_doctor_says_what_to_install(tmp_path: Path, device: Device) -> None:
+    """PATH contains Python alone, and the home is empty: PoCL cannot link, and doctor names an alternative."""
     try:
         (tmp_path / "python").symlink_to(sys.executable)
     except OSError:
@@ -175,7 +175,7 @@ def test_python_alone_is_told_what_to_install(tmp_path: Path, device: Device) ->
         assert "apt install binutils gcc" in lines[2]
 
 
-def test_extras_are_those_of_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_extras_match_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         doctor,
         "requires",
@@ -198,7 +198,7 @@ def installed(name: str) -> bool:
     ("system", "machine", "has"),
     [("linux", "x86_64", True), ("win32", "AMD64", True), ("linux", "aarch64", False), ("darwin", "arm64", False)],
 )
-def test_intels_wheels_are_asked_for_where_there_are_some(system: str, machine: str, has: bool) -> None:
+def test_intels_wheels_are_required_on_supported_platforms(system: str, machine: str, has: bool) -> None:
     from packaging.requirements import Requirement  # pytest needs it too
 
     project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -209,8 +209,8 @@ def test_intels_wheels_are_asked_for_where_there_are_some(system: str, machine: 
         assert one.marker.evaluate({"sys_platform": system, "platform_machine": machine}) is has
 
 
-def test_threads_may_look_for_devices_first(device: Device) -> None:
-    """Each would tell the loader; only one does at a time, and the environment is as before."""
+def test_threads_may_search_for_devices_first(device: Device) -> None:
+    """Each would set the loader's variables; only one does at a time, and the environment is restored."""
     assert device is not None
     code = (
         "import os, threading; from clvol.device import devices; before = dict(os.environ); names = []\n"
@@ -224,7 +224,7 @@ def test_threads_may_look_for_devices_first(device: Device) -> None:
     assert done.stdout.strip() == "True [True, True]", done.stderr
 
 
-def test_a_frame_by_intels_runtime_is_right() -> None:
+def test_a_frame_with_intels_runtime_is_correct() -> None:
     if intel.library() is None:
         pytest.skip("Intel's runtime is not installed")
     (found,) = [d for d in devices() if "intel" in d.platform.lower() and d.kind == "cpu"]

@@ -1,4 +1,4 @@
-"""Figures: what they draw is asserted by the numbers they draw and the words beside them."""
+"""Figures: the numbers and words that they draw."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def axes_of(drawing: figures.Drawing) -> list[Any]:
 
 
 def texts(drawing: figures.Drawing) -> str:
-    """Every word in a figure."""
+    """All text in a figure."""
     from matplotlib.text import Text
 
     return "\n".join(artist.get_text() for artist in drawing.figure.findobj(Text))  # type: ignore[union-attr]
@@ -62,7 +62,7 @@ def image_of(axes: Any) -> np.ndarray:
 # -- 1 ---------------------------------------------------------------------------------------------------------
 
 
-def test_figure_1_gathers_the_pixel_that_render_draws(device: Device) -> None:
+def test_figure_1_integrates_the_pixel_of_render(device: Device) -> None:
     drawing = pipeline.draw(samples=13, pixels=60, device=device)
     (numbers,) = drawing.numbers
     np.testing.assert_allclose(numbers["color"], numbers["rendered"], atol=3e-3)  # the table of colours, and early termination
@@ -76,7 +76,7 @@ def test_figure_1_gathers_the_pixel_that_render_draws(device: Device) -> None:
     assert "nearest neighbour" in texts(drawing)
 
 
-def test_the_ray_of_figure_1_is_sampled_as_said() -> None:
+def test_the_ray_of_figure_1_is_sampled_as_labelled() -> None:
     volume = phantoms.marschner_lobb(13, f_m=2.5)
     ray = pipeline.follow(volume, "bspline3", (40, 32), (20, 16))
     steps = np.diff(ray.t)
@@ -89,7 +89,7 @@ def test_the_ray_of_figure_1_is_sampled_as_said() -> None:
 
 
 def test_the_ray_of_figure_1_is_lit_far_from_zero(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What counts as rounding is judged by the values less the offset that is taken off them, as in pictures."""
+    """Rounding is judged by the stored values, without their offset, as in pictures."""
     volume, far = phantoms.marschner_lobb(13, f_m=2.5), 2.0**24
     plain = pipeline.follow(volume, "bspline3", (40, 32), (20, 16))
     colors, opacities = (
@@ -121,7 +121,7 @@ def test_figure_2_draws_eqs_17_and_18() -> None:
     assert direct["stopband_peak"] < magnified["stopband_peak"]
 
 
-def test_figure_2_marks_where_direct_begins_to_pass_less_than_the_hybrid() -> None:
+def test_figure_2_marks_where_direct_passes_less_than_the_hybrid() -> None:
     drawing = responses.draw()
     mark = axes_of(drawing)[1].get_lines()[-1]
     np.testing.assert_allclose(mark.get_xdata(), 2.1565005, atol=1e-6)  # by eqs 17 and 18, computed without clvol
@@ -134,7 +134,7 @@ def test_figure_2_marks_where_direct_begins_to_pass_less_than_the_hybrid() -> No
 # -- 3 ---------------------------------------------------------------------------------------------------------
 
 
-def test_figure_3_shows_what_the_hybrid_costs_and_loses(device: Device) -> None:
+def test_figure_3_shows_cost_and_loss_of_the_hybrid(device: Device) -> None:
     drawing = hybrid.draw(samples=21, pixels=48, device=device)
     magnified, direct, linear = drawing.numbers
     assert [(n["filter"], n["gradient"]) for n in drawing.numbers] == [
@@ -172,7 +172,7 @@ def test_figure_3_draws_a_scan(device: Device) -> None:
         hybrid.draw(scan=clvol.Volume(np.zeros((4, 5))))
 
 
-def test_figure_3_of_constant_data_is_refused(device: Device) -> None:
+def test_figure_3_of_constant_data_is_rejected(device: Device) -> None:
     with pytest.raises(OptionError, match=r"scan must hold more than one value, since a surface is drawn; got 3\.7 throughout"):
         hybrid.draw(pixels=24, scan=clvol.Volume(np.full((9, 9, 9), 3.7)), device=device)
 
@@ -180,7 +180,7 @@ def test_figure_3_of_constant_data_is_refused(device: Device) -> None:
 # -- 4 ---------------------------------------------------------------------------------------------------------
 
 
-def test_figure_4_is_a_dot_for_each_filter_and_a_panel_for_each_input() -> None:
+def test_figure_4_has_a_dot_per_filter_and_a_panel_per_input() -> None:
     done: list[float] = []
     drawing = errors.draw(("linear", "bspline3"), samples=15, points=500, scan=phantoms.sphere(18), progress=done.append)
     assert [(n["input"], n["dimensions"]) for n in drawing.numbers] == [
@@ -207,7 +207,7 @@ def test_figure_4_is_a_dot_for_each_filter_and_a_panel_for_each_input() -> None:
         assert bold == [f"{min(made.values()):.3g}"]
 
 
-def test_errors_of_figure_4_are_those_known() -> None:
+def test_errors_of_figure_4_are_the_known_ones() -> None:
     cases = errors.measure(("linear", "bspline3"), points=5000)
     (case,) = (c for c in cases if c.name == "Marschner–Lobb" and c.dimensions == 3)
     span = np.ptp(phantoms.marschner_lobb(41).data)
@@ -244,7 +244,7 @@ def test_figure_5_shows_the_six_on_two_inputs(device: Device) -> None:
             np.testing.assert_allclose(rows[close, column, ::4, ::4], far, atol=1e-4)
 
 
-def test_headings_of_figure_5_do_not_run_into_each_other(device: Device) -> None:
+def test_headings_of_figure_5_do_not_overlap(device: Device) -> None:
     drawing = images.draw(("sinc", "bspline5-approx", "sinc"), samples=9, device=device)
     drawing.figure.draw_without_rendering()  # type: ignore[union-attr]
     boxes = [axes.title for axes in axes_of(drawing)] + [axes._left_title for axes in axes_of(drawing)]
@@ -255,7 +255,7 @@ def test_headings_of_figure_5_do_not_run_into_each_other(device: Device) -> None
         assert not any(a.overlaps(b) for b in boxes[:i])
 
 
-def test_images_are_finer_where_their_samples_are(device: Device) -> None:
+def test_images_are_magnified_in_place(device: Device) -> None:
     image = clvol.Volume(np.random.default_rng(0).uniform(0, 1, (7, 9)))
     for name in (EXACT_SINC, "bspline3", "linear"):
         finer = images.finer(image, 3, name, device)
@@ -278,7 +278,7 @@ def test_impulse_responses_are_drawn() -> None:
     assert "4 taps\nC²\norder 4\nprefilter" in texts(drawing)
 
 
-def test_gradient_errors_are_those_of_the_normals_drawn(device: Device) -> None:
+def test_gradient_errors_match_the_rendered_normals(device: Device) -> None:
     drawing = gradients.draw(("linear", "nearest", "bspline5"), samples=41, pixels=32, device=device)
     rough, own, fine = drawing.numbers
     assert fine["angle_mean"] < rough["angle_mean"]
@@ -293,7 +293,7 @@ def test_gradient_errors_are_those_of_the_normals_drawn(device: Device) -> None:
         assert np.isfinite(image_of(axes_below)).sum() == n["shown"]  # nothing is cut
 
 
-def test_rows_in_which_nothing_shows_are_left_out() -> None:
+def test_empty_rows_are_omitted() -> None:
     empty = np.full((100, 4), np.nan)
     one, other = empty.copy(), empty.copy()
     one[30, 2] = other[60, 1] = 5.0
@@ -303,7 +303,7 @@ def test_rows_in_which_nothing_shows_are_left_out() -> None:
     assert gradients._filled([empty]) == slice(0, 100)
 
 
-def test_angles_take_a_normal_and_its_opposite_for_the_same() -> None:
+def test_angles_treat_opposite_normals_as_equal() -> None:
     points = np.array([[[0.3, 0.2, 0.1], [0.3, 0.2, 0.1], [0.3, 0.2, 0.1]]])
     true = phantoms.marschner_lobb_gradient(points[0, 0])
     true /= np.linalg.norm(true)
@@ -313,7 +313,7 @@ def test_angles_take_a_normal_and_its_opposite_for_the_same() -> None:
     np.testing.assert_allclose(gradients._angles(normals, points), [[0, 45, np.nan]], atol=1e-5)
 
 
-def test_slopes_are_the_orders() -> None:
+def test_slopes_equal_the_orders() -> None:
     drawing = convergence.draw(("linear", "bspline3", "catmull-rom"), sizes=(49, 73, 109), points=4000)
     for n in drawing.numbers:
         assert n["slope"] == pytest.approx(n["order"], abs=0.15)
@@ -328,8 +328,8 @@ def test_slopes_are_the_orders() -> None:
     assert f"catmull-rom  {drawing.numbers[-1]['slope']:.1f}" in texts(drawing)
 
 
-def test_errors_measured_are_those_of_the_theory() -> None:
-    """Points at random and higher terms make up the difference: 1 % on the finest grid of the figure, as the page says."""
+def test_measured_errors_match_the_theory() -> None:
+    """Random points and higher-order terms make up the difference: 1 % on the finest grid, as the page states."""
     names = (
         "nearest",
         "linear",
@@ -352,7 +352,7 @@ def test_errors_measured_are_those_of_the_theory() -> None:
     spacing = 2 / np.array([180, 270])
     wanted = (2 * np.pi * spacing) ** 2 * np.sqrt((2 / 120 + 2 / 144) / 4)
     assert drawing.numbers[1]["theory"] == pytest.approx(wanted, rel=1e-4)
-    # and its slope errs by t - 1/2 times f_xx along each axis
+    # and the error of its slope is t - 1/2 times f_xx along each axis
     assert drawing.numbers[1]["gradient_theory"] == pytest.approx((2 * np.pi) ** 2 * spacing * np.sqrt(1 / 12 / 2), rel=0.02)
 
 
@@ -377,13 +377,13 @@ def test_cost_puts_every_filter_on_the_plot(device: Device) -> None:
     assert device.name in texts(drawing)
 
 
-def test_the_frontier_is_what_nothing_beats() -> None:
+def test_the_frontier_is_the_pareto_front() -> None:
     rows = [("a", 3.0, 1.0), ("b", 1.0, 5.0), ("c", 2.0, 6.0), ("d", 4.0, 1.0), ("e", 2.0, 2.0)]
     assert [name for name, _, _ in cost.frontier(rows)] == ["b", "e", "a"]
     assert cost.frontier([]) == []
 
 
-def test_labels_of_points_do_not_cover_each_other() -> None:
+def test_labels_of_points_do_not_overlap() -> None:
     numbers = [
         {"filter": f"bspline{i}", "nanoseconds": 30 + 0.5 * i, "rms": 0.01 + 1e-4 * i, "angle_mean": 5 + i / 9} for i in range(6)
     ]
@@ -402,7 +402,7 @@ def test_labels_of_points_do_not_cover_each_other() -> None:
                 assert away > 0.9 * radius
 
 
-def test_many_filters_of_figure_2_have_a_legend_within_it() -> None:
+def test_figure_2_of_many_filters_contains_its_legend() -> None:
     drawing = responses.draw(tuple(clvol.filters()))
     figure = drawing.figure
     figure.draw_without_rendering()  # type: ignore[union-attr]
@@ -421,7 +421,7 @@ def test_many_filters_of_figure_2_have_a_legend_within_it() -> None:
 
 
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline3", "bspline3-approx", "bspline3(0.1)", "bspline3(1)", "hybrid"])
-def test_the_gain_of_variance_is_what_is_left_of_noise(name: str) -> None:
+def test_the_variance_gain_is_the_fraction_of_noise_that_remains(name: str) -> None:
     """The closed forms; the integral of |H|²; and the variance of a reconstruction of noise itself."""
     closed = {"nearest": 1.0, "linear": 2 / 3, "bspline3-approx": 151 / 315}  # β₃ * β₃ = β₇, and β₇(0) = 151 / 315
     gain = analysis.variance_gain(name)
@@ -435,7 +435,7 @@ def test_the_gain_of_variance_is_what_is_left_of_noise(name: str) -> None:
     assert values.var() == pytest.approx(gain**2, rel=0.05)
 
 
-def test_noise_is_measured_of_any_smoothing(device: Device) -> None:
+def test_noise_is_measured_for_any_smoothing(device: Device) -> None:
     names = ("linear", "bspline3(length=0.05)", "bspline3(0.1,0.1,0.4)")
     drawing = noise.draw(names, samples=9, points=50, device=device)
     assert {n["filter"] for n in drawing.numbers if "noise" in n} == set(names)
@@ -444,7 +444,7 @@ def test_noise_is_measured_of_any_smoothing(device: Device) -> None:
     ]  # of the others it differs by axis or volume
 
 
-def test_noise_turns_the_order_of_filters_over(device: Device) -> None:
+def test_noise_reverses_the_order_of_filters(device: Device) -> None:
     names = ("bspline3", "bspline3-approx", "bspline3(1)", "bspline3(auto)")
     drawing = noise.draw(names, samples=33, points=4000, device=device)
     made = {(n["input"], n["noise"], n["filter"]): n for n in drawing.numbers if "noise" in n}
@@ -463,7 +463,7 @@ def test_noise_turns_the_order_of_filters_over(device: Device) -> None:
     assert "Marschner–Lobb: normals, mean angle" in texts(drawing)
 
 
-def test_places_on_surfaces_of_the_phantoms_of_noise_lie_on_them() -> None:
+def test_positions_on_surfaces_of_the_noise_phantoms_are_exact() -> None:
     sphere, waves = noise.cases(9, 100)
     np.testing.assert_allclose(np.linalg.norm(sphere.surface, axis=1), 0.75)
     cosine = -(sphere.surface * sphere.normals).sum(1) / 0.75 / np.linalg.norm(sphere.normals, axis=1)
@@ -474,7 +474,7 @@ def test_places_on_surfaces_of_the_phantoms_of_noise_lie_on_them() -> None:
     np.testing.assert_allclose(sphere.values, field, atol=1e-3)
 
 
-def test_between_slices_the_spline_errs_less_while_they_are_near_enough(device: Device) -> None:
+def test_the_spline_has_the_smaller_error_between_close_slices(device: Device) -> None:
     drawing = slices.draw(("linear", "mitchell", "bspline3"), samples=61, device=device)
     rms = {(n["apart"], n["filter"]): n["rms"] for n in drawing.numbers}
     assert sorted({k for k, _ in rms}) == [1, 2, 3, 4, 5, 6]
@@ -488,7 +488,7 @@ def test_between_slices_the_spline_errs_less_while_they_are_near_enough(device: 
     assert f"RMS {made[-1]:.4f}" in texts(drawing)
 
 
-def test_fewer_samples_keep_most_by_least_squares(device: Device) -> None:
+def test_least_squares_preserves_most_in_reduction(device: Device) -> None:
     drawing = reduction.draw((1.5, 2, 3), samples=32, device=device)
     rms = {(n["input"], n["method"], n["factor"]): n["rms"] for n in drawing.numbers}
     plate, waves, ball = dict.fromkeys(n["input"] for n in drawing.numbers)
@@ -497,7 +497,7 @@ def test_fewer_samples_keep_most_by_least_squares(device: Device) -> None:
             assert rms[case, "least squares", factor] < min(rms[case, name, factor] for name in ("decimated", "Gaussian first"))
     assert rms[ball, "least squares", 3] < rms[ball, "decimated", 3] / 3  # noise is averaged, not picked
     truth, decimated, _, nearest = (image_of(axes) for axes in axes_of(drawing)[:4])
-    # where rings are too fine for the new pixels, in the corners, nothing must be left, and least of all other rings
+    # in the corners, where rings are too fine for the new pixels, nothing must remain, least of all other rings
     corner = (slice(0, 16), slice(0, 16))
     assert nearest[corner].std() < 0.15 < 0.3 < decimated[corner].std()
     assert f"RMS {np.sqrt(np.mean((nearest - truth) ** 2)):.3f}" in texts(drawing)
@@ -505,8 +505,8 @@ def test_fewer_samples_keep_most_by_least_squares(device: Device) -> None:
         reduction.draw((0.5,), samples=8)
 
 
-def test_slices_left_out_of_a_scan_are_compared_with_it(device: Device) -> None:
-    """Linear interpolation of a square: half-way between two slices a distance h apart it is too large by h² / 4."""
+def test_omitted_slices_of_a_scan_are_compared_with_it(device: Device) -> None:
+    """Linear interpolation of a parabola: half-way between two slices a distance h apart the error is h² / 4."""
     z = np.arange(40.0)
     scan = Volume(np.broadcast_to((z**2)[:, None, None], (40, 6, 5)), (1, 1, 3.0))
     rows = [clvol.filter.table.as_filter("linear")]
@@ -523,7 +523,7 @@ def test_slices_left_out_of_a_scan_are_compared_with_it(device: Device) -> None:
         slices.draw(("linear",), samples=9)
 
 
-def test_clouds_and_caves_are_the_ideal_low_pass_s(device: Device) -> None:
+def test_clouds_and_caves_come_from_the_ideal_low_pass(device: Device) -> None:
     drawing = edges.draw(samples=32, pixels=24, device=device)
     made = {(n["lowpass"], n["filter"]): n for n in drawing.numbers}
     for key in ("cloud", "cave"):
@@ -533,7 +533,7 @@ def test_clouds_and_caves_are_the_ideal_low_pass_s(device: Device) -> None:
     assert len(axes_of(drawing)) == 6
 
 
-def test_the_cube_is_sampled_as_said() -> None:
+def test_the_cube_is_sampled_as_labelled() -> None:
     """The mean is that of the cube; the ideal low-pass of the finer samples is that of the coarse ones."""
     for lowpass in edges.LOWPASSES:
         volume = edges.scanned(24, lowpass)
@@ -561,7 +561,7 @@ def test_rings_are_the_function_on_a_plane() -> None:
     np.testing.assert_array_equal(inputs.rings(points), phantoms.marschner_lobb_function([[0.1, 0.2, 0], [-0.5, 0.7, 0]]))
 
 
-def test_a_photograph_is_there_or_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_photograph_is_loaded_or_synthesised(monkeypatch: pytest.MonkeyPatch) -> None:
     photo, what = inputs.photograph(100)
     assert (photo.shape, what) == ((100, 100), "photograph")
     assert photo.data.min() >= 0
@@ -579,7 +579,7 @@ def test_a_photograph_is_there_or_is_drawn(monkeypatch: pytest.MonkeyPatch) -> N
             inputs.photograph(bad)  # type: ignore[arg-type]
 
 
-def test_places_are_spread_no_farther_than_need_be() -> None:
+def test_labels_are_moved_no_farther_than_necessary() -> None:
     assert style.spread([0.0, 1.0, 3.0], 0.5) == [0.0, 1.0, 3.0]
     assert style.spread([1.0, 1.0], 0.5) == pytest.approx([0.75, 1.25])
     spread = style.spread([0.5, 0.1, 0.52, 0.48, 0.9], 0.1)
@@ -591,7 +591,7 @@ def test_places_are_spread_no_farther_than_need_be() -> None:
         style.spread([1.0], 0)
 
 
-def test_every_filter_of_the_table_has_a_colour_of_its_own() -> None:
+def test_every_filter_has_its_own_colour() -> None:
     names = [*clvol.filters(), EXACT_SINC]
     assert len({style.colour(name) for name in names}) == len(names)
     assert style.colour("of my own").startswith("#")
@@ -602,7 +602,7 @@ def test_every_filter_of_the_table_has_a_colour_of_its_own() -> None:
     assert [style.colour(name) for name in others] == [style.colour(name) for name in others]
 
 
-def test_a_filter_has_one_colour_by_all_its_names() -> None:
+def test_all_names_of_a_filter_have_one_colour() -> None:
     for one, other in (
         ("lanczos(2)", "lanczos2"),
         ("sinc(4)", "sinc"),
@@ -621,7 +621,7 @@ def test_a_filter_has_one_colour_by_all_its_names() -> None:
 
 
 def test_pictures_are_shown_pixel_for_pixel(tmp_path: Path) -> None:
-    """Figures of aliasing add none."""
+    """So that figures of aliasing add none."""
     pixels = np.random.default_rng(0).integers(0, 256, (2, 3, 170, 200, 3), np.uint8)
     small = np.random.default_rng(1).integers(0, 256, (30, 40, 3), np.uint8)
     with style.styled():
@@ -642,7 +642,7 @@ def test_pictures_are_shown_pixel_for_pixel(tmp_path: Path) -> None:
     np.testing.assert_array_equal(shown, small.repeat(4, 0).repeat(4, 1))
 
 
-def test_headings_are_folded() -> None:
+def test_headings_are_wrapped() -> None:
     assert style.folded("b)  sinc, cut off at 4 samples", 325) == "b)  sinc, cut off at 4\nsamples"
     assert style.folded("short", 325) == "short"
     assert style.folded("x" * 60, 325).count("\n") == 2
@@ -650,7 +650,7 @@ def test_headings_are_folded() -> None:
     assert style.title("of my own") == "of my own"
 
 
-def test_styles_of_the_user_do_not_show(tmp_path: Path) -> None:
+def test_the_users_style_has_no_effect(tmp_path: Path) -> None:
     import matplotlib as mpl
 
     with mpl.rc_context({"axes.facecolor": "black", "font.size": 40}):
@@ -664,7 +664,7 @@ def test_styles_of_the_user_do_not_show(tmp_path: Path) -> None:
 # -- asking for them -------------------------------------------------------------------------------------------
 
 
-def test_every_figure_of_the_table_can_be_asked_for() -> None:
+def test_every_figure_can_be_drawn_by_name() -> None:
     for name, kind in figures.FIGURES.items():
         options = figures.options_of(name)
         assert options
@@ -686,7 +686,7 @@ def test_figures_are_written_by_suffix(tmp_path: Path, suffix: str) -> None:
     json.dumps(drawing.numbers, allow_nan=False)
 
 
-def test_figures_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
+def test_unwritable_targets_are_rejected(tmp_path: Path) -> None:
     drawing = figures.draw("impulse", filters=("linear",))
     with pytest.raises(FormatError, match=r"figures are written as \.png, .*; got 'a.gif'"):
         drawing.save("a.gif")
@@ -717,7 +717,7 @@ def test_figures_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
         ("cost", {"points": 0, "filters": ("linear",)}),
     ],
 )
-def test_bad_options_are_refused(name: str, options: dict[str, Any]) -> None:
+def test_bad_options_are_rejected(name: str, options: dict[str, Any]) -> None:
     with pytest.raises(OptionError, match="must "):
         figures.draw(name, **options)
 
@@ -730,7 +730,7 @@ def test_filters_are_one_or_more_names(name: str, filters: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["5", "6", "impulse", "gradients"])
-def test_a_figure_holds_as_many_panels_as_there_are_letters(name: str) -> None:
+def test_a_figure_has_at_most_one_panel_per_letter(name: str) -> None:
     with pytest.raises(OptionError, match="filters must be one or more names, at most 26; got 27"):
         figures.draw(name, filters=("linear",) * 27)
 
@@ -752,15 +752,15 @@ def test_a_figure_holds_as_many_panels_as_there_are_letters(name: str) -> None:
         ("edges", {"samples": 9, "pixels": 8}),
     ],
 )
-def test_figures_take_filters_of_ones_own(name: str, options: dict[str, Any], device: Device) -> None:
-    """Rows that no table knows, in any sequence."""
+def test_figures_accept_custom_filters(name: str, options: dict[str, Any], device: Device) -> None:
+    """Filters that are not in the table, in any sequence."""
     own = clvol.from_callable("my own", lambda x: np.maximum(1 - np.abs(x) / 2, 0) / 2, 2)
     more = {"device": device} if "device" in figures.options_of(name) else {}
     drawing = figures.draw(name, filters=np.array([own, "mitchell"], object), **options, **more)
     assert "my own" in json.dumps(drawing.numbers)
 
 
-def test_a_filter_that_lets_nothing_through_has_a_response() -> None:
+def test_a_filter_of_zeros_has_a_response() -> None:
     drawing = responses.draw((clvol.from_pieces("nothing", [(0.0,)]),))
     assert drawing.lines[-1] == "nothing: error up to 1.000 below π/2; passes none of its aliases"
 
@@ -777,19 +777,19 @@ def test_a_scan_may_be_an_array(name: str, options: dict[str, Any]) -> None:
     ("name", "options"),
     [("1", {"samples": 10**7}), ("4", {"samples": 10**7}), ("5", {"samples": 10**7}), ("convergence", {"sizes": (17, 10**8)})],
 )
-def test_what_no_machine_holds_is_refused(name: str, options: dict[str, Any]) -> None:
+def test_sizes_beyond_any_memory_are_rejected(name: str, options: dict[str, Any]) -> None:
     with pytest.raises(clvol.OutOfMemoryError, match=r"out of memory: .* must give at most 68719476736 samples; got 1000"):
         figures.draw(name, **options)
 
 
-def test_a_scan_with_nan_is_refused() -> None:
+def test_a_scan_with_nan_is_rejected() -> None:
     data = np.zeros((12, 12, 12))
     data[3, 4, 5] = np.nan
     with pytest.raises(clvol.DataError, match="finite"):
         figures.draw("4", filters=("linear",), samples=9, points=50, scan=clvol.Volume(data))
 
 
-def test_without_matplotlib_only_figure_6_is_drawn(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+def test_without_matplotlib_only_figure_6_works(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
     real = builtins.__import__
 
     def without(name: str, *arguments: Any, **options: Any) -> Any:

@@ -28,7 +28,7 @@ def panel(drawn: tuple[list[Panel], np.ndarray], name: str) -> Panel:
     return next(p for p in drawn[0] if p.filter == name)
 
 
-def test_panels_are_those_of_the_paper_and_the_function_itself(drawn: tuple[list[Panel], np.ndarray]) -> None:
+def test_panels_are_the_papers_and_the_function_itself(drawn: tuple[list[Panel], np.ndarray]) -> None:
     panels, _ = drawn
     assert [p.filter for p in panels] == [*PANELS, "exact"]
     assert (*FIGURE_6, "sinc") == PANELS
@@ -36,18 +36,18 @@ def test_panels_are_those_of_the_paper_and_the_function_itself(drawn: tuple[list
         assert p.picture.shape == (PIXELS, PIXELS, 4)
         assert p.picture.dtype == np.float32
         assert np.isfinite(p.picture).all()
-        assert p.picture[..., :3].std() > 0.05  # there is something to see
+        assert p.picture[..., :3].std() > 0.05  # not empty
     assert panels[-1].rms is None
     assert panels[-1].angle is None
 
 
 @pytest.mark.parametrize("name", RMS)
-def test_errors_are_those_known(drawn: tuple[list[Panel], np.ndarray], name: str) -> None:
+def test_errors_are_the_known_ones(drawn: tuple[list[Panel], np.ndarray], name: str) -> None:
     assert panel(drawn, name).rms == pytest.approx(RMS[name], rel=0.03)
 
 
 @pytest.mark.parametrize("name", FIGURE_6)
-def test_errors_are_those_of_the_reference(drawn: tuple[list[Panel], np.ndarray], name: str) -> None:
+def test_errors_match_the_reference(drawn: tuple[list[Panel], np.ndarray], name: str) -> None:
     points = np.random.default_rng(5).uniform(-0.8, 0.8, (6_000, 3))
     volume = phantoms.marschner_lobb(40)
     exact_sinc = name == EXACT_SINC
@@ -56,7 +56,7 @@ def test_errors_are_those_of_the_reference(drawn: tuple[list[Panel], np.ndarray]
     assert panel(drawn, name).rms == pytest.approx(rms, rel=0.05)  # other points, and not as many
 
 
-def test_interpolation_errs_least_but_for_the_sinc(drawn: tuple[list[Panel], np.ndarray]) -> None:
+def test_interpolation_has_the_smallest_error_after_the_sinc(drawn: tuple[list[Panel], np.ndarray]) -> None:
     panels, _ = drawn
     ours = panel(drawn, "bspline3")
     for p in panels[:-1]:
@@ -70,7 +70,7 @@ def test_interpolation_errs_least_but_for_the_sinc(drawn: tuple[list[Panel], np.
     assert min(differences, key=lambda name: differences[name]) == "bspline3"
 
 
-def test_the_exact_sinc_says_how_exact_it_is(drawn: tuple[list[Panel], np.ndarray]) -> None:
+def test_the_exact_sinc_states_its_accuracy(drawn: tuple[list[Panel], np.ndarray]) -> None:
     sinc = panel(drawn, EXACT_SINC)
     assert sinc.residual == pytest.approx(9e-5, rel=0.2)
     assert sinc.label.startswith("a)  sinc, exact to about 9e-05\nRMS error 0.0145")
@@ -79,7 +79,7 @@ def test_the_exact_sinc_says_how_exact_it_is(drawn: tuple[list[Panel], np.ndarra
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_a_fixed_camera_sees_the_same_of_another_volume(projection: str) -> None:
+def test_a_fixed_camera_sees_the_same_region_of_another_volume(projection: str) -> None:
     camera = Camera.orbit(40, 30, zoom=1.7, projection=projection, fit="volume")  # type: ignore[arg-type]
     volume, other = phantoms.sphere(9), phantoms.sphere(33).crop((4, 0, 0), (20, 33, 30))
     wanted, got = camera.view(volume), fixed(camera, volume, other).view(other)
@@ -88,7 +88,7 @@ def test_a_fixed_camera_sees_the_same_of_another_volume(projection: str) -> None
     assert got.orthographic == wanted.orthographic
 
 
-def test_the_exact_panel_is_what_a_much_finer_sampled_volume_shows(drawn: tuple[list[Panel], np.ndarray], device: Device) -> None:
+def test_the_exact_panel_matches_a_much_finer_volume(drawn: tuple[list[Panel], np.ndarray], device: Device) -> None:
     # the same box and camera; the domain of 161³ samples ends elsewhere, so the camera gets its place
     coarse, fine = phantoms.marschner_lobb(40), phantoms.marschner_lobb(161)
     view = CAMERA.view(coarse)
@@ -119,7 +119,7 @@ def test_the_exact_panel_is_what_a_much_finer_sampled_volume_shows(drawn: tuple[
     assert np.median(difference) < 0.002
 
 
-def test_the_sheet_holds_every_panel_under_its_label(drawn: tuple[list[Panel], np.ndarray]) -> None:
+def test_the_sheet_shows_every_panel_with_its_label(drawn: tuple[list[Panel], np.ndarray]) -> None:
     panels, sheet = drawn
     assert sheet.dtype == np.uint8
     height = (sheet.shape[0] - 4) // 2  # of a tile: two rows, a gap of 4
@@ -130,7 +130,7 @@ def test_the_sheet_holds_every_panel_under_its_label(drawn: tuple[list[Panel], n
         tile = sheet[y : y + PIXELS, x : x + PIXELS]
         assert np.abs(tile - p.picture[..., :3] * 255).max() <= 0.51
         below = sheet[y + PIXELS : y + 2 * PIXELS, x : x + PIXELS].astype(float)
-        if p.error is not None:  # black where it is drawn as the truth is, and the brighter the farther it is from that
+        if p.error is not None:  # black where it equals the truth, brighter with increasing error
             np.testing.assert_allclose(p.error, np.abs(p.picture - panels[-1].picture)[..., :3].mean(-1))
             assert below[p.error == 0].max() < 5
             assert below[p.error > 0.4].mean() > 150
@@ -138,7 +138,7 @@ def test_the_sheet_holds_every_panel_under_its_label(drawn: tuple[list[Panel], n
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_no_half_of_a_panel_is_black(drawn: tuple[list[Panel], np.ndarray], number: int) -> None:
-    """Each light reaches what the other does not: of what is seen of the surface hardly anything is as dark as without lights."""
+    """Each light reaches what the other does not: hardly any visible surface is as dark as without lights."""
     exact = drawn[0][-1].picture[..., :3]
     surface = (exact != np.float32(BACKGROUND)).any(-1)
     dark = exact.max(-1) < 1.2 * MATERIAL.ambient * max(SURFACE)
@@ -149,7 +149,7 @@ def test_no_half_of_a_panel_is_black(drawn: tuple[list[Panel], np.ndarray], numb
 
 
 def shade_of(light: Light) -> np.ndarray:
-    """The function itself by one of the lights."""
+    """The function itself, lit by one of the lights."""
     volume = phantoms.marschner_lobb(40)
     _, picture = draw_function(
         phantoms.marschner_lobb_function,
@@ -168,7 +168,7 @@ def shade_of(light: Light) -> np.ndarray:
 
 
 def test_gradients_that_shade_the_hybrid_are_differences_of_the_magnified_grid() -> None:
-    """Of a wave the difference over a step h to either side is its slope times sin(ωh) / ωh."""
+    """For a wave, the central difference over ±h is its slope times sin(ωh) / ωh."""
     omega = 4 * np.pi / 21  # a wave that goes on beyond its mirrored ends
     volume = Volume(np.broadcast_to(np.cos(omega * np.arange(22)), (5, 6, 22)))
     points = np.array([[6.0, 2.0, 3.0], [9.5, 3.0, 2.0], [13.0, 2.5, 1.5]])
@@ -179,7 +179,7 @@ def test_gradients_that_shade_the_hybrid_are_differences_of_the_magnified_grid()
         np.testing.assert_allclose(got, np.stack([expected, 0 * slope, 0 * slope], -1), atol=1e-3)
 
 
-def test_labels_tell_what_was_measured() -> None:
+def test_labels_state_the_measurements() -> None:
     picture = np.zeros((2, 2, 4), np.float32)
     assert Panel("linear", picture, 0.03281, 12.345).label == "linear\nRMS error 0.0328   normals 12.3°"
     assert Panel("linear", picture, 0.03281, letter="d").label == "d)  linear\nRMS error 0.0328"
@@ -200,7 +200,7 @@ def test_progress_goes_up_to_one(device: Device) -> None:
     assert reported[-1] == pytest.approx(1)
 
 
-def test_a_figure_in_which_no_surface_shows_measures_no_normals(device: Device) -> None:
+def test_a_figure_without_a_visible_surface_has_no_normal_error(device: Device) -> None:
     away = Camera.look_at((0, 0, 9), (0, 0, 20), (0, 1, 0))
     panels, _ = figure6(8, 8, ("linear",), camera=away, rays=1, device=device)
     assert panels[0].angle is None
@@ -218,7 +218,7 @@ def test_compare_puts_panels_in_rows(device: Device, count: int, across: int, do
     assert sheet.shape[0] == (12 + 18) * down + 4 * (down - 1)  # a line of 9 pixels beneath each
 
 
-def test_compare_draws_what_render_draws(device: Device) -> None:
+def test_compare_matches_render(device: Device) -> None:
     volume, camera = phantoms.marschner_lobb(12), Camera.orbit(10, 40, fit="volume")
     for options in ({}, {"mode": "mean"}, {"mode": "composite", "background": "white"}):
         panels, _ = compare(volume, ("mitchell", bspline(4)), 16, "wrap", camera=camera, device=device, **options)  # type: ignore[arg-type]
@@ -229,7 +229,7 @@ def test_compare_draws_what_render_draws(device: Device) -> None:
             np.testing.assert_array_equal(p.picture, alone)
 
 
-def test_compare_tells_the_smoothing_that_was_decided(device: Device) -> None:
+def test_compare_reports_the_automatic_smoothing(device: Device) -> None:
     noisy = phantoms.sphere(24).data + np.random.default_rng(0).normal(0, 0.1, (24, 24, 24))
     names = ("bspline3", "bspline3(0.25)", "bspline3(auto)")
     look: dict[str, Any] = {"camera": Camera.orbit(fit="volume"), "mode": "isosurface", "isovalue": 0.5}
@@ -249,7 +249,7 @@ def test_compare_tells_the_smoothing_that_was_decided(device: Device) -> None:
 @pytest.mark.parametrize("rule", ["mirror", "reflect", "wrap"])
 @pytest.mark.parametrize("mode", ["isosurface", "composite"])
 def test_compare_draws_the_exact_sinc(device: Device, rule: str, mode: str) -> None:
-    """Of a ball that a spline of degree five draws nearly as well, so that one stands for the other."""
+    """Of a ball that a quintic spline renders nearly as well, so that one substitutes for the other."""
     n = 24
     x = (np.arange(n) + (0.5 if rule == "reflect" else 0)) / (n - 1 if rule == "mirror" else n)
     wave = 0.5 - 0.5 * np.cos(2 * np.pi * x)  # nothing is at the faces, where the magnified volume ends sooner
@@ -274,7 +274,7 @@ def test_pixels_are_checked_first(pixels: object) -> None:
 
 
 def test_filters_are_checked_first() -> None:
-    nowhere = "no such device"  # whoever draws before checking gets a DeviceError
+    nowhere = "no such device"  # rendering before the check would raise a DeviceError
     for filters in BAD_FILTER_LISTS:
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
             figure6(8, 8, filters, device=nowhere)
@@ -295,7 +295,7 @@ def test_filters_are_checked_first() -> None:
             make()
 
 
-def test_figure_6_names_smoothing_as_it_was_settled(device: Device) -> None:
+def test_figure_6_names_the_settled_smoothing(device: Device) -> None:
     panels, _ = figure6(12, 8, ("bspline3(length=0.1)",), rays=1, device=device)
     spacing = 2 / 11
     assert panels[0].filter == f"bspline3({(0.1 / spacing) ** 4:.6g})"

@@ -1,4 +1,4 @@
-"""The boundary rule is one thing: the index map, the matrix of eq. (11), the reference's extension, the FFT's period."""
+"""The boundary rule in one place: the index map, the matrix of eq. (11), the reference's extension, the FFT's period."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from clvol.reference.spline.boundary import period as period_of
 from clvol.reference.spline.prefilter import kernel_samples
 from tests.cases import SMOOTHED
 
-RULES = tuple(name for name, row in boundaries().items() if row.outside == "rule")  # the index rule is all there is
+RULES = tuple(name for name, row in boundaries().items() if row.outside == "rule")  # it depends on the index rule alone
 PREFILTERED = {row.name: row for row in (*filters().values(), bspline(7), *map(as_filter, SMOOTHED)) if row.prefilter}
 LENGTHS = (1, 2, 3, 4, 5, 6, 7, 8, 40)
 
@@ -60,7 +60,7 @@ def walk(i: int, rule: str, n: int) -> int | None:
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("n", LENGTHS)
-def test_index_map_is_the_walk_and_the_extension(rule: str, n: int) -> None:
+def test_index_map_matches_the_walk_and_the_extension(rule: str, n: int) -> None:
     width = 3 * n + 4
     i = np.arange(-width, n + width)
     got = as_boundary(rule).index(i, n)
@@ -128,7 +128,7 @@ def test_prefilter_of_a_row_without_one_is_the_samples() -> None:
 
 @pytest.mark.parametrize("rule", boundaries())
 @pytest.mark.parametrize("n", LENGTHS)
-def test_positions_come_to_where_the_function_is_the_same(rule: str, n: int) -> None:
+def test_positions_are_mapped_to_equivalent_ones(rule: str, n: int) -> None:
     boundary, rng = as_boundary(rule), np.random.default_rng(n)
     x = np.concatenate([rng.uniform(-3 * n - 30, 4 * n + 30, 100), rng.uniform(-50 * n, 50 * n, 50), [1e18, -1e30]])
     got, sign = boundary.position(x, n, 12, 3)
@@ -182,7 +182,7 @@ def test_values_outside() -> None:
             as_boundary(bad)
 
 
-def test_what_lies_outside_needs_a_prefilter_that_ends() -> None:
+def test_constant_rules_need_a_finite_prefilter() -> None:
     with pytest.raises(OptionError, match="must have a period"):
         Boundary("own", None, None, "", "clamp")
     with pytest.raises(OptionError, match="outside must be one of"):
@@ -192,7 +192,7 @@ def test_what_lies_outside_needs_a_prefilter_that_ends() -> None:
             Boundary("own", (1, 0), None, "", "constant", bad)  # type: ignore[arg-type]
 
 
-def test_reference_refuses_bad_input() -> None:
+def test_reference_rejects_bad_input() -> None:
     with pytest.raises(OptionError, match="whose prefilter has a period"):
         reference.prefilter_fft([1.0, 2.0], boundary="zero")
     for bad in (3.0, [], [np.nan], [np.inf], ["a"], [1j]):
@@ -205,7 +205,7 @@ def test_reference_refuses_bad_input() -> None:
 
 
 def says_one_sample(period: tuple[int, int] | None, fold: int | None, n: int) -> bool:
-    """Whether every index near an axis of `n` stands for one of its samples, each sample for itself, by walking the rule."""
+    """Whether every index near an axis of `n` maps to one of its samples, and each sample to itself, by walking the rule."""
     if period is None:
         return fold is None
     length = max(1, period[0] * n + period[1])
@@ -224,7 +224,7 @@ def says_one_sample(period: tuple[int, int] | None, fold: int | None, n: int) ->
 
 
 def covers(period: tuple[int, int], fold: int | None, n: int) -> bool:
-    """Whether a period holds no index but samples and their images."""
+    """Whether a period consists of samples and their images."""
     length = max(1, period[0] * n + period[1])
     images = {i % length for i in range(n)}
     if fold is not None:
@@ -232,7 +232,7 @@ def covers(period: tuple[int, int], fold: int | None, n: int) -> bool:
     return images == set(range(length))
 
 
-def test_the_rules_that_are_taken_are_those_that_name_one_sample_for_each_index() -> None:
+def test_accepted_rules_map_each_index_to_one_sample() -> None:
     """All small periods and folds, checked on axes of many lengths without the class."""
     for period in [None, *((a, b) for a in range(-1, 5) for b in range(-4, 5))]:
         for fold in (None, *range(-4, 5)):
@@ -254,7 +254,7 @@ WRONG += [(period, None) for period in ((1,), (1, 0, 0), (1.0, 0), "10", 3)]
 
 
 @pytest.mark.parametrize(("period", "fold"), WRONG)
-def test_what_is_no_rule_is_refused(period: Any, fold: Any) -> None:
+def test_invalid_rules_are_rejected(period: Any, fold: Any) -> None:
     with pytest.raises(OptionError, match="a boundary's"):
         Boundary("own", period, fold, "")
 
@@ -270,8 +270,8 @@ def test_names_are_strings() -> None:
 @pytest.mark.one_in(8)
 @pytest.mark.parametrize(("period", "fold"), [((2, -1), 0), ((2, -1), 1)])
 @pytest.mark.parametrize("filter", ["linear", "bspline3", "bspline5", "hybrid"])
-def test_a_rule_that_mirrors_and_reflects_is_that_of_the_longer_axis(device: Device, filter: str, period: Any, fold: int) -> None:
-    """About an outer sample at one end and a face at the other: one half of an axis that is reflected, or mirrored, whole."""
+def test_a_rule_that_mirrors_and_reflects_matches_a_longer_axis(device: Device, filter: str, period: Any, fold: int) -> None:
+    """Half of an axis that is reflected, or mirrored, as a whole."""
     own = Boundary("own", period, fold, "mirrored at one end, reflected at the other")
     line = np.random.default_rng(3).random((1, 7, 1))
     twice, before = ([6, 5, 4, 3, 2, 1, 0, 1, 2, 3, 4, 5, 6], 6) if fold == 0 else ([0, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0], 0)
@@ -285,7 +285,7 @@ def test_a_rule_that_mirrors_and_reflects_is_that_of_the_longer_axis(device: Dev
 
 
 def test_linear_in_the_outer_half_voxel(device: Device) -> None:
-    """What the README says: "reflect" is the clamp of ITK and VTK there; how far "mirror" is from it on noise."""
+    """As the README states: "reflect" equals the clamp of ITK and VTK there; and the difference of "mirror" on noise."""
     data, last = np.random.default_rng(5).random((20, 21, 22)), np.array([21, 20, 19])
     points = np.random.default_rng(6).uniform(-0.5, last + 0.5, (40_000, 3))
     clamped = clvol.sample(data, np.clip(points, 0, last), "linear", device=device)
@@ -298,6 +298,6 @@ def test_linear_in_the_outer_half_voxel(device: Device) -> None:
 
 
 @pytest.mark.parametrize("cval", [10**400, np.complex64(1), 1j, [0.0], None], ids=str)
-def test_what_float64_does_not_hold_is_no_value_outside(cval: Any) -> None:
+def test_outside_values_beyond_float64_are_rejected(cval: Any) -> None:
     with pytest.raises(OptionError, match="cval must be a number"):
         Boundary("own", (2, -2), 0, "", "constant", cval)

@@ -1,4 +1,4 @@
-"""Every row of the table goes through the same properties; what it may lack is a field of the row."""
+"""Every filter of the table passes the same property tests; an optional property is a field of the filter."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def row(request: pytest.FixtureRequest) -> Filter:
 
 
 def positions(row: Filter, seed: int = 0) -> np.ndarray:
-    """Distances over the support and past it, none of them near a knot."""
+    """Distances over the support and beyond, none near a knot."""
     half = row.support / 2
     knots = np.arange(-half - 1, half + 2)
     return (knots[:-1, None] + np.random.default_rng(seed).uniform(0.02, 0.98, (knots.size - 1, 40))).ravel()
@@ -72,7 +72,7 @@ def test_cell_is_the_index_rule(row: Filter) -> None:
 
 
 @pytest.mark.parametrize("derivative", [0, 1, 2])
-def test_row_is_its_closed_form(row: Filter, derivative: int) -> None:
+def test_filter_matches_its_closed_form(row: Filter, derivative: int) -> None:
     half = row.support / 2
     x = np.concatenate([positions(row), np.arange(-half - 2, half + 2.5, 0.5)])
     wanted = reference.kernel(row, x, derivative)
@@ -81,11 +81,11 @@ def test_row_is_its_closed_form(row: Filter, derivative: int) -> None:
     np.testing.assert_allclose(row(x, derivative), wanted, rtol=0, atol=tolerance)
 
 
-def test_reference_does_not_ask_the_row(row: Filter) -> None:
+def test_the_reference_does_not_use_the_filter_table(row: Filter) -> None:
     assert reference_filter._closed_form(row) is not None
 
 
-def test_weights_sum_to_one_if_the_row_says_so(row: Filter) -> None:
+def test_weights_sum_to_one_if_declared(row: Filter) -> None:
     t = np.linspace(0, 1, 101)
     miss = np.abs(row.weights(t).sum(0) - 1).max()
     if row.sums_to_one:
@@ -121,7 +121,7 @@ def test_kernel_is_even(row: Filter) -> None:
     np.testing.assert_allclose(row(x), row(-x), rtol=0, atol=1e-12 + 2 * row.fit_error)
 
 
-def test_continuity_is_as_claimed_and_no_better(row: Filter) -> None:
+def test_continuity_is_exactly_as_declared(row: Filter) -> None:
     half = row.support / 2
     knots = np.arange(-half, half + 1)
 
@@ -150,7 +150,7 @@ def test_polynomials_below_the_order_are_reproduced(row: Filter) -> None:
             assert miss > 1e-5, f"degree {m}: the order claims too little"
 
 
-def test_interpolates_if_the_row_says_so(row: Filter) -> None:
+def test_interpolates_if_declared(row: Filter) -> None:
     data = np.random.default_rng(1).normal(size=(9, 8))
     y, x = np.indices(data.shape)
     got = reference.sample(data, np.stack([x, y], -1), row)
@@ -178,7 +178,7 @@ def test_poles_are_roots_of_the_samples(row: Filter) -> None:
 
 
 @pytest.mark.parametrize("derivative", [0, 1])
-def test_pairable_is_exactly_when_no_pair_differs_in_sign(row: Filter, derivative: int) -> None:
+def test_pairable_if_and_only_if_no_pair_differs_in_sign(row: Filter, derivative: int) -> None:
     w = row.weights(np.random.default_rng(2).uniform(0, 1, 20_000), derivative)
     if row.support % 2:
         w = np.vstack([w, np.zeros(w.shape[1])])
@@ -203,14 +203,14 @@ def test_description_is_consistent(row: Filter) -> None:
 
 
 def cox_de_boor(i: int, k: int, u: np.ndarray) -> np.ndarray:
-    """Eqs (3), with its misprint mended, and (4), on the knots 0, 1, 2, ..."""
+    """Eqs (3), with its misprint corrected, and (4), on the knots 0, 1, 2, ..."""
     if k == 0:
         return ((u >= i) & (u < i + 1)).astype(float)
     return ((u - i) * cox_de_boor(i, k - 1, u) + (i + k + 1 - u) * cox_de_boor(i + 1, k - 1, u)) / k
 
 
 @pytest.mark.parametrize("degree", SPLINES)
-def test_recursion_eqs_3_4_is_closed_form_eq_6(degree: int) -> None:
+def test_recursion_eqs_3_4_equals_closed_form_eq_6(degree: int) -> None:
     x = np.linspace(-degree / 2 - 1, degree / 2 + 1, 203)
     wanted = cox_de_boor(0, degree, x + (degree + 1) / 2)
     row = bspline(degree, prefilter=False)
@@ -219,7 +219,7 @@ def test_recursion_eqs_3_4_is_closed_form_eq_6(degree: int) -> None:
 
 
 @pytest.mark.parametrize("degree", SPLINES[1:])
-def test_convolution_eq_7_is_closed_form_eq_6(degree: int) -> None:
+def test_convolution_eq_7_equals_closed_form_eq_6(degree: int) -> None:
     """β_k(x) is the integral of β_(k-1) over [x - 1/2, x + 1/2], which holds one knot."""
     nodes, weights = legendre.leggauss(8)
     lower = bspline(degree - 1, prefilter=False)
@@ -260,13 +260,13 @@ def test_convex_hull_of_b_splines() -> None:
         assert bspline(degree).weights(t).min() >= -1e-15
 
 
-def test_truncated_sinc_misses_one_by_008_at_radius_4() -> None:
+def test_the_truncated_sinc_sums_to_one_within_008_at_radius_4() -> None:
     miss = np.abs(as_filter("sinc").weights(np.linspace(0, 1, 2001)).sum(0) - 1).max()
     assert 0.06 < miss < 0.08
 
 
 def test_a_normalized_sinc_is_berrut_s_rational_interpolant() -> None:
-    """Berrut (1988): the sines cancel, and what is left is ``(-1)**i / (x - x_i)`` over its sum."""
+    """Berrut (1988): the sines cancel, which leaves ``(-1)**i / (x - x_i)`` over its sum."""
     t = np.random.default_rng(0).uniform(0.001, 0.999, 500)
     for radius in range(1, 9):
         row = sinc(radius, normalized=True)
@@ -278,7 +278,7 @@ def test_a_normalized_sinc_is_berrut_s_rational_interpolant() -> None:
 
 
 @pytest.mark.parametrize("radius", range(1, 9))
-def test_normalized_rows_sum_to_one_and_pass_through_the_samples(radius: int) -> None:
+def test_normalized_filters_sum_to_one_and_interpolate(radius: int) -> None:
     t = np.linspace(0, 1, 501)
     for make in (sinc, lanczos):
         bare, row = make(radius), make(radius, normalized=True)
@@ -301,8 +301,8 @@ def test_moms3_of_minus_a_sixth_is_the_cubic_of_lagrange() -> None:
     assert (moms3().taps, omoms3().taps) == (moms3(Fraction(1, 56)).taps, moms3(Fraction(1, 42)).taps)
 
 
-def test_quasi_interpolation_is_the_filter_published() -> None:
-    """Condat, Blu and Unser (2005): linear's prefilter is 12 / (z + 10 + 1/z); it need not pass through the samples."""
+def test_quasi_interpolation_is_the_published_filter() -> None:
+    """Condat, Blu and Unser (2005): linear's prefilter is 12 / (z + 10 + 1/z); it need not interpolate."""
     row = quasi(1)
     assert row.taps == bspline(1).taps
     np.testing.assert_allclose(row.undone, [10 / 12, 1 / 12], rtol=1e-15)
@@ -346,20 +346,20 @@ def test_from_callable_states_its_error() -> None:
     assert from_callable("mine", kernel, 2, degree=2).fit_error > 1e-4
 
 
-def test_from_callable_takes_a_kernel_that_jumps_at_integers() -> None:
+def test_from_callable_accepts_a_kernel_that_jumps_at_integers() -> None:
     row = from_callable("mine", lambda x: np.where(np.abs(x) < 1, 0.75, 0.25) / 2, 2)
     assert row.fit_error < 1e-12
     assert row.continuity == -1
 
 
-def test_from_callable_takes_a_kernel_narrower_than_its_radius() -> None:
+def test_from_callable_accepts_a_kernel_narrower_than_its_radius() -> None:
     row = from_callable("box", lambda x: (np.abs(x) < 1) * 0.5, 3)
     assert (row.support, row.degree, row.fit_error) == (6, 0, 0)
     np.testing.assert_array_equal(row([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5]), [0, 0, 0.5, 0.5, 0, 0])
 
 
 @pytest.mark.parametrize("half", [0.5, 0.8, 1.2])
-def test_from_callable_wants_a_kernel_that_is_smooth_between_the_integers(half: float) -> None:
+def test_from_callable_requires_a_kernel_smooth_between_integers(half: float) -> None:
     with pytest.raises(OptionError, match=r"kernel of 'box' must be smooth between the integers; .* of degree 20 miss by 0\.\d"):
         from_callable("box", lambda x: (np.abs(x) < half) * 0.5, 3)
     row = from_callable("box", lambda x: (np.abs(x) < half) * 0.5, 3, degree=9)  # its outer pieces are of degree 0
@@ -369,7 +369,7 @@ def test_from_callable_wants_a_kernel_that_is_smooth_between_the_integers(half: 
 
 
 @pytest.mark.usefixtures("own_table")
-def test_registered_row_is_known_everywhere() -> None:
+def test_a_registered_filter_is_known_everywhere() -> None:
     mine = register_filter(from_pieces("my-Filter.2", [(1, -1)]))
     assert as_filter("my-Filter.2") is mine
     assert "my-Filter.2" in filters()
@@ -382,7 +382,7 @@ def test_registered_row_is_known_everywhere() -> None:
 
 
 @pytest.mark.usefixtures("own_table")
-def test_replaced_row_is_not_taken_for_its_name() -> None:
+def test_a_replaced_filter_is_not_confused_with_its_successor() -> None:
     other = register_filter(from_pieces("mitchell", [(1, -1)]), replace_existing=True)
     x = np.linspace(-2, 2, 41)
     np.testing.assert_array_equal(reference.kernel("mitchell", x), other(x))
@@ -401,7 +401,7 @@ def test_unregistered_filter_is_unknown() -> None:
     assert register_filter(linear) is as_filter("linear")
 
 
-def test_filters_gives_a_copy() -> None:
+def test_filters_returns_a_copy() -> None:
     filters().clear()
     assert "bspline3" in filters()
 
@@ -468,12 +468,12 @@ def test_a_degree_without_smoothing_can_be_named(degree: int) -> None:
         b"linear",
     ],
 )
-def test_unknown_filter_is_refused(bad: object) -> None:
+def test_unknown_filter_is_rejected(bad: object) -> None:
     with pytest.raises(OptionError):
         as_filter(bad)  # type: ignore[arg-type]
 
 
-def test_unknown_filter_lists_what_is_known() -> None:
+def test_unknown_filter_lists_known_ones() -> None:
     with pytest.raises(
         OptionError, match=r"^filter must be one of nearest \(box.*hybrid, .*bc\(B, C\).*; got 'bicubic' \(did you mean cubic\?\)$"
     ):
@@ -537,7 +537,7 @@ def test_unknown_filter_lists_what_is_known() -> None:
         lambda: bspline(3).plot("a"),
     ],
 )
-def test_bad_rows_are_refused(make) -> None:  # type: ignore[no-untyped-def]
+def test_bad_filters_are_rejected(make) -> None:  # type: ignore[no-untyped-def]
     before = dict(table._TABLE)
     with pytest.raises(OptionError):
         make()
@@ -566,5 +566,5 @@ def test_numbers_of_any_kind() -> None:
     [bc(0, 1), bc(Fraction(1, 5), 0.25), bc(-0.1, 1e-9), sinc(6), sinc(6, normalized=True), moms3(-0.01)],
     ids=lambda row: row.name,
 )
-def test_names_that_families_make_can_be_registered(row: Filter) -> None:
+def test_names_of_families_can_be_registered(row: Filter) -> None:
     assert as_filter(register_filter(row).name) is row

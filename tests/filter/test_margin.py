@@ -1,4 +1,4 @@
-"""How far a prefilter reaches."""
+"""The reach of a prefilter."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def weights(row: Filter, n: int = 401) -> np.ndarray:
 
 @pytest.mark.parametrize("precision", LEFT_OUT)
 @pytest.mark.parametrize("name", NAMES)
-def test_it_is_the_shortest_that_leaves_less_out(name: str, precision: str) -> None:
+def test_it_is_the_shortest_within_the_tolerance(name: str, precision: str) -> None:
     row = as_filter(name)
     own = row.magnified_by or row
     found = reach(name, precision)
@@ -41,14 +41,14 @@ def test_cubics_reach_14_and_24_samples() -> None:
     assert (reach("bspline3"), reach("bspline3", "double")) == (14, 24)
 
 
-def test_more_smoothing_reaches_further() -> None:
+def test_more_smoothing_reaches_farther() -> None:
     found = [reach(f"bspline3({value})") for value in (1, 10, 100, 1e3, 1e4, 1e5)]
     assert found == sorted(found)
     assert found[-1] > 10 * found[0]
     assert reach("bspline3(0.1, 0.1, 100)") == reach("bspline3(100)")
 
 
-def test_what_has_no_reach_is_refused() -> None:
+def test_filters_without_a_reach_are_rejected() -> None:
     with pytest.raises(OptionError, match="decided from all samples"):
         reach("bspline3(auto)")
     with pytest.raises(OptionError, match="precision must be one of single, double; got 'half'"):

@@ -1,4 +1,4 @@
-"""Eqs (14) to (18) from the rows, against their closed forms and against direct sums."""
+"""Eqs (14) to (18) from the filter table, against their closed forms and direct sums."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_prefilter_is_eq_16(degree: int) -> None:
 
 @pytest.mark.parametrize("degree", range(2, 6))
 def test_the_two_b_k_of_the_paper_are_two_functions(degree: int) -> None:
-    """Eq. (15) integrates the kernel, eqs (12), (13) and (16) sum its samples: by Poisson the sum of (15) over all images."""
+    """Eq. (15) integrates the kernel; eqs (12), (13) and (16) sum its samples: by Poisson the sum of (15) over all aliases."""
     one, both = frequency_response(bspline(degree, prefilter=False), OMEGA), 1 / prefilter_response(bspline(degree), OMEGA)
     images = OMEGA[:, None] + 2 * np.pi * np.arange(-400, 401)
     np.testing.assert_allclose(both, sinc_of(images, degree + 1).sum(-1), rtol=0, atol=1e-6)
@@ -72,8 +72,8 @@ def test_response_at_0_is_1_if_the_weights_sum_to_one(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [*filters(), *SMOOTHED])
-def test_response_is_the_transform_of_what_the_reference_draws(name: str) -> None:
-    """An impulse, reconstructed by the reference, summed finely: Fourier integrals to a few digits."""
+def test_response_is_the_transform_of_the_references_impulse(name: str) -> None:
+    """An impulse reconstructed by the reference on a fine grid: Fourier integrals to a few digits."""
     n, fine = 65, 64
     data = np.zeros((1, n))
     data[0, n // 2] = 1
@@ -98,7 +98,7 @@ def test_shapes() -> None:
 
 
 @pytest.mark.parametrize("response", [frequency_response, prefilter_response])
-def test_bad_values_are_refused(response: Any) -> None:
+def test_bad_values_are_rejected(response: Any) -> None:
     for omega in (*BAD_REALS, np.nan, [np.inf]):
         with pytest.raises(OptionError, match="omega must be"):
             response("linear", omega)
@@ -108,6 +108,6 @@ def test_bad_values_are_refused(response: Any) -> None:
 
 
 @pytest.mark.parametrize("omega", [1e9, -2001.0, [0, 1e300]])
-def test_frequencies_beyond_the_integration_are_refused(omega: object) -> None:
+def test_frequencies_beyond_the_integration_are_rejected(omega: object) -> None:
     with pytest.raises(OptionError, match="omega must be within ±2000"):
         frequency_response("linear", omega)  # type: ignore[arg-type]

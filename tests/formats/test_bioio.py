@@ -1,4 +1,4 @@
-"""Files of microscopes' makers: a CZI file that Zeiss' own library writes, and what is said where a reader is missing."""
+"""Microscope vendors' files: a CZI file written by Zeiss' library, and the message if a reader is missing."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_channels_and_times_of_czi(czi: Path) -> None:
 
 @pytest.mark.usefixtures("czi")  # which skips where the writer or the reader is missing
 def test_colours_of_czi(tmp_path: Path) -> None:
-    """The file has blue, green and red, says Zeiss' documentation of its pixel types."""
+    """Zeiss' documentation of the pixel types: the file has blue, green, red."""
     from pylibCZIrw import czi as writer
 
     blue_first = np.random.default_rng(0).integers(0, 255, (16, 20, 3), np.uint8)

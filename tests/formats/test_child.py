@@ -1,4 +1,4 @@
-"""Native code reads in a process of its own: nothing that happens there harms this one, and nothing there is is lost on the way."""
+"""Native code reads in a child process: its failures do not harm this one, and its results arrive unchanged."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ def test_a_hang_is_an_error(hang: str) -> None:
     start = time.monotonic()
     with pytest.raises(FormatError, match=r"must be done within 0\.3 s \(Limits\.seconds\).*limits="):
         run(exec, hang, limits=Limits(seconds=0.3))
-    assert time.monotonic() - start < 30  # what waits counts a tenth, and the machine may be busy
+    assert time.monotonic() - start < 30  # waiting counts a tenth, and the machine may be busy
 
 
 @linux
-def test_memory_that_nobody_announced_is_refused() -> None:
+def test_memory_beyond_the_announced_size_is_rejected() -> None:
     with pytest.raises(FormatError, match=r"must take at most 128 MiB of memory, for 0 bytes of samples"):
         run(exec, "bytearray(1 << 30)")
     with pytest.raises(FormatError, match=r"must take at most 1 MiB"):
@@ -84,7 +84,7 @@ def test_memory_that_nobody_announced_is_refused() -> None:
 
 
 def test_an_interrupt_ends_it() -> None:
-    """Of this process, which waits; the terminal's own reaches no other."""
+    """Sent to this process, which waits; the terminal's own reaches no other."""
     run(len, "")
     timer = threading.Timer(0.5, signal.pthread_kill, [threading.main_thread().ident, signal.SIGINT])
     timer.start()
@@ -118,14 +118,14 @@ os.kill(os.getpid(), 9)
     stat, end = Path(f"/proc/{int(done.stdout)}/stat"), time.monotonic() + 20
 
     def gone() -> bool:
-        return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"  # nobody may be there to reap it
+        return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"  # there may be no process to reap it
 
     while not gone():
         assert time.monotonic() < end
         time.sleep(0.05)
 
 
-def test_a_process_that_somebody_ended_is_replaced() -> None:
+def test_a_killed_child_is_replaced() -> None:
     run(len, "")
     for pid in workers():
         os.kill(pid, signal.SIGTERM)
@@ -133,7 +133,7 @@ def test_a_process_that_somebody_ended_is_replaced() -> None:
     assert run(len, "abc") == 3
 
 
-def test_one_that_was_started_beforehand_reads(tmp_path: Path) -> None:
+def test_a_child_started_in_advance_reads(tmp_path: Path) -> None:
     pytest.importorskip("SimpleITK")
     clvol.write(Volume(np.arange(8.0).reshape(2, 2, 2)), tmp_path / "v.nrrd")
     worker._end_all()
@@ -148,7 +148,7 @@ def test_one_that_was_started_beforehand_reads(tmp_path: Path) -> None:
     assert workers() == begun
 
 
-def test_one_process_serves_many_and_threads_do_not_wait() -> None:
+def test_one_child_serves_many_calls_and_threads_do_not_wait() -> None:
     assert run(os.getpid) == run(os.getpid) != os.getpid()
     found: list[int] = []
 
@@ -166,7 +166,7 @@ def test_one_process_serves_many_and_threads_do_not_wait() -> None:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forking beside threads
-def test_a_forked_process_has_its_own() -> None:
+def test_a_forked_process_gets_its_own_child() -> None:
     mine = run(os.getpid)
     pid = os.fork()
     if pid == 0:
@@ -180,8 +180,8 @@ def test_a_forked_process_has_its_own() -> None:
     assert run(os.getpid) == mine
 
 
-def test_scripts_without_a_guard_and_paths_of_their_own(tmp_path: Path) -> None:
-    """Nothing is said at the end, and no process is left."""
+def test_scripts_without_a_main_guard_and_with_their_own_paths(tmp_path: Path) -> None:
+    """Nothing is printed at exit, and no process is left."""
     Path(tmp_path / "v.npy").touch()
     script = tmp_path / "script.py"
     script.write_text(
@@ -201,8 +201,8 @@ def test_scripts_without_a_guard_and_paths_of_their_own(tmp_path: Path) -> None:
         assert not Path(f"/proc/{pid}").exists()
 
 
-def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Protection that silently lapses is none: the error says how to do without."""
+def test_no_child_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Protection must not lapse silently: the error says how to read without it."""
     for executable in (None, "/nowhere/python"):
         monkeypatch.setattr(sys, "executable", executable)
         monkeypatch.setattr(worker, "_idle", [])
@@ -221,7 +221,7 @@ def plain(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_is_trusted_is_read_here(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trusted_files_are_read_in_this_process(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     there, here = clvol.read(plain), clvol.read(plain, trusted=True)
     np.testing.assert_array_equal(there.data, here.data)
     assert (there.spacing, there.units, there.space) == (here.spacing, here.units, here.space)
@@ -239,7 +239,7 @@ def test_what_is_trusted_is_read_here(plain: Path, monkeypatch: pytest.MonkeyPat
         clvol.read(plain)
 
 
-def test_transforms_are_read_there_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_transforms_are_read_in_the_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sitk = pytest.importorskip("SimpleITK")
     sitk.WriteTransform(sitk.Euler3DTransform((1, 2, 3), 0.1, 0.2, 0.3, (4, 5, 6)), str(tmp_path / "t.tfm"))
     (there,), (here,) = (clvol.read_transform(tmp_path / "t.tfm", trusted=trusted) for trusted in (False, True))
@@ -275,7 +275,7 @@ def test_large_arrays_are_not_copied(tmp_path: Path) -> None:
 
 
 @linux
-def test_memory_that_must_not_be_handed_over_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_that_cannot_be_shared_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*_: Any) -> int:
         raise PermissionError(13, "vm.memfd_noexec")
 
@@ -289,7 +289,7 @@ def test_memory_that_must_not_be_handed_over_is_sent(monkeypatch: pytest.MonkeyP
         np.testing.assert_array_equal(messages.receive(ours, lambda: None)[1], data)
 
 
-def test_samples_that_lie_in_the_file_as_they_are_are_read_here(tmp_path: Path) -> None:
+def test_uncompressed_samples_are_read_in_this_process(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     data = np.random.default_rng(1).integers(0, 9999, (2, 40, 130, 210), np.uint16)
     for order in "<>":
@@ -304,13 +304,13 @@ def test_samples_that_lie_in_the_file_as_they_are_are_read_here(tmp_path: Path) 
 
 @linux
 @pytest.mark.parametrize(("name", "start"), [("/dev/zero", 0), ("v", 1), ("v", -8), ("gone", 0)])
-def test_files_that_are_no_files_are_not_read(tmp_path: Path, name: str, start: int) -> None:
+def test_special_files_are_not_read(tmp_path: Path, name: str, start: int) -> None:
     (tmp_path / "v").write_bytes(bytes(32))
     with pytest.raises(messages.MessageError, match="32 bytes at"):
         messages._read(tmp_path / name, start, np.dtype(np.int64), (4,))
 
 
-def test_warnings_come_with_the_line_of_the_caller(tmp_path: Path) -> None:
+def test_warnings_point_to_the_callers_line(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     tifffile.imwrite(tmp_path / "v.tif", np.zeros((3, 4, 5), np.uint16), photometric="minisblack", metadata=None)
     with pytest.warns(ClvolWarning, match="3 pages") as told:
@@ -320,7 +320,7 @@ def test_warnings_come_with_the_line_of_the_caller(tmp_path: Path) -> None:
         clvol.read(tmp_path / "v.tif")
 
 
-def test_what_libraries_warn_of_and_log(caplog: pytest.LogCaptureFixture) -> None:
+def test_warnings_and_logs_of_libraries_are_forwarded(caplog: pytest.LogCaptureFixture) -> None:
     with pytest.warns(FutureWarning, match="later"):
         run(exec, "import warnings; warnings.warn('later', FutureWarning)")
     with caplog.at_level(logging.WARNING):
@@ -337,16 +337,16 @@ def test_errors_keep_their_class(kind: type[Exception]) -> None:
         run(exec, "{}['gone']")
 
 
-def test_names_are_relative_to_the_folder_of_the_caller(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_are_relative_to_the_callers_folder(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clvol.read(plain)
     monkeypatch.chdir(plain.parent)
     assert clvol.read("v.nrrd").shape == (2, 3, 4)
 
 
 @linux
-def test_it_holds_no_folder_and_not_much_memory_for_threads(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_keeps_no_folder_open_and_little_memory_for_threads(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(plain.parent)
-    monkeypatch.setattr(sys, "path", [*sys.path, plain])  # as some add it, in vain
+    monkeypatch.setattr(sys, "path", [*sys.path, plain])  # as some libraries add it, in vain
     for pid in workers():
         os.kill(pid, signal.SIGKILL)
     clvol.read("v.nrrd")
@@ -383,7 +383,7 @@ def sent(*values: Any) -> list[Any]:
         return [messages.receive(ours, lambda: None)[1] for _ in values]
 
 
-def test_values_come_back() -> None:
+def test_values_round_trip() -> None:
     for value, found in zip(VALUES, sent(*VALUES), strict=True):
         assert type(found) is type(value)
         assert str(found) == str(value)
@@ -409,7 +409,7 @@ NONSENSE = [
 
 
 @pytest.mark.parametrize("text", NONSENSE, ids=range(len(NONSENSE)))
-def test_nonsense_is_refused(text: bytes) -> None:
+def test_nonsense_is_rejected(text: bytes) -> None:
     ours, theirs = Pipe()
     with ours:
         with theirs:
@@ -418,7 +418,7 @@ def test_nonsense_is_refused(text: bytes) -> None:
             messages.receive(ours, lambda: None)
 
 
-def test_absurd_lengths_are_refused() -> None:
+def test_absurd_lengths_are_rejected() -> None:
     ours, theirs = socket.socketpair()
     with Connection(ours.detach()) as peer, theirs:
         theirs.sendall(b"\xff\xff\xff\xff" + (1 << 60).to_bytes(8, "big"))
@@ -427,8 +427,8 @@ def test_absurd_lengths_are_refused() -> None:
 
 
 @linux
-def test_memory_that_may_shrink_is_refused() -> None:
-    """Whoever may cut a mapped file can end the process that maps it."""
+def test_memory_that_may_shrink_is_rejected() -> None:
+    """Whoever can truncate a mapped file can crash the process that maps it."""
     fd = os.memfd_create("x", os.MFD_ALLOW_SEALING)
     os.write(fd, np.arange(4, dtype=np.int64).tobytes())
     with pytest.raises(messages.MessageError, match="32 bytes of memory for an array of 32, which may shrink"):

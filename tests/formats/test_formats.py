@@ -1,4 +1,4 @@
-"""Every file format: what is written comes back, and no file crashes, hangs or lies."""
+"""Every file format: written data round-trip, and no file crashes, hangs or misleads."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ FLIPPED = OBLIQUE @ np.diag([1.0, -1.0, 1.0])  # left-handed
 
 
 def need(suffix: str) -> None:
-    """Skip where the extra that the format needs is missing."""
+    """Skip if the format's extra is missing."""
     if suffix in ITK:
         pytest.importorskip("SimpleITK")
     if suffix.startswith(".tif"):
@@ -65,7 +65,7 @@ def need(suffix: str) -> None:
 
 
 def place(suffix: str, data: np.ndarray, direction: np.ndarray = OBLIQUE) -> Volume:
-    """`data` with all the geometry that the format can hold."""
+    """`data` with all geometry that the format can store."""
     if suffix == ".npy":
         return Volume(data)
     if suffix.startswith(".tif"):
@@ -76,7 +76,7 @@ def place(suffix: str, data: np.ndarray, direction: np.ndarray = OBLIQUE) -> Vol
 
 
 def samples(dtype: str, shape: tuple[int, ...] = (2, 3, 4)) -> np.ndarray:
-    """Distinct values that reach the ends of `dtype`."""
+    """Distinct values that include the limits of `dtype`."""
     kind = np.dtype(dtype)
     data = np.arange(np.prod(shape)).reshape(shape).astype(kind)
     if kind.kind in "iuf":
@@ -269,7 +269,7 @@ def test_nrrd_axis_order_and_big_endian(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("packed", [True, False])
 def test_formats_written_by_others(tmp_path: Path, packed: bool) -> None:
-    """Compressed and uncompressed, as SimpleITK itself writes them."""
+    """Compressed and uncompressed, written by SimpleITK itself."""
     sitk = pytest.importorskip("SimpleITK")
     image = sitk.GetImageFromArray(samples("uint16", (4, 8, 6)))
     image.SetSpacing((1.5, 2, 3))
@@ -308,7 +308,7 @@ def test_four_axes_with_one_sample(tmp_path: Path) -> None:
 # -- NumPy -----------------------------------------------------------------------------------
 
 
-def test_npy_refuses_to_lose_geometry(tmp_path: Path) -> None:
+def test_npy_rejects_to_lose_geometry(tmp_path: Path) -> None:
     data = samples("uint8")
     for lost in ({"spacing": (1, 1, 2)}, {"origin": (0, 0, 1)}, {"direction": OBLIQUE}, {"units": "mm"}):
         with pytest.raises(FormatError, match=rf"cannot hold {next(iter(lost))}.*\.npz"):
@@ -332,7 +332,7 @@ def test_npz_of_others(tmp_path: Path) -> None:
 
 
 class Bomb:
-    """Unpickling it would be noticed."""
+    """An object whose unpickling would be detected."""
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[str]]:
         return os.mkdir, ("pickle-was-run",)
@@ -498,7 +498,7 @@ def test_plain_tiff(tmp_path: Path, compression: str | None, metadata: dict[str,
 
 
 def test_tiff_of_a_set_with_a_missing_file(tmp_path: Path) -> None:
-    """Tifffile logs that slices are missing, and makes them 0; also where its log is silenced."""
+    """Tifffile logs the missing slices and fills them with 0; this is detected even if its log is silenced."""
     tifffile = pytest.importorskip("tifffile")
     formats.write(samples("uint8"), tmp_path / "v.tif")
     with tifffile.TiffFile(tmp_path / "v.tif") as file:
@@ -517,7 +517,7 @@ def test_tiff_of_a_set_with_a_missing_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lost", [{"origin": (0, 0, 1)}, {"direction": OBLIQUE}, {"units": "parsec"}], ids=str)
-def test_tiff_refuses_to_lose_geometry(tmp_path: Path, lost: dict[str, Any]) -> None:
+def test_tiff_rejects_to_lose_geometry(tmp_path: Path, lost: dict[str, Any]) -> None:
     pytest.importorskip("tifffile")
     with pytest.raises(FormatError, match=r"\.npz"):
         formats.write(Volume(samples("uint8"), **lost), tmp_path / "v.tif")
@@ -530,7 +530,7 @@ def test_tiff_refuses_to_lose_geometry(tmp_path: Path, lost: dict[str, Any]) -> 
 def write_series(
     folder: Path, volume: Volume, uid: str = "1.2.3", positions: np.ndarray | None = None, place_it: bool = True
 ) -> None:
-    """One file a slice, whose names are shuffled against their order in the patient."""
+    """One file per slice, names shuffled against their order in the patient."""
     sitk = pytest.importorskip("SimpleITK")
     folder.mkdir(exist_ok=True)
     names = list(range(volume.shape[0]))
@@ -590,8 +590,8 @@ def test_dicom_with_a_missing_slice(tmp_path: Path) -> None:
             formats.read(folder)
 
 
-def test_dicom_of_slices_that_are_turned(tmp_path: Path) -> None:
-    """As in a series of localizers; here the places alone would make one even stack."""
+def test_dicom_of_rotated_slices(tmp_path: Path) -> None:
+    """As in a series of localizers; the positions alone would form a regular stack."""
     straight = series(np.eye(3))
     write_series(tmp_path, straight)
     for file in list(tmp_path.iterdir()):
@@ -602,7 +602,7 @@ def test_dicom_of_slices_that_are_turned(tmp_path: Path) -> None:
 
 
 def test_dicom_with_a_truncated_slice(tmp_path: Path) -> None:
-    """GDCM passes over it, and the rest may look like a whole series: here the last one in the stack is cut."""
+    """GDCM skips it, and the rest may look complete: here the last slice of the stack is truncated."""
     write_series(tmp_path, series())
     last = max(tmp_path.iterdir(), key=lambda file: file.read_bytes()[-2:][::-1])
     whole = last.read_bytes()
@@ -615,7 +615,7 @@ def test_dicom_with_a_truncated_slice(tmp_path: Path) -> None:
     assert formats.read(tmp_path).shape == (6, 8, 9)
 
 
-def test_dicom_of_several_images_of_one_place(tmp_path: Path) -> None:
+def test_dicom_of_several_images_at_one_position(tmp_path: Path) -> None:
     positions = [series().index_to_world([0, 0, k // 2]) for k in range(6)]
     write_series(tmp_path / "two", series(), positions=np.array(positions))
     with pytest.warns(ClvolWarning, match=r"2 volumes.*images of each place were taken for volumes"):
@@ -731,7 +731,7 @@ Outcomes = dict[str, tuple[str, Any]]
 
 
 def read_elsewhere(folder: Path, timeout: float = 240) -> Outcomes:
-    """What reading each file of `folder` leads to; "died" for the one that ended the process."""
+    """The outcome of reading each file of `folder`; "died" for the one that crashed the process."""
     run = subprocess.run([sys.executable, "-c", CHILD, str(folder)], capture_output=True, text=True, timeout=timeout, check=False)
     outcomes: Outcomes = {}
     for text in run.stdout.splitlines():
@@ -756,7 +756,7 @@ BYTES = bytes(range(24))
 
 
 def nifti(**fields: tuple[int, str, Any]) -> bytes:
-    """A NIfTI file of 4×3×2 int16, with fields put at byte offsets."""
+    """A NIfTI file of 4×3×2 int16, with fields written at byte offsets."""
     head = bytearray(352)
     sound: dict[str, tuple[int, str, Any]] = {
         "length": (0, "i", (348,)),
@@ -890,8 +890,8 @@ def test_damaged_files_raise(damaged: Outcomes, name: str) -> None:
     assert re.search(DAMAGED[name][1], message), message
 
 
-def test_the_sound_ones_are_read(tmp_path: Path) -> None:
-    """What the damaged files were made from; else the test above would prove nothing."""
+def test_the_valid_originals_are_read(tmp_path: Path) -> None:
+    """The originals of the damaged files; otherwise the test above would prove nothing."""
     need(".mha")
     sound = {"a.mha": mha(), "a.nrrd": f"{NRRD}\n".encode() + BYTES, "a.nii": nifti()}
     sound["a.nii.gz"] = gzip.compress(nifti())
@@ -904,7 +904,7 @@ def test_the_sound_ones_are_read(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """One small sound file of each format that is one file."""
+    """One small valid file of each single-file format."""
     pytest.importorskip("SimpleITK")
     pytest.importorskip("tifffile")
     folder = tmp_path_factory.mktemp("originals")
@@ -927,7 +927,7 @@ def test_every_truncation_raises(tmp_path: Path, originals: dict[str, bytes]) ->
     assert wrong == {}
 
 
-def test_no_flipped_byte_ends_the_process(tmp_path: Path, originals: dict[str, bytes]) -> None:
+def test_no_flipped_byte_crashes_the_process(tmp_path: Path, originals: dict[str, bytes]) -> None:
     dice = random.Random(20)
     for suffix, content in originals.items():
         plain = gzip.decompress(content) if suffix == ".nii.gz" else content
@@ -967,7 +967,7 @@ assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == befor
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of the file size are set by POSIX calls")
 def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
-    """ITK does not notice that NIfTI files were cut short."""
+    """ITK does not detect that NIfTI files were truncated."""
     need(".mha")
     need(".tif")
     runs = []
@@ -1000,7 +1000,7 @@ def test_overwriting(tmp_path: Path, suffix: str) -> None:
 
 
 def test_samples_of_another_header_are_not_overwritten(tmp_path: Path) -> None:
-    """The pair v.nhdr and v.mhd would share v.raw, and the older one would lie."""
+    """The pair v.nhdr and v.mhd would share v.raw, and the older one would become wrong."""
     need(".nhdr")
     formats.write(samples("uint16"), tmp_path / "v.nhdr")
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
@@ -1021,11 +1021,11 @@ def test_links_and_permissions(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ITK)
-def test_medical_formats_refuse_other_units(tmp_path: Path, suffix: str) -> None:
+def test_medical_formats_reject_other_units(tmp_path: Path, suffix: str) -> None:
     need(suffix)
     with pytest.raises(FormatError, match="measures in mm"):
         formats.write(Volume(samples("u1"), units="um"), tmp_path / f"v{suffix}")
-    formats.write(Volume(samples("u1")), tmp_path / f"v{suffix}")  # no unit: taken for mm, as every reader does
+    formats.write(Volume(samples("u1")), tmp_path / f"v{suffix}")  # no unit: treated as mm, as in every reader
     assert formats.read(tmp_path / f"v{suffix}").units == "mm"
     assert not [file for file in tmp_path.iterdir() if file.name.startswith(".clvol")]
 
@@ -1054,7 +1054,7 @@ def test_nrrd_with_unknown_spacing(tmp_path: Path, line: str) -> None:
     ],
     ids=["sheared", "beyond float32", "long double"],
 )
-def test_nifti_refuses_what_it_cannot_hold(tmp_path: Path, volume: Volume) -> None:
+def test_nifti_rejects_volumes_that_it_cannot_store(tmp_path: Path, volume: Volume) -> None:
     need(".nii")
     if volume.data.dtype == np.float64:
         pytest.skip("long double is double here")
@@ -1100,7 +1100,7 @@ def test_missing_file(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names are POSIX")
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_does_not_block(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "v.npy")
     with pytest.raises(FormatError, match="neither a file nor a folder"):
         formats.read(tmp_path / "v.npy")
@@ -1118,7 +1118,7 @@ def test_unreadable_and_unwritable(tmp_path: Path) -> None:
     tmp_path.chmod(0o700)
 
 
-def test_no_place_to_write(tmp_path: Path) -> None:
+def test_unwritable_targets(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="does not exist"):
         formats.write(samples("u1"), tmp_path / "gone" / "v.npy")
     (tmp_path / "v.npy").mkdir()
@@ -1166,14 +1166,14 @@ def test_the_table() -> None:
 
 
 @pytest.mark.parametrize("path", [3, None, b"a.npy", "a\0.npy", ["a.npy"]], ids=repr)
-def test_what_is_no_path_is_refused(path: object) -> None:
+def test_arguments_that_are_not_paths_are_rejected(path: object) -> None:
     with pytest.raises(OptionError, match="path must be"):
         formats.read(path)  # type: ignore[arg-type]
     with pytest.raises(OptionError, match="path must be"):
         formats.write(np.zeros((2, 2)), path)  # type: ignore[arg-type]
 
 
-def test_a_name_that_the_system_refuses() -> None:
+def test_a_name_that_the_system_rejects() -> None:
     with pytest.raises(FormatError):
         formats.read("a" * 9999 + ".npy")
     with pytest.raises(FormatError):

@@ -1,4 +1,4 @@
-"""Writers and a disk that is full, fails, or is waited for: what was there stays, and nothing else does."""
+"""Writers when the disk is full or fails, and the final sync: the previous file stays, and nothing else."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ for name in sys.argv[3:] or writers:
 
 
 def failing(folder: Path, times: int, *names: str) -> dict[str, tuple[list[str], int, dict[str, str]]]:
-    """How writers end whose disk is full after 2000 bytes, by name; descriptors that they keep, and the files that are there."""
+    """How writers fail when the disk is full after 2000 bytes, by format; the descriptors they leak, and the files left."""
     pytest.importorskip("resource", reason="limits of the file size are set by POSIX calls")
     for module in ("SimpleITK", "nibabel", "tifffile", "matplotlib"):
         pytest.importorskip(module)
@@ -86,8 +86,8 @@ def check(found: dict[str, tuple[list[str], int, dict[str, str]]]) -> None:
         assert (name, told, kept, left) == (name, ["refused"], 0, {f"v{suffix}": "what was there"})
 
 
-def test_a_full_disk_leaves_what_was_there(tmp_path: Path) -> None:
-    """SimpleITK's writer of NRRD used to keep the file with the samples open, and the disk full, until the program ended."""
+def test_a_full_disk_leaves_the_previous_file(tmp_path: Path) -> None:
+    """SimpleITK's NRRD writer kept the sample file open, and the disk full, until the program exited."""
     found = failing(tmp_path, TIMES)
     assert len(found) > len(formats.WRITTEN)
     check(found)
@@ -106,8 +106,8 @@ def write(path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".nhdr", ".tif", ".nii.gz", ".png"])
-def test_a_disk_that_fails_when_it_is_waited_for(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Disks across a network say only then that they are full."""
+def test_a_disk_that_fails_at_sync(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Network disks report only then that they are full."""
     for module in ("SimpleITK", "nibabel", "tifffile"):
         pytest.importorskip(module)
     path = tmp_path / f"v{suffix}"
@@ -122,8 +122,8 @@ def test_a_disk_that_fails_when_it_is_waited_for(tmp_path: Path, suffix: str, mo
     assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {path.name: "what was there"}
 
 
-def test_the_disk_has_a_file_before_it_gets_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else a power cut would leave an empty file in the place of the old one."""
+def test_a_file_is_synced_before_it_is_renamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise a power failure could replace the old file with an empty one."""
     events: list[str] = []
     replace, sync = Path.replace, os.fsync
 
@@ -145,7 +145,7 @@ def test_the_disk_has_a_file_before_it_gets_its_name(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize("at", ["fsync", "replace"])
-def test_an_interrupt_on_the_way_leaves_nothing(tmp_path: Path, at: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_while_writing_leaves_nothing(tmp_path: Path, at: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: Any) -> NoReturn:
         raise KeyboardInterrupt
 

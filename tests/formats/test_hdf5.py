@@ -1,4 +1,4 @@
-"""HDF5 files that h5py, xarray (as netCDF) and ITK write."""
+"""HDF5 files written by h5py, xarray (as netCDF) and ITK."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DATA = np.arange(2 * 3 * 4 * 5 * 6, dtype=np.float32).reshape(2, 3, 4, 5, 6)
 
 
 def test_the_only_array(tmp_path: Path) -> None:
-    """Tables, words and single numbers beside it do not count, nor do images beside a volume."""
+    """Tables, strings and scalars do not count, nor do images beside a volume."""
     with h5py.File(tmp_path / "v.h5", "w") as file:
         file["run/3/density"] = DATA[0, 0].astype(">f8")
         file["run/affine"] = np.eye(4)
@@ -60,7 +60,7 @@ def test_axes_without_names_are_guessed(tmp_path: Path) -> None:
         clvol.read(tmp_path / "w.h5")
 
 
-def test_who_chooses_a_time_explains_the_first_axis(tmp_path: Path) -> None:
+def test_choosing_a_time_names_the_first_axis(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "v.h5", "w") as file:
         file["a"] = DATA[0, 0]
     np.testing.assert_array_equal(clvol.read(tmp_path / "v.h5", time=3).data, DATA[0, 0, 3])
@@ -111,8 +111,8 @@ def test_spacing_of_fiji(tmp_path: Path) -> None:
     assert (volume.spacing, volume.units, volume.space) == ((0.25, 0.5, 2.0), "um", "image")
 
 
-def test_scales_of_dimensions(tmp_path: Path) -> None:
-    """As netCDF-4 has them; descending ones turn the axis, uneven ones leave the spacing to the caller."""
+def test_dimension_scales(tmp_path: Path) -> None:
+    """As in netCDF-4; descending ones flip the axis, uneven ones leave the spacing to the caller."""
     with h5py.File(tmp_path / "v.nc", "w") as file:
         array = file.create_dataset("t", data=DATA[:, 0].astype(np.int16))
         array.attrs["scale_factor"], array.attrs["add_offset"], array.attrs["_FillValue"] = 0.5, 10.0, np.int16(7)
@@ -150,7 +150,7 @@ def test_images_of_itk(tmp_path: Path) -> None:
 
 
 def imaris(path: Path) -> None:
-    """An image as Imaris stores it: an array for each channel, padded to chunks; attributes are arrays of letters."""
+    """An image as Imaris stores it: one array per channel, padded to chunks; attributes are arrays of letters."""
 
     def say(node: Any, **attributes: object) -> None:
         for key, value in attributes.items():
@@ -190,8 +190,8 @@ def test_images_of_imaris(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["external", "virtual", "link"])
-def test_samples_in_other_files_are_taken_from_h5py(tmp_path: Path, kind: str) -> None:
-    """A file may name any that its reader can read: `clvol.open` and `clvol.read` do not follow it, and say who does."""
+def test_external_samples_are_not_followed(tmp_path: Path, kind: str) -> None:
+    """A file may name any file that its reader can read: `clvol.open` and `clvol.read` do not follow it, and say so."""
     data = np.arange(5 * 6 * 7, dtype=np.uint16).reshape(5, 6, 7)
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["a"] = data
@@ -216,7 +216,7 @@ def test_samples_in_other_files_are_taken_from_h5py(tmp_path: Path, kind: str) -
             assert field([[2, 3, 4]]).item() == data[4, 3, 2]
 
 
-def test_only_what_is_chosen_is_read(tmp_path: Path) -> None:
+def test_only_the_chosen_channel_is_read(tmp_path: Path) -> None:
     """The chunks of another channel are damaged."""
     with h5py.File(tmp_path / "v.h5", "w") as file:
         array = file.create_dataset("a", data=DATA[0], chunks=(1, 4, 5, 6), compression="gzip", fletcher32=True)

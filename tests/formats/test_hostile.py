@@ -1,6 +1,6 @@
-"""Hostile files of the formats that native code reads: each is refused by a typed error, soon, and takes little memory.
+"""Hostile files of formats that native code reads: each is rejected with a typed error, quickly, and with little memory.
 
-Each table says what is wrong with a file; its sound sister is read, so that nothing else is.
+Each table names a file's fault; its valid twin is read, so that nothing else is wrong.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def packed(data: bytes, *, size: int | None = None) -> bytes:
 
 
 def element(group: int, number: int, kind: str, value: bytes, length: int | None = None) -> bytes:
-    """Of DICOM, explicit and little-endian; `length` where it lies."""
+    """A DICOM element, explicit and little-endian; `length` overrides the true length."""
     value += b"" if len(value) % 2 == 0 else b"\0" if kind == "UI" else b" "
     said = len(value) if length is None else length
     long = kind in ("OB", "OW", "SQ", "UN", "UT")
@@ -103,7 +103,7 @@ COMPRESSED = b"\xfe\xff\x00\xe0" + bytes(4) + b"\xfe\xff\x00\xe0\x10\0\0\0" + by
 BOMB = gzip.compress(bytes(1 << 24))
 
 HOSTILE: dict[str, tuple[bytes, type[ClvolError], str]] = {
-    # numbers that ITK takes for others, or never returns from
+    # numbers that ITK misreads, or hangs on
     "matrix-1e308.mha": (mha("1 0 0 0 1 0 0 0 1", "1 0 0 1e308 1 0 0 0 1"), FormatError, "9 finite numbers up to 1e.30"),
     "matrix-7.mha": (mha("1 0 0 0 1 0 0 0 1", "7 0 0 0 1 0 0 0 1"), FormatError, "direction cosines"),
     "matrix-0.mha": (mha("1 0 0 0 1 0 0 0 1", "0 0 0 0 0 0 0 0 0"), FormatError, "determinant is 0"),
@@ -132,7 +132,7 @@ HOSTILE: dict[str, tuple[bytes, type[ClvolError], str]] = {
     "directions-flat.nrrd": (nrrd("space: LPS", "space directions: (1,0,0) (1,0,0) (0,0,1)"), FormatError, "cannot read"),
     "origin.nrrd": (nrrd("space: LPS", "space origin: (0,nan,1e31)"), FormatError, "'space origin'"),
     "frame.nrrd": (nrrd("space: LPS", "measurement frame: (1,0,0) (0,1,0) (0,0,inf)"), FormatError, "'measurement frame'"),
-    # samples that nobody asked for, or that are not there
+    # surplus or missing samples
     "surplus.mha": (MHA.encode() + BYTES + b"x", FormatError, "24 bytes of samples.*found 25"),
     "size-too-small.mha": (mha("4 3 2", "4 3 1"), FormatError, "12 bytes of samples.*found 24"),
     "surplus.nrrd": (nrrd(data=BYTES + b"x"), FormatError, "24 bytes of samples.*found 25"),
@@ -196,7 +196,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def peaks() -> int:
-    """The most memory that a process that reads has had, in MB."""
+    """The peak memory of a reading process, in MB."""
     found = [0]
     for one in list(worker._all):
         status = Path(f"/proc/{one._process.pid}/status")
@@ -206,7 +206,7 @@ def peaks() -> int:
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_files_are_refused(folder: Path, name: str) -> None:
+def test_hostile_files_are_rejected(folder: Path, name: str) -> None:
     if sys.platform == "win32" and name in ("link.mhd", "pipe.nhdr"):
         pytest.skip("no links and pipes")
     _, kind, text = HOSTILE[name]
@@ -243,7 +243,7 @@ SOUND: dict[str, bytes] = {
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_their_sound_sisters_are_read(tmp_path: Path, name: str) -> None:
+def test_their_valid_twins_are_read(tmp_path: Path, name: str) -> None:
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "v.raw").write_bytes(BYTES)
     (tmp_path / name).write_bytes(SOUND[name])
@@ -251,8 +251,8 @@ def test_their_sound_sisters_are_read(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="Linux lists what a process has open")
-def test_a_flag_of_gzip_that_is_reserved_leaves_nothing_open(tmp_path: Path) -> None:
-    """Python does not look at it; SimpleITK refuses it, and does not close the file."""
+def test_a_reserved_gzip_flag_leaves_nothing_open(tmp_path: Path) -> None:
+    """Python ignores it; SimpleITK rejects it, and does not close the file."""
     samples = bytearray(gzip.compress(BYTES))
     samples[3] |= 0x20
     (tmp_path / "v.raw.gz").write_bytes(samples)
@@ -264,7 +264,7 @@ def test_a_flag_of_gzip_that_is_reserved_leaves_nothing_open(tmp_path: Path) -> 
     assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208
 
 
-def test_what_is_trusted_may_lie_anywhere(folder: Path) -> None:
+def test_trusted_samples_may_lie_anywhere(folder: Path) -> None:
     for name in ("above.mhd", "above.nhdr", "link.mhd"):
         if name != "link.mhd" or sys.platform != "win32":
             np.testing.assert_array_equal(formats.read(folder / name, trusted=True).data.ravel(), np.arange(24))

@@ -1,4 +1,4 @@
-"""Files that lie about themselves: each is refused with an error of ours, soon and for little memory, and is never filled up."""
+"""Inconsistent files: each is rejected with a clvol error, quickly and with little memory, and is never filled up."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def content(data: bytes) -> Maker:
 
 
 def nifti(pair: bool = False, **fields: tuple[int, str, Any]) -> bytes:
-    """Header of 4×3×2 bytes with fields put at offsets; and the samples, but of a pair."""
+    """Header of 4×3×2 bytes with fields written at offsets; and the samples, unless it is a pair."""
     head = bytearray(352)
     sound: dict[str, tuple[int, str, Any]] = {
         "length": (0, "i", (348,)),
@@ -64,7 +64,7 @@ def mgh(shape: tuple[int, ...] = (4, 3, 2, 1), kind: int = 0, data: bytes = BYTE
 
 
 def damaged_gzip(data: bytes, at: int = -8) -> bytes:
-    """Whose checksum is wrong."""
+    """Gzip with a wrong checksum."""
     packed = bytearray(gzip.compress(data, mtime=0))
     packed[at] ^= 1
     return bytes(packed)
@@ -72,7 +72,7 @@ def damaged_gzip(data: bytes, at: int = -8) -> bytes:
 
 @functools.cache
 def bomb(megabytes: int) -> bytes:
-    """Gzip of zeros, of members that are packed once."""
+    """Gzip of zeros, from one compressed member repeated."""
     return gzip.compress(bytes(100 << 20)) * (megabytes // 100)
 
 
@@ -99,12 +99,12 @@ def npz(*members: tuple[str, bytes], spoil: Callable[[bytearray], object] = lamb
 
 
 def sizes_of_the_archive(size: int) -> Callable[[bytearray], object]:
-    """What the directory of a ZIP file says of how large its last member is."""
+    """Set the size of the last member in the directory of a ZIP file."""
     return lambda packed: struct.pack_into("<I", packed, packed.rindex(b"PK\x01\x02") + 24, size)
 
 
 def tiff(*fields: tuple[int, int], data: np.ndarray = DATA, which: int = 0, **options: Any) -> Maker:
-    """With the first value of fields put in, of one directory."""
+    """A one-directory file with the first value of some fields replaced."""
 
     def make(path: Path) -> None:
         import tifffile
@@ -124,7 +124,7 @@ def tiff(*fields: tuple[int, int], data: np.ndarray = DATA, which: int = 0, **op
 
 
 def next_directory(target: int) -> Maker:
-    """The last page's successor."""
+    """Set the last page's successor."""
 
     def make(path: Path) -> None:
         import tifffile
@@ -142,7 +142,7 @@ def next_directory(target: int) -> Maker:
 
 
 def children(path: Path) -> None:
-    """A page that is below itself."""
+    """A page that is its own child."""
     tiff(data=DATA[0], software="x" * 9)(path)
     at_tag(path, 305, 4, 1, 330)
 
@@ -179,7 +179,7 @@ def hdf5(fill: Callable[[Any], object], spoil: Callable[[bytearray], object] = l
 
 
 def short_chunk(file: Any) -> None:
-    """A chunk is stored as it is, and is not whole."""
+    """An uncompressed chunk that is truncated."""
     array = file.create_dataset("a", (3, 4, 5), "u1", chunks=(3, 4, 5))
     array.id.write_direct_chunk((0, 0, 0), bytes(40))
 
@@ -207,7 +207,7 @@ def imaris(file: Any) -> None:
 
 
 def zarr(spoil: Callable[[Path, list[Path]], object] = lambda *_: None, **options: Any) -> Maker:
-    """An array in chunks; `spoil` gets its folder and their files."""
+    """A chunked array; `spoil` gets its folder and files."""
 
     def make(path: Path) -> None:
         import zarr
@@ -260,7 +260,7 @@ def ome_zarr(where: str, factor: float = 1.0) -> Maker:
 def vti(
     array: str = "", head: str = "", extent: str = "0 3 0 2 0 1", spacing: str = "1 1 1", tail: str = "", comp: str = ""
 ) -> Maker:
-    """Image data of VTK of 4×3×2 bytes."""
+    """VTK image data of 4×3×2 bytes."""
     text = (
         f'<?xml version="1.0"?>{head}<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64"{comp}>'
         f'<ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="{spacing}"><Piece Extent="{extent}"><PointData>'
@@ -301,7 +301,7 @@ def png(width: int = 5, height: int = 4, depth: int = 8, spoil: Callable[[bytear
 
 
 def folder(**files: Maker | bytes) -> Maker:
-    """Of files; an underscore in a name stands for its dot."""
+    """A folder of files; an underscore in a name stands for its dot."""
 
     def make(path: Path) -> None:
         path.mkdir()
@@ -492,7 +492,7 @@ if POSIX:
 
 
 def at_tag(path: Path, code: int, kind: int, count: int, becomes: int | None = None) -> None:
-    """Put type and count of a field of the first directory, and another code, with which it leads to that directory."""
+    """Replace type and count of a field of the first directory, and optionally its code."""
     import tifffile
 
     whole = bytearray(path.read_bytes())
@@ -578,7 +578,7 @@ SOUND: dict[str, Maker] = {
 
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, Any, float, int]]:
-    """What reading each file leads to; "died" for the one that ended the process. Sound ones come first: they import libraries."""
+    """The outcome of reading each file; "died" if it crashed the process. Valid ones come first: they import libraries."""
     for module in ("tifffile", "imagecodecs", "h5py", "zarr", "nibabel"):
         pytest.importorskip(module)
     root = tmp_path_factory.mktemp("hostile")
@@ -598,7 +598,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, A
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_files_are_refused(outcomes: dict[str, tuple[str, Any, float, int]], name: str) -> None:
+def test_hostile_files_are_rejected(outcomes: dict[str, tuple[str, Any, float, int]], name: str) -> None:
     assert name in outcomes, f"the process ended before, at {list(outcomes)[-1]}"
     kind, message, seconds, mib = outcomes[name]
     assert kind in ("FormatError", "DataError", "GeometryError"), (kind, message)
@@ -608,7 +608,7 @@ def test_hostile_files_are_refused(outcomes: dict[str, tuple[str, Any, float, in
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_what_they_were_made_from_is_read(outcomes: dict[str, tuple[str, Any, float, int]], name: str) -> None:
+def test_their_originals_are_read(outcomes: dict[str, tuple[str, Any, float, int]], name: str) -> None:
     kind, samples, *_ = outcomes[name]
     assert kind == "read", samples
     assert samples in (list(BYTES), DATA.ravel().tolist(), [0] * 20, [0] * 40)
@@ -650,7 +650,7 @@ OF_EACH = (
 
 
 def read_again(folder: Path, times: int) -> tuple[int, int]:
-    """Descriptors and MiB by which a process grows that reads one file of each format so often in vain."""
+    """Descriptors and MiB by which a process grows when it repeatedly fails to read one file of each format."""
     if not Path("/proc/self/status").exists():
         pytest.skip("what a process holds is told by Linux")
     for module in ("tifffile", "imagecodecs", "h5py", "zarr", "nibabel"):
@@ -665,13 +665,13 @@ def read_again(folder: Path, times: int) -> tuple[int, int]:
     return descriptors, mib
 
 
-def test_failing_reads_keep_nothing(tmp_path: Path) -> None:
+def test_failing_reads_leak_nothing(tmp_path: Path) -> None:
     descriptors, mib = read_again(tmp_path, 4)
     assert (descriptors, mib < 8) == (0, True), mib
 
 
 @pytest.mark.thorough
-def test_1000_failing_reads_keep_nothing(tmp_path: Path) -> None:
+def test_1000_failing_reads_leak_nothing(tmp_path: Path) -> None:
     descriptors, mib = read_again(tmp_path, 1000)
     assert (descriptors, mib < 16) == (0, True), mib
 
@@ -703,8 +703,8 @@ def logs_as_before() -> Iterator[None]:
 
 @pytest.mark.usefixtures("logs_as_before")
 @pytest.mark.parametrize("silence", [disabled, configured])
-def test_logging_has_no_say(tmp_path: Path, silence: Callable[[], None]) -> None:
-    """ImageJ's metadata say that there are more slices than pages: tifffile logs it, and reads one page."""
+def test_logging_does_not_matter(tmp_path: Path, silence: Callable[[], None]) -> None:
+    """ImageJ's metadata announce more slices than pages: tifffile logs it, and reads one page."""
     tifffile = pytest.importorskip("tifffile")
     text = "ImageJ=1.54f\nimages=24\nslices=4\nframes=6\nhyperstack=true\n"
     tifffile.imwrite(tmp_path / "v.tif", DATA, description=text, metadata=None, photometric="minisblack", rowsperstrip=2)
@@ -713,7 +713,7 @@ def test_logging_has_no_say(tmp_path: Path, silence: Callable[[], None]) -> None
         clvol.read(tmp_path / "v.tif")
 
 
-def test_the_program_still_hears_tifffile(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_tifffiles_logs_reach_the_program(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     tifffile = pytest.importorskip("tifffile")
     formats.write(Volume(DATA), tmp_path / "v.tif")
     formats.read(tmp_path / "v.tif")

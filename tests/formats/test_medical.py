@@ -1,4 +1,4 @@
-"""Medical files that hold several volumes, as the libraries that made them see them; and what such files say beside samples."""
+"""Medical files with several volumes, compared with their own libraries; and the metadata of such files."""
 
 from __future__ import annotations
 
@@ -96,8 +96,8 @@ def test_only_the_chosen_volume_is_loaded(tmp_path: Path, suffix: str) -> None:
     assert peak < 2 * one.data.nbytes  # and buffers
 
 
-def test_nifti_cut_short_in_a_later_volume(tmp_path: Path) -> None:
-    """Nothing is believed of it: a packed one has its checksum at its end, an unpacked one its size."""
+def test_nifti_truncated_in_a_later_volume(tmp_path: Path) -> None:
+    """No part of it is trusted: a compressed one has its checksum at its end, an uncompressed one its size."""
     whole = save(tmp_path / "v.nii", np.random.default_rng(0).random((20, 20, 20, 3))).read_bytes()
     packed = save(tmp_path / "v.nii.gz", np.random.default_rng(0).random((20, 20, 20, 3))).read_bytes()
     (tmp_path / "v.nii").write_bytes(whole[:-100])
@@ -195,7 +195,7 @@ def test_nifti_2_and_pairs(tmp_path: Path, order: str) -> None:
     np.testing.assert_array_equal(read(tmp_path / "long.nii").data, long.data)
 
 
-def test_nifti_keeps_what_its_header_says(tmp_path: Path) -> None:
+def test_nifti_preserves_its_header(tmp_path: Path) -> None:
     image = nibabel.Nifti1Image(series(dtype="float32"), AFFINE)
     image.set_qform(AFFINE, 3)
     image.set_sform(AFFINE, 4)
@@ -219,8 +219,8 @@ def test_nifti_keeps_what_its_header_says(tmp_path: Path) -> None:
     assert nibabel.load(tmp_path / "again.nii").header["cal_max"] == 0
 
 
-def test_a_qform_elsewhere_than_the_sform(tmp_path: Path) -> None:
-    """Volumes lie where the sform says: its code is given to the qform, whose own would be false of that place."""
+def test_a_qform_that_differs_from_the_sform(tmp_path: Path) -> None:
+    """The sform gives the placement: its code is written for the qform, whose own would be wrong for it."""
     image = nibabel.Nifti1Image(series(dtype="float32"), AFFINE)
     image.set_sform(AFFINE, 4)
     for moved, code in ((AFFINE, 1), (np.diag([3.0, 3, 3, 1]) @ AFFINE, 4)):
@@ -240,11 +240,11 @@ def test_nifti_of_labels(tmp_path: Path) -> None:
     assert volume.is_labels
     write(Volume(np.ones((2, 2, 2), np.uint8), labels={1: "liver"}, units="mm"), tmp_path / "w.nii")
     assert nibabel.load(tmp_path / "w.nii").header["intent_code"] == 1002
-    write(volume.indicator(1), tmp_path / "w.nii")  # no labels any more
+    write(volume.indicator(1), tmp_path / "w.nii")  # no longer labels
     assert nibabel.load(tmp_path / "w.nii").header["intent_code"] == 0
 
 
-def test_volumes_are_written_with_their_step_of_time(tmp_path: Path) -> None:
+def test_volumes_are_written_with_their_time_step(tmp_path: Path) -> None:
     image = nibabel.Nifti1Image(series(5), AFFINE)
     image.header.set_xyzt_units("mm", "msec")
     image.header["pixdim"][4] = 800
@@ -299,7 +299,7 @@ def test_every_route_gives_the_same_geometry(tmp_path: Path, suffix: str) -> Non
     ("dtype", "channels", "computed"),
     [("uint8", 3, "luminance"), ("float32", 3, "magnitude"), ("int16", 3, ""), ("float32", 2, "")],
 )
-def test_several_values_a_voxel(tmp_path: Path, suffix: str, dtype: str, channels: int, computed: str) -> None:
+def test_several_values_per_voxel(tmp_path: Path, suffix: str, dtype: str, channels: int, computed: str) -> None:
     data = np.moveaxis(series(channels, dtype=dtype).T, 0, -1)  # z, y, x, channel
     image = sitk.GetImageFromArray(data, isVector=True)
     image.SetSpacing((1, 2, 3))
@@ -398,7 +398,7 @@ def test_mgh(tmp_path: Path, suffix: str) -> None:
 
 
 def enhanced(data: np.ndarray, positions: list[tuple[float, ...]]) -> bytes:
-    """A CT of many frames, as the standard's section C.7.6.16 has them: what differs from frame to frame stands in a sequence."""
+    """A multi-frame CT, as section C.7.6.16 of the standard defines it: what varies between frames is in a sequence."""
     kind = "1.2.840.10008.5.1.4.1.1.2.1"
     shared = sequence(0x00209116, element(0x00200037, "DS", "0\\1\\0\\1\\0\\0"))
     shared += sequence(0x00289110, element(0x00180050, "DS", "2.5") + element(0x00280030, "DS", "0.75\\0.5"))
@@ -420,7 +420,7 @@ def enhanced(data: np.ndarray, positions: list[tuple[float, ...]]) -> bytes:
 
 
 @pytest.mark.parametrize("name", ["v.dcm", "v.IMA", "IM0001"])
-def test_dicom_of_many_frames(tmp_path: Path, name: str) -> None:
+def test_dicom_with_many_frames(tmp_path: Path, name: str) -> None:
     data, order = np.arange(60, dtype=np.uint16).reshape(4, 3, 5), [0, 3, 1, 2]
     (tmp_path / name).write_bytes(enhanced(data, [(1, 2, 10 - 2.5 * k) for k in order]))
     for path in (tmp_path / name, tmp_path):
@@ -432,7 +432,7 @@ def test_dicom_of_many_frames(tmp_path: Path, name: str) -> None:
         np.testing.assert_allclose(volume.index_to_world([1, 1, 1]), [1 + 0.75, 2 + 0.5, 10 - 2.5])
 
 
-def test_dicom_of_frames_in_one_place(tmp_path: Path) -> None:
+def test_dicom_with_frames_at_one_position(tmp_path: Path) -> None:
     data = np.arange(60, dtype=np.uint16).reshape(4, 3, 5)
     (tmp_path / "v.dcm").write_bytes(enhanced(data, [(1, 2, 10 + 2.5 * (k // 2)) for k in range(4)]))
     with pytest.warns(ClvolWarning, match=r"2 volumes.*images of each place were taken for volumes"):
@@ -449,7 +449,7 @@ def test_dicom_of_frames_in_one_place(tmp_path: Path) -> None:
 
 
 def test_dicom_of_a_film(tmp_path: Path) -> None:
-    """Frames of one ultrasound probe that is held still lie nowhere."""
+    """Frames of an ultrasound probe that is held still have no positions."""
     whole = enhanced(np.arange(60, dtype=np.uint16).reshape(4, 3, 5), [])
     frame_time = element(0x00181063, "DS", "40")
     at = whole.index(element(0x0020000D, "UI", "1.2"))
@@ -472,7 +472,7 @@ def test_dicom_in_colour(tmp_path: Path) -> None:
     assert read(tmp_path / "v.dcm").name == "luminance"
 
 
-def test_dicom_cut_short(tmp_path: Path) -> None:
+def test_dicom_truncated(tmp_path: Path) -> None:
     whole = enhanced(np.zeros((2, 3, 5), np.uint16), [(0, 0, 0), (0, 0, 1)])
     for keep in (*range(0, len(whole), 97), len(whole) - 1):
         (tmp_path / "v.dcm").write_bytes(whole[:keep])
@@ -481,7 +481,7 @@ def test_dicom_cut_short(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error::clvol.ClvolWarning")
-def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
+def test_a_heart_has_its_metadata(tmp_path: Path) -> None:
     if not (DATA / "mr_series_dicom.tar.xz").exists():
         pytest.skip("no mr_series_dicom.tar.xz: set CLVOL_DATA to the folder that holds it")
     with tarfile.open(DATA / "mr_series_dicom.tar.xz") as archive:
@@ -511,7 +511,7 @@ def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
 # -- NumPy --------------------------------------------------------------------------------------
 
 
-def test_npz_keeps_all_that_a_volume_says(tmp_path: Path) -> None:
+def test_npz_preserves_all_metadata(tmp_path: Path) -> None:
     said: dict[str, Any] = {"space": "LPS", "name": "µ", "color": (1.0, 0.5, 0.0), "clim": (-1.0, 2.5), "labels": {3: "liver"}}
     header = {"sform_code": 4, "intent_p": (1.0, 2.0), "step": np.float32(0.5)}
     volume = Volume(series().T, (1, 2, 3), (4, 5, 6), OBLIQUE, "um", **said, header=header)
@@ -525,7 +525,7 @@ def test_npz_keeps_all_that_a_volume_says(tmp_path: Path) -> None:
         assert read(tmp_path / "v.npz").labels is labels
 
 
-def test_npz_keeps_several(tmp_path: Path) -> None:
+def test_npz_stores_several_volumes(tmp_path: Path) -> None:
     leading = Leading(("time", "channel"), (2, 2), {"channel": ("a", "b")}, ("red", None), ((0.0, 1.0), None))  # type: ignore[arg-type]
     every = Volumes(series(2, 2).T, leading=leading, spacing=(1, 2, 3), units="um", space="image")
     write(every, tmp_path / "v.npz")
@@ -548,8 +548,8 @@ def test_axes_of_arrays_are_guessed(tmp_path: Path) -> None:
         assert read(tmp_path / "v.npz", volume=4).spacing == (1, 2, 3)
 
 
-def test_what_images_say_needs_no_samples() -> None:
-    """Big files are refused, or chosen from, before they are loaded."""
+def test_metadata_of_images_need_no_samples() -> None:
+    """Large files are rejected, or chosen from, before they are loaded."""
     assert describe_simpleitk(sitk.Image([2, 3, 4, 5], sitk.sitkUInt8))["leading"]["counts"] == (5,)
     proxy = nibabel.Nifti1Image(np.broadcast_to(np.int16(0), (1000, 1000, 1000, 50)), AFFINE)
     assert describe_nibabel(proxy)["leading"]["counts"] == (50,)
@@ -558,7 +558,7 @@ def test_what_images_say_needs_no_samples() -> None:
 
 
 def test_the_grid_of_a_series() -> None:
-    """``like=`` takes an image of several volumes, whose grid is one; and loads none of them."""
+    """``like=`` accepts an image of several volumes with one grid, and loads none of them."""
     image = nibabel.Nifti1Image(np.broadcast_to(np.int16(0), (500, 1000, 1000, 50)), AFFINE)
     grid = Volume(nibabel.Nifti1Image(np.zeros((500, 1000, 1), np.int16), AFFINE))
     found = as_grid(image)

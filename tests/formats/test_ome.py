@@ -17,7 +17,7 @@ def image(*steps: dict[str, Any], **more: Any) -> dict[str, Any]:
     return {"axes": AXES, "datasets": [{"path": "0", "coordinateTransformations": list(steps)}], **more}
 
 
-def test_transformations_are_composed_those_of_the_size_first() -> None:
+def test_transformations_are_composed_with_the_levels_first() -> None:
     scale, shift = {"type": "scale", "scale": [1, 2, 3, 4]}, {"type": "translation", "translation": [0, 1, 1, 1]}
     twice = [{"type": "scale", "scale": [1, 2, 2, 2]}, {"type": "identity"}]
     assert ome.placed("a", image(scale, shift), 0, 4) == ([1, 2, 3, 4], [0, 1, 1, 1])
@@ -34,14 +34,14 @@ def test_transformations_are_composed_those_of_the_size_first() -> None:
         ({"type": "scale", "scale": [1, 1, 1, -1]}, "a must have scales that are positive"),
     ],
 )
-def test_other_transformations_are_refused(step: dict[str, Any], message: str) -> None:
+def test_other_transformations_are_rejected(step: dict[str, Any], message: str) -> None:
     with pytest.raises(FormatError, match=message):
         ome.placed("a", image(step), 0, 4)
 
 
 @pytest.mark.parametrize("key", ["ome", ""])
 def test_axes_channels_and_geometry(key: str) -> None:
-    """In 0.5 below a key of their own, before among others."""
+    """Version 0.5 nests them under its own key."""
     channels = [
         {"label": "DAPI", "color": "0000FF", "window": {"start": 0, "end": 100}},
         {"label": "GFP", "color": "#00ff00aa", "window": {"start": 5, "end": float("inf")}},
@@ -58,13 +58,13 @@ def test_axes_channels_and_geometry(key: str) -> None:
     assert known["space"] == "image"
 
 
-def test_one_channel_without_an_axis_is_the_volumes_own() -> None:
+def test_a_channel_without_an_axis_describes_the_volume() -> None:
     about = {"omero": {"channels": [{"label": "DAPI", "color": "0000FF"}]}}
     known = ome.described("a", about, {"axes": AXES[1:], "datasets": [{"path": "0"}]}, 0, (4, 5, 6))[2]
     assert (known["name"], known["color"]) == ("DAPI", (0, 0, 1))
 
 
-def test_versions_that_name_no_axes_have_the_last_of_tczyx() -> None:
+def test_versions_without_axes_use_the_last_of_tczyx() -> None:
     layout = ome.described("a", {}, {"datasets": [{"path": "0"}]}, 0, (2, 4, 5, 6))[0]
     assert layout.axes == ("channel", "z", "y", "x")
 

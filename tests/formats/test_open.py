@@ -1,4 +1,4 @@
-"""`clvol.open`: what is read part by part is what `clvol.read` reads whole, and what is not as it should be is an error."""
+"""`clvol.open`: parts equal what `clvol.read` reads whole, and faults are errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PART = (slice(3, 18), slice(11, 30), slice(5, 33))
 
 
 def same(path: Path | str, parts: bool = True, **choice: Any) -> clvol.LazyVolume:
-    """Open what `clvol.read` reads, and compare all of it."""
+    """Open what `clvol.read` reads, and compare everything."""
     with warnings.catch_warnings(action="ignore"):
         lazy, whole = clvol.open(path, trusted=True, **choice), clvol.read(path, trusted=True, **choice)
     assert (lazy.shape, lazy.spacing, lazy.units, lazy.name) == (whole.shape, whole.spacing, whole.units, whole.name)
@@ -51,7 +51,7 @@ def same(path: Path | str, parts: bool = True, **choice: Any) -> clvol.LazyVolum
 
 @pytest.fixture(scope="module", params=["0.4", "0.5"])
 def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An image of three sizes with labels, as ome-zarr writes it."""
+    """An image at three resolutions with labels, written by ome-zarr."""
     with warnings.catch_warnings(action="ignore"):
         pytest.importorskip("ome_zarr")
         from ome_zarr.format import FormatV04, FormatV05
@@ -78,7 +78,7 @@ def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return path
 
 
-def test_ome_zarr_with_all_its_sizes(cells: Path) -> None:
+def test_ome_zarr_with_all_levels(cells: Path) -> None:
     lazy = same(cells, time=1, channel="GFP")
     assert lazy.chunks is not None
     assert len(lazy.levels) == 2
@@ -95,8 +95,8 @@ def test_ome_zarr_with_all_its_sizes(cells: Path) -> None:
         clvol.open(cells, level=3)
 
 
-def test_a_pickle_opens_the_store_again(cells: Path) -> None:
-    """With its arguments, and each size by itself; no samples are in it."""
+def test_a_pickle_reopens_the_store(cells: Path) -> None:
+    """With its arguments, each level separately; it contains no samples."""
     volume = clvol.open(cells, channel=1, spacing=(2, 2, 3))
     packed = pickle.dumps(volume)
     again = pickle.loads(packed)
@@ -110,7 +110,7 @@ def test_a_pickle_opens_the_store_again(cells: Path) -> None:
     assert level.spacing == volume.levels[0].spacing
 
 
-def test_another_geometry_moves_all_sizes(cells: Path) -> None:
+def test_a_given_geometry_applies_to_all_levels(cells: Path) -> None:
     moved = clvol.open(cells, time=0, channel=0, spacing=(1, 1, 4), origin=(10, 20, 30), trusted=True)
     assert moved.spacing == (1, 1, 4)
     np.testing.assert_allclose(moved.levels[0].spacing, (2, 2, 4))
@@ -138,7 +138,7 @@ def test_plain_arrays_of_any_order_and_chunks(tmp_path: Path, version: int) -> N
     same(tmp_path / "v.zarr.zip")
 
 
-def test_samples_that_are_scaled_or_missing(tmp_path: Path) -> None:
+def test_scaled_and_missing_samples(tmp_path: Path) -> None:
     array = zarr.create_array(tmp_path / "v.zarr", data=DATA[0, 0])
     array.attrs.update({"scale_factor": 0.5, "add_offset": 3, "_FillValue": int(DATA[0, 0, 4, 12, 6])})
     with warnings.catch_warnings(action="ignore"):
@@ -181,7 +181,7 @@ def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
             lazy.whole()
 
 
-def test_a_missing_chunk_has_the_fill_value_where_there_is_one(tmp_path: Path) -> None:
+def test_a_missing_chunk_has_the_fill_value_if_there_is_one(tmp_path: Path) -> None:
     stored(tmp_path / "v.zarr", fill_value=7)
     (tmp_path / "v.zarr" / "c" / "1" / "2" / "3").unlink()
     lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
@@ -193,7 +193,7 @@ def test_a_missing_chunk_has_the_fill_value_where_there_is_one(tmp_path: Path) -
             read()
 
 
-def test_a_store_that_changes_is_noticed(tmp_path: Path) -> None:
+def test_a_changed_store_is_detected(tmp_path: Path) -> None:
     array = stored(tmp_path / "v.zarr")
     lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
     lazy.read((0, 0, 0), (10, 10, 10))
@@ -220,18 +220,18 @@ def layout(request: pytest.FixtureRequest) -> dict[str, Any]:
 
 
 def later() -> None:
-    """Wait until files get another time."""
+    """Wait until files get a later time."""
     time.sleep(0.02)
 
 
 def no_zeros(lazy: clvol.LazyVolume, match: str = r"has changed since it was opened \(.*open it again") -> None:
-    """What was not read so far is an error now."""
+    """Samples that were not read so far are now an error."""
     with pytest.raises(FormatError, match=match):
         lazy.read((10, 10, 10), (20, 20, 20))
 
 
 @pytest.mark.parametrize("is_read", [False, True])
-def test_a_folder_that_vanishes_is_noticed(tmp_path: Path, layout: dict[str, Any], is_read: bool) -> None:
+def test_a_vanished_folder_is_detected(tmp_path: Path, layout: dict[str, Any], is_read: bool) -> None:
     stored(tmp_path / "v.zarr", **layout)
     lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
     if is_read:
@@ -245,7 +245,7 @@ def test_a_folder_that_vanishes_is_noticed(tmp_path: Path, layout: dict[str, Any
     np.testing.assert_array_equal(lazy.whole().data, DATA[0, 0])
 
 
-def test_an_archive_that_vanishes_is_noticed(tmp_path: Path) -> None:
+def test_a_vanished_archive_is_detected(tmp_path: Path) -> None:
     store = zarr.storage.ZipStore(tmp_path / "v.zarr.zip", mode="w")
     stored(store)
     store.close()
@@ -266,8 +266,8 @@ def test_the_working_folder_may_change(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("most", [1 << 11, 2])
-def test_chunks_that_vanish_are_noticed(tmp_path: Path, layout: dict[str, Any], most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of them, and of a folder that was looked at one; but not what was never there."""
+def test_vanished_chunks_are_detected(tmp_path: Path, layout: dict[str, Any], most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them, and single ones of a watched folder; but not chunks that never existed."""
     monkeypatch.setattr("clvol.formats.zarr.files._FOLDERS", most)
     for all_of_them in (True, False):
         array = stored(tmp_path / "v.zarr", overwrite=True, fill_value=7, **layout)
@@ -285,7 +285,7 @@ def test_chunks_that_vanish_are_noticed(tmp_path: Path, layout: dict[str, Any], 
         no_zeros(lazy)
 
 
-def test_folders_of_chunks_that_vanish_are_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_vanished_folders_of_chunks_are_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for most, gone in ((1 << 11, "c"), (1 << 11, "c/1"), (1 << 11, "c/1/1"), (2, "c"), (2, "c/1")):
         monkeypatch.setattr("clvol.formats.zarr.files._FOLDERS", most)
         stored(tmp_path / "v.zarr", overwrite=True)
@@ -295,8 +295,8 @@ def test_folders_of_chunks_that_vanish_are_noticed(tmp_path: Path, monkeypatch: 
         no_zeros(lazy)
 
 
-def test_an_array_that_is_written_anew_is_noticed(tmp_path: Path, layout: dict[str, Any]) -> None:
-    """At chunks that were not read before, too; those that were left alone are read."""
+def test_a_rewritten_array_is_detected(tmp_path: Path, layout: dict[str, Any]) -> None:
+    """Also at chunks that were not read before; unchanged ones are read."""
     array = stored(tmp_path / "v.zarr", **layout)
     lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
     lazy.read((0, 0, 0), (10, 10, 10))
@@ -308,8 +308,8 @@ def test_an_array_that_is_written_anew_is_noticed(tmp_path: Path, layout: dict[s
     assert (lazy.read((10, 10, 10), (20, 20, 20)) == 1).all()
 
 
-def test_a_store_that_stays_the_same_is_read_whatever_its_times(tmp_path: Path, layout: dict[str, Any]) -> None:
-    """By clocks that go wrong, of copies with times of their own, written in place just before; and others beside it change."""
+def test_an_unchanged_store_is_read_whatever_its_times(tmp_path: Path, layout: dict[str, Any]) -> None:
+    """Wrong clocks, copies with preserved times, chunks written in place just before, and neighbours that change."""
     array = stored(tmp_path / "v.zarr", fill_value=7, **layout)
     array[:10, :10, :10] = 7
     (tmp_path / "v.zarr" / array.metadata.encode_chunk_key((0, 0, 0))).unlink(missing_ok=True)
@@ -324,8 +324,8 @@ def test_a_store_that_stays_the_same_is_read_whatever_its_times(tmp_path: Path, 
         np.testing.assert_array_equal(lazy.whole().data, expected)
 
 
-def test_folders_without_times_are_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As of an object store that is mounted: a chunk that is missing is one then."""
+def test_folders_without_times_are_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a mounted object store: a missing chunk is then an error."""
     monkeypatch.setattr("clvol.formats.zarr.files._keeps_times", lambda _: False)
     stored(tmp_path / "v.zarr", fill_value=7)
     (tmp_path / "v.zarr" / "c" / "1" / "1" / "1").unlink()
@@ -334,12 +334,12 @@ def test_folders_without_times_are_not_believed(tmp_path: Path, monkeypatch: pyt
     assert (lazy.read((10, 10, 10), (20, 20, 20)) == 7).all()
     shutil.copy2(tmp_path / "v.zarr" / "c" / "0" / "0" / "0", tmp_path / "again")
     before = lazy.read((0, 0, 0), (10, 10, 10))
-    (tmp_path / "again").rename(tmp_path / "v.zarr" / "c" / "0" / "0" / "0")  # files may have another number at each look
+    (tmp_path / "again").rename(tmp_path / "v.zarr" / "c" / "0" / "0" / "0")  # files may have another inode at each stat
     np.testing.assert_array_equal(lazy.read((0, 0, 0), (10, 10, 10)), before)
 
 
-def test_of_very_many_chunks_the_last_are_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And the metadata, however many chunks come after them."""
+def test_the_last_of_very_many_chunks_are_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the metadata, however many chunks follow."""
     monkeypatch.setattr("clvol.formats.zarr.files._WATCHED", 4)
     stored(tmp_path / "v.zarr")
     lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
@@ -356,8 +356,8 @@ def test_of_very_many_chunks_the_last_are_watched(tmp_path: Path, monkeypatch: p
     no_zeros(lazy)
 
 
-def test_large_chunks_of_a_folder_without_times_that_vanishes_are_no_zeros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It goes while it is read: chunks that are stored as they are, are read without zarr."""
+def test_large_chunks_of_a_vanished_folder_without_times_are_no_zeros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It vanishes during the read; uncompressed chunks are read without zarr."""
     from clvol.formats.zarr import array, files
 
     monkeypatch.setattr(files, "_keeps_times", lambda _: False)
@@ -374,7 +374,7 @@ def test_large_chunks_of_a_folder_without_times_that_vanishes_are_no_zeros(tmp_p
     no_zeros(lazy, "is gone")
 
 
-def test_a_folder_that_vanishes_under_consolidated_metadata_is_noticed(tmp_path: Path) -> None:
+def test_a_vanished_folder_with_consolidated_metadata_is_detected(tmp_path: Path) -> None:
     group = zarr.create_group(tmp_path / "v.zarr", zarr_format=2)
     group.create_array("a", data=DATA[0, 0], chunks=(10, 10, 10))
     zarr.consolidate_metadata(tmp_path / "v.zarr", zarr_format=2)
@@ -384,7 +384,7 @@ def test_a_folder_that_vanishes_under_consolidated_metadata_is_noticed(tmp_path:
 
 
 def ome(path: Path, shapes: list[tuple[int, ...]], scales: list[Any], **about: Any) -> Path:
-    """An image of these sizes, whose metadata say what they are given."""
+    """An image of these sizes, with the given metadata."""
     datasets = [
         {"path": str(i)} | ({"coordinateTransformations": [{"type": "scale", "scale": scale}]} if scale is not None else {})
         for i, scale in enumerate(scales)
@@ -415,7 +415,7 @@ def ome(path: Path, shapes: list[tuple[int, ...]], scales: list[Any], **about: A
         ([], [], "must hold an array for each of its sizes"),
     ],
 )
-def test_metadata_that_lie(tmp_path: Path, shapes: list[Any], scales: list[Any], match: str) -> None:
+def test_inconsistent_metadata(tmp_path: Path, shapes: list[Any], scales: list[Any], match: str) -> None:
     path = ome(tmp_path / "v.zarr", shapes, scales)
     for trusted in (False, True):
         with pytest.raises(ClvolError, match=match):
@@ -423,7 +423,7 @@ def test_metadata_that_lie(tmp_path: Path, shapes: list[Any], scales: list[Any],
 
 
 @pytest.mark.parametrize("axis", [3_000_000, 10**9, 10**30])
-def test_shapes_of_more_than_there_can_be(tmp_path: Path, axis: int) -> None:
+def test_impossible_shapes(tmp_path: Path, axis: int) -> None:
     stored(tmp_path / "v.zarr")
     about = json.loads((tmp_path / "v.zarr" / "zarr.json").read_text()) | {"shape": [axis] * 3}
     (tmp_path / "v.zarr" / "zarr.json").write_text(json.dumps(about))
@@ -432,7 +432,7 @@ def test_shapes_of_more_than_there_can_be(tmp_path: Path, axis: int) -> None:
             clvol.open(tmp_path / "v.zarr", trusted=trusted)
 
 
-def test_shapes_tell_where_sizes_lie_before_0_4(tmp_path: Path) -> None:
+def test_before_0_4_shapes_give_the_placement_of_levels(tmp_path: Path) -> None:
     lazy = clvol.open(ome(tmp_path / "v.zarr", [(8, 8, 8), (8, 4, 4)], [None, None]), trusted=True)
     assert (lazy.levels[0].spacing, lazy.levels[0].grid.origin) == ((2, 2, 1), (0.5, 0.5, 0))
 
@@ -461,7 +461,7 @@ def test_stores_without_samples(tmp_path: Path) -> None:
 
 
 class Slow(http.server.SimpleHTTPRequestHandler):
-    """Files of a folder, each a while after it was asked for; what fails, or lacks the query, is asked for in vain."""
+    """Serves files of a folder with a delay; failing paths, or a missing query, get an error."""
 
     delay, failing, query, asked, now, most = 0.02, "", "", 0, 0, 0
 
@@ -484,7 +484,7 @@ class Slow(http.server.SimpleHTTPRequestHandler):
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[tuple[str, Path, type[Slow]]]:
-    """The address of a folder, the folder, and what answers."""
+    """The address of a folder, the folder, and the server."""
     pytest.importorskip("aiohttp")
     handler = type("Own", (Slow,), {})
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(handler, directory=tmp_path))
@@ -496,8 +496,8 @@ def served(tmp_path: Path) -> Iterator[tuple[str, Path, type[Slow]]]:
     thread.join()
 
 
-def test_a_store_behind_http(served: tuple[str, Path, type[Slow]], cells: Path) -> None:
-    """The same code, and the same samples; only chunks that hold them are asked for."""
+def test_a_store_over_http(served: tuple[str, Path, type[Slow]], cells: Path) -> None:
+    """The same code and the same samples; only the chunks that contain them are requested."""
     address, folder, handler = served
     shutil.copytree(cells, folder / "cells.zarr")
     near, far = (clvol.open(path, time=1, channel=2) for path in (cells, f"{address}/cells.zarr"))
@@ -509,8 +509,8 @@ def test_a_store_behind_http(served: tuple[str, Path, type[Slow]], cells: Path) 
     assert handler.most > 2, "chunks should not wait for each other"
 
 
-def test_shards_behind_a_server_without_ranges(served: tuple[str, Path, type[Slow]]) -> None:
-    """Of which parts are asked for, and all is answered: the shards are sound, and a checksum that differs says otherwise."""
+def test_shards_on_a_server_without_ranges(served: tuple[str, Path, type[Slow]]) -> None:
+    """It answers requests for parts with the whole: shards are valid, and a wrong checksum reports this."""
     address, folder, _ = served
     zarr.create_array(folder / "s.zarr", data=DATA[0, 0], chunks=(2, 2, 2), shards=(4, 4, 4))
     far = clvol.open(f"{address}/s.zarr")
@@ -518,7 +518,7 @@ def test_shards_behind_a_server_without_ranges(served: tuple[str, Path, type[Slo
         far.whole()
 
 
-def test_faults_behind_http(served: tuple[str, Path, type[Slow]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_faults_over_http(served: tuple[str, Path, type[Slow]], monkeypatch: pytest.MonkeyPatch) -> None:
     address, folder, handler = served
     stored(folder / "v.zarr", fill_value=7)
     (folder / "v.zarr" / "c" / "1" / "2" / "2").unlink()
@@ -543,8 +543,8 @@ def test_faults_behind_http(served: tuple[str, Path, type[Slow]], monkeypatch: p
 
 
 @pytest.mark.parametrize(("query", "about"), [("sv=2020&sig=a%2Bb%2Fc%3D&se=", {}), ("sv=1&sig=a%2Bb", {"params": {"sig": "a+b"}})])
-def test_a_query_goes_with_each_key(served: tuple[str, Path, type[Slow]], query: str, about: dict[str, Any]) -> None:
-    """As tokens of whole containers have it; no message tells them."""
+def test_a_query_is_sent_with_each_key(served: tuple[str, Path, type[Slow]], query: str, about: dict[str, Any]) -> None:
+    """As in signed URLs of whole containers; no message contains it."""
     address, folder, handler = served
     stored(folder / "v.zarr")
     handler.query = query
@@ -558,7 +558,7 @@ def test_a_query_goes_with_each_key(served: tuple[str, Path, type[Slow]], query:
     assert "sig" not in str(caught.value)
 
 
-def test_addresses_are_of_zarr_alone() -> None:
+def test_only_zarr_accepts_addresses() -> None:
     for name in ("v.tif", "v.NRRD", "v.nii.gz?token=abc"):
         with pytest.raises(FormatError, match=r"https://a\.org/v\.\S+ must be a Zarr store.*download"):
             clvol.open(f"https://a.org/{name}")
@@ -570,7 +570,7 @@ def test_a_store_in_fsspecs_memory() -> None:
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_a_store_that_vanishes_from_fsspecs_memory_is_noticed(version: Any) -> None:
+def test_a_store_vanished_from_fsspecs_memory_is_detected(version: Any) -> None:
     import fsspec
 
     address = f"memory://clvol/gone{version}.zarr"
@@ -583,8 +583,8 @@ def test_a_store_that_vanishes_from_fsspecs_memory_is_noticed(version: Any) -> N
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_a_store_that_vanishes_behind_http_is_noticed(served: tuple[str, Path, type[Slow]], version: Any) -> None:
-    """Metadata are asked for once more by each read with chunks that are missing, however many these are."""
+def test_a_store_vanished_over_http_is_detected(served: tuple[str, Path, type[Slow]], version: Any) -> None:
+    """Each read with missing chunks requests the metadata once more, however many are missing."""
     address, folder, handler = served
     handler.delay = 0.0
     array = zarr.create_array(folder / "v.zarr", shape=(40, 40, 40), chunks=(8, 8, 8), dtype="u2", zarr_format=version)
@@ -606,7 +606,7 @@ def test_a_store_that_vanishes_behind_http_is_noticed(served: tuple[str, Path, t
 @pytest.mark.parametrize("order", ["C", "F"])
 @pytest.mark.parametrize("dtype", ["uint16", ">f4", "bool"])
 def test_flat_samples(tmp_path: Path, order: Any, dtype: str) -> None:
-    """Of NumPy and raw, in boxes of any size: whole planes, whole rows, and narrow ones."""
+    """NumPy and raw files, in boxes of any size: whole planes, whole rows, and narrow ones."""
     data = DATA[0, 0].astype(dtype) if dtype != "bool" else DATA[0, 0] > 30000
     np.save(tmp_path / "v.npy", np.asarray(data, order=order))
     same(tmp_path / "v.npy")
@@ -680,7 +680,7 @@ def test_a_damaged_page_of_a_tiff_is_named(tmp_path: Path, layout: dict[str, Any
         lazy.whole()
 
 
-def test_sizes_of_a_tiff(tmp_path: Path) -> None:
+def test_levels_of_a_tiff(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     with tifffile.TiffWriter(tmp_path / "v.ome.tif", ome=True) as file:
         about = {"axes": "ZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5, "PhysicalSizeZ": 1.5}
@@ -723,7 +723,7 @@ def test_hdf5_and_netcdf(tmp_path: Path) -> None:
         clvol.open(tmp_path / "v.h5", series="packed", trusted=True).whole()
 
 
-def test_sizes_of_imaris(tmp_path: Path) -> None:
+def test_levels_of_imaris(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
 
     def text(word: str) -> Any:
@@ -753,7 +753,7 @@ OBLIQUE = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("dtype", ["u1", "i2", "u2", "i4", "f4", "f8", "i8"])
 def test_nifti(tmp_path: Path, dtype: str, order: str) -> None:
-    """As nibabel has it: in one file and in two, scaled and not, and of a series what was chosen."""
+    """As in nibabel: in one file and in two, scaled and unscaled, and the chosen volume of a series."""
     nibabel = pytest.importorskip("nibabel")
     affine = np.eye(4)
     affine[:3, :3], affine[:3, 3] = OBLIQUE * [0.5, 1.5, 2.0], (10, -20, 30)
@@ -792,7 +792,7 @@ def test_nifti_of_colours_and_vectors(tmp_path: Path) -> None:
 
 
 def faulty(path: Path, packed: Path) -> None:
-    """What is cut short or packed is refused; what changes later is noticed, and pickles open the file again."""
+    """Truncated and compressed files are rejected; later changes are detected, and pickles reopen the file."""
     lazy = clvol.open(path)
     assert pickle.loads(pickle.dumps(lazy)).read(LOW, HIGH).sum() == lazy.read(LOW, HIGH).sum()
     blob = path.read_bytes()
@@ -835,7 +835,7 @@ META_TYPES = {
 
 
 def nrrd(path: Path, data: np.ndarray[Any, Any], kinds: str = "domain domain domain", more: str = "", skipped: bytes = b"") -> Path:
-    """With the samples behind the header, or (.nhdr) in a file of their own."""
+    """Samples behind the header, or (.nhdr) in a separate file."""
     domain = ["(0.18,-0.4,0.24)", "(0.72,0.9,0.96)", "(-1.6,0,1.2)"]
     directions = " ".join(
         "none" if kind not in ("domain", "time") else domain.pop(0) if domain else "none" for kind in kinds.split()
@@ -856,7 +856,7 @@ def nrrd(path: Path, data: np.ndarray[Any, Any], kinds: str = "domain domain dom
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("dtype", NRRD_TYPES)
 def test_nrrd_and_metaimage(tmp_path: Path, dtype: str, order: str) -> None:
-    """As SimpleITK has them: attached and detached, in both byte orders, with what stands before the samples."""
+    """As in SimpleITK: attached and detached, in both byte orders, with bytes before the samples."""
     sitk = pytest.importorskip("SimpleITK")
     data = (DATA[0, 0] % 100).astype(order + dtype)
     files = [nrrd(tmp_path / "v.nrrd", data), nrrd(tmp_path / "v.nhdr", data, "domain domain domain", "byte skip: 3\n", b"abc")]
@@ -879,7 +879,7 @@ def test_nrrd_and_metaimage(tmp_path: Path, dtype: str, order: str) -> None:
         assert lazy.dtype == truth.dtype
 
 
-def test_several_values_a_voxel_and_scaled_ones(tmp_path: Path) -> None:
+def test_several_values_per_voxel_and_scaled_ones(tmp_path: Path) -> None:
     sitk = pytest.importorskip("SimpleITK")
     interleaved = np.ascontiguousarray(np.moveaxis(DATA[0], 0, -1)).astype("f4")
     image = sitk.GetImageFromArray(interleaved, isVector=True)

@@ -1,4 +1,4 @@
-"""`clvol.pyramid`: sizes that are what they should be, bounds that hold, and a store that is there whole or not at all."""
+"""`clvol.pyramid`: correct levels, valid bounds, and a complete store or none."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def scan(shape: tuple[int, int, int] = (50, 90, 70), **about: Any) -> clvol.Volu
 
 
 def arrays_of(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of a store, as zarr reads them."""
+    """All arrays of a store, read by zarr."""
     return {
         name: np.asarray(one[...]) for name, one in zarr.open_group(path, mode="r").members(max_depth=None) if hasattr(one, "shape")
     }
@@ -73,8 +73,8 @@ def same_stores(a: Path, b: Path) -> None:
 
 
 @pytest.mark.parametrize("version", ["0.4", "0.5"])
-def test_others_read_it(tmp_path: Path, version: Any) -> None:
-    """The models of OME-Zarr, ome-zarr's reader and plain zarr, which do not know of bounds."""
+def test_other_readers_read_it(tmp_path: Path, version: Any) -> None:
+    """The OME-Zarr models, ome-zarr's reader and plain zarr, which do not know bounds."""
     models = pytest.importorskip("ome_zarr_models")
     volume = scan(name="nuclei", clim=(10, 5000), color=(0, 1, 0), origin=(1, 2, 3))
     clvol.pyramid(volume, tmp_path / "v.zarr", levels=3, version=version)
@@ -100,8 +100,8 @@ def test_others_read_it(tmp_path: Path, version: Any) -> None:
     assert clvol.read(tmp_path / "v.zarr", level=1).origin == (1.25, 2.25, 3.25)
 
 
-def test_sizes_are_those_of_one_piece(tmp_path: Path, device: Device) -> None:
-    """The least-squares reduction of the whole volume, but for a rounding that falls on the other side."""
+def test_levels_match_a_reduction_in_one_piece(tmp_path: Path, device: Device) -> None:
+    """The least-squares reduction of the whole volume, up to rounding."""
     volume = scan()
     lazy = clvol.pyramid(volume, tmp_path / "v.zarr", filter="bspline3(0.3)", levels=3, device=device)
     np.testing.assert_array_equal(lazy.whole().data, volume.data)
@@ -117,7 +117,7 @@ def test_sizes_are_those_of_one_piece(tmp_path: Path, device: Device) -> None:
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("method", ["least-squares", "average", "nearest"])
-def test_no_bit_depends_on_budget_chunks_and_shards(tmp_path: Path, method: Any) -> None:
+def test_results_do_not_depend_on_budget_chunks_or_shards(tmp_path: Path, method: Any) -> None:
     volume = scan((70, 150, 130))
     about: dict[str, Any] = {"method": method, "levels": 3, "filter": "bspline3", "boundary": "reflect"}
     first = clvol.pyramid(volume, tmp_path / "a.zarr", **about)
@@ -131,8 +131,8 @@ def test_no_bit_depends_on_budget_chunks_and_shards(tmp_path: Path, method: Any)
     assert others[1].chunks == (16, 8, 32)
 
 
-def test_tiles_are_cut_where_the_budget_says(device: Device) -> None:
-    """Many tiles of a volume give what one does."""
+def test_the_budget_sets_the_tiles(device: Device) -> None:
+    """Many tiles give the same result as one."""
     from clvol.formats.pyramid.reduce import Reduction
     from clvol.spline.levels import sums_for
 
@@ -181,13 +181,13 @@ def test_each_sample_is_read_about_once(tmp_path: Path) -> None:
 
     counted = Counted(waves((150, 140, 130)))
     clvol.pyramid(clvol.LazyVolume(counted, labels=False), tmp_path / "v.zarr", filter="bspline3")
-    looked_at = 128**3  # the part from which noise and labels are told
+    looked_at = 128**3  # the part from which noise and labels are detected
     assert counted.read <= counted.data.size + looked_at
 
 
 @pytest.mark.parametrize(("budget", "levels", "most"), [(None, None, 27), (None, 1, 27), (122 * MIB, 2, 80)])
-def test_chunks_of_dask_are_computed_about_once(tmp_path: Path, budget: int | None, levels: int | None, most: int) -> None:
-    """And of few bytes as often as their parts are read, in one piece."""
+def test_dask_chunks_are_computed_about_once(tmp_path: Path, budget: int | None, levels: int | None, most: int) -> None:
+    """Small arrays too."""
     da = pytest.importorskip("dask.array")
     data, computed = waves((150, 140, 130)), []
 
@@ -208,13 +208,13 @@ def test_chunks_of_dask_are_computed_about_once(tmp_path: Path, budget: int | No
 
 
 def truth(points: np.ndarray) -> np.ndarray:
-    """A function of three octaves, the highest of which half the samples still hold."""
+    """A function of three octaves; half the samples still resolve the highest."""
     x, y, z = np.moveaxis(points, -1, 0)
     return np.asarray(np.sin(0.11 * x) * np.cos(0.13 * y) + 0.5 * np.sin(0.55 * x + 0.4 * z) + 0.25 * np.cos(1.0 * y + 0.3 * z))
 
 
-def test_least_squares_is_nearer_to_the_function_than_averages(tmp_path: Path) -> None:
-    """Half the samples, against the function itself; docs/stores.md has the figures."""
+def test_least_squares_is_closer_to_the_function_than_averages(tmp_path: Path) -> None:
+    """Half the samples, compared with the function itself; docs/stores.md has the figures."""
     n = 64
     grid = np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), -1)[..., ::-1].astype(float)
     volume = clvol.Volume(truth(grid).astype(np.float32))
@@ -228,8 +228,8 @@ def test_least_squares_is_nearer_to_the_function_than_averages(tmp_path: Path) -
     assert errors["average"] < errors["nearest"]
 
 
-def test_types_keep_what_they_hold(tmp_path: Path) -> None:
-    """Rounded to the nearest, and clipped where splines overshoot; none wraps around."""
+def test_values_are_rounded_and_clipped_to_their_type(tmp_path: Path) -> None:
+    """Rounded to nearest, and clipped where splines overshoot; none wraps around."""
     for dtype in ("uint8", "int16", "float32", "float64", "bool", "int32", "uint64", "float16"):
         data = (waves((20, 24, 22), "float64") > 0.4).astype(dtype)
         if dtype not in ("bool",):
@@ -257,7 +257,7 @@ def test_labels_are_never_blended(tmp_path: Path) -> None:
         assert level.bounds.filter == "nearest"
 
 
-def test_slices_far_apart_wait(tmp_path: Path) -> None:
+def test_coarse_axes_are_halved_later(tmp_path: Path) -> None:
     sizes = levels_of((256, 256, 40), (0.5, 0.5, 2.0), None, 32)
     assert [level.size for level in sizes] == [(256, 256, 40), (128, 128, 40), (64, 64, 40), (32, 32, 20)]
     assert sizes[3].factors == (8, 8, 2)
@@ -265,7 +265,7 @@ def test_slices_far_apart_wait(tmp_path: Path) -> None:
     assert [level.spacing for level in lazy.levels] == [(2, 2, 4), (4, 4, 4)]
 
 
-def test_scans_keep_their_place_in_the_world(tmp_path: Path) -> None:
+def test_scans_keep_their_placement(tmp_path: Path) -> None:
     turned = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
     volume = scan((30, 32, 34), space="LPS", units="mm", direction=turned, origin=(-40, 20, 5), spacing=(1, 1, 1.2))
     lazy = clvol.pyramid(volume, tmp_path / "v.zarr", levels=2)
@@ -285,10 +285,10 @@ def test_scans_keep_their_place_in_the_world(tmp_path: Path) -> None:
     boundary=st.sampled_from(["mirror", "reflect", "wrap", "nearest"]),
     seed=st.integers(0, 99),
 )
-def test_bounds_hold_the_function(
+def test_bounds_contain_the_function(
     tmp_path_factory: pytest.TempPathFactory, size: Any, filter: str, boundary: str, seed: int
 ) -> None:
-    """The function at points of any box, computed in float64 from one piece, lies within the bounds of the box."""
+    """Values at points of any box, computed in float64 in one piece, lie within the bounds of the box."""
     rng = np.random.default_rng(seed)
     volume = clvol.Volume((rng.random(size[::-1]) * 60000).astype(np.uint16), labels=False)
     path = tmp_path_factory.mktemp("bounds") / "v.zarr"
@@ -310,8 +310,8 @@ def test_bounds_hold_the_function(
             assert values.max() <= most
 
 
-def test_bounds_exclude_what_is_not_there(tmp_path: Path) -> None:
-    """They are as narrow as those of the device's own pyramid, about: blocks away from a ball hold nothing of it."""
+def test_bounds_are_tight(tmp_path: Path) -> None:
+    """About as tight as the device's own pyramid: blocks away from a ball exclude it."""
     z, y, x = np.ogrid[:80, :80, :80]
     ball = ((x - 40) ** 2 + (y - 40) ** 2 + (z - 40) ** 2 < 15**2) * np.uint8(200)
     lazy = clvol.pyramid(clvol.Volume(ball, labels=False), tmp_path / "v.zarr", filter="bspline3", method="least-squares")
@@ -334,8 +334,8 @@ def test_bounds_exclude_what_is_not_there(tmp_path: Path) -> None:
     assert size < 0.04 * 2 * ball.size
 
 
-def test_zeros_alone_have_bounds_of_zero(tmp_path: Path) -> None:
-    """And are stored, so that the store can be told from one that was not copied."""
+def test_a_volume_of_zeros_has_zero_bounds(tmp_path: Path) -> None:
+    """They are stored, so that an incomplete copy can be detected."""
     lazy = clvol.pyramid(clvol.Volume(np.zeros((70, 70, 70), np.float32), labels=False), tmp_path / "v.zarr", filter="bspline3")
     assert lazy.bounds is not None
     assert lazy.bounds.within((0, 0, 0), (69, 69, 69)) == lazy.limits == (0, 0)
@@ -344,10 +344,10 @@ def test_zeros_alone_have_bounds_of_zero(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("version", ["0.4", "0.5"])
 @pytest.mark.parametrize("filled", [False, True])
-def test_where_a_chunk_of_bounds_is_missing_nothing_is_known(
+def test_a_missing_chunk_of_bounds_means_unknown_bounds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: Any, filled: bool
 ) -> None:
-    """And what is there is drawn; also of older stores, whose missing chunks read as zeros."""
+    """Nothing is skipped there; in older stores too, whose missing chunks read as zeros."""
     if filled:
         array = make._Writing._array
         monkeypatch.setattr(make._Writing, "_array", lambda *given, **more: array(*given, **(more | {"fill": 0})))
@@ -373,7 +373,7 @@ def test_where_a_chunk_of_bounds_is_missing_nothing_is_known(
     np.testing.assert_array_equal(np.asarray(clvol.render(opened, memory=2 * MIB, **view)), picture)
 
 
-def test_values_far_from_zero_have_bounds_of_their_size(tmp_path: Path) -> None:
+def test_bounds_of_values_far_from_zero_are_tight(tmp_path: Path) -> None:
     data = 1e6 + np.random.default_rng(0).random((20, 20, 20))
     lazy = clvol.pyramid(clvol.Volume(data.astype(np.float64)), tmp_path / "v.zarr", filter="linear", levels=1)
     assert lazy.bounds is not None
@@ -382,7 +382,7 @@ def test_values_far_from_zero_have_bounds_of_their_size(tmp_path: Path) -> None:
     assert data.max() <= high < 1e6 + 1.01
 
 
-def test_bounds_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+def test_bounds_that_do_not_fit_are_rejected(tmp_path: Path) -> None:
     clvol.pyramid(scan(), tmp_path / "v.zarr", levels=1)
     group = zarr.open_group(tmp_path / "v.zarr", mode="r+")
     own = dict(group.attrs["clvol"])
@@ -401,8 +401,8 @@ def test_bounds_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     assert clvol.open(tmp_path / "v.zarr", trusted=True).bounds is None
 
 
-def test_coarse_blocks_answer_for_large_boxes() -> None:
-    """The same numbers as of all fine ones."""
+def test_coarse_blocks_bound_large_boxes() -> None:
+    """The same numbers as all fine blocks."""
     rng = np.random.default_rng(0)
     size = (8 * 64 + 1,) * 3
     low = rng.random(blocks_of(size))
@@ -437,8 +437,8 @@ SLOWLY = """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no SIGKILL")
-def test_a_killed_process_changes_nothing_but_time(tmp_path: Path) -> None:
-    """Killed at several places, the store is the one that was made without; what was done is not done again."""
+def test_a_killed_process_costs_only_time(tmp_path: Path) -> None:
+    """Killed at several points, the resumed store is identical; finished work is not repeated."""
     np.save(tmp_path / "v.npy", waves((60, 70, 80)))
     volume = clvol.Volume(np.load(tmp_path / "v.npy"), spacing=(0.5, 0.5, 0.5))
     about: dict[str, Any] = {"chunks": 8, "levels": 3, "filter": "bspline3"}
@@ -468,11 +468,11 @@ def test_a_killed_process_changes_nothing_but_time(tmp_path: Path) -> None:
 
 
 class Killed(BaseException):
-    """In place of a SIGKILL: from the n-th change of the disk on, none is made any more."""
+    """Simulates SIGKILL: from the n-th change of the disk on, none happens."""
 
 
 def killing(monkeypatch: pytest.MonkeyPatch, after: int) -> list[int]:
-    """What counts the changes that the journal makes, and ends the process, as it were, at one of them."""
+    """Count the journal's changes, and simulate a kill at one of them."""
     made = [0]
 
     def watched(function: Any) -> Any:
@@ -510,7 +510,7 @@ def tiny(seed: int) -> clvol.Volume:
 
 
 def sum_at(target: Path) -> int | None:
-    """Of all samples of the store that is there."""
+    """The sum of all samples of the present store."""
     return int(clvol.open(target, trusted=True).whole().data.sum()) if target.exists() else None
 
 
@@ -531,7 +531,7 @@ def sum_at(target: Path) -> int | None:
 def test_a_kill_between_any_two_changes_of_the_disk_loses_no_store(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: bool, then: str
 ) -> None:
-    """Whatever was there is, or the whole new store is, or the next call makes it be."""
+    """The old store remains, or the new one is complete, or the next call restores one."""
     before, new, other = (int(tiny(seed).data.sum()) for seed in (0, 1, 2))
     about = TINY | {"overwrite": old}
     ends = set()
@@ -561,7 +561,7 @@ def test_a_kill_between_any_two_changes_of_the_disk_loses_no_store(
             clvol.pyramid(source, target, **(TINY | {"overwrite": replacing}))
         except FormatError as error:
             said = str(error)
-        if said:  # what must not be replaced is there, or what another began
+        if said:  # the target exists, or another call's unfinished store
             kept = sum_at(target)
             assert not replacing
             assert ("there already" in said) == (kept is not None)
@@ -578,7 +578,7 @@ def test_a_kill_between_any_two_changes_of_the_disk_loses_no_store(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="renames otherwise")
 @pytest.mark.parametrize("number", [1, 2])
-def test_a_store_that_cannot_be_moved_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+def test_a_failed_rename_keeps_the_old_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     target = tmp_path / "v.zarr"
     clvol.pyramid(tiny(0), target, **TINY)
     with monkeypatch.context() as patch:
@@ -592,7 +592,7 @@ def test_a_store_that_cannot_be_moved_leaves_the_old_one(tmp_path: Path, monkeyp
     assert sum_at(target) == tiny(1).data.sum()
 
 
-def test_a_list_without_its_store_is_none(tmp_path: Path) -> None:
+def test_a_journal_without_its_store_is_ignored(tmp_path: Path) -> None:
     """The store was deleted, or moved away, and the journal was not."""
 
     def interrupted(done: float) -> None:
@@ -607,8 +607,8 @@ def test_a_list_without_its_store_is_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "sync"), reason="has no sync")
-def test_after_a_power_failure_only_what_the_disk_had_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Chunks that were written after the disk was last waited for are lost or torn, and so is an array's metadata."""
+def test_after_a_power_failure_only_synced_data_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chunks written after the last sync are lost or torn, and so is an array's metadata."""
     target, about = tmp_path / "v.zarr", {"chunks": 8, "levels": 2, "filter": "linear"}
     volume, folder = scan((40, 30, 34)), tmp_path / ".v.zarr.unfinished"
     told: list[float] = []
@@ -634,7 +634,7 @@ def test_after_a_power_failure_only_what_the_disk_had_counts(tmp_path: Path, mon
     told.clear()
     with pytest.raises(KeyboardInterrupt):  # and it happens again
         clvol.pyramid(volume, target, progress=interrupted, **about)
-    assert 0.05 < told[0] < 0.25  # what was there before counts
+    assert 0.05 < told[0] < 0.25  # the previous store counts
     clvol.pyramid(volume, target, **about)
     monkeypatch.undo()
     clvol.pyramid(volume, tmp_path / "whole.zarr", **about)
@@ -664,8 +664,8 @@ AT_ITS_END = """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no SIGKILL")
-def test_a_process_that_is_killed_at_its_end_loses_nothing(tmp_path: Path) -> None:
-    """Among its bounds, and while it removes what it has replaced."""
+def test_a_process_killed_at_its_end_loses_nothing(tmp_path: Path) -> None:
+    """During its bounds, and while it removes the replaced store."""
     np.save(tmp_path / "v.npy", waves((60, 70, 80)))
     volume, target = clvol.Volume(np.load(tmp_path / "v.npy")), tmp_path / "v.zarr"
     about: dict[str, Any] = {"chunks": 16, "levels": 2, "filter": "linear"}
@@ -683,8 +683,8 @@ def test_a_process_that_is_killed_at_its_end_loses_nothing(tmp_path: Path) -> No
         assert not (tmp_path / ".v.zarr.unfinished").exists()
 
 
-def test_groups_that_were_not_made_yet_are_made_when_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Zarr makes an array and the groups that it lies in at once: it may be ended when it has made the array alone."""
+def test_missing_groups_are_created_on_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zarr creates an array and its groups in steps: a kill may leave the array alone."""
     volume = scan((20, 30, 40))  # so small that no coarser bounds make the groups
     about: dict[str, Any] = {"chunks": 16, "levels": 2, "filter": "linear"}
     whole = clvol.pyramid(volume, tmp_path / "whole.zarr", **about)
@@ -696,7 +696,7 @@ def test_groups_that_were_not_made_yet_are_made_when_it_goes_on(tmp_path: Path, 
 
     with monkeypatch.context() as patched:
         patched.setattr(zarr.storage.LocalStore, "set_if_not_exists", ended)
-        with contextlib.suppress(FormatError):  # zarr may make them otherwise
+        with contextlib.suppress(FormatError):  # zarr may create them differently
             clvol.pyramid(volume, tmp_path / "v.zarr", **about)
     again = clvol.pyramid(volume, tmp_path / "v.zarr", **about)
     same_stores(tmp_path / "v.zarr", tmp_path / "whole.zarr")
@@ -705,7 +705,7 @@ def test_groups_that_were_not_made_yet_are_made_when_it_goes_on(tmp_path: Path, 
     assert again.bounds.within((0, 0, 0), (8, 8, 8)) == whole.bounds.within((0, 0, 0), (8, 8, 8))
 
 
-def test_an_interrupt_leaves_no_store_but_what_to_go_on_with(tmp_path: Path) -> None:
+def test_an_interrupt_leaves_only_data_to_resume_from(tmp_path: Path) -> None:
     def interrupted(done: float) -> None:
         if done > 0.4:
             raise KeyboardInterrupt
@@ -723,7 +723,7 @@ def test_an_interrupt_leaves_no_store_but_what_to_go_on_with(tmp_path: Path) -> 
         clvol.pyramid(volume, target, chunks=16)
     told: list[float] = []
     clvol.pyramid(other, target, chunks=16, overwrite=True, progress=told.append)
-    assert told[0] > 0.2  # and goes on with its own
+    assert told[0] > 0.2  # and resumes its own
     clvol.pyramid(volume, target, chunks=16, overwrite=True)
     assert [one.name for one in tmp_path.iterdir()] == ["v.zarr"]
     np.testing.assert_array_equal(clvol.open(target).whole().data, volume.data)
@@ -750,8 +750,8 @@ def put(path: Path, data: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("name", SOURCES)
-def test_a_source_that_has_changed_is_another(tmp_path: Path, name: str) -> None:
-    """Also where only its first sample has, of more than are compared."""
+def test_a_changed_source_is_a_different_source(tmp_path: Path, name: str) -> None:
+    """Even if only its first sample changed, among more samples than are compared."""
     pytest.importorskip("h5py")
     data = np.random.default_rng(0).integers(0, 200, (20, 20, 150), np.uint8)
     put(tmp_path / "v.npy", data)
@@ -761,7 +761,7 @@ def test_a_source_that_has_changed_is_another(tmp_path: Path, name: str) -> None
         raise KeyboardInterrupt
 
     target = tmp_path / "made.zarr"
-    for _ in range(2):  # the second goes on
+    for _ in range(2):  # the second resumes
         with pytest.raises(KeyboardInterrupt):
             clvol.pyramid(SOURCES[name](tmp_path / "v.npy"), target, progress=interrupted, **about)
     data[0, 0, 0] += 1
@@ -771,7 +771,7 @@ def test_a_source_that_has_changed_is_another(tmp_path: Path, name: str) -> None
         clvol.pyramid(SOURCES[name](tmp_path / "v.npy"), target, **about)
 
 
-def test_what_is_there_is_kept_unless_asked_for(tmp_path: Path) -> None:
+def test_an_existing_store_is_kept_unless_overwrite_is_set(tmp_path: Path) -> None:
     target = tmp_path / "v.zarr"
     clvol.pyramid(scan(), target, levels=1)
     with pytest.raises(FormatError, match="there already; overwrite=True"):
@@ -791,7 +791,7 @@ def test_two_processes_do_not_write_one_store(tmp_path: Path) -> None:
     clvol.pyramid(scan(), tmp_path / "v.zarr", levels=1, progress=again)
 
 
-def test_samples_that_cannot_be_used_leave_nothing(tmp_path: Path) -> None:
+def test_invalid_samples_leave_nothing(tmp_path: Path) -> None:
     data = np.ones((20, 20, 20), np.float32)
     data[3, 4, 5] = np.nan
     with pytest.raises(DataError, match=r"NaN.*\[3, 4, 5\]"):
@@ -824,7 +824,7 @@ def test_samples_that_cannot_be_used_leave_nothing(tmp_path: Path) -> None:
         ({"boundary": "constant"}, "continues the samples"),
     ],
 )
-def test_bad_options_are_refused_before_anything_is_written(tmp_path: Path, options: dict[str, Any], match: str) -> None:
+def test_bad_options_are_rejected_before_anything_is_written(tmp_path: Path, options: dict[str, Any], match: str) -> None:
     with pytest.raises(OptionError, match=match):
         clvol.pyramid(scan((70, 200, 200)), tmp_path / "v.zarr", **options)
     assert not list(tmp_path.iterdir())
@@ -841,7 +841,7 @@ def test_bad_sources_and_targets(tmp_path: Path) -> None:
         clvol.pyramid(tmp_path / "gone.tif", tmp_path / "v.zarr")
 
 
-def test_a_source_and_its_pyramid_lie_apart(tmp_path: Path) -> None:
+def test_a_source_and_its_pyramid_must_be_separate(tmp_path: Path) -> None:
     store = tmp_path / "a.zarr"
     made = clvol.pyramid(scan((20, 30, 40)), store, levels=2, filter="linear")
     before = sorted(store.rglob("*"))
@@ -862,8 +862,8 @@ def test_a_source_and_its_pyramid_lie_apart(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.whole().data, scan((20, 30, 40)).data)
 
 
-def test_a_file_is_its_source(tmp_path: Path) -> None:
-    """Opened, or, where its format has no parts, read."""
+def test_a_file_may_be_the_source(tmp_path: Path) -> None:
+    """Opened, or read where the format has no partial reads."""
     volume = scan((20, 30, 40))
     clvol.write(volume, tmp_path / "v.npz")
     lazy = clvol.pyramid(tmp_path / "v.npz", tmp_path / "a.zarr", levels=2)
@@ -901,7 +901,7 @@ GROWS = """
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="read from /proc")
 @pytest.mark.parametrize("deep", [512, pytest.param(1536, marks=pytest.mark.thorough)])
 def test_memory_stays_within_the_budget(tmp_path: Path, deep: int) -> None:
-    """Of a volume that is larger, and eight times what remains of the budget beside Zarr's and the device's own, or 24 times."""
+    """For a larger volume: eight times the budget that remains beside Zarr and the device, or 24 times."""
     command = [sys.executable, "-c", textwrap.dedent(GROWS), tmp_path, str(deep)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     grown, budget = map(int, done.stdout.split())

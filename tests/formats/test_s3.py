@@ -1,4 +1,4 @@
-"""Stores in an object store, as S3 has them: those of a server of this test's own, at an address that no other machine hears of."""
+"""Stores in an S3-like object store: a local server of this test, at an address that no other machine reaches."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ moto_server = pytest.importorskip("moto.server")
 
 PASSWORD = "a-secret-of-the-test"
 DATA = np.random.default_rng(2).integers(0, 60000, (40, 36, 44)).astype(np.uint16)
-PATIENT = {"connect_timeout": 30, "read_timeout": 30, "retries": {"max_attempts": 0}}  # a busy machine's server is slow
+PATIENT = {"connect_timeout": 30, "read_timeout": 30, "retries": {"max_attempts": 0}}  # the server is slow on a busy machine
 IMPATIENT = PATIENT | {"connect_timeout": 1, "read_timeout": 1}
 
 
 @pytest.fixture(autouse=True)
 def _own_settings(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of none of the machine's: no profile is read, and nobody but the server is asked."""
+    """None of the machine's settings: no profile is read, and only this server is contacted."""
     for name in (
         "AWS_PROFILE",
         "AWS_ACCESS_KEY_ID",
@@ -77,7 +77,7 @@ def server(near: Path) -> Iterator[int]:
 
 
 def test_a_store_in_a_bucket(server: int, near: Path) -> None:
-    """Parts, sizes and bounds are those of the folder, and so is a picture by bricks, bit by bit."""
+    """Samples, levels and bounds are those of the folder, and so is a picture by bricks, bit for bit."""
     here, far = clvol.open(near), clvol.open("s3://bucket/cells.zarr", storage_options=options(server))
     assert (far.shape, far.spacing, far.units, len(far.levels)) == (here.shape, here.spacing, "um", len(here.levels))
     np.testing.assert_array_equal(far.read((5, 11, 3), (33, 30, 18)), DATA[3:18, 11:30, 5:33])
@@ -95,7 +95,7 @@ def test_a_store_in_a_bucket(server: int, near: Path) -> None:
 
 
 def test_an_array_of_zarr_by_obstore(server: int, near: Path) -> None:
-    """The same picture, bit by bit; a server that has gone is an error."""
+    """The same picture, bit for bit; a server that is gone is an error."""
     s3 = pytest.importorskip("obstore.store").S3Store
     from zarr.storage import ObjectStore
 
@@ -126,7 +126,7 @@ def test_an_array_of_zarr_by_obstore(server: int, near: Path) -> None:
     fails(lambda: far.read((0, 0, 0), (20, 20, 20)), "samples")
 
 
-def test_another_process_opens_it_again(server: int) -> None:
+def test_another_process_reopens_it(server: int) -> None:
     far = clvol.open("s3://bucket/cells.zarr", storage_options=options(server))
     code = "import pickle, sys; print(int(pickle.load(sys.stdin.buffer).read((0, 0, 0), (44, 36, 40)).sum()))"
     done = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(far), capture_output=True, timeout=60, check=True)
@@ -134,7 +134,7 @@ def test_another_process_opens_it_again(server: int) -> None:
 
 
 def fails(call: Callable[[], Any], match: str, seconds: float = 30.0) -> None:
-    """It does so soon, by a typed error that names what, and tells no secrets."""
+    """Require a prompt, typed error that names the cause and reveals no secrets."""
     begun = time.monotonic()
     with pytest.raises(FormatError, match=match) as caught:
         call()
@@ -142,7 +142,7 @@ def fails(call: Callable[[], Any], match: str, seconds: float = 30.0) -> None:
     assert PASSWORD not in str(caught.value)
 
 
-def test_what_is_missing_is_named(server: int) -> None:
+def test_missing_buckets_and_chunks_are_named(server: int) -> None:
     about = options(server)
     fails(lambda: clvol.open("s3://nowhere/cells.zarr", storage_options=about), r"no Zarr.* at s3://nowhere/cells\.zarr.*bucket")
     fails(lambda: clvol.open("s3://bucket/gone.zarr", storage_options=about), r"no Zarr.* at s3://bucket/gone\.zarr")
@@ -157,9 +157,9 @@ def test_what_is_missing_is_named(server: int) -> None:
         clvol.pyramid(lazy, "s3://bucket/new.zarr")
 
 
-def test_who_may_not_read_is_told_so_and_nobody_else_the_password(server: int) -> None:
+def test_a_denied_read_is_reported_without_the_password(server: int) -> None:
     def checked(count: bytes) -> None:
-        """After so many requests the server asks who they are from."""
+        """Wrap the server: after n requests it checks credentials."""
         address = f"http://127.0.0.1:{server}/moto-api/reset-auth"
         urllib.request.urlopen(urllib.request.Request(address, count, {"Content-Type": "text/plain"})).close()
 
@@ -174,7 +174,7 @@ def test_who_may_not_read_is_told_so_and_nobody_else_the_password(server: int) -
         checked(b"inf")
 
 
-def test_secrets_are_left_out_of_what_others_say() -> None:
+def test_secrets_are_removed_from_library_messages() -> None:
     from clvol.formats.zarr.addresses import said, shown
 
     address = "https://me:my-password@server.org/a/v.zarr?X-Signature=0123456789"
@@ -192,7 +192,7 @@ def test_a_server_that_stops_or_hangs_is_named_in_bounded_time(server: int) -> N
     own.stop()
     fails(lambda: far.read((0, 0, 0), (4, 4, 4)), r"samples \[0:4, 0:4, 0:4\].*chunk 0/c/0/0/0 of cells\.zarr.*connect")
     fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"\S+ of cells\.zarr.*connect")
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # it takes what comes, and never answers
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # it accepts requests, and never answers
         about = options(silent.getsockname()[1], config_kwargs=IMPATIENT)
         fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"\S+ of cells\.zarr.*[Tt]imeout")
 

@@ -58,7 +58,7 @@ def test_slices_in_colour(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("other", ["shape", "dtype", "kind", "damaged"])
-def test_slices_that_do_not_fit(tmp_path: Path, other: str) -> None:
+def test_slices_of_different_shapes(tmp_path: Path, other: str) -> None:
     fill(tmp_path)
     path = tmp_path / "slice_4.png"
     if other == "kind":
@@ -92,15 +92,15 @@ def test_one_image(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"this is not a picture", b"\x89PNG\r\n\x1a\n" + bytes(50)])
-def test_what_is_no_image(tmp_path: Path, content: bytes) -> None:
+def test_files_that_are_not_images(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "v.png").write_bytes(content)
     with pytest.raises(FormatError, match=r"cannot read .*v\.png"):
         clvol.read(tmp_path / "v.png")
 
 
 @pytest.mark.parametrize("at", [18, 22], ids=["width", "height"])
-def test_bmp_samples_beyond_the_end_are_refused_before_memory_is_taken(tmp_path: Path, at: int) -> None:
-    """Pillow allocates them first: hundreds of megabytes, of which some stayed."""
+def test_bmp_samples_beyond_the_end_are_rejected_before_allocation(tmp_path: Path, at: int) -> None:
+    """Pillow allocates them first: hundreds of megabytes, some of which stayed allocated."""
     file = tmp_path / "v.bmp"
     iio.imwrite(file, DATA[0].astype(np.uint8))
     content = bytearray(file.read_bytes())
@@ -110,8 +110,8 @@ def test_bmp_samples_beyond_the_end_are_refused_before_memory_is_taken(tmp_path:
         clvol.read(file)
 
 
-def test_segments_of_jpeg_follow_each_other(tmp_path: Path) -> None:
-    """What is filled up before a segment, restarts among samples, several scans and what stands behind the image are sound."""
+def test_jpeg_segments_must_be_contiguous(tmp_path: Path) -> None:
+    """Padding before a segment, restarts, several scans and data behind the image are valid."""
     picture = np.add.outer(np.arange(64), np.arange(64)).astype(np.uint8)
     sound = {"progressive": {"progressive": True}, "restarts": {"restart_marker_blocks": 2}, "colours": {"subsampling": 2}}
     for name, options in sound.items():
@@ -129,7 +129,7 @@ def test_segments_of_jpeg_follow_each_other(tmp_path: Path) -> None:
             clvol.read(tmp_path / "damaged.jpg")
 
 
-def test_a_folder_of_other_things_says_what_it_holds(tmp_path: Path) -> None:
+def test_a_folder_without_images_lists_its_contents(tmp_path: Path) -> None:
     for name in ("a.txt", "b.txt", "c.csv"):
         (tmp_path / name).write_text("1")
     for name in ("red", "green"):

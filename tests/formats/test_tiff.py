@@ -1,4 +1,4 @@
-"""TIFF files that tifffile writes, as microscopes' programs do: channels, times, several images, several sizes."""
+"""TIFF files written by tifffile, as microscope programs do: channels, times, several images, several levels."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_channels_and_times_of_ome(ome: Path) -> None:
     assert [(v.name, v.color) for v in clvol.read_all(ome, channel="GFP")] == [("GFP", (0.0, 1.0, 0.0))] * 2
 
 
-def test_the_first_is_read_with_a_warning_that_lists_all(ome: Path) -> None:
+def test_the_first_volume_is_read_with_a_warning_that_lists_all(ome: Path) -> None:
     with pytest.warns(ClvolWarning, match=r"2 times × 3 channels \(DAPI, GFP, Cy5\).*time 0, channel 0 \(DAPI\)") as told:
         volume = clvol.read(ome)
     assert told[0].filename == __file__
@@ -52,7 +52,7 @@ def test_the_first_is_read_with_a_warning_that_lists_all(ome: Path) -> None:
         clvol.read(ome, channel=3, time=0)
 
 
-def test_only_pages_that_are_chosen_are_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_chosen_pages_are_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "v.ome.tif"
     tifffile.imwrite(path, DATA, ome=True, photometric="minisblack", metadata={"axes": "TCZYX"}, compression="zlib")
     asked: list[int] = []
@@ -98,7 +98,7 @@ def test_channels_of_imagej(tmp_path: Path) -> None:
 
 
 def test_signed_samples_of_imagej(tmp_path: Path) -> None:
-    """ImageJ stores them without sign, and a line that maps them back."""
+    """ImageJ stores them unsigned, with a calibration that maps them back."""
     data = np.array([[-1000, 0], [3000, 32767]], np.int16)
     text = "ImageJ=1.54f\nmin=31768.0\nmax=35768.0\ncf=0\nc0=-32768.0\nc1=1.0\nvunit=Gray Value\n"
     stored = (data.astype(np.int32) + 32768).astype(np.uint16)
@@ -109,7 +109,7 @@ def test_signed_samples_of_imagej(tmp_path: Path) -> None:
 
 
 def test_a_virtual_stack_of_imagej(tmp_path: Path) -> None:
-    """One page stands for all; samples follow each other. So ImageJ writes stacks beyond 4 GB."""
+    """One page describes all; samples are contiguous. ImageJ writes stacks beyond 4 GB this way."""
     text = "ImageJ=1.54f\nimages=24\nchannels=3\nslices=4\nframes=2\nhyperstack=true\n"
     path = tmp_path / "v.tif"
     stored = DATA.swapaxes(1, 2).astype(">u2").copy()
@@ -137,7 +137,7 @@ def test_colours(tmp_path: Path, planar: str) -> None:
     assert grey.name == "luminance"
 
 
-def test_pages_that_nobody_explains_are_slices(tmp_path: Path) -> None:
+def test_pages_without_metadata_are_slices(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "v.tif", DATA[0, 0], photometric="minisblack", metadata=None)
     with pytest.warns(ClvolWarning, match=r"v\.tif: it does not say what its 4 pages are.*slices, 1 apart: spacing="):
         np.testing.assert_array_equal(clvol.read(tmp_path / "v.tif").data, DATA[0, 0])
@@ -146,8 +146,8 @@ def test_pages_that_nobody_explains_are_slices(tmp_path: Path) -> None:
         np.testing.assert_array_equal(clvol.read(tmp_path / "w.tif").data, DATA[0, 0])
 
 
-def test_who_chooses_a_channel_explains_the_pages(tmp_path: Path) -> None:
-    """Also where there are slices of each, and in arrays without names."""
+def test_choosing_a_channel_names_the_pages(tmp_path: Path) -> None:
+    """Also where each channel has slices, and in arrays without axis names."""
     tifffile.imwrite(tmp_path / "v.tif", DATA[0, :, 0], photometric="minisblack", metadata=None)
     with warnings.catch_warnings(action="error"):
         np.testing.assert_array_equal(clvol.read(tmp_path / "v.tif", channel=2).data, DATA[0, 2, 0])
@@ -175,8 +175,8 @@ def test_several_images(tmp_path: Path) -> None:
         clvol.read(path, series="up")
 
 
-def test_several_sizes(tmp_path: Path) -> None:
-    """What one sample of a level stands for lies around it."""
+def test_several_levels(tmp_path: Path) -> None:
+    """A sample of a level covers the region around it."""
     path = tmp_path / "v.ome.tif"
     full = np.arange(2 * 32 * 48, dtype=np.uint16).reshape(2, 32, 48)
     half = full.reshape(2, 16, 2, 24, 2).mean((2, 4)).astype(np.uint16)
@@ -224,7 +224,7 @@ def test_writing_colours_and_one_volume(tmp_path: Path) -> None:
         clvol.write(Volumes(DATA[0], leading=positions), tmp_path / "p.tif")
 
 
-def test_complex_samples_are_refused(tmp_path: Path) -> None:
+def test_complex_samples_are_rejected(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "v.tif", np.zeros((3, 4), np.complex64))
     with pytest.raises(DataError, match="real numbers; got dtype complex64"):
         clvol.read(tmp_path / "v.tif")

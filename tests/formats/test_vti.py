@@ -1,4 +1,4 @@
-"""Image data that VTK writes."""
+"""Image data written by VTK."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DIRECTION = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 def written(
     path: Path, *, mode: str = "Appended", compressor: str = "ZLib", active: str = "", encoded: bool = True, **arrays: np.ndarray
 ) -> Any:
-    """An image of 4 × 3 × 2 points whose extent begins at 5, 0, 0; arrays of six values are of cells."""
+    """An image of 4 × 3 × 2 points whose extent begins at 5, 0, 0; arrays of six values belong to cells."""
     image = vtkImageData()
     image.SetExtent(5, 8, 0, 2, 0, 1)
     image.SetSpacing(0.5, 2, 3)
@@ -63,7 +63,7 @@ def test_points(tmp_path: Path, mode: str, compressor: str, encoded: bool) -> No
 
 
 def test_blocks_and_big_endian(tmp_path: Path) -> None:
-    """As VTK cuts large arrays, and as other machines have them."""
+    """As VTK splits large arrays, and as other machines store them."""
     image = vtkImageData()
     image.SetDimensions(40, 30, 20)
     data = np.random.default_rng(3).integers(-9, 9, (20, 30, 40)).astype(np.int16)
@@ -131,7 +131,7 @@ def test_damaged_files_raise(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert capfd.readouterr() == ("", "")  # VTK is used to speak to the terminal
 
 
-def test_packed_samples_that_are_damaged_raise(tmp_path: Path) -> None:
+def test_damaged_compressed_samples_raise(tmp_path: Path) -> None:
     written(tmp_path / "v.vti", a=DATA)
     content = (tmp_path / "v.vti").read_bytes()
     end = content.rindex(b"\n  </AppendedData>")

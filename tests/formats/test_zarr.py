@@ -1,4 +1,4 @@
-"""Zarr: images that ome-zarr writes, and arrays that zarr itself, or xarray, does."""
+"""Zarr: images written by ome-zarr, and arrays written by zarr or xarray."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DATA = np.arange(np.prod(SHAPE), dtype=np.uint16).reshape(SHAPE)
 
 @pytest.fixture(scope="module", params=["0.4", "0.5"])
 def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An image of two sizes with labels, as ome-zarr writes it."""
+    """An image of two levels with labels, written by ome-zarr."""
     with warnings.catch_warnings(action="ignore"):
         pytest.importorskip("ome_zarr")
         from ome_zarr.format import FormatV04, FormatV05
@@ -57,8 +57,8 @@ def test_channels_and_times_of_ome(cells: Path) -> None:
         clvol.read(cells)
 
 
-def test_channels_without_an_end_have_no_clim(tmp_path: Path) -> None:
-    """They had been taken, and every use of the volumes refused."""
+def test_channels_without_a_window_end_have_no_clim(tmp_path: Path) -> None:
+    """They were accepted, and every use of the volumes failed."""
     group = zarr.create_group(tmp_path / "v.zarr")
     group.create_array("0", data=DATA[0, :2])
     place = [{"type": "scale", "scale": [1, 1, 1, 1]}]
@@ -73,15 +73,15 @@ def test_channels_without_an_end_have_no_clim(tmp_path: Path) -> None:
     assert [volume.clim for volume in clvol.read_all(tmp_path / "v.zarr")] == [None, (0, 9)]
 
 
-def test_far_more_chunks_than_are_stored_are_refused(tmp_path: Path) -> None:
-    """Zarr asks for each, which had taken as long as there was time."""
+def test_arrays_with_far_more_chunks_than_files_are_rejected(tmp_path: Path) -> None:
+    """Zarr requests each chunk, which took unlimited time."""
     array = zarr.create_array(tmp_path / "v.zarr", shape=(3, 4, 5 * 10**6), chunks=(3, 4, 5), dtype="uint8")
     array[..., :5] = 1
     with pytest.raises(FormatError, match="times as many chunks as are stored"):
         clvol.read(tmp_path / "v.zarr")
 
 
-def test_sizes_lie_in_one_place(cells: Path) -> None:
+def test_levels_share_their_placement(cells: Path) -> None:
     small = clvol.read(cells, time=1, channel=1, level=1)
     assert small.shape == (4, 4, 4)
     assert small.spacing == (0.5, 1.0, 2.0)
@@ -101,8 +101,8 @@ def test_labels_of_ome(cells: Path) -> None:
         clvol.read(cells, series="membranes")
 
 
-def test_only_chunks_that_are_chosen_are_read(tmp_path: Path) -> None:
-    """The others are missing, or damaged; a chunk that is not stored has the fill value."""
+def test_only_chosen_chunks_are_read(tmp_path: Path) -> None:
+    """The others are missing or damaged; a chunk that is not stored has the fill value."""
     array = zarr.create_array(tmp_path / "v.zarr", shape=SHAPE, chunks=(1, 1, 4, 8, 8), dtype="u2", fill_value=7, zarr_format=3)
     array[:] = DATA
     array.attrs["unrelated"] = 1
@@ -153,7 +153,7 @@ def test_arrays_of_xarray(tmp_path: Path) -> None:
     assert clvol.read(tmp_path / "w.zarr", time=0, spacing=(1, 1, 2)).spacing == (1, 1, 2)
 
 
-def test_a_packed_store(tmp_path: Path) -> None:
+def test_a_zipped_store(tmp_path: Path) -> None:
     store = zarr.storage.ZipStore(tmp_path / "v.zarr.zip", mode="w")
     zarr.create_array(store, data=DATA[0, 0])
     store.close()
@@ -195,7 +195,7 @@ def damaged(changes: dict[str, Any]) -> dict[str, Any]:
     return copy
 
 
-def test_transforms_of_all_sizes_follow_those_of_one(tmp_path: Path) -> None:
+def test_shared_transforms_follow_those_of_the_level(tmp_path: Path) -> None:
     root = zarr.create_group(tmp_path / "v.zarr", zarr_format=2, attributes=METADATA)
     root.create_array("0", data=DATA[0, 0])
     volume = clvol.read(tmp_path / "v.zarr")

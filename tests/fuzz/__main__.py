@@ -1,4 +1,4 @@
-"""Mutants of files through every reader: ``python -m tests.fuzz nii tiff --count 100000``."""
+"""Fuzzes every reader with mutated files: ``python -m tests.fuzz nii tiff --count 100000``."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from tests.fuzz.corpus import CORPORA
 from tests.fuzz.harness import Tally, fuzz
 
 _ALL = [*CORPORA, "calls"]
-_CHUNK = 4000  # inputs of one format before the next has its turn, where time is the limit
+_CHUNK = 4000  # inputs per turn of a format, when time is the limit
 
 
 def main() -> int:
-    """Run, print a table, and say by the exit status whether a promise was broken."""
+    """Run, print a table, and return whether a promise was broken as the exit status."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("formats", nargs="*", metavar="FORMAT", help=f"of {', '.join(_ALL)}; default: all")
     parser.add_argument("--count", type=int, default=1000, help="mutants a format")
@@ -75,7 +75,7 @@ def _print(tally: Tally, first: int, keep: Path) -> None:
 
 
 def _store(path: Path, tally: Tally) -> None:
-    """Replace the row of a format, and keep the others."""
+    """Replace a format's row, and keep the others."""
     rows = {row["format"]: row for row in json.loads(path.read_text())} if path.is_file() else {}
     row = {name: round(value, 3) if isinstance(value, float) else value for name, value in asdict(tally).items()}
     rows[tally.format] = {name: value for name, value in row.items() if name != "doubtful"}

@@ -1,6 +1,6 @@
-"""Calls of public functions with arguments of wrong types and values: each must end in an error of clvol's, or be right.
+"""Calls of public functions with arguments of wrong types and values: each must raise a clvol error, or be correct.
 
-No kernel is built: what gets that far was accepted.
+No kernel is built: a call that gets that far was accepted.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ __all__ = ["fuzz_calls"]
 
 
 class _BuiltError(BaseException):
-    """A kernel would be built now; no library in between takes it for an error of its own."""
+    """A kernel is about to be built; no library in between mistakes it for its own error."""
 
 
 class _LateError(BaseException):
-    """The clock rang."""
+    """The timeout."""
 
 
 _NASTY: tuple[Any, ...] = (
@@ -151,7 +151,7 @@ _NASTY: tuple[Any, ...] = (
 
 
 def _bases(folder: Path) -> Mapping[str, tuple[Callable[..., Any], dict[str, Any]]]:
-    """Functions, and arguments that are right."""
+    """Functions, with valid arguments."""
     data = np.arange(60, dtype=np.float32).reshape(3, 4, 5)
     volume, image, points = clvol.Volume(data), clvol.Volume(data[0]), np.ones((4, 3))
     path = folder / "v.npy"
@@ -267,7 +267,7 @@ def _bases(folder: Path) -> Mapping[str, tuple[Callable[..., Any], dict[str, Any
 
 
 def fuzz_calls(seeds: Sequence[int]) -> Tally:
-    """Call with one or two arguments that are wrong, as each seed says; what was accepted is counted as such."""
+    """Call with one or two wrong arguments per seed; accepted calls are counted."""
     tally = Tally("calls")
     with tempfile.TemporaryDirectory() as name, _limited(), contextlib.chdir(name):
         bases = _bases(Path(name))
@@ -310,7 +310,7 @@ def _one(bases: Mapping[str, tuple[Callable[..., Any], dict[str, Any]]], seed: i
 
 @contextlib.contextmanager
 def _limited() -> Iterator[None]:
-    """No kernels, no more memory than five times what a call may take, and a clock."""
+    """No kernels, at most five times the memory that a call may take, and a timeout."""
     build, limits = program.build, resource.getrlimit(resource.RLIMIT_AS)
     size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() if Path("/proc/self/statm").exists() else 0
 

@@ -1,4 +1,4 @@
-"""A small corpus of sound files for each format, made by other libraries when it is asked for."""
+"""A small corpus of valid files for each format, created by other libraries on demand."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def data(dtype: str, shape: tuple[int, ...] = (3, 4, 5)) -> NDArray[Any]:
 
 
 def _written(save: Callable[[Path], object], *names: str) -> dict[str, bytes]:
-    """What `save` writes, by the names in its folder; the first of `names` is given to it."""
+    """The files that `save` writes, by name; it gets the first of `names`."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(action="ignore"):
         root = Path(folder)
         save(root / names[0])
@@ -218,7 +218,7 @@ def _dicom() -> Iterator[Sample]:
 
 
 def _enhanced(frames: NDArray[Any]) -> bytes:
-    """A CT of many frames, as section C.7.6.16 of the standard has them."""
+    """A multi-frame CT, as section C.7.6.16 of the standard defines it."""
     kind = "1.2.840.10008.5.1.4.1.1.2.1"
     shared = sequence(0x00209116, element(0x00200037, "DS", "1\\0\\0\\0\\1\\0"))
     shared += sequence(0x00289110, element(0x00180050, "DS", "2.5") + element(0x00280030, "DS", "0.75\\0.5"))
@@ -294,7 +294,7 @@ def _hdf5() -> Iterator[Sample]:
 
 
 def _netcdf() -> Iterator[Sample]:
-    """Dimension scales, a fill value and a scale, as netCDF-4 stores them."""
+    """Dimension scales, a fill value and a scale factor, as in netCDF-4."""
     import h5py
 
     stream = io.BytesIO()
@@ -412,7 +412,7 @@ def _zarr_zip() -> Iterator[Sample]:
 
 
 def zipped(files: Mapping[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
-    """An archive, the same whenever it is made."""
+    """A reproducible archive."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", method) as archive:
         for name, content in files.items():

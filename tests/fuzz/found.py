@@ -1,4 +1,4 @@
-"""Files that the fuzzer found, each of which did harm before it was refused; packed by zlib, in base 85."""
+"""Harmful files that the fuzzer found, all rejected now; compressed by zlib, in base 85."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs mutants through a reader in a process of its own, with limits, and says which broke a promise."""
+"""Runs mutants through a reader in a separate process with limits, and reports broken promises."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from tests.fuzz.truth import TRUTHS, Damaged, Held
 
 __all__ = ["Tally", "fuzz"]
 
-SECONDS = 5.0  # of processor time that an input may take
+SECONDS = 5.0  # maximum seconds of processor time per input
 MEGABYTES = 200.0  # that it may take beyond what the process has
 _STALLED = 60.0  # seconds on the clock, on a machine with other work
 _ROOM = 3 << 29  # bytes of address space beyond what the process has
 _BATCH = 4000  # inputs of one process
-_WARM = 500  # of these, before its memory is taken for steady
+_WARM = 500  # of these, before its memory counts as steady
 _LEAK = 25.0  # MB that a batch may grow by after that
-_SAVED = 3  # inputs kept of each kind of finding
+_SAVED = 3  # saved inputs per kind of finding
 
 
 @dataclass
@@ -51,7 +51,7 @@ class Tally:
     ----------
     format : str
         Its name in the corpus.
-    tried, refused, accepted : int
+    tried, rejected, accepted : int
         Mutants; `accepted` were read.
     compared : int
         Of those that were read, how many could be compared with what somebody else reads.
@@ -95,14 +95,14 @@ class Tally:
         return self.crashes + self.hangs + self.memory + self.foreign + self.silent + self.leaks
 
     def find(self, kind: str, what: str, seed: int) -> bool:
-        """Count a finding; whether its input is to be kept."""
+        """Count a finding; returns whether to keep its input."""
         setattr(self, kind, getattr(self, kind) + 1)
         found = self.findings.setdefault(f"{kind}: {what}", [0, seed])
         found[0] += 1
         return found[0] <= _SAVED
 
     def add(self, other: Tally) -> None:
-        """Count what another process found."""
+        """Add the counts of another process."""
         for name, value in asdict(other).items():
             if isinstance(value, float):
                 setattr(self, name, max(getattr(self, name), value))
@@ -114,7 +114,7 @@ class Tally:
 
 
 def fuzz(kind: str, seeds: Sequence[int], keep: Path, *, trusted: bool = False) -> Tally:
-    """What becomes of the mutants of these seeds; inputs that break a promise are kept in a folder."""
+    """Run the mutants of these seeds; inputs that break a promise are saved in a folder."""
     samples = list(CORPORA[kind]())
     total = Tally(kind)
     seeds = list(seeds)
@@ -147,7 +147,7 @@ def _warm(kind: str, sample: Sample, trusted: bool) -> None:
 def _run(
     kind: str, samples: list[Sample], seeds: list[int], keep: Path, trusted: bool
 ) -> tuple[Tally, tuple[str, str, int] | None]:
-    """Fork, and watch: what the child counted, and what it died of."""
+    """Fork and watch: the child's counts, and its cause of death."""
     shared = mmap.mmap(-1, 16)  # how many were begun, and the processor time at the last
     with tempfile.TemporaryDirectory(dir=_memory_disk()) as folder:
         out = Path(folder) / "tally.json"
@@ -268,7 +268,7 @@ def _read(folder: Path, sample: Sample, trusted: bool) -> Any:
 
 
 class _Family:
-    """This process and the one that reads for it, if there is one: what both take."""
+    """This process and its reading process, if any: their total use."""
 
     def __init__(self) -> None:
         self._children = self._found()
@@ -277,7 +277,7 @@ class _Family:
         self._spent = 0.0
 
     def begin(self) -> None:
-        """From here on time and memory count."""
+        """Start counting time and memory."""
         if self._any and not all(Path(f"/proc/{child}").exists() for child in self._children):
             self._children = self._found()
         self._before = {}
@@ -288,7 +288,7 @@ class _Family:
         self._spent = self._processor_time()
 
     def end(self) -> tuple[float, float]:
-        """Seconds of processor time, and the most megabytes that one of them took beyond what it had."""
+        """Processor time in seconds, and the peak memory of one process beyond its start, in MB."""
         peaks = [0.0]
         for process, before in self._before.items():
             with contextlib.suppress(OSError):
@@ -374,7 +374,7 @@ def _judged(kind: str, mutated: Sample, original: Sample, result: Any, told: boo
 
 
 def _general(text: str) -> str:
-    """A message without its numbers, by which findings of one kind are counted together."""
+    """A message without its numbers, to group similar findings."""
     return "".join("#" if c.isdigit() else c for c in text)[:70]
 
 

@@ -1,4 +1,4 @@
-"""Mutants of sound files, each the same whenever it is made of the same seed."""
+"""Mutants of valid files, reproducible from a seed."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ _HEAD = 4096  # bytes in which texts are looked for
 
 
 def mutant(samples: Sequence[Sample], kind: str, seed: int) -> tuple[Sample, Sample]:
-    """A mutant of one of `samples`, and which."""
+    """A mutant of one of `samples`, and which one."""
     dice = random.Random(f"{kind} {seed}")
     sample = dice.choice(samples)
     name = dice.choice(list(sample.files))
@@ -127,7 +127,7 @@ def mutant(samples: Sequence[Sample], kind: str, seed: int) -> tuple[Sample, Sam
 
 
 def _changed(content: bytes, kind: str, dice: random.Random, others: list[bytes]) -> bytes:
-    """The content with one to three changes; half of those of packed files are made before packing, and have right checksums."""
+    """The content with one to three changes; for compressed files half of them before compression, with correct checksums."""
     unpack, pack = _PACKED.get(kind, (None, None)) if dice.random() < 0.6 else (None, None)
     if unpack is not None and pack is not None:
         parts = unpack(content)
@@ -256,7 +256,7 @@ def _bmp_fields(content: bytes) -> Iterator[Field]:  # noqa: ARG001
 
 
 def _hdf5_fields(content: bytes) -> Iterator[Field]:
-    """Whatever is no zero at offsets that are even: the library's structures have no others."""
+    """Nonzero bytes at even offsets: the library's structures are aligned to them."""
     yield from ((at, kind) for at in range(0, len(content) - 8, 2) if content[at] for kind in ("<B", "<H", "<I", "<Q"))
 
 
@@ -270,7 +270,7 @@ def _zip_fields(content: bytes) -> Iterator[Field]:
 
 
 def _czi_fields(content: bytes) -> Iterator[Field]:
-    """Sizes and positions of segments, and what stands in the first bytes of each."""
+    """Sizes and positions of segments, and the first bytes of each."""
     for match in re.finditer(rb"ZISRAW[A-Z]+", content):
         yield from ((match.start() + k, "<Q") for k in (16, 24, 32, 40, 48, 64, 80))
         yield from ((match.start() + k, "<I") for k in range(32, 200, 4))
@@ -281,7 +281,7 @@ def _npy_fields(content: bytes) -> Iterator[Field]:  # noqa: ARG001
 
 
 def _chunk(content: bytes, dice: random.Random) -> bytes:
-    """A byte of a chunk of PNG is another, with the checksum that fits."""
+    """Change a byte of a PNG chunk, with a matching checksum."""
     spans, at = [], 8
     while at + 12 <= len(content):
         (size,) = struct.unpack_from(">I", content, at)
@@ -315,7 +315,7 @@ _FIELDS: Mapping[str, Callable[[bytes], Iterator[Field]]] = {
 
 
 def _text(content: bytes, dice: random.Random) -> bytes:
-    """A number or a word of a text becomes another; or a line goes, comes twice, or changes places."""
+    """Change a number or a word of a text, or delete, duplicate or move a line."""
     head = content[:_HEAD]
     way = dice.random()
     if way < 0.8:
@@ -342,7 +342,7 @@ def _text(content: bytes, dice: random.Random) -> bytes:
 
 
 def _place(content: bytes, dice: random.Random) -> int:
-    """An offset, at the beginning more often than elsewhere."""
+    """An offset, more often near the beginning."""
     return dice.randrange(min(len(content), dice.choice((16, 64, 512, len(content), len(content)))))
 
 
@@ -417,7 +417,7 @@ def _unzipped(content: bytes) -> dict[str, bytes]:
 
 
 def _inner(kind: str, name: str) -> str:
-    """The kind of what is packed."""
+    """The format of the compressed content."""
     return "npy" if name.endswith(".npy") else {"nii.gz": "nii", "mgz": "mgh"}.get(kind, "")
 
 

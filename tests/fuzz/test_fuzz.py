@@ -1,4 +1,4 @@
-"""Mutants of every format, the same in every run: ``make fuzz`` goes on with others."""
+"""Mutants of every format, the same in every run; ``make fuzz`` continues with others."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ def test_no_promise_is_broken(tmp_path: Path, formats: tuple[str, ...], count: i
     rows = json.loads(results.read_text())
     assert sum(row["tried"] for row in rows) == count * len(rows) > 0
     assert all(row["refused"] > 0 for row in rows), run.stdout
-    # of a format whose checksums cover all of a file, every mutant of a few may be refused
+    # of a format whose checksums cover all of a file, every mutant of a few may be rejected
     assert np.mean([row["accepted"] > 0 for row in rows]) >= 0.8, run.stdout
 
 
 @pytest.mark.parametrize(("name", "harm", "content"), FOUND, ids=[f"{n}: {harm}" for n, harm, _ in FOUND])
-def test_what_was_found_is_refused(tmp_path: Path, name: str, harm: str, content: str) -> None:  # noqa: ARG001  # it is in the id
+def test_files_found_before_are_rejected(tmp_path: Path, name: str, harm: str, content: str) -> None:  # noqa: ARG001  # it is in the id
     if not name.endswith((".npy", ".npz", ".png", ".jpg", ".bmp")):
         need = {".vti": "xml", ".h5": "h5py", ".nc": "h5py", ".tif": "tifffile", ".mha": "SimpleITK", ".nrrd": "SimpleITK"}
         pytest.importorskip(next((module for suffix, module in need.items() if name.endswith(suffix)), "SimpleITK"))

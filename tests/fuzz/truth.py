@@ -1,6 +1,6 @@
 """What a file holds according to somebody else: another library, or a strict reading of a few lines.
 
-Each function takes the files of a `Sample` and says what their samples are, raises `Damaged` where they must be refused,
+Each function takes the files of a `Sample` and says what their samples are, raises `Damaged` where they must be rejected,
 and gives None where it cannot tell.
 """
 
@@ -32,7 +32,7 @@ Array = NDArray[Any]
 
 
 class Damaged(Exception):  # it says what the file is
-    """The file contradicts itself, or one of its checksums does."""
+    """The file contradicts itself or one of its checksums."""
 
 
 @dataclass(frozen=True)
@@ -323,7 +323,7 @@ _LONG = (b"OB", b"OW", b"OF", b"OD", b"OL", b"SQ", b"UN", b"UT", b"UC", b"UR")
 
 
 def _elements(content: bytes, at: int, end: int, depth: int = 0) -> Iterator[tuple[int, bytes]]:
-    """Tag and value of little-endian elements, those of items too; behind the group 2, types are left out if it says so."""
+    """Tag and value of little-endian elements, nested ones too; after group 2, types are implicit if it says so."""
     _need(depth < 8, "sequences in sequences")
     typed = True
     while at < end:
@@ -351,7 +351,7 @@ def _elements(content: bytes, at: int, end: int, depth: int = 0) -> Iterator[tup
 
 
 def _slices(content: bytes) -> Array | None:
-    """Frames of a file whose samples are not compressed."""
+    """Frames of a file with uncompressed samples."""
     if content[128:132] != b"DICM":
         return None
     found: dict[int, bytes] = {}
@@ -463,7 +463,7 @@ def _directories(content: bytes) -> Iterator[dict[int, tuple[Any, ...]]]:
 
 
 def _page(content: bytes, tags: Mapping[int, tuple[Any, ...]], order: str) -> Array | None:
-    """The samples of a page, None where they are of a kind that is not read here."""
+    """The samples of a page, or None for kinds not read here."""
 
     def one(tag: int, default: int) -> int:
         return int((tags.get(tag) or (default,))[0])
@@ -539,7 +539,7 @@ def _unpacked(part: bytes, compression: int, expected: int) -> bytes | None:
 
 
 def _unlzw(part: bytes, expected: int) -> bytes:
-    """LZW as section 13 of TIFF 6.0 has it; what follows the last sample says nothing of the samples."""
+    """LZW as in section 13 of TIFF 6.0; bytes after the last sample do not matter."""
     bits, count, at, width = 0, 0, 0, 9
     table: list[bytes] = []
     last, found = b"", bytearray()
@@ -656,7 +656,7 @@ def _sound_png(content: bytes) -> None:
 
 
 def _hdf5(files: Files, entry: str, _: object) -> Held | None:
-    """The one array of numbers with two axes or more, as h5py gives it: by the same library, which is believed."""
+    """The one numeric array of two or more axes, read by h5py: the same library, which is trusted."""
     import h5py
 
     found: list[Any] = []
@@ -666,7 +666,7 @@ def _hdf5(files: Files, entry: str, _: object) -> Held | None:
 
 
 def _scaled(array: Any) -> Array:
-    """As the conventions of netCDF say."""
+    """Scaled by the netCDF conventions."""
     data, about = array[()], array.attrs
     slope, offset, missing = (np.ravel(about[n])[0] if n in about else None for n in ("scale_factor", "add_offset", "_FillValue"))
     if slope is None and offset is None and missing is None:
@@ -724,7 +724,7 @@ def _vti(files: Files, entry: str, _: object) -> Held | None:
     word = np.dtype({"UInt32": "u4", "UInt64": "u8"}.get(root.get("header_type", "UInt32"), "u4")).newbyteorder(order)  # type: ignore[arg-type]
 
     def bytes_at(start: int, count: int) -> bytes:
-        """Bytes from `start` on; of base64, which begins anew there."""
+        """Bytes from `start` on; base64 restarts there."""
         if not coded:
             part = source[start : start + count]
         else:

@@ -1,4 +1,4 @@
-"""Many pictures: which file each goes to, what fails alone, and that a cluster draws the same."""
+"""Batches of pictures: output names, isolated failures, and the same pictures on a cluster."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
-def test_each_picture_is_that_of_render_and_what_fails_fails_alone(files: list[Path], tmp_path: Path) -> None:
+def test_pictures_match_render_and_failures_are_isolated(files: list[Path], tmp_path: Path) -> None:
     told: list[float] = []
     cameras = clvol.Camera.turntable(3, 30, azimuth=10)
     drawn = clvol.batch(
@@ -46,7 +46,7 @@ def test_each_picture_is_that_of_render_and_what_fails_fails_alone(files: list[P
         np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
 
 
-def test_names_that_do_not_tell_pictures_apart_are_refused(files: list[Path], tmp_path: Path) -> None:
+def test_ambiguous_names_are_rejected(files: list[Path], tmp_path: Path) -> None:
     for output in ("{name}.png", "all.png"):
         with pytest.raises(OptionError, match="output must give each picture a different name"):
             clvol.batch(files[:2], clvol.Camera.turntable(2), tmp_path / output, size=(8, 8))
@@ -56,7 +56,7 @@ def test_names_that_do_not_tell_pictures_apart_are_refused(files: list[Path], tm
     assert not list(tmp_path.iterdir())
 
 
-def test_further_options_by_the_volume(files: list[Path], tmp_path: Path) -> None:
+def test_options_may_depend_on_the_volume(files: list[Path], tmp_path: Path) -> None:
     def look(volume: clvol.Volume) -> dict[str, float]:
         return {"isovalue": float(np.median(volume.data))}
 
@@ -66,7 +66,7 @@ def test_further_options_by_the_volume(files: list[Path], tmp_path: Path) -> Non
     np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
 
 
-def test_a_cluster_draws_the_same(files: list[Path], tmp_path: Path) -> None:
+def test_a_cluster_renders_the_same(files: list[Path], tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     options = {"mode": "mip", "size": (40, 30), "filter": "linear"}
     alone = clvol.batch(files, clvol.Camera.turntable(2), tmp_path / "one-{name}-{frame}.png", **options)
@@ -77,7 +77,7 @@ def test_a_cluster_draws_the_same(files: list[Path], tmp_path: Path) -> None:
 
 
 def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not with each picture: a small one by the scheduler, a large one to all workers; a mapped file by its name."""
+    """Not with each picture: a small volume by the scheduler, a large one to all workers, a mapped file by name."""
     distributed = pytest.importorskip("distributed")
     from clvol.dask.cluster import as_cluster
 
@@ -102,8 +102,8 @@ def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pyte
     assert max(sent) < 2000
 
 
-def test_a_file_that_changed_is_drawn_as_it_is(files: list[Path], tmp_path: Path) -> None:
-    """Workers that live on keep nothing of a batch."""
+def test_a_changed_file_is_read_again(files: list[Path], tmp_path: Path) -> None:
+    """Workers keep nothing between batches."""
     pytest.importorskip("distributed")
     from clvol.dask.cluster import as_cluster
 
@@ -116,8 +116,8 @@ def test_a_file_that_changed_is_drawn_as_it_is(files: list[Path], tmp_path: Path
             np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
 
 
-def test_what_render_reads_by_bricks_is_so_here(files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is stored in several sizes, or does not fit, unless something is asked for that bricks have not."""
+def test_volumes_are_read_by_bricks_as_in_render(files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Multi-resolution or too large volumes, unless an option needs all samples."""
     pytest.importorskip("zarr")
     store = tmp_path / "a.zarr"
     clvol.pyramid(clvol.phantoms.marschner_lobb(48), store, levels=2)
@@ -141,8 +141,8 @@ def test_what_render_reads_by_bricks_is_so_here(files: list[Path], tmp_path: Pat
     np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
 
 
-def test_a_batch_takes_the_filter_of_the_mode_that_its_look_names(tmp_path: Path) -> None:
-    """As 'clvol render' does: of a volume that is read by bricks too."""
+def test_a_batch_uses_the_filter_of_its_mode(tmp_path: Path) -> None:
+    """As in 'clvol render', also for volumes read by bricks."""
     ball = clvol.phantoms.marschner_lobb(24)
     for volume in (ball, clvol.LazyVolume(ball.data, ball.spacing, ball.origin)):
         (one,) = clvol.batch(volume, None, tmp_path / "made.png", size=(20, 20), look=lambda _: {"mode": "mip"})
@@ -150,7 +150,7 @@ def test_a_batch_takes_the_filter_of_the_mode_that_its_look_names(tmp_path: Path
         np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
 
 
-def test_limits_are_those_of_whoever_draws(tmp_path: Path, device: Device) -> None:
+def test_limits_of_the_rendering_process_apply(tmp_path: Path, device: Device) -> None:
     ball = clvol.phantoms.marschner_lobb(24)
     limits = {"evaluator": "paired", "fetch": "buffer"}
     (one,) = clvol.batch(ball, None, tmp_path / "made.png", size=(20, 20), mode="mip", limits=limits)
@@ -163,15 +163,15 @@ def test_limits_are_those_of_whoever_draws(tmp_path: Path, device: Device) -> No
 
 
 def asked(path: str) -> clvol.Volume:
-    """A file that its cluster is asked for."""
+    """A file whose reading uses the cluster."""
     import dask.array
 
     data = clvol.read(path).data
     return clvol.Volume(dask.array.from_array(data, chunks=8).map_blocks(np.flip).map_blocks(np.flip).compute())
 
 
-def test_what_reads_files_may_ask_the_cluster(files: list[Path], tmp_path: Path) -> None:
-    """Its task then leaves its place to others, and those that wait for their turn do so too."""
+def test_reading_may_use_the_cluster(files: list[Path], tmp_path: Path) -> None:
+    """Its task secedes meanwhile, and so do those that wait behind it."""
     pytest.importorskip("distributed")
     drawn = clvol.batch(
         files[:2], clvol.Camera.turntable(3), tmp_path / "{name}-{frame}.png", cluster=1, reading=asked, mode="mip", size=(20, 20)
@@ -179,14 +179,14 @@ def test_what_reads_files_may_ask_the_cluster(files: list[Path], tmp_path: Path)
     assert not [one.error for one in drawn if one.error]
 
 
-def test_what_is_no_source_is_refused(tmp_path: Path) -> None:
+def test_invalid_sources_are_rejected(tmp_path: Path) -> None:
     for wrong in (5, [None], np.zeros(3)):
         with pytest.raises(clvol.ClvolError):
             clvol.batch(wrong, None, tmp_path / "{number}.png")
 
 
 def test_the_command(files: list[Path], tmp_path: Path) -> None:
-    """It tells by its exit status, and by name, that a file failed."""
+    """Its exit status, and a message that names the file, report a failure."""
     command = [sys.executable, "-m", "clvol", "batch", *map(str, files), "-o", str(tmp_path / "{name}-{frame}.png"), "--turn", "2"]
     options = ["--mode", "mip", "--size", "40", "40", "--workers", "2"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
@@ -196,7 +196,7 @@ def test_the_command(files: list[Path], tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wrong", [0, -3, 2.5, True, "4", None])
-def test_a_turn_has_pictures(wrong: Any) -> None:
+def test_a_turntable_needs_at_least_one_picture(wrong: Any) -> None:
     with pytest.raises(OptionError, match=r"frames must be a whole number, at least 1; got"):
         clvol.Camera.turntable(wrong)
     with pytest.raises(OptionError, match="cameras must be one or more; got none"):

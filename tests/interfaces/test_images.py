@@ -22,7 +22,7 @@ GREY = RNG.normal(size=(9, 12)).astype(np.float32)
 
 
 @pytest.mark.parametrize("name", ["bspline3", "linear", "hybrid", "catmull-rom"])
-def test_resampling_is_that_of_each_channel(device: Device, name: str) -> None:
+def test_channels_are_resampled_independently(device: Device, name: str) -> None:
     got = images.resample(COLOUR, (5, 30), name, "reflect", device=device)
     assert (got.shape, got.dtype) == ((5, 30, 3), np.uint8)
     for channel in range(3):
@@ -41,13 +41,13 @@ def test_zoom_keeps_the_edges_where_they_are(device: Device) -> None:
 
 
 @pytest.mark.parametrize("turns", range(-4, 5))
-def test_quarter_turns_are_those_of_numpy(device: Device, turns: int) -> None:
+def test_quarter_turns_match_numpy(device: Device, turns: int) -> None:
     wanted = np.rot90(COLOUR, turns)
     got = images.rotate(COLOUR, 90 * turns, shape=wanted.shape[:2], device=device)
     np.testing.assert_array_equal(got, wanted)
 
 
-def test_rotation_turns_what_is_seen_counter_clockwise_about_the_middle(device: Device) -> None:
+def test_rotation_is_counter_clockwise_about_the_centre(device: Device) -> None:
     y, x = np.meshgrid(np.arange(41) - 20.0, np.arange(51) - 25.0, indexing="ij")
 
     def blob(at: tuple[float, float]) -> np.ndarray:
@@ -62,7 +62,7 @@ def test_rotation_turns_what_is_seen_counter_clockwise_about_the_middle(device: 
     np.testing.assert_allclose(got, larger, atol=2e-3)
 
 
-def test_outside_is_filled_or_goes_on(device: Device) -> None:
+def test_outside_is_filled_or_extended(device: Device) -> None:
     ones = np.ones((5, 5, 4), np.uint8)
     assert images.rotate(ones, 45, device=device)[0, 0].tolist() == [0, 0, 0, 0]
     assert images.rotate(ones, 45, fill=7, device=device)[0, 0].tolist() == [7, 7, 7, 7]
@@ -80,7 +80,7 @@ def test_integers_are_rounded_and_do_not_wrap(device: Device) -> None:
             assert got.min() < 0 < 255 < got.max()  # the overshoot of an interpolating spline
         elif kind is not np.float64:
             assert (got.min(), got.max()) == (0, image.max())
-            assert np.abs(np.diff(got[0].astype(int))).max() < 100  # what rings past 0 or 255 stays there
+            assert np.abs(np.diff(got[0].astype(int))).max() < 100  # overshoot past 0 or 255 is clipped
     least = np.array([[-128, -128, 127, 127]], np.int8)
     assert images.zoom(least, 8, device=device).min() == -128
     for wide in (np.int64, np.uint64):
@@ -116,7 +116,7 @@ def test_small_images(device: Device) -> None:
         lambda: images.resample(Volume(np.ones((5, 5, 5))), (2, 2)),
     ],
 )
-def test_bad_input_is_refused(call: Any) -> None:
+def test_bad_input_is_rejected(call: Any) -> None:
     with pytest.raises(ClvolError):
         call()
 
@@ -133,7 +133,7 @@ def test_bad_input_is_refused(call: Any) -> None:
         fill=(lambda v: images.rotate(COLOUR, 1, fill=v), [v for v in BAD_NUMBERS if v is not None and np.ndim(v) == 0]),
     ),
 )
-def test_bad_values_are_refused(call: Any, bad: Any) -> None:
+def test_bad_values_are_rejected(call: Any, bad: Any) -> None:
     with pytest.raises(ClvolError):
         call(bad)
 
@@ -141,7 +141,7 @@ def test_bad_values_are_refused(call: Any, bad: Any) -> None:
 @pytest.mark.parametrize("kind", [np.uint8, np.int64, np.float32])
 @pytest.mark.parametrize("rule", ["nearest", "constant(9)", "grid-constant(100)", "overlap"])
 def test_every_rule_of_scipy_for_every_type(device: Device, rule: str, kind: type) -> None:
-    """Wide integers, which are computed in double precision about their middle, too."""
+    """Including wide integers, which are computed in double precision about their mean."""
     offset = 10**12 if kind is np.int64 else 0
     image = RNG.integers(0, 255, (9, 12)).astype(kind)
     moved = as_boundary(rule)

@@ -18,7 +18,7 @@ ALLOWED = {"single": 2e-6, "double": 4e-15}  # of the largest value
 
 
 def grid_and_points(d: int, seed: int = 0) -> tuple[tuple[Array, ...], Array]:
-    """Coordinates that lie at other distances along each axis, one of them falling, and points within."""
+    """Coordinates with a different spacing per axis, one descending, and points inside."""
     axes = (np.linspace(-2, 5, 9), np.linspace(30, 10, 8), np.linspace(0.1, 0.4, 12))[:d]
     low, high = np.array([min(x[0], x[-1]) for x in axes]), np.array([max(x[0], x[-1]) for x in axes])
     return axes, np.random.default_rng(seed).uniform(low, high, (60, d))
@@ -28,7 +28,7 @@ def grid_and_points(d: int, seed: int = 0) -> tuple[tuple[Array, ...], Array]:
 @pytest.mark.parametrize("precision", ALLOWED)
 @pytest.mark.parametrize("trailing", [(), (2, 3)])
 @pytest.mark.parametrize("d", [1, 2, 3])
-def test_linear_is_scipys(d: int, trailing: tuple[int, ...], precision: Any, device: Device) -> None:
+def test_linear_matches_scipy(d: int, trailing: tuple[int, ...], precision: Any, device: Device) -> None:
     axes, points = grid_and_points(d)
     values = np.random.default_rng(1).normal(size=tuple(x.size for x in axes) + trailing)
     wanted = RegularGridInterpolator(axes, values)
@@ -48,8 +48,8 @@ def test_linear_is_scipys(d: int, trailing: tuple[int, ...], precision: Any, dev
 @pytest.mark.parametrize("precision", ALLOWED)
 @pytest.mark.parametrize("order", [2, 3, 5])
 @pytest.mark.parametrize("d", [1, 2, 3])
-def test_periodic_splines_and_their_derivatives_are_scipys(d: int, order: int, precision: Any, device: Device) -> None:
-    """Tensor products of SciPy's splines along each axis, on closed curves, where both mean the same spline."""
+def test_periodic_splines_and_derivatives_match_scipy(d: int, order: int, precision: Any, device: Device) -> None:
+    """Tensor products of SciPy's splines on closed curves, where both define the same spline."""
     sizes, periods = (9, 8, 11)[:d], (2.0, 30.0, 0.5)[:d]
     axes = [p * np.arange(n) / n for n, p in zip(sizes, periods, strict=True)]
     values = np.random.default_rng(order).normal(size=sizes)
@@ -96,7 +96,7 @@ def test_polynomials_have_their_derivatives(device: Device) -> None:
             np.testing.assert_allclose(at(points, nu=nu), wanted, atol=1e-12 * 60 ** sum(nu))
 
 
-def test_complex_values_go_by_parts(device: Device) -> None:
+def test_complex_values_are_processed_by_parts(device: Device) -> None:
     axes, points = grid_and_points(2)
     random = np.random.default_rng(0)
     values = random.normal(size=(9, 8, 2)) + 1j * random.normal(size=(9, 8, 2))
@@ -112,7 +112,7 @@ def test_complex_values_go_by_parts(device: Device) -> None:
     np.testing.assert_allclose(Interpolator(axes, values, "slinear", device=device)(points), wanted, atol=1e-13)
 
 
-def test_points_outside_are_refused_filled_or_continued(device: Device) -> None:
+def test_points_outside_are_rejected_filled_or_extrapolated(device: Device) -> None:
     x, values = np.linspace(0, 4, 5), np.array([1.0, 2.0, 4.0, 3.0, 0.0])
     points = np.array([-0.25, 0.0, 4.0, 4.5, np.nan, np.inf])
     with pytest.raises(OptionError, match=r"axis 0 from 0\.0 to 4\.0; got -0\.25"):
@@ -144,7 +144,7 @@ def test_without_a_prefilter_a_single_axis_is_the_sum_of_kernels(device: Device)
         np.testing.assert_allclose(at(x), wanted, atol=1e-14)
 
 
-def test_odd_but_good_input(device: Device) -> None:
+def test_unusual_valid_input(device: Device) -> None:
     values = np.arange(12, dtype=">i2").reshape(3, 4)
     values.flags.writeable = False
     with Interpolator(([0, 1, 2], [0, 1, 2, 3]), values, "linear", device=device) as at:
@@ -166,7 +166,7 @@ def test_memory_is_freed(device: Device) -> None:
         at([1.0, 1.0])
 
 
-def test_progress_is_told(device: Device) -> None:
+def test_progress_is_reported(device: Device) -> None:
     told: list[float] = []
     Interpolator((np.arange(4),), np.ones((4, 3)), device=device)([1.0], progress=told.append)
     assert told == pytest.approx([1 / 3, 2 / 3, 1])
@@ -190,13 +190,13 @@ REFUSED: list[tuple[type[ClvolError], str, tuple[Any, ...]]] = [
 
 
 @pytest.mark.parametrize(("error", "rule", "arguments"), REFUSED, ids=[rule for _, rule, _ in REFUSED])
-def test_bad_grids_are_refused(error: type[ClvolError], rule: str, arguments: tuple[Any, ...], device: Device) -> None:
+def test_bad_grids_are_rejected(error: type[ClvolError], rule: str, arguments: tuple[Any, ...], device: Device) -> None:
     with pytest.raises(error, match=rule):
         Interpolator(*arguments, device=device)
 
 
 @pytest.mark.parametrize("nu", [(1,), (1, 1, 0), (3, 0), (2, 1), (-1, 0), (0.5, 0), "1", (True, 0)])
-def test_bad_derivatives_are_refused(nu: Any, device: Device) -> None:
+def test_bad_derivatives_are_rejected(nu: Any, device: Device) -> None:
     with Interpolator(GRID, np.ones((4, 5)), device=device) as at, pytest.raises(OptionError, match="nu"):
         at([1.0, 1.0], nu=nu)
 
@@ -210,12 +210,12 @@ def test_a_filter_without_slopes_has_none(device: Device) -> None:
 
 
 @pytest.mark.parametrize("xi", [1.0, [1.0], [[1.0, 2.0, 3.0]], "a", (np.ones(2), np.ones(3)), [[1j, 0]]])
-def test_bad_points_are_refused(xi: Any, device: Device) -> None:
+def test_bad_points_are_rejected(xi: Any, device: Device) -> None:
     with Interpolator(GRID, np.ones((4, 5)), device=device) as at, pytest.raises(OptionError, match="xi"):
         at(xi)
 
 
-def test_values_that_are_no_array_of_numbers() -> None:
+def test_values_that_are_not_a_numeric_array() -> None:
     for wrong in ([[1], [2, 3], 4], np.ma.masked_greater([3.0, 1.0, 2.0], 2)):
         with pytest.raises(DataError, match="values must be an array of numbers"):
             clvol.Interpolator(([0, 1, 2],), wrong)

@@ -1,4 +1,4 @@
-"""`resize`: what it gives by closed forms, what it takes and what it refuses. tests/outside/ has it beside scikit-image's."""
+"""`resize`: closed forms, accepted and rejected arguments. tests/outside/ compares it with scikit-image."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from clvol.device import Device
 
 
 def test_a_plane_stays_a_plane(device: Device) -> None:
-    """Sample j of m lies at (j + 1/2) n / m - 1/2; under "wrap" nowhere near the ends of a plane, so in the middle."""
+    """Sample j of m lies at (j + 1/2) n / m - 1/2; "wrap" bends a plane near its ends, so only the middle is compared."""
     y, x = np.mgrid[:40, :60]
     got = clvol.resize(3.0 * y - x, (80, 90), order=3, clip=False, device=device)
     wanted = 3 * ((np.arange(80)[:, None] + 0.5) / 2 - 0.5) - ((np.arange(90) + 0.5) * 60 / 90 - 0.5)
@@ -22,7 +22,7 @@ def test_a_plane_stays_a_plane(device: Device) -> None:
 
 
 @pytest.mark.parametrize("kind", ["f4", ">f4", "f8", "u1", ">u2", "i4"])
-def test_cubic_values_are_those_of_the_reference(kind: str, device: Device) -> None:
+def test_cubic_values_match_the_reference(kind: str, device: Device) -> None:
     data = np.random.default_rng(0).integers(0, 200, (7, 9, 11)).astype(kind)
     data.flags.writeable = False
     got = clvol.resize(data, (10, 9, 23), 3, mode="symmetric", clip=False, preserve_range=True, anti_aliasing=False, device=device)
@@ -31,7 +31,7 @@ def test_cubic_values_are_those_of_the_reference(kind: str, device: Device) -> N
     np.testing.assert_allclose(got, reference.lattice(data, axes, "bspline3", "reflect"), atol=4e-4)
 
 
-def test_least_squares_is_that_of_the_reference(device: Device) -> None:
+def test_least_squares_matches_the_reference(device: Device) -> None:
     data = np.random.default_rng(0).random((20, 33))
     got = clvol.resize(data, (7, 40), 3, mode="symmetric", clip=False, anti_aliasing="least-squares", device=device)
     few = reference.nearest_spline(data, [((20 / 7 - 1) / 2, 20 / 7, 7), None], "bspline3", "reflect")
@@ -42,8 +42,8 @@ def test_least_squares_is_that_of_the_reference(device: Device) -> None:
 
 
 @pytest.mark.parametrize("mode", ["edge", "constant", "reflect", "wrap"])
-def test_least_squares_continues_samples_as_the_mode_says(mode: str, device: Device) -> None:
-    """The same as in the middle of an array that was padded by hand."""
+def test_least_squares_extends_samples_by_the_mode(mode: str, device: Device) -> None:
+    """The same as in the middle of an array padded by hand."""
     data, m, pad = np.random.default_rng(3).random(24), 8, 120
     options: dict[str, Any] = {"constant_values": 0.5} if mode == "constant" else {}
     long = np.pad(data, pad, mode=mode, **options)  # type: ignore[call-overload]
@@ -71,7 +71,7 @@ def test_integers_are_rounded_and_kept_within_their_type(device: Device) -> None
     assert edge.max() > 1.02
 
 
-def test_channels_and_batches_are_left_alone(device: Device) -> None:
+def test_channels_and_batches_are_not_resized(device: Device) -> None:
     data = np.random.default_rng(0).random((6, 5, 4, 3), np.float32)
     for axis in range(4):
         shape = [8, 7, 9]
@@ -82,7 +82,7 @@ def test_channels_and_batches_are_left_alone(device: Device) -> None:
         np.testing.assert_allclose(np.take(every, 1, axis), one, atol=1e-6)
 
 
-def test_more_than_three_axes_go_one_after_the_other(device: Device) -> None:
+def test_more_than_three_axes_are_resized_in_turn(device: Device) -> None:
     random = np.random.default_rng(0)
     factors = [random.random(n) for n in (3, 4, 5, 6, 2)]
     data = np.einsum("a,b,c,d,e->abcde", *factors)
@@ -102,7 +102,7 @@ def test_single_samples_are_constants(order: int, device: Device) -> None:
         np.testing.assert_allclose(got, [[2.0]], atol=1e-12)
 
 
-def test_nan_is_refused_where_it_would_spread(device: Device) -> None:
+def test_nan_is_rejected_where_it_would_spread(device: Device) -> None:
     data = np.ones((6, 6))
     data[1, 4] = np.nan
     for order, chosen in ((3, False), (2, True), (0, "least-squares"), (1, "least-squares")):
@@ -126,8 +126,8 @@ def test_progress_ends_with_all(device: Device) -> None:
 
 
 @pytest.mark.parametrize("chosen", [False, "gaussian", "least-squares"])
-def test_integers_are_read_as_they_are(chosen: Any, device: Device) -> None:
-    """In float64 the image alone would be 64 MB; in float32, of which the Gaussian needs one, 32."""
+def test_integers_are_not_copied_to_float64(chosen: Any, device: Device) -> None:
+    """In float64 the image alone would take 64 MB; in float32, which the Gaussian needs, 32."""
     data = np.zeros((200, 200, 200), np.uint8)
     options: dict[str, Any] = {"order": 3, "anti_aliasing": chosen, "device": device}
     clvol.resize(data[:20, :20, :20].copy(), (10, 10, 10), **options)  # kernels and tables
@@ -162,13 +162,13 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("rule", "options"), REFUSED, ids=[f"{rule}: {options}" for rule, options in REFUSED])
-def test_bad_arguments_are_refused(rule: str, options: dict[str, Any], device: Device) -> None:
+def test_bad_arguments_are_rejected(rule: str, options: dict[str, Any], device: Device) -> None:
     with pytest.raises(OptionError, match=rule):
         clvol.resize(IMAGE, **{"output_shape": (3, 3), "device": device} | options)
 
 
 @pytest.mark.parametrize("image", [np.empty((0, 3)), 3.0, [["a"]], [1j], np.array([None])], ids=repr)
-def test_what_holds_no_numbers_is_refused(image: Any, device: Device) -> None:
+def test_nonnumeric_input_is_rejected(image: Any, device: Device) -> None:
     with pytest.raises(DataError):
         clvol.resize(image, (3, 3), device=device)
 

@@ -1,4 +1,4 @@
-"""Images of PyVista and VTK, ITK, napari, xarray, Zarr and dask: samples lie where their own library says, and are the same."""
+"""Images of PyVista, VTK, ITK, napari, xarray, Zarr and dask: samples and their positions match each library."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def indices(shape: Sequence[int] = SHAPE) -> Array:
 
 
 def require_at(volume: clvol.Volume, places: Array) -> None:
-    """The sample of each index lies at its place, and nowhere else."""
+    """Require the sample of each index at its position."""
     found = volume.index_to_world(indices(volume.shape))
     assert_allclose(found, places, rtol=0, atol=1e-9 * np.abs(places).max())
     back = volume.world_to_index(places)
@@ -53,7 +53,7 @@ def pyvista_image(**more: Any) -> Any:
     return image
 
 
-def test_points_of_pyvista(device: Device) -> None:
+def test_pyvista_point_data(device: Device) -> None:
     image = pyvista_image()
     data = samples()
     image.point_data["density"] = data.ravel()
@@ -69,7 +69,7 @@ def test_points_of_pyvista(device: Device) -> None:
     assert_allclose(ramp, inner @ [1.0, 2.0, -3.0], rtol=1e-4)
 
 
-def test_cells_of_pyvista_lie_in_their_middles() -> None:
+def test_pyvista_cell_data_are_at_cell_centres() -> None:
     image = pyvista_image(offset=(3, 4, 5))
     image.cell_data["mass"] = np.arange(image.n_cells)
     volume = clvol.Volume(image)
@@ -78,7 +78,7 @@ def test_cells_of_pyvista_lie_in_their_middles() -> None:
     assert_array_equal(volume.data.ravel(), image["mass"])
 
 
-def test_the_active_array_of_several_is_taken() -> None:
+def test_the_active_array_is_used() -> None:
     image = pyvista_image()
     image.point_data["a"] = samples().ravel()
     image.point_data["b"] = 2 * samples().ravel()
@@ -123,7 +123,7 @@ def test_components_are_channels() -> None:
     assert clvol.Volumes(image).leading.rgb
 
 
-def test_what_is_no_image_of_vtk_is_refused() -> None:
+def test_other_vtk_objects_are_rejected() -> None:
     pyvista = pytest.importorskip("pyvista")
     with pytest.raises(DataError, match=r"must be image data, a uniform grid; got PolyData: resample it"):
         clvol.render(pyvista.Sphere())
@@ -152,7 +152,7 @@ def itk_places(image: Any, shape: tuple[int, ...] = SHAPE) -> Array:
     return np.array([list(image.TransformIndexToPhysicalPoint([int(i) for i in index])) for index in indices(shape)])
 
 
-def test_images_of_itk(device: Device) -> None:
+def test_itk_images(device: Device) -> None:
     data = samples()
     image = itk_image(data)
     volume = clvol.Volume(image)
@@ -164,7 +164,7 @@ def test_images_of_itk(device: Device) -> None:
     assert_array_equal(volume.data, data)
 
 
-def test_a_part_of_an_image_of_itk() -> None:
+def test_an_itk_image_region() -> None:
     itk = pytest.importorskip("itk")
     image = itk_image(samples())
     region = itk.ImageRegion[3]()
@@ -184,7 +184,7 @@ def test_a_part_of_an_image_of_itk() -> None:
     assert_allclose(volume.origin, list(image.TransformIndexToPhysicalPoint([1, 2, 0])))
 
 
-def test_several_values_and_times_of_itk() -> None:
+def test_itk_vectors_and_times() -> None:
     data = samples((*SHAPE, 3))
     image = itk_image(data, is_vector=True)
     with pytest.raises(DataError, match=r"3 channels"):
@@ -210,7 +210,7 @@ def labelled(**coords: Any) -> Any:
     return xarray.DataArray(samples(), coords, ("z", "y", "x"), name="rho")
 
 
-def test_coordinates_of_xarray(device: Device) -> None:
+def test_xarray_coordinates(device: Device) -> None:
     x, y, z = 10 + 0.5 * np.arange(6), 4.0 - np.arange(5), np.float32(0.1) * np.arange(4, dtype=np.float32)
     array = labelled(x=x, y=y, z=z)
     volume = clvol.Volume(array)
@@ -224,7 +224,7 @@ def test_coordinates_of_xarray(device: Device) -> None:
     assert_allclose(clvol.Volume(part).origin, (11, 4, 0.3), atol=1e-6)
 
 
-def test_units_and_what_has_no_coordinates() -> None:
+def test_units_and_missing_coordinates() -> None:
     xarray = pytest.importorskip("xarray")
     um = {"units": "micrometer"}
     array = labelled(**{k: xarray.DataArray(np.arange(n), dims=k, attrs=um) for k, n in zip("zyx", SHAPE, strict=True)})
@@ -240,14 +240,14 @@ def test_units_and_what_has_no_coordinates() -> None:
     assert times.spacing == (2, 1, 1)
 
 
-def test_uneven_coordinates_are_refused_where_places_matter() -> None:
+def test_uneven_coordinates_are_rejected_where_positions_matter() -> None:
     array = labelled(x=[0, 1, 2, 3, 5, 6])
     with pytest.raises(GeometryError, match=r"evenly spaced.*those of x are 1 to 2 apart"):
         clvol.render(array)
     assert clvol.resize(array, (4, 5, 12)).shape == (4, 5, 12)
 
 
-def test_four_dimensions_of_xarray() -> None:
+def test_xarray_with_four_dimensions() -> None:
     xarray = pytest.importorskip("xarray")
     data = samples((2, 3, *SHAPE))
     array = xarray.DataArray(data, {"x": 2.0 * np.arange(6)}, ("time", "c", "z", "y", "x"))
@@ -266,7 +266,7 @@ def test_four_dimensions_of_xarray() -> None:
 # -- arrays that are not in memory -------------------------------------------------------------------------------------
 
 
-def test_arrays_of_zarr_and_dask(device: Device) -> None:
+def test_zarr_and_dask_arrays(device: Device) -> None:
     zarr, dask = pytest.importorskip("zarr"), pytest.importorskip("dask.array")
     data = samples((12, 12, 12))
     stored = zarr.array(data, chunks=(5, 6, 7))
@@ -284,7 +284,7 @@ def test_arrays_of_zarr_and_dask(device: Device) -> None:
 
 
 @pytest.mark.parametrize("kind", ["zarr", "dask", "xarray"])
-def test_what_does_not_fit_is_refused_before_it_is_read(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arrays_that_do_not_fit_are_rejected_before_reading(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     shape = (1 << 14,) * 3
     if kind == "zarr":
         zarr = pytest.importorskip("zarr")
@@ -350,7 +350,7 @@ def napari_python() -> str:
     return python
 
 
-def test_layers_of_napari() -> None:
+def test_napari_layers() -> None:
     done = subprocess.run(
         [napari_python(), "-c", _IN_NAPARI], capture_output=True, text=True, timeout=120, check=False, env=dict(os.environ)
     )
@@ -372,7 +372,7 @@ def test_layers_of_napari() -> None:
 
 
 @pytest.mark.parametrize("make", [pyvista_image, lambda: itk_image(samples())], ids=["pyvista", "itk"])
-def test_pictures_are_those_of_the_same_samples_at_the_same_place(device: Device, make: Callable[[], Any]) -> None:
+def test_pictures_match_those_of_equal_volumes(device: Device, make: Callable[[], Any]) -> None:
     image = make()
     if hasattr(image, "point_data"):
         image.point_data["density"] = samples().ravel()

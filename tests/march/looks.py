@@ -1,4 +1,4 @@
-"""What the tests of pictures share."""
+"""Shared by the tests of pictures."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ TILES = {"planes": BY_PLANES, "eights": Tile(16, 15, 8, shared=True), "rays": BY
 
 
 def suited(mode: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Options of `Renderer.render` without those that only other modes have."""
+    """Options of `Renderer.render` that the mode has."""
     own = mode_options(as_mode(mode))
     return {name: value for name, value in options.items() if name in own or name not in every_option()}

@@ -1,4 +1,4 @@
-"""A picture of a volume that is read brick by brick is the picture."""
+"""A picture by bricks equals the picture of the whole volume."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def both(volume: clvol.Volume, filter: str, boundary: str, edge: int, *args: Any
 @pytest.mark.parametrize("view", CAMERAS)
 @pytest.mark.parametrize(("mode", "options"), MODES)
 @pytest.mark.parametrize("filter", ["linear", "nearest", "catmull-rom", "bspline3-approx"])
-def test_to_the_last_bit_without_a_prefilter(
+def test_bit_identical_without_a_prefilter(
     volume: clvol.Volume, filter: str, mode: str, options: dict[str, Any], view: str
 ) -> None:
     options = options | ({"transfer": BUMPY} if mode == "composite" else {})
@@ -83,7 +83,7 @@ def test_within_a_millionth_with_one(volume: clvol.Volume, filter: str, boundary
     options = options | ({"transfer": BUMPY} if mode == "composite" else {})
     whole, bricked = both(volume, filter, boundary, 16, CAMERAS["aslant"], mode, (70, 50), rays=1, **options)
     different = np.abs(bricked - whole).max(-1)
-    # the function differs by 1e-6 at most; where it only just does not reach an isovalue a pixel may change all the same
+    # the function differs by 1e-6 at most; where it barely misses an isovalue a pixel may still change
     assert (different > 1e-5).sum() <= 2
     assert whole.max() > 0
 
@@ -95,7 +95,7 @@ def test_bricks_of_any_size_and_rays_of_any_number(volume: clvol.Volume, edge: i
         np.testing.assert_array_equal(bricked, whole)
 
 
-def test_cut_open_and_turned() -> None:
+def test_with_clip_box_and_rotation() -> None:
     rng = np.random.default_rng(1)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     volume = clvol.Volume(waves(40, 30, 36), (0.5, 2, 1), (100, 200, -300), turn)
@@ -109,7 +109,7 @@ def test_cut_open_and_turned() -> None:
 
 
 def test_jumps_between_bricks_are_surfaces() -> None:
-    """Two halves whose values jump just where one brick ends."""
+    """Two halves whose values jump exactly at the end of a brick."""
     data = np.zeros((32, 32, 32), np.uint8)
     data[:, :, 16:] = 200
     for azimuth in (60, -60):
@@ -127,7 +127,7 @@ def test_jumps_between_bricks_are_surfaces() -> None:
         assert whole[..., 3].mean() > 0.2
 
 
-def test_bricks_in_which_nothing_shows_are_not_read() -> None:
+def test_invisible_bricks_are_not_read() -> None:
     z, y, x = np.ogrid[:128, :128, :128]
     ball = np.clip(60 - np.sqrt((x - 15.0) ** 2 + (y - 15.0) ** 2 + (z - 15.0) ** 2) * 4, 0, 255).astype(np.uint8)
     data = Counted(ball)
@@ -143,8 +143,8 @@ def test_bricks_in_which_nothing_shows_are_not_read() -> None:
 
 
 @pytest.mark.parametrize("mode", ["mip", "minip", "attenuated"])
-def test_bricks_that_cannot_beat_what_was_found_are_not_read(mode: str) -> None:
-    """All samples count for extremes, but the bounds say which bricks hold none."""
+def test_bricks_that_cannot_exceed_the_extreme_are_not_read(mode: str) -> None:
+    """All samples count for extremes, but bounds exclude bricks."""
     z, y, x = np.ogrid[:128, :128, :128]
     ball = 250 * np.exp(-((x - 70.0) ** 2 + (y - 60.0) ** 2 + (z - 64.0) ** 2) / 1800)
     data = (ball if mode != "minip" else 255 - ball).astype(np.float32)  # without plateaus, which any brick may top
@@ -166,8 +166,8 @@ def test_bricks_that_cannot_beat_what_was_found_are_not_read(mode: str) -> None:
         assert reads < 0.8 * (field.reads.bricks - reads)
 
 
-def test_rays_that_come_again_find_bricks_that_are_kept() -> None:
-    """Of a row of bricks, half of which fit, no more are read a second time than did not fit."""
+def test_later_rays_find_resident_bricks() -> None:
+    """If half of a row of bricks fits, at most the other half is read again."""
     data = waves(32, 32, 256)
     along = clvol.Camera.orbit(90, 0, fit="volume", projection="orthographic")
     lazy = clvol.LazyVolume(data, limits=(0, 1), labels=False)
@@ -184,7 +184,7 @@ def test_rays_that_come_again_find_bricks_that_are_kept() -> None:
         assert field.nbytes <= budget
 
 
-def test_what_was_read_is_known_better_than_what_is_stored() -> None:
+def test_bounds_of_bricks_read_are_tighter_than_stored_bounds() -> None:
     data = np.zeros((32, 32, 32), np.uint8)
     data[:, :, 17:] = 100
     lazy = clvol.LazyVolume(Counted(data), limits=(0, 100), labels=False, bounds=Known(data))
@@ -214,8 +214,8 @@ class Known:
         return float(part.min()), float(part.max())
 
 
-def test_what_is_hidden_is_not_read() -> None:
-    """Behind an opaque front nothing is looked at, with no bounds either; what was seen once is known the next time."""
+def test_hidden_bricks_are_not_read() -> None:
+    """Nothing behind an opaque front is read, even without bounds; the next picture knows what was visible."""
     data = Counted(np.full((128, 128, 128), 200, np.uint8))
     with (
         BrickedField(clvol.LazyVolume(data, limits=(0, 255), labels=False), "linear", edge=32) as field,
@@ -242,8 +242,8 @@ def test_an_eye_beside_a_face_between_bricks(filter: str) -> None:
     np.testing.assert_array_equal(bricked, whole)
 
 
-def test_an_eye_in_a_face_but_for_rounding() -> None:
-    """The first samples of rays lie there, on whichever side their own rounding has them."""
+def test_an_eye_in_a_face_up_to_rounding() -> None:
+    """The first samples of rays lie there, on either side by rounding."""
     rng = np.random.default_rng(0)
     data = rng.random((20, 40, 33)).astype(np.float32)
     for _ in range(12):
@@ -257,7 +257,7 @@ def test_an_eye_in_a_face_but_for_rounding() -> None:
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, -90), (180, 90)])
 def test_rays_that_lie_in_a_face_between_bricks(azimuth: float, elevation: float) -> None:
-    """Which side of the face a ray of the middle column or row is on, the rounding of a hundred-millionth of a sample decides."""
+    """Rounding of 10⁻⁸ of a sample decides on which side of the face the rays of the middle column or row lie."""
     z, y, x = np.indices((33, 33, 3), np.float32) if azimuth in (90, 270) else np.indices((3, 33, 33), np.float32)
     volume = clvol.Volume(0.5 + 0.5 * np.sin(x / 3 + y / 5) * np.cos(z / 4))
     for projection in ("perspective", "orthographic"):
@@ -297,8 +297,8 @@ def test_rays_of_wide_pixel_filters_with_tiles_of_one() -> None:
     np.testing.assert_array_equal(bricked, whole)
 
 
-def test_levels_are_as_dense_and_lie_in_one_place() -> None:
-    """Opacities are those of the whole volume's voxels, and cameras are fitted to it."""
+def test_levels_share_density_and_placement() -> None:
+    """Opacities use the whole volume's voxels, and cameras are fitted to it."""
     fine = np.full((40, 40, 40), 0.6, np.float32)
     levels = [clvol.LazyVolume(fine[::2, ::2, ::2], (2, 2, 2), (0.5, 0.5, 0.5), limits=(0, 1))]
     lazy = clvol.LazyVolume(fine, levels=levels, limits=(0, 1), labels=False)
@@ -320,8 +320,8 @@ def test_the_levels_of_a_renderer_share_a_budget() -> None:
             assert field.nbytes + sum(level.nbytes for level in renderer.levels) <= 700_000
 
 
-def test_levels_that_several_threads_draw_share_a_budget() -> None:
-    """However many: bricks of one level make room for those of another, or wait until these are done with."""
+def test_levels_rendered_by_several_threads_share_a_budget() -> None:
+    """Bricks of one level make room for those of another, or wait until these are released."""
     rng = np.random.default_rng(0)
     data, budget, most, drawn = rng.random((48, 48, 48)).astype(np.float32), 500_000, [0], list[bool]()
 
@@ -352,7 +352,7 @@ def test_levels_that_several_threads_draw_share_a_budget() -> None:
         assert field.nbytes + renderer.levels[0].nbytes <= budget
 
 
-def test_one_field_is_closed_while_another_beside_it_draws() -> None:
+def test_a_field_may_be_closed_while_one_with_the_same_budget_renders() -> None:
     """They count each other's bricks."""
     data = np.random.default_rng(0).random((40, 40, 40)).astype(np.float32)
     points = np.random.default_rng(1).uniform(0, 39, (200, 3))
@@ -376,7 +376,7 @@ def test_one_field_is_closed_while_another_beside_it_draws() -> None:
                 np.testing.assert_array_equal(found.result(60), truth)
 
 
-def test_fields_beside_another_have_no_budget_of_their_own(volume: clvol.Volume) -> None:
+def test_fields_that_share_a_budget_have_none_of_their_own(volume: clvol.Volume) -> None:
     with BrickedField(volume, "linear", edge=16, memory=1 << 20) as one:
         with BrickedField(volume, "nearest", edge=16, beside=one) as other:
             assert other.memory == one.memory
@@ -389,8 +389,8 @@ def test_fields_beside_another_have_no_budget_of_their_own(volume: clvol.Volume)
 
 
 @pytest.mark.parametrize("mode", ["composite", "mip"])
-def test_the_next_brick_is_read_while_rays_go_through_one(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the order of the view, each once: no rays leave a brick before somebody reads the next one, or hope is lost."""
+def test_the_next_brick_is_read_while_rays_traverse_one(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In access order, each once: rays leave a brick only after the next read has begun, or a timeout."""
     data = waves(16, 16, 80)
     reads: list[tuple[int, bool]] = []
     changed = threading.Condition()
@@ -415,10 +415,10 @@ def test_the_next_brick_is_read_while_rays_go_through_one(mode: str, monkeypatch
     with BrickedField(volume, "linear", edge=16) as field, Renderer(field) as renderer:
         assert field.bricks.counts == (5, 1, 1)
         along = clvol.Camera.look_at((-200.0, 8.0, 8.0), (40.0, 8.0, 8.0), fov=10)
-        renderer.render(along, mode, (8, 8), rays=1)  # bounds are known then, and looks
+        renderer.render(along, mode, (8, 8), rays=1)  # bounds and looks are cached by then
         field.drop()
         until = time.monotonic() + 60
-        while field.store._residents._ahead:  # what was read ahead for that picture is still on its way
+        while field.store._residents._ahead:  # a brick prefetched for that picture may still be loading
             assert time.monotonic() < until
             time.sleep(0.01)
         reads.clear()
@@ -433,7 +433,7 @@ def test_the_next_brick_is_read_while_rays_go_through_one(mode: str, monkeypatch
     assert source.read == field.reads.samples
 
 
-def test_pickled_renderers_read_again() -> None:
+def test_pickled_renderers_reread_their_bricks() -> None:
     data = waves(20, 20, 20)
     with Renderer(clvol.LazyVolume(data, limits=(0, 1), labels=False), "linear") as renderer:
         packed = pickle.dumps(renderer)
@@ -455,13 +455,13 @@ def test_the_picture_does_not_depend_on_the_budget(volume: clvol.Volume) -> None
 
 @pytest.mark.parametrize("filter", ["linear", "nearest"])
 @pytest.mark.parametrize("view", CAMERAS)
-def test_no_brick_hides_one_before_it(volume: clvol.Volume, view: str, filter: str) -> None:
+def test_no_brick_hides_one_in_front_of_it(volume: clvol.Volume, view: str, filter: str) -> None:
     camera = CAMERAS[view].view(volume)
     with BrickedField(volume, filter, edge=10) as field:
         order = {brick.at: i for i, brick in enumerate(front_to_back(field, camera))}
         assert len(order) == np.prod(field.bricks.counts)
         rng = np.random.default_rng(0)
-        for _ in range(300):  # along a ray bricks come in their order
+        for _ in range(300):  # along a ray bricks are ordered
             start = camera.eye if not camera.orthographic else None
             inner = volume.index_to_world(rng.uniform(-0.5, np.asarray(volume.size) - 0.5))
             way = camera.forward if start is None else inner - start
@@ -483,7 +483,7 @@ def test_opacities_of_ranges() -> None:
     assert steps.opacity_within(-1, 2) == 0.9
 
 
-def test_levels_by_their_voxels_on_the_screen() -> None:
+def test_levels_are_chosen_by_voxels_per_pixel() -> None:
     data = waves(64, 64, 64)
     levels = [clvol.LazyVolume(data[::n, ::n, ::n], (n, n, n), ((n - 1) / 2,) * 3, limits=(0, 1)) for n in (2, 4, 8)]
     lazy = clvol.LazyVolume(data, levels=levels, limits=(0, 1), labels=False)
@@ -507,11 +507,11 @@ def test_levels_by_their_voxels_on_the_screen() -> None:
 
 
 def renderer_look(renderer: Renderer) -> clvol.TransferFunction:
-    """The transfer function that the sketch of a lazy volume gives."""
+    """The transfer function of a lazy volume's preview."""
     return clvol.modes()["mip"].transfer(renderer.field.volume.preview())  # type: ignore[union-attr]
 
 
-def test_a_volume_that_does_not_fit_is_drawn_by_bricks(volume: clvol.Volume, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_volume_that_does_not_fit_is_rendered_by_bricks(volume: clvol.Volume, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = clvol.render(volume, CAMERAS["aslant"], "mip", filter="linear", size=(40, 40))
 
     def no_room(*_: object, **__: object) -> None:

@@ -1,4 +1,4 @@
-"""Pictures by the processes of a cluster are those of one process, and what fails is said."""
+"""Pictures by a cluster equal those of one process, and failures are reported."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ def test_each_brick_is_in_one_group(counts: tuple[int, int, int], most: int) -> 
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-def test_groups_lie_one_behind_the_other(volume: clvol.LazyVolume, name: str) -> None:
-    """Along each ray its samples lie in groups in the order in which they are drawn."""
+def test_groups_are_ordered_front_to_back(volume: clvol.LazyVolume, name: str) -> None:
+    """Along each ray, samples lie in groups in rendering order."""
     with BrickedField(volume, "linear", edge=8) as field:
         view = CAMERAS[name].view(volume.grid, 1.0)
         groups = list(visible(groups_of(field.bricks.counts, 12), field, view))
@@ -112,7 +112,7 @@ def test_groups_lie_one_behind_the_other(volume: clvol.LazyVolume, name: str) ->
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize(("mode", "options"), MODES)
-def test_in_order_to_the_last_bit(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
+def test_merging_in_order_is_bit_identical(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
     options = options | ({"transfer": BUMPY} if mode == "composite" else {})
     one, many = both(cluster, "order", volume, "linear", CAMERAS["aslant"], mode, (70, 50), outputs=GUIDES, **options)
     for name in GUIDES:
@@ -123,7 +123,7 @@ def test_in_order_to_the_last_bit(cluster: Cluster, volume: clvol.LazyVolume, mo
 @pytest.mark.one_in(5)
 @pytest.mark.parametrize("view", CAMERAS)
 @pytest.mark.parametrize(("mode", "options"), [("composite", {"rays": 3}), ("isosurface", {}), ("mip", {})])
-def test_from_anywhere_with_a_prefilter(
+def test_from_any_view_with_a_prefilter(
     cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any], view: str
 ) -> None:
     one, many = both(cluster, "order", volume, "bspline3", CAMERAS[view], mode, (90, 70), **options)
@@ -132,7 +132,7 @@ def test_from_anywhere_with_a_prefilter(
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize(("mode", "options"), [pair for pair in MODES if "method" not in pair[1]])
-def test_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
+def test_merging_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
     options = options | ({"transfer": BUMPY, "termination": 0.0} if mode == "composite" else {})
     added_up = mode in ("composite", "mean")
     outputs = ["rgba"] if added_up else list(GUIDES)
@@ -145,7 +145,7 @@ def test_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str, option
             np.testing.assert_array_equal(many[name], one[name], err_msg=name)
 
 
-def test_what_a_tree_cannot_do_is_refused(cluster: Cluster, volume: clvol.LazyVolume) -> None:
+def test_a_tree_rejects_unsupported_outputs(cluster: Cluster, volume: clvol.LazyVolume) -> None:
     for name, mode, options in (
         ("linear", "isosurface", {"method": "stepped"}),
         ("nearest", "isosurface", {}),
@@ -174,7 +174,7 @@ def test_bricks_are_read_once_and_hidden_ones_never(cluster: Cluster) -> None:
         assert 0 < field.reads.bricks <= 8 < np.prod(field.bricks.counts)
         read = field.reads.bricks
         np.testing.assert_array_equal(renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, rays=1), first)
-        assert field.reads.bricks == read  # workers have kept them
+        assert field.reads.bricks == read  # workers have them resident
 
 
 def test_a_volume_in_memory_and_progress(cluster: Cluster) -> None:
@@ -194,8 +194,8 @@ def test_a_volume_in_memory_and_progress(cluster: Cluster) -> None:
         np.testing.assert_array_equal(many.render(CAMERAS["aslant"], "mip", (64, 64)), picture)
 
 
-def test_a_pickled_renderer_finds_its_cluster(cluster: Cluster, volume: clvol.LazyVolume) -> None:
-    """By its address; or it has as many processes of its own."""
+def test_a_pickled_renderer_reconnects_to_its_cluster(cluster: Cluster, volume: clvol.LazyVolume) -> None:
+    """By its address; or it starts as many processes."""
     for merge in ("order", "tree"):
         with Renderer(volume, "linear", cluster=cluster, merge=merge) as renderer:
             packed = pickle.dumps(renderer)
@@ -205,12 +205,12 @@ def test_a_pickled_renderer_finds_its_cluster(cluster: Cluster, volume: clvol.La
                 assert again._source._workers.cluster is not cluster
                 assert again._source._workers.merge == merge
                 np.testing.assert_array_equal(again.render(CAMERAS["aslant"], "mip", (48, 48)), picture)
-        assert cluster.client.status == "running"  # the copy has left, and ended nobody else's
+        assert cluster.client.status == "running"  # the copy has disconnected, and stopped no other
     again, _ = Renderer(volume, "linear", cluster=cluster).__reduce__()
     assert again.keywords == {"memory": None, "cluster": cluster.address, "merge": "order"}
 
 
-def test_a_pickle_of_own_processes_says_how_many(monkeypatch: pytest.MonkeyPatch, cluster: Cluster) -> None:
+def test_a_pickle_stores_the_number_of_processes(monkeypatch: pytest.MonkeyPatch, cluster: Cluster) -> None:
     monkeypatch.setattr("clvol.march.cluster.as_cluster", lambda _: cluster)
     with Renderer(waves(20, 20, 20), "linear", cluster=3) as renderer:
         again, _ = renderer.__reduce__()
@@ -224,8 +224,8 @@ TERMINATIONS = [{}, {"termination": 0.05}]
 
 @pytest.mark.parametrize("options", TERMINATIONS, ids=str)
 @pytest.mark.parametrize("dense", [0.05, 0.4, 1.0])
-def test_a_tree_keeps_within_the_termination(cluster: Cluster, volume: clvol.LazyVolume, dense: float, options: Any) -> None:
-    """What lies behind does not know how much light is left: colour times opacity, and opacity, differ by that much at most."""
+def test_a_tree_is_exact_within_the_termination(cluster: Cluster, volume: clvol.LazyVolume, dense: float, options: Any) -> None:
+    """Boxes behind do not know the remaining transmittance: colour times opacity, and opacity, differ by at most that."""
     transfer = clvol.TransferFunction(((0.1, (0.2, 0.3, 1)), (0.9, (1, 0.8, 0.3))), ((0.2, dense / 3), (0.5, dense), (1.0, dense)))
     bound = {"termination": clvol.modes()["composite"].termination, **options}["termination"] + 1e-6
     one, many = both(
@@ -237,8 +237,8 @@ def test_a_tree_keeps_within_the_termination(cluster: Cluster, volume: clvol.Laz
 
 
 @pytest.mark.parametrize("merge", ["order", "tree"])
-def test_levels_and_pictures_that_become_finer(cluster: Cluster, merge: Any) -> None:
-    """Of a cluster they are those of one process with the same bricks, each level for itself."""
+def test_levels_and_progressive_pictures(cluster: Cluster, merge: Any) -> None:
+    """Each level equals that of one process with the same bricks."""
     levels = [
         clvol.LazyVolume(waves(64, 60, 56)[::step, ::step, ::step].copy(), (step,) * 3, limits=(0, 1), labels=False)
         for step in (1, 2, 4)
@@ -270,7 +270,7 @@ def test_levels_and_pictures_that_become_finer(cluster: Cluster, merge: Any) -> 
 
 
 class Asking:
-    """Samples that the tasks which read them ask of their cluster."""
+    """Samples whose reading uses the cluster."""
 
     def __init__(self, array: Any) -> None:
         self.array, self.shape, self.dtype = array, array.shape, array.dtype
@@ -280,8 +280,8 @@ class Asking:
 
 
 @pytest.mark.parametrize("source", [lambda array: array, Asking], ids=["dask", "asking"])
-def test_samples_that_ask_a_cluster(cluster: Cluster, source: Any) -> None:
-    """Tasks hang on nothing that would have to wait for them."""
+def test_reading_that_uses_the_cluster_does_not_deadlock(cluster: Cluster, source: Any) -> None:
+    """No task waits for one that cannot start."""
     data = waves(44, 35, 40)
     array = dask.array.from_array(data, chunks=16).map_blocks(lambda block: block * 1)
     wanted, volume = (clvol.LazyVolume(a, limits=(0, 1), labels=False) for a in (data, source(array)))
@@ -290,7 +290,7 @@ def test_samples_that_ask_a_cluster(cluster: Cluster, source: Any) -> None:
         np.testing.assert_array_equal(many.render(CAMERAS["aslant"], "mip", (64, 64)), expected)
 
 
-def test_of_a_mapped_file_its_name_is_sent(cluster: Cluster, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mapped_file_is_sent_by_name(cluster: Cluster, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     np.save(tmp_path / "a.npy", waves(44, 35, 40))
     data = np.load(tmp_path / "a.npy", mmap_mode="r")
     sent: list[int] = []
@@ -302,7 +302,7 @@ def test_of_a_mapped_file_its_name_is_sent(cluster: Cluster, tmp_path: Any, monk
     assert max(sent) < 10_000
 
 
-def test_what_lies_in_futures_is_refused(cluster: Cluster) -> None:
+def test_futures_are_rejected(cluster: Cluster) -> None:
     with cluster.client.as_current():
         array = cluster.client.persist(dask.array.from_array(waves(20, 20, 20), chunks=16)) + 1
         volume = clvol.LazyVolume(array, name="kept", limits=(0, 2), labels=False)
@@ -316,7 +316,7 @@ def test_what_lies_in_futures_is_refused(cluster: Cluster) -> None:
 
 
 class Slow:
-    """Samples that take their time, so that somebody can be killed meanwhile."""
+    """Slow samples, so that a process can be killed meanwhile."""
 
     def __init__(self, data: Any) -> None:
         self.data, self.shape, self.dtype = data, data.shape, data.dtype
@@ -327,7 +327,7 @@ class Slow:
 
 
 class Poison(Slow):
-    """Samples one of which ends each worker that reads it."""
+    """Samples, one of which kills each worker that reads it."""
 
     def __getitem__(self, index: Any) -> Any:
         if _in_a_worker() and all(part.start <= 22 < part.stop for part in index):  # in a brick, and no other's margin
@@ -340,7 +340,7 @@ def _in_a_worker() -> bool:
 
 
 class Damaged(Slow):
-    """Samples some of which cannot be read."""
+    """Samples, some of which cannot be read."""
 
     def __getitem__(self, index: Any) -> Any:
         if _in_a_worker() and index[0].stop > 40:
@@ -348,7 +348,7 @@ class Damaged(Slow):
         return self.data[index]
 
 
-def test_a_killed_worker_changes_nothing_but_time() -> None:
+def test_a_killed_worker_costs_only_time() -> None:
     volume = clvol.LazyVolume(Slow(waves(60, 50, 40)), limits=(0, 1), labels=False)
     with as_cluster(2) as own:
         processes = list(own.client.run(os.getpid).values())
@@ -365,7 +365,7 @@ def test_a_killed_worker_changes_nothing_but_time() -> None:
             np.testing.assert_array_equal(picture, one.render(CAMERAS["aslant"], "mip", (96, 96)))
 
 
-def test_what_died_with_the_only_worker_is_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_lost_with_the_only_worker_are_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clusters, "_LARGE", 1 << 10)  # so that it is no part of what the scheduler keeps
     volume = clvol.Volume(waves(40, 40, 40))
     with as_cluster(1) as own, Renderer(volume, "linear", cluster=own) as many, Renderer(volume, "linear") as one:
@@ -385,7 +385,7 @@ def test_a_poison_brick_is_named() -> None:
 
 
 def _said(monkeypatch: pytest.MonkeyPatch, field: BrickedField, killer: Any) -> tuple[str, list[list[Any]]]:
-    """What is said of a box of 2 × 2 × 2 bricks, and which were read for it."""
+    """The message for a box of 2 × 2 × 2 bricks, and the bricks read for it."""
     read: list[list[Any]] = []
     monkeypatch.setattr(parts._Work, "_killer", lambda _, bricks: read.append(list(bricks)) or killer(read[-1]))
     work = parts._Work(Shared.__new__(Shared), None, [Group(7, (0, 0, 0), (2, 2, 2))])
@@ -395,14 +395,14 @@ def _said(monkeypatch: pytest.MonkeyPatch, field: BrickedField, killer: Any) -> 
 
 
 @pytest.mark.parametrize("guilty", [*itertools.product((0, 1), repeat=3)])
-def test_the_brick_that_is_named_was_read_by_itself(monkeypatch: pytest.MonkeyPatch, guilty: Any) -> None:
+def test_the_named_brick_was_read_alone(monkeypatch: pytest.MonkeyPatch, guilty: Any) -> None:
     with BrickedField(waves(32, 32, 32), "linear", edge=16) as field:
         said, read = _said(monkeypatch, field, lambda bricks: guilty if guilty in bricks else None)
     assert said.startswith(f"brick {guilty} (x, y, z), samples [")
     assert read == [[*itertools.product((0, 1), repeat=3)], [guilty]]
 
 
-def test_no_brick_is_named_that_was_not_found_guilty(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_brick_is_named_without_proof(monkeypatch: pytest.MonkeyPatch) -> None:
     with BrickedField(waves(32, 32, 32), "linear", edge=16) as field:
         said, read = _said(monkeypatch, field, lambda bricks: bricks[3] if len(bricks) > 1 else None)  # together they are too much
         assert said.startswith("bricks (0, 0, 0) to (1, 1, 1) (x, y, z) of the volume end each worker that reads all of them")
@@ -412,8 +412,8 @@ def test_no_brick_is_named_that_was_not_found_guilty(monkeypatch: pytest.MonkeyP
         assert len(read) == 1
 
 
-def test_a_second_picture_by_workers_that_come_back_at_their_ports() -> None:
-    """Who takes the place of a killed worker has its address, and none of its bricks."""
+def test_a_second_picture_after_workers_restarted_at_their_ports() -> None:
+    """A replacement has the address of the killed worker, and none of its bricks."""
     ports = [_free_port() for _ in range(2)]
     spec = {
         i: {
@@ -455,7 +455,7 @@ def _free_port() -> int:
         return int(found.getsockname()[1])
 
 
-def test_what_cannot_be_read_is_named(cluster: Cluster) -> None:
+def test_unreadable_samples_are_named(cluster: Cluster) -> None:
     volume = clvol.LazyVolume(Damaged(waves(48, 30, 30)), name="damaged", limits=(0, 1), labels=False)
     with (
         Renderer(volume, "linear", cluster=cluster) as renderer,
@@ -480,7 +480,7 @@ def test_a_scheduler_that_is_gone(monkeypatch: pytest.MonkeyPatch, volume: clvol
 
 
 def failing(path: Any, error: Exception) -> None:
-    """Leaves a mark for each time that it is called."""
+    """Leave a mark for each call."""
     with path.open("a") as file:
         file.write("called\n")
     raise error
@@ -491,7 +491,7 @@ def failing(path: Any, error: Exception) -> None:
     [(FormatError("no chunk"), 3), (OSError("no disk"), 3), (DataError("NaN"), 1), (OptionError("no"), 1)],
     ids=repr,
 )
-def test_only_what_may_pass_is_tried_again(cluster: Cluster, tmp_path: Any, error: Exception, times: int) -> None:
+def test_only_transient_errors_are_retried(cluster: Cluster, tmp_path: Any, error: Exception, times: int) -> None:
     expected = type(error) if isinstance(error, clvol.ClvolError) else ClusterError
     with pytest.raises(expected, match=str(error)):
         list(cluster.as_completed([cluster.submit(failing, tmp_path / "calls", error)]))
@@ -499,7 +499,7 @@ def test_only_what_may_pass_is_tried_again(cluster: Cluster, tmp_path: Any, erro
 
 
 class Endless:
-    """The future of a result that comes to those who wait for so many seconds."""
+    """A future whose result arrives only after the given timeout."""
 
     def __init__(self, comes: float) -> None:
         self.comes, self.asked = comes, list[float]()
@@ -517,8 +517,8 @@ class Endless:
         pass
 
 
-def test_a_result_that_comes_slowly(cluster: Cluster) -> None:
-    """It is asked for with more and more patience, and then given up."""
+def test_a_slow_result(cluster: Cluster) -> None:
+    """It is requested with growing timeouts, then abandoned."""
     slow = Endless(3 * clusters.WAIT)
     assert cluster._result(slow) == "there"
     assert slow.asked == [clusters.WAIT, 2 * clusters.WAIT, 4 * clusters.WAIT]
@@ -548,7 +548,7 @@ def test_workers_of_another_version(cluster: Cluster, monkeypatch: pytest.Monkey
 
 @contextlib.contextmanager
 def processes(folder: Any, **environment: str) -> Iterator[tuple[str, list[Any]]]:
-    """A scheduler and a worker as one starts them by hand, the worker with more in its environment: an address, and both."""
+    """A scheduler and a worker started by hand, with extra environment for the worker; the address and both."""
     port, started = _free_port(), list[Any]()
     quiet: dict[str, Any] = {"cwd": folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     address = f"tcp://127.0.0.1:{port}"
@@ -573,7 +573,7 @@ def processes(folder: Any, **environment: str) -> Iterator[tuple[str, list[Any]]
 
 @pytest.mark.thorough
 def test_a_worker_with_another_clvol(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that has nothing of it but the name."""
+    """It has only the name."""
     monkeypatch.setattr(clusters, "WAIT", 60.0)
     (tmp_path / "clvol").mkdir()
     (tmp_path / "clvol" / "__init__.py").write_text('__version__ = "0.0.1"\n')
@@ -585,9 +585,7 @@ def test_a_worker_with_another_clvol(tmp_path: Any, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.thorough
-def test_a_worker_in_whose_environment_is_no_opencl(
-    tmp_path: Any, volume: clvol.LazyVolume, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_worker_environment_without_opencl(tmp_path: Any, volume: clvol.LazyVolume, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clusters, "WAIT", 60.0)
     (tmp_path / "none").mkdir()
     with (
@@ -601,8 +599,8 @@ def test_a_worker_in_whose_environment_is_no_opencl(
 @pytest.mark.thorough
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 @pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL"])
-def test_a_scheduler_that_stops_in_a_picture(tmp_path: Any, how: str, volume: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No more than two waits and a census: it is asked for a result, and then whether it is there."""
+def test_a_scheduler_that_stops_during_a_picture(tmp_path: Any, how: str, volume: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At most two timeouts and a check of the workers."""
     monkeypatch.setattr(clusters, "WAIT", 60.0)
     with (
         processes(tmp_path) as (address, (scheduler, _)),
@@ -624,7 +622,7 @@ def test_a_scheduler_that_stops_in_a_picture(tmp_path: Any, how: str, volume: An
         scheduler.kill()  # so that leaving waits for nobody
 
 
-def test_the_command_draws_by_a_cluster(cluster: Cluster, tmp_path: Any) -> None:
+def test_the_command_renders_by_a_cluster(cluster: Cluster, tmp_path: Any) -> None:
     command = ["render", "phantom:marschner-lobb:24", "--size", "48", "40", "--mode", "mip"]
     for name, options in (("a", ["--by-bricks"]), ("b", ["--scheduler", cluster.address])):
         with pytest.raises(SystemExit) as end:
@@ -668,7 +666,7 @@ LONG = {
 
 
 def interrupted(command: list[str], when: str, later: float, folder: Any) -> list[str]:
-    """Ctrl-C at a command, as terminals send it, to its processes too; which pictures it leaves."""
+    """Ctrl-C to a command and its processes, as terminals send it; returns the pictures left."""
     import psutil
 
     process: subprocess.Popen[str] = subprocess.Popen(
@@ -719,8 +717,8 @@ def interrupted(command: list[str], when: str, later: float, folder: Any) -> lis
         pytest.param("batch", "drawing", 0.1, marks=pytest.mark.thorough),
     ],
 )
-def test_an_interrupt_ends_the_workers_that_a_command_started(name: str, when: str, later: float, tmp_path: Any) -> None:
-    """In one line, without what these say of it, and no picture is half there."""
+def test_an_interrupt_stops_the_workers_that_a_command_started(name: str, when: str, later: float, tmp_path: Any) -> None:
+    """One line, no output of the workers, and no incomplete picture."""
     if name == "movie":
         pytest.importorskip("imageio_ffmpeg")
     found = interrupted([*LONG[name], "--workers", "1"], when, later, tmp_path)
@@ -730,7 +728,7 @@ def test_an_interrupt_ends_the_workers_that_a_command_started(name: str, when: s
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
-def test_an_interrupt_leaves_the_workers_of_others_without_work(cluster: Cluster, tmp_path: Any) -> None:
+def test_an_interrupt_cancels_the_work_of_other_workers(cluster: Cluster, tmp_path: Any) -> None:
     command = [*LONG["movie"][:3], "a.gif", *LONG["movie"][4:], "--scheduler", cluster.address]
     assert interrupted(command, "drawing", 0.1, tmp_path) == []
     until = time.monotonic() + 10

@@ -1,4 +1,4 @@
-"""The ray loop in parts: stretches of the rays marched apart and merged make the picture that they make in one go."""
+"""The ray loop in segments: separately marched and merged segments of the rays make the same picture."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from tests.march.looks import TILES, suited
 
 SIZE = (41, 35)
 TRANSFER = TransferFunction(((0.0, "navy"), (0.5, "orange"), (1.0, "white")), ((0.2, 0.0), (0.5, 0.25), (1.0, 0.9)))
-EXACT = [name for name in modes() if name not in ("composite", "mean")]  # nothing is added up
+EXACT = [name for name in modes() if name not in ("composite", "mean")]  # nothing accumulates
 CAMERAS = {
     "across": Camera.orbit(25, 35, fit="volume"),
     "along an axis": Camera.orbit(0, 0, projection="orthographic", fit="volume"),
-    "oblique": Camera.orbit(40, -30, fov=120, fit="volume"),  # some rays step along themselves
+    "oblique": Camera.orbit(40, -30, fov=120, fit="volume"),  # some rays step along their own direction
 }
 
 
@@ -69,7 +69,7 @@ def check(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], mode: str
 
 @pytest.mark.one_in(16)
 @pytest.mark.parametrize(("mode", "tile"), [*product(modes(), ["planes", "rays"])])
-def test_two_halves_of_the_rays_merged_are_the_picture(renderer: Renderer, mode: str, tile: str) -> None:
+def test_two_merged_halves_of_the_rays_make_the_picture(renderer: Renderer, mode: str, tile: str) -> None:
     with renderer.device.limited(tile=TILES[tile]):
         for camera in CAMERAS.values():
             frame = frame_of(renderer, mode, camera)
@@ -81,8 +81,8 @@ def test_two_halves_of_the_rays_merged_are_the_picture(renderer: Renderer, mode:
 
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", modes())
-def test_states_that_are_carried_on_are_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
-    """In parts of any length, skipping or not."""
+def test_continued_states_make_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
+    """In segments of any length, with and without skipping."""
     for skipping in (True, False):
         frame = frame_of(renderer, mode, CAMERAS["across"], skipping=skipping)
         whole, states, first = draw(frame), None, -np.inf
@@ -96,8 +96,8 @@ def test_states_that_are_carried_on_are_the_picture_to_the_last_bit(renderer: Re
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["composite", "mean", "mip"])
-def test_rays_of_few_samples_in_parts_are_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
-    """Rays between two planes have one sample, wherever they are parted; those through some have two ends."""
+def test_segmented_rays_of_few_samples_make_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
+    """Rays between two planes have one sample, wherever they are split; others have two ends."""
     x, y, z = renderer.volume.center
     for thick in (0.3, 1.4):
         clip = (x, y, z), (math.inf, y + thick * renderer.volume.spacing[1], math.inf)
@@ -115,7 +115,7 @@ def test_rays_of_few_samples_in_parts_are_the_picture_to_the_last_bit(renderer: 
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", modes())
-def test_merging_does_not_depend_on_the_grouping(renderer: Renderer, mode: str) -> None:
+def test_merging_is_associative(renderer: Renderer, mode: str) -> None:
     """(a b) c and a (b c)."""
     frame = frame_of(renderer, mode, CAMERAS["across"])
     pictures = []
@@ -131,7 +131,7 @@ def test_merging_does_not_depend_on_the_grouping(renderer: Renderer, mode: str) 
 
 
 @pytest.mark.parametrize("termination", [1e-3, 0.1])
-def test_merged_light_errs_by_no_more_than_early_termination(renderer: Renderer, termination: float) -> None:
+def test_merged_light_is_exact_within_early_termination(renderer: Renderer, termination: float) -> None:
     frame = frame_of(renderer, "composite", CAMERAS["across"], termination=termination)
     whole = draw(frame)["rgba"]
     with march_rays(frame, last=9) as front, march_rays(frame, 10) as back:
@@ -140,7 +140,7 @@ def test_merged_light_errs_by_no_more_than_early_termination(renderer: Renderer,
     assert difference.max() <= 2 * termination + 1e-6  # the colours and the opacity
 
 
-def test_states_of_another_picture_or_released_are_refused(renderer: Renderer) -> None:
+def test_states_of_another_picture_and_released_ones_are_rejected(renderer: Renderer) -> None:
     frame, other = frame_of(renderer, "mip", CAMERAS["across"]), frame_of(renderer, "minip", CAMERAS["across"])
     with march_rays(frame) as states, march_rays(other) as foreign:
         for call in (lambda: merge_states(states, foreign), lambda: march_rays(other, states=states)):
@@ -159,7 +159,7 @@ def test_states_of_another_picture_or_released_are_refused(renderer: Renderer) -
 
 
 def test_every_sample_is_gathered_once(renderer: Renderer) -> None:
-    """The share of samples looked at adds up; nothing is skipped here."""
+    """The fractions of samples add up; nothing is skipped here."""
     frame = frame_of(renderer, "mean", CAMERAS["across"])
     with march_rays(frame, last=11) as front, march_rays(frame, 12) as back:
         visited = finish_states(merge_states(front, back))["visited"]
@@ -167,7 +167,7 @@ def test_every_sample_is_gathered_once(renderer: Renderer) -> None:
 
 
 def test_half_of_the_rays_are_half_of_the_picture(renderer: Renderer) -> None:
-    """So that the tests above would notice if numbers of samples were not heeded."""
+    """So that the tests above would detect ignored sample numbers."""
     frame = frame_of(renderer, "composite", CAMERAS["across"])
     whole = draw(frame)["rgba"]
     with march_rays(frame, last=frame.planes.count // 2) as front:

@@ -1,4 +1,4 @@
-"""The process takes no more memory than the budget allows, and a little beside it: as the system measures it."""
+"""Measured memory of the process stays within the budget plus a small constant."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ print(json.dumps({"grown": peak() - before, "read": read, "dropped": dropped}))
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="Linux measures the peak")
 @pytest.mark.parametrize("stored", [None, (1, 256, 256)], ids=["parts", "planes"])
-def test_pictures_and_grids_of_a_volume_of_many_times_the_budget(stored: tuple[int, ...] | None, tmp_path: Path) -> None:
-    """256³ of float32 are 64 MiB; bricks take more with their margins, and are read again for each of three results."""
+def test_pictures_and_grids_of_a_volume_many_times_the_budget(stored: tuple[int, ...] | None, tmp_path: Path) -> None:
+    """256³ of float32 are 64 MiB; bricks take more with margins, and are read again for each of three results."""
     script = tmp_path / "child.py"
     script.write_text(CHILD, encoding="utf-8")
     command = [sys.executable, str(script), str(BUDGET), "64", json.dumps(stored)]

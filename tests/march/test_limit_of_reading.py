@@ -1,4 +1,4 @@
-"""What is read beside bricks is held to the budget too: chunks as they are unpacked, sums, and what looks are decided from."""
+"""Reading stays within the budget: unpacked chunks, sums, and the samples that decide looks."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ linux = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="L
 
 
 def grown(folder: Path, what: str, *arguments: Any) -> int:
-    """Bytes by which a process grows that does something."""
+    """Bytes by which a process grows during a call."""
     script = folder / "child.py"
     script.write_text(CHILD, encoding="utf-8")
     command = [sys.executable, str(script), what, json.dumps(arguments)]
@@ -93,21 +93,21 @@ def grown(folder: Path, what: str, *arguments: Any) -> int:
 
 
 @linux
-def test_a_turned_grid_low_passed(tmp_path: Path) -> None:
-    """Sums and their samples are a part of what a brick takes, and points of results are."""
+def test_low_pass_on_a_rotated_grid(tmp_path: Path) -> None:
+    """Sums and their samples are part of a brick's memory, and points are part of the result's."""
     found = grown(tmp_path, "turned", 200, 40, 32 * MIB)
     assert found < 32 * MIB + BESIDE / 2, f"{found / MIB:.0f} MiB"
 
 
 @linux
-def test_looking_at_a_volume(tmp_path: Path) -> None:
-    """Of 300³ of float32, 103 MiB, all are looked at for their range; the sketch and the part have 8 MiB each."""
+def test_previews_of_a_volume(tmp_path: Path) -> None:
+    """All of 300³ float32, 103 MiB, is read for its range; preview and centre block take 8 MiB each."""
     found = grown(tmp_path, "looked", 300)
     assert found < 32 * MIB, f"{found / MIB:.0f} MiB"
 
 
 def packed(path: Path, shape: tuple[int, ...]) -> None:
-    """An array that is one chunk of gzip, the codec of Zarr that takes most."""
+    """An array in one gzip chunk, the Zarr codec that needs most memory."""
     zarr = pytest.importorskip("zarr")
     from zarr.codecs import GzipCodec
 
@@ -117,7 +117,7 @@ def packed(path: Path, shape: tuple[int, ...]) -> None:
 
 @linux
 def test_a_chunk_is_unpacked_within_the_budget_or_not_at_all(tmp_path: Path) -> None:
-    """Which refuses it, says which would not."""
+    """A budget that is rejected comes with the one that would do."""
     packed(tmp_path / "v.zarr", (160, 256, 256))  # 20 MiB
     packed(tmp_path / "v.zarr.small", (80, 80, 80))
     volume = clvol.open(tmp_path / "v.zarr")
@@ -131,7 +131,7 @@ def test_a_chunk_is_unpacked_within_the_budget_or_not_at_all(tmp_path: Path) -> 
     assert found < least + BESIDE, f"{found / MIB:.0f} MiB"
 
 
-def test_nothing_is_read_of_chunks_that_the_budget_does_not_hold(tmp_path: Path) -> None:
+def test_chunks_that_exceed_the_budget_are_not_read(tmp_path: Path) -> None:
     data = Counted(np.zeros((64, 64, 64), np.float32), (64, 64, 64))
     volume = clvol.LazyVolume(data, labels=False)
     for refused in (
@@ -166,8 +166,8 @@ def test_a_default_budget_grows_with_a_chunk_up_to_what_is_available(monkeypatch
 
 
 @pytest.mark.filterwarnings("ignore:.*taken for slices")
-def test_what_is_stored_as_it_is_is_read_by_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Large chunks of Zarr and HDF5, and pages of TIFF that lie apart: of both byte orders, and a chunk that is not stored."""
+def test_uncompressed_chunks_are_read_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large chunks of Zarr and HDF5, and separate TIFF pages: both byte orders, and a chunk that is not stored."""
     zarr, h5py, tifffile = (pytest.importorskip(name) for name in ("zarr", "h5py", "tifffile"))
     from clvol.formats import hdf5
     from clvol.formats.zarr import array

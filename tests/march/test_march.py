@@ -76,7 +76,7 @@ COARSE = Allowance(rgba=0.1, rms=0.01, depth=0.2, position=0.2, normal=0.3, pixe
 
 @lru_cache
 def block(*, oblique: bool = False, origin: tuple[float, float, float] = (5, -3, 2)) -> Volume:
-    """Smooth noise over 0..1, with spacings that differ and, if asked, skew axes."""
+    """Smooth noise over 0..1, with unequal spacings and, on request, sheared axes."""
     noise = Volume(np.random.default_rng(3).random((9, 7, 11))).gaussian(0.8).data
     data = ((noise - noise.min()) / np.ptp(noise)).astype(np.float32)
     direction = np.array([[0.8, -0.6, 0.1], [0.6, 0.8, 0.2], [0.0, 0.0, 1.0]])
@@ -94,14 +94,14 @@ def lobes() -> Volume:
 
 @lru_cache
 def slope() -> Volume:
-    """Rising along every ray, so that a surface is met once however far apart the samples lie."""
+    """Rising along every ray, so that a surface is crossed once however far apart the samples are."""
     z, y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in (9, 7, 11)), indexing="ij")
     return Volume((0.5 + 0.2 * x - 0.1 * y + 0.1 * z + 0.08 * x**3 - 0.03 * z * y).astype(np.float32), (1.0, 0.8, 1.3))
 
 
 @pytest.fixture(scope="module")
 def keep() -> Iterator[dict[Any, Renderer]]:
-    """Renderers by what they were made of."""
+    """Renderers by their arguments."""
     kept: dict[Any, Renderer] = {}
     yield kept
     for renderer in kept.values():
@@ -116,14 +116,14 @@ def held(keep: dict[Any, Renderer], device: Device, volume: Volume, filter: str,
 
 
 def clear_of_knots(volume: Volume, camera: Camera, step: float) -> bool:
-    """Whether no plane of samples lies where a filter jumps or its slope does; there rounding would choose."""
+    """Whether no plane of samples lies where a filter or its slope jumps; there rounding would decide."""
     planes = Planes(volume, camera.view(volume, SIZE[0] / SIZE[1]), SIZE[0] / SIZE[1], step)
     places = -0.5 + (np.arange(planes.count) + 0.5) * planes.spacing
     return bool(np.abs(2 * places - np.round(2 * places)).min() > 1e-3)
 
 
 def compare(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], allowed: Allowance) -> None:
-    """Assert that two sets of pictures agree, and that they show something."""
+    """Assert that two sets of pictures agree, and are not empty."""
     budget = allowed.pixels * want["depth"].size
     flipped = np.isfinite(got["depth"]) != np.isfinite(want["depth"])
     assert flipped.sum() <= budget, f"{flipped.sum()} pixels are in one picture only"
@@ -158,7 +158,7 @@ def check(
     ways: dict[str, Any] | None = None,
     **options: Any,
 ) -> dict[str, NDArray[Any]]:
-    """Draw both ways and compare; `ways` are limits of the device."""
+    """Render both ways and compare; `ways` are limits of the device."""
     options = suited(mode, {**OPTIONS, **options})
     with renderer.device.limited(**(ways or {})):
         got = renderer.render(camera, mode, size, step, **options)
@@ -218,7 +218,7 @@ PAIRWISE = [("bspline3", mode, way) for mode in MODES for way in range(1, len(WA
 
 @pytest.mark.one_in(60)
 @pytest.mark.parametrize(("filter", "mode", "way"), PAIRWISE, ids=[f"{f}-{m}-{'-'.join(WAYS[w].values())}" for f, m, w in PAIRWISE])
-def test_every_way_to_the_coefficients(device: Device, keep: dict[Any, Renderer], filter: str, mode: str, way: int) -> None:
+def test_every_path_to_the_coefficients(device: Device, keep: dict[Any, Renderer], filter: str, mode: str, way: int) -> None:
     ways = WAYS[way]
     if ways["fetch"] == "image" and not device.has_images:
         with pytest.raises(DeviceError, match="images"), device.limited(**ways):
@@ -310,7 +310,7 @@ def test_central_differences(device: Device, keep: dict[Any, Renderer], filter: 
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("filter", ["nearest", "linear", "mitchell", "bspline3", "hybrid", "sinc"])
 def test_stepped_surfaces(device: Device, keep: dict[Any, Renderer], filter: str) -> None:
-    """Drawn to rounding, not to 1e-4 of what lies between two samples."""
+    """Within rounding, not 10⁻⁴ of the difference between two samples."""
     allowed = allowance(filter, "isosurface", device)
     check(held(keep, device, block(), filter), CAMERA, "isosurface", allowed, method="stepped", tolerance=0.0)
 
@@ -367,13 +367,13 @@ def test_opaque_matter(device: Device, keep: dict[Any, Renderer]) -> None:
         check(renderer, CAMERA, "composite", Allowance(rgba=2e-4, rms=2e-5), step=step, transfer=solid)
 
 
-def test_opacities_a_world_length(device: Device, keep: dict[Any, Renderer]) -> None:
+def test_opacities_per_world_length(device: Device, keep: dict[Any, Renderer]) -> None:
     check(held(keep, device, block(), "bspline3"), CAMERA, "composite", transfer=replace(TRANSFER, unit_distance=2.7))
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_the_default_look_is_the_references(device: Device, mode: str) -> None:
-    """No option is given: transfer function, isovalue, colour, lights and background are what each decides by itself."""
+def test_the_default_look_matches_the_reference(device: Device, mode: str) -> None:
+    """No options: each chooses transfer function, isovalue, colour, lights and background."""
     with Renderer(block(), device=device) as renderer:
         got = renderer.render(CAMERA, mode, SIZE, STEP, outputs=OUTPUTS[:-1], rays=1)
     want = reference.render(block(), CAMERA, mode, size=SIZE, step=STEP, outputs=OUTPUTS[:-1])
@@ -390,8 +390,8 @@ def test_the_default_look_is_the_references(device: Device, mode: str) -> None:
 
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", MODES)
-def test_tiles_of_rays_draw_the_same(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
-    """One ray a work-item, eight at once, and tiles that share planes."""
+def test_tiles_of_rays_render_the_same(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
+    """One ray per work-item, eight at once, and tiles that share planes."""
     renderer = held(keep, device, block(), "bspline3")
     views = [
         Camera.orbit(azimuth, elevation, fit="volume") for azimuth, elevation in ((100, 10), (20, -75), (200, 5))
@@ -408,7 +408,7 @@ def test_tiles_of_rays_draw_the_same(device: Device, keep: dict[Any, Renderer], 
 
 
 @pytest.mark.parametrize("termination", [1e-3, 0.03, 0.3])
-def test_early_termination_errs_by_no_more_than_its_share(device: Device, keep: dict[Any, Renderer], termination: float) -> None:
+def test_early_termination_is_exact_within_its_threshold(device: Device, keep: dict[Any, Renderer], termination: float) -> None:
     renderer = held(keep, device, block(), "bspline3")
     dense = TRANSFER.with_opacity(((0.0, 0.5), (1.0, 0.9)))
     check(renderer, CAMERA, "composite", transfer=dense, termination=termination)
@@ -424,7 +424,7 @@ def test_early_termination_errs_by_no_more_than_its_share(device: Device, keep: 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("mode", ["composite", "isosurface"])
 def test_touching_labels_have_no_seam(mode: str, device: Device) -> None:
-    """Labels are lit by the surface of what is solid, whatever numbers they bear."""
+    """Labels are shaded by the surface of the solid, whatever their numbers."""
     one = np.zeros((12, 12, 12), np.uint8)
     one[3:9, 3:9, 3:9] = 1
     several = one.copy()

@@ -1,4 +1,4 @@
-"""A mode that is made here, a class and a kernel file, draws in memory, by bricks and on a cluster, with skipping."""
+"""A custom mode, a class and a kernel file, renders in memory, by bricks and on a cluster, with skipping."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def samples() -> Any:
-    """Waves, of which few reach the band."""
+    """Waves, few of which reach the band."""
     data = waves(40, 44, 48)
     data[:, :, 16:] *= 0.5
     return data
@@ -128,7 +128,7 @@ def test_in_memory_space_is_skipped(samples: Any, expected: dict[str, Any]) -> N
         assert np.nanmean(visited) < 0.5
 
 
-def test_by_bricks_those_of_other_values_are_not_read(samples: Any, expected: dict[str, Any]) -> None:
+def test_by_bricks_those_outside_the_band_are_not_read(samples: Any, expected: dict[str, Any]) -> None:
     lazy = clvol.LazyVolume(samples, limits=(samples.min(), samples.max()), labels=False, bounds=Known(samples))
     with BrickedField(lazy, "linear", edge=16) as field, Renderer(field) as renderer:
         equal(renderer.render(CAMERAS["aslant"], Band(), (48, 40), **LOOK), expected)

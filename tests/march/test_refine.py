@@ -1,4 +1,4 @@
-"""Pictures that become finer: the last is that of `render` to the last bit, whatever happens on the way."""
+"""Progressive pictures: the last equals that of `render` to the last bit, whatever happens in between."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def hashed(picture: NDArray[Any]) -> bytes:
 
 
 def checked(pictures: Iterator[Refined], want: Picture) -> list[Refined]:
-    """All of them, if they become finer, the last alone is the whole one, and none changes when the next is made."""
+    """Require increasing resolution, only the last final, and no change of earlier pictures."""
     made, as_made = [], []
     for picture in pictures:
         made.append(picture)
@@ -86,13 +86,13 @@ def test_the_last_is_the_picture_to_the_last_bit(renderer: Renderer, mode: str, 
 @pytest.mark.parametrize("budget", [TINY, HUGE])
 def test_pictures_of_any_shape(renderer: Renderer, size: tuple[int, int], budget: float) -> None:
     want = renderer.render(CAMERA, size=size)
-    for _ in range(2):  # with what is known from the first time, too
+    for _ in range(2):  # with the rates measured the first time, too
         made = checked(renderer.refine(CAMERA, size=size, seconds=budget), want)
         if budget == HUGE:
             assert len(made) == 1
 
 
-def test_all_that_render_takes(renderer: Renderer) -> None:
+def test_all_options_of_render(renderer: Renderer) -> None:
     look: dict[str, Any] = {
         "step": 0.3,
         "window": (0.5, 0.6),
@@ -122,8 +122,8 @@ def test_other_tiles_and_devices_that_do_not_share_memory(renderer: Renderer, ti
                 checked(renderer.refine(CAMERA, seconds=TINY, **look), renderer.render(CAMERA, **look))
 
 
-def test_a_picture_that_comes_too_late_is_drawn_on_later(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Planned as if all were in time, when none is: the coarse picture is shown, and no launch of the whole one is repeated."""
+def test_a_late_picture_is_continued(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planned as if all were in time, when none is: the coarse picture is shown, and no launch of the final one is repeated."""
     size = (120, 90)
     told: list[float] = []
     monkeypatch.setattr(refine, "_LATE", 0.0)
@@ -153,7 +153,7 @@ def test_a_picture_that_comes_too_late_is_drawn_on_later(renderer: Renderer, mon
         assert told == launches
 
 
-def test_a_drawing_goes_on_where_it_stopped(renderer: Renderer) -> None:
+def test_a_drawing_resumes_where_it_stopped(renderer: Renderer) -> None:
     for rays in (1, 4):
         seen = captured(renderer, rays)
         (frame,) = {id(drawing.frame): drawing.frame for drawing in seen}.values()
@@ -166,7 +166,7 @@ def test_a_drawing_goes_on_where_it_stopped(renderer: Renderer) -> None:
 
 
 def captured(renderer: Renderer, rays: int) -> list[Drawing]:
-    """The drawing of a whole picture."""
+    """The drawing of a final picture."""
     made: list[Drawing] = []
 
     class Kept(Drawing):
@@ -182,8 +182,8 @@ def captured(renderer: Renderer, rays: int) -> list[Drawing]:
 
 
 @pytest.mark.parametrize("background", ["teal", None])
-def test_some_rays_of_a_pixel_make_a_picture(device: Device, background: str | None) -> None:
-    """Of fog without a structure all rays have one colour: some of them show what all do."""
+def test_a_subset_of_a_pixels_rays_makes_a_picture(device: Device, background: str | None) -> None:
+    """In homogeneous fog all rays have one colour: a subset shows what all do."""
     fog = Volume(np.ones((6, 6, 6), np.float32))
     camera = Camera.orbit(0, 0, projection="orthographic", zoom=4)
     transfer = TransferFunction(((0, (1, 0.6, 0)), (2, (1, 0.6, 0))), ((0, 0.1), (2, 0.1)))
@@ -221,8 +221,8 @@ def test_steps_are_longer_only_where_all_samples_count(renderer: Renderer) -> No
     assert first.step == 3.0
 
 
-def test_what_was_measured_is_remembered(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first time there are trials; a view like the last one needs none, and another one is tried coarsely."""
+def test_measured_times_are_remembered(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first picture needs trials; a similar view needs none, and a different one starts coarse."""
     sizes: list[tuple[int, int]] = []
 
     class Counted(Drawing):
@@ -240,7 +240,7 @@ def test_what_was_measured_is_remembered(device: Device, monkeypatch: pytest.Mon
     with Renderer(marschner_lobb(12), device=device) as renderer:
         assert drawn(Camera.orbit(30, 20)) == 3
         assert drawn(Camera.orbit(32, 20)) == 1
-        # a quarter of the budget may be enough for the whole of it, by what the last one took
+        # a quarter of the time may suffice for the final picture, by the last measurement
         assert drawn(Camera.orbit(33, 20).zoomed(1.02), cmap="magma") in (1, 2)
         assert drawn(Camera.orbit(200, 20), cmap="magma") in (1, 2)
         assert drawn(Camera.orbit(120, 20), mode="mip") == 3
@@ -262,7 +262,7 @@ def test_rates() -> None:
     assert not rate.sees(view, ("mip",))
     assert rate.grown(90_000, 0.5, 0.36).power == pytest.approx(0.75)  # measured: 1
     assert rate.grown(90_000, 0.5, 1e9).power == pytest.approx(0.75)
-    assert rate.grown(20_000, 0.5, 0.08) is rate  # too near to tell
+    assert rate.grown(20_000, 0.5, 0.08) is rate  # too close to decide
     assert rate.grown(90_000, 1.0, 0.36) is rate  # of another step
 
 
@@ -272,7 +272,7 @@ def test_rates() -> None:
 @pytest.mark.parametrize(
     "look", [{"mode": "composite"}, {"mode": "isosurface"}, {"mode": "mip", "rays": 3}], ids=lambda look: look["mode"]
 )
-def test_cancelled_at_each_question(renderer: Renderer, look: dict[str, Any]) -> None:
+def test_cancellation_at_each_check(renderer: Renderer, look: dict[str, Any]) -> None:
     want = renderer.render(CAMERA, size=SIZE, **look)
     counted = asked = last = 0
 
@@ -293,12 +293,12 @@ def test_cancelled_at_each_question(renderer: Renderer, look: dict[str, Any]) ->
             asked = 0
             made = list(renderer.refine(CAMERA, size=SIZE, seconds=TINY, cancelled=stop, **look))
             assert not any(picture.final for picture in made) or asked < last
-            assert asked <= last  # nobody is asked again
+            assert asked <= last  # the callback is not called again
     np.testing.assert_array_equal(renderer.render(CAMERA, size=SIZE, **look), want)
 
 
 def test_the_search_for_a_surface_can_be_cancelled(device: Device) -> None:
-    """Each new isovalue needs to know where the surface may be."""
+    """Each new isovalue requires the search for cells that may contain the surface."""
     with Renderer(Volume(np.random.default_rng(1).random((40, 40, 40))), device=device) as renderer:
         list(renderer.refine(mode="isosurface", isovalue=0.4, size=(8, 8)))
         questions = 0
@@ -315,7 +315,7 @@ def test_the_search_for_a_surface_can_be_cancelled(device: Device) -> None:
         np.testing.assert_array_equal(list(renderer.refine(mode="isosurface", isovalue=0.5, size=(8, 8)))[-1], want)
 
 
-def test_edges_are_told_of(renderer: Renderer) -> None:
+def test_edges_are_reported(renderer: Renderer) -> None:
     calls: list[float] = []
     with renderer.device.limited(launch_seconds=1e-9):
         renderer.render(CAMERA, "isosurface", SIZE, progress=calls.append)
@@ -336,7 +336,7 @@ def test_edges_are_told_of(renderer: Renderer) -> None:
 
 @pytest.mark.parametrize("rays", [1, "auto", 4])
 @pytest.mark.parametrize("budget", [TINY, HUGE])
-def test_progress_is_that_of_the_last_picture(renderer: Renderer, rays: Any, budget: float) -> None:
+def test_progress_covers_the_last_picture(renderer: Renderer, rays: Any, budget: float) -> None:
     told: list[float] = []
     want = renderer.render(CAMERA, "isosurface", SIZE, rays=rays)
     with renderer.device.limited(launch_seconds=1e-9):
@@ -347,7 +347,7 @@ def test_progress_is_that_of_the_last_picture(renderer: Renderer, rays: Any, bud
     assert told[-1] == 1
 
 
-def test_whoever_has_enough_stops(renderer: Renderer) -> None:
+def test_iteration_may_stop_early(renderer: Renderer) -> None:
     want = renderer.render(CAMERA, size=SIZE)
     for count in range(3):
         pictures = renderer.refine(CAMERA, size=SIZE, seconds=TINY)
@@ -359,7 +359,7 @@ def test_whoever_has_enough_stops(renderer: Renderer) -> None:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
-def test_errors_of_the_question_come_out(renderer: Renderer, error: type[BaseException]) -> None:
+def test_errors_of_the_cancel_callback_propagate(renderer: Renderer, error: type[BaseException]) -> None:
     want = renderer.render(CAMERA, size=SIZE)
     for last in range(1, 12):
         asked = itertools.count(1)
@@ -383,7 +383,7 @@ def test_closing_a_renderer_between_two_pictures(device: Device) -> None:
     first = next(pictures)
     before = hashed(first)
     renderer.close()
-    assert renderer.field.closed  # whoever merely holds the pictures to come keeps nothing
+    assert renderer.field.closed  # merely holding the iterator keeps nothing alive
     with pytest.raises(OptionError, match="the renderer was closed"):
         next(pictures)
     assert list(pictures) == []
@@ -392,8 +392,8 @@ def test_closing_a_renderer_between_two_pictures(device: Device) -> None:
         renderer.refine(size=SIZE)
 
 
-def test_closing_a_renderer_while_it_draws(device: Device) -> None:
-    """The picture that is drawn is drawn to its end; the next one is refused."""
+def test_closing_a_renderer_while_it_renders(device: Device) -> None:
+    """The current picture is completed; the next is rejected."""
     with Renderer(marschner_lobb(12), device=device) as other:
         want = other.render(CAMERA, "mip", SIZE)
     for last in (2, 5, 30):
@@ -417,7 +417,7 @@ def test_closing_a_renderer_while_it_draws(device: Device) -> None:
             renderer.refine()
 
 
-def test_a_field_that_was_given_and_closed(device: Device) -> None:
+def test_a_given_field_that_was_closed(device: Device) -> None:
     field = Field(marschner_lobb(12), device=device, precision="single")
     renderer = Renderer(field)
     pictures = renderer.refine(size=SIZE, seconds=TINY)
@@ -449,8 +449,8 @@ def test_several_threads_refine_with_one_renderer(renderer: Renderer) -> None:
     assert not failed
 
 
-def test_pictures_may_be_asked_for_by_several_threads(renderer: Renderer) -> None:
-    """One after the other: a worker begins, another goes on."""
+def test_several_threads_may_iterate_in_turn(renderer: Renderer) -> None:
+    """One thread begins, another continues."""
     pictures = renderer.refine(CAMERA, size=SIZE, seconds=TINY)
     made: list[Refined] = []
     while not made or not made[-1].final:
@@ -461,7 +461,7 @@ def test_pictures_may_be_asked_for_by_several_threads(renderer: Renderer) -> Non
     assert not renderer._lease._users
 
 
-def test_the_limits_of_a_thread_are_its_own_between_two_pictures(renderer: Renderer) -> None:
+def test_thread_limits_do_not_leak_between_pictures(renderer: Renderer) -> None:
     before = renderer.device.limits
     for _ in renderer.refine(CAMERA, size=SIZE, seconds=TINY):
         assert renderer.device.limits is before
@@ -471,7 +471,7 @@ def test_the_limits_of_a_thread_are_its_own_between_two_pictures(renderer: Rende
 
 
 @pytest.mark.parametrize("budget", [0, -1, float("nan"), "x", None, (1,), np.array([1, 2])], ids=repr)
-def test_a_budget_is_a_positive_number(renderer: Renderer, budget: Any) -> None:
+def test_seconds_must_be_positive(renderer: Renderer, budget: Any) -> None:
     with pytest.raises(OptionError, match="seconds must be"):
         renderer.refine(size=SIZE, seconds=budget)
 
@@ -494,13 +494,13 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_wrong_arguments_are_refused_when_it_is_called(renderer: Renderer, case: str) -> None:
+def test_wrong_arguments_are_rejected_at_the_call(renderer: Renderer, case: str) -> None:
     options, message = WRONG[case]
     with pytest.raises(OptionError, match=message):
         renderer.refine(**{"size": SIZE, **options})
 
 
-def test_a_camera_that_is_too_far_away_is_refused_with_the_first_picture(renderer: Renderer) -> None:
+def test_a_camera_too_far_away_is_rejected_with_the_first_picture(renderer: Renderer) -> None:
     pictures = renderer.refine(Camera(position=(1e30, 0, 0)), size=SIZE)
     with pytest.raises(GeometryError, match="the camera must be within"):
         next(pictures)
@@ -509,7 +509,7 @@ def test_a_camera_that_is_too_far_away_is_refused_with_the_first_picture(rendere
 # -- what a picture knows ---------------------------------------------------------------------------------------------------
 
 
-def test_what_a_refined_picture_knows_survives(renderer: Renderer) -> None:
+def test_attributes_of_a_refined_picture_survive_copies(renderer: Renderer) -> None:
     first, *_, last = renderer.refine(CAMERA, size=SIZE, seconds=TINY)
     for picture in (first, last):
         for other in (
@@ -533,20 +533,20 @@ def test_what_a_refined_picture_knows_survives(renderer: Renderer) -> None:
     assert np.isnan(plain.seconds)
 
 
-def test_options_of_a_mode_reach_it(renderer: Renderer) -> None:
+def test_options_reach_the_mode(renderer: Renderer) -> None:
     for mode in modes():
         options = suited(mode, {"isovalue": 0.3, "shading": False, "attenuation": 1.0})
         checked(renderer.refine(CAMERA, mode, SIZE, seconds=TINY, **options), renderer.render(CAMERA, mode, SIZE, **options))
 
 
-def test_launches_are_as_long_as_was_measured(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_launches_follow_measured_times(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Any] = []
     budget = launch._Budget
     monkeypatch.setattr(launch, "_Budget", lambda *given: made.append(budget(*given)) or made[-1])
     with renderer.device.limited(launch_seconds=0.01):
         renderer.render(Camera.orbit(45, 20), "composite", (16, 16))
     cut = made[0]
-    rate, areas = cut._guess / 12, []  # seconds a pixel, of the rays that there are
+    rate, areas = cut._guess / 12, []  # seconds per pixel, over all rays
     for x, y, w, h in cut.tiles(4096, 4096):
         areas.append(w * h)
         cut.spent(w * h, w * h * rate)
@@ -554,14 +554,14 @@ def test_launches_are_as_long_as_was_measured(renderer: Renderer, monkeypatch: p
         assert y + h <= 4096
     assert sum(areas) == 4096 * 4096
     seconds = np.array(areas) * rate
-    assert seconds[:3].max() <= max(0.01, 256 * rate)  # nothing was known
+    assert seconds[:3].max() <= max(0.01, 256 * rate)  # no rate was measured
     whole = seconds[len(seconds) // 2 :]
     assert whole.max() <= max(0.011, 256 * rate)
     assert np.median(whole) >= min(0.005, 256 * rate)
     assert max(areas) * cut._guess <= max(launch._DEAF, 256 * cut._guess)
     tiles = cut.tiles(4096, 4096)
     first = next(tiles)
-    cut.spent(256, 0.02)  # what takes long is believed at once
+    cut.spent(256, 0.02)  # a longer time is adopted at once
     assert np.prod(first[2:]) >= np.prod(next(tiles)[2:])
     cut.expect(rate)
     assert cut._per_pixel == pytest.approx(3 * rate)

@@ -1,4 +1,4 @@
-"""What a picture must be, whatever it is computed by: symmetries, closed forms, errors and odd input."""
+"""What any picture must satisfy: symmetries, closed forms, errors and unusual input."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_moving_volume_camera_and_light_together_changes_nothing(device: Device,
 
 @pytest.mark.one_in(7)
 @pytest.mark.parametrize("filter", ["linear", "catmull-rom", "bspline2", "bspline3", "bspline4", "bspline5", "omoms3"])
-def test_one_polynomial_on_turned_grids_gives_one_picture(device: Device, filter: str) -> None:
+def test_one_polynomial_on_rotated_grids_gives_one_picture(device: Device, filter: str) -> None:
     """Each filter gets a polynomial that it reproduces on any grid, away from edges (Strang and Fix)."""
     degree = min(clvol.filters()[filter].order - 1, 3)
     rng = np.random.default_rng(5)
@@ -124,7 +124,7 @@ def test_one_polynomial_on_turned_grids_gives_one_picture(device: Device, filter
 
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", MODES)
-def test_tiles_do_not_show(renderer: Renderer, mode: str) -> None:
+def test_tiles_are_invisible(renderer: Renderer, mode: str) -> None:
     size = (37, 29)
     for tile in (TILES["planes"], TILES["rays"]):
         calls: list[float] = []
@@ -137,15 +137,15 @@ def test_tiles_do_not_show(renderer: Renderer, mode: str) -> None:
             np.testing.assert_array_equal(cut[name], want[name])
 
 
-def test_no_row_is_added_twice_where_a_tile_is_odd(renderer: Renderer) -> None:
-    """Several rays a pixel add up; launches must not overlap, whatever the height of a tile."""
+def test_no_row_is_added_twice_in_odd_tiles(renderer: Renderer) -> None:
+    """Several rays per pixel accumulate; launches must not overlap, whatever the height of a tile."""
     with renderer.device.limited(tile=TILES["eights"]):
         want = renderer.render(CAMERA, "minip", (37, 47), rays=3)
         with renderer.device.limited(launch_seconds=1e-9):
             np.testing.assert_array_equal(renderer.render(CAMERA, "minip", (37, 47), rays=3), want)
 
 
-def test_the_same_twice_to_the_last_bit(device: Device, renderer: Renderer) -> None:
+def test_pictures_are_reproducible_to_the_last_bit(device: Device, renderer: Renderer) -> None:
     for mode in MODES:
         first = renderer.render(CAMERA, mode, SIZE, rays=2)
         np.testing.assert_array_equal(renderer.render(CAMERA, mode, SIZE, rays=2), first)
@@ -155,7 +155,7 @@ def test_the_same_twice_to_the_last_bit(device: Device, renderer: Renderer) -> N
 # -- closed forms --------------------------------------------------------------------------------------------------
 
 
-def test_a_sphere_is_where_it_should_be(device: Device) -> None:
+def test_a_sphere_has_its_position(device: Device) -> None:
     radius = 0.75
     volume = phantoms.sphere(64, radius)
     low, high = volume.value_range
@@ -196,7 +196,7 @@ def test_surfaces_lie_within_a_ten_thousandth_of_the_isovalue(device: Device, fi
 
 
 @pytest.mark.parametrize("step", [0.25, 0.5, 1.0, 3.0])
-def test_a_constant_slab_lets_through_what_it_must(device: Device, step: float) -> None:
+def test_a_constant_slab_has_the_exact_transmittance(device: Device, step: float) -> None:
     """(1 - a)^(length / unit), at any step: rays meet both faces, so the planes add up to the exact length."""
     volume = Volume(np.ones((6, 60, 60), np.float32), (1.0, 1.0, 0.8))
     fog = TransferFunction(((1.0, "white"),), ((1.0, 0.1),), unit_distance=0.7)
@@ -249,7 +249,7 @@ def test_projections_are_in_order(device: Device, filter: str) -> None:
     assert not np.isfinite(mean["depth"]).any()
 
 
-def test_the_greatest_value_is_found(device: Device) -> None:
+def test_the_maximum_is_found(device: Device) -> None:
     data = np.zeros((9, 9, 9), np.float32)
     data[3, 5, 2] = 1
     camera = Camera(direction=(0, 1, 0), projection="orthographic", fit="volume")
@@ -261,7 +261,7 @@ def test_the_greatest_value_is_found(device: Device) -> None:
     assert (~lit).any()
 
 
-def test_a_clip_box_cuts_where_it_says(device: Device) -> None:
+def test_a_clip_box_cuts_at_its_faces(device: Device) -> None:
     volume = Volume(np.ones((20, 20, 20), np.float32), (0.5,) * 3, (10, 20, 30))
     low, high = np.array([12.1, 22.2, 31.3]), np.array([16.4, 27.5, 38.6])
     opaque = TransferFunction(((1.0, "white"),), ((1.0, 1.0),))
@@ -297,7 +297,7 @@ def test_no_ray_advances_farther_than_the_step(step: float) -> None:
 
 @pytest.mark.parametrize("name", [n for n in phantoms.names() if n != "polynomial"])
 @pytest.mark.parametrize("mode", MODES)
-def test_phantoms_show_something(device: Device, name: str, mode: str) -> None:
+def test_phantoms_are_visible(device: Device, name: str, mode: str) -> None:
     got = render(phantoms.by_name(f"{name}:24"), mode=mode, size=(48, 48), device=device)
     assert got.shape == (48, 48, 4)
     assert np.isfinite(got).all()
@@ -310,7 +310,7 @@ def test_phantoms_show_something(device: Device, name: str, mode: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["bonsai.nii.gz", "mr_head.nii.gz", "stroke_t1.nii.gz", "tooth.nhdr"])
-def test_scans_show_something(device: Device, name: str) -> None:
+def test_scans_are_visible(device: Device, name: str) -> None:
     path = DATA / name
     if not path.is_file():
         pytest.skip(f"{name} is not at hand")
@@ -379,7 +379,7 @@ def test_errors_name_the_rule_and_leave_the_renderer_usable(renderer: Renderer, 
     ],
     ids=["evaluator", "fetch"],
 )
-def test_wrong_limits_of_the_device_are_named(renderer: Renderer, limits: dict[str, Any], message: str) -> None:
+def test_invalid_device_limits_are_named(renderer: Renderer, limits: dict[str, Any], message: str) -> None:
     before = renderer.render(CAMERA, size=(12, 12))
     with pytest.raises(OptionError, match=message), renderer.device.limited(**limits):
         renderer.render(CAMERA, size=(12, 12))
@@ -392,7 +392,7 @@ def test_positional_arguments_have_one_order(device: Device) -> None:
     np.testing.assert_array_equal(render(noise(), CAMERA, "mip", (14, 12), 0.7, filter="linear", device=device), expected)
 
 
-def test_errors_of_what_is_drawn(device: Device) -> None:
+def test_errors_in_the_scene(device: Device) -> None:
     ones = np.ones((4, 5, 6), np.float32)
     spoilt = ones.copy()
     spoilt[1, 2, 3] = np.nan
@@ -426,7 +426,7 @@ def test_a_closed_renderer_says_so(device: Device) -> None:
     for fetch in ("buffer", "image") if device.has_images else ("buffer",):
         with pytest.raises(OptionError, match="released"), device.limited(fetch=fetch):
             renderer.render(size=(8, 8))
-    renderer.close()  # twice does no harm
+    renderer.close()  # closing twice is allowed
 
 
 def test_progress_rises_to_one(renderer: Renderer) -> None:
@@ -505,7 +505,7 @@ def test_constant_data(device: Device, mode: str, value: float) -> None:
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-20, 1e20, 1e30])
 @pytest.mark.parametrize("mode", ["composite", "isosurface"])
-def test_units_of_the_values_do_not_show(device: Device, mode: str, scale: float) -> None:
+def test_units_of_the_values_do_not_matter(device: Device, mode: str, scale: float) -> None:
     pictures = []
     for s in (1.0, scale):
         transfer = TransferFunction.from_cmap("viridis", (0, s), ((0.2 * s, 0.0), (s, 0.6)))
@@ -527,7 +527,7 @@ def test_isovalues_outside_the_data_show_nothing(renderer: Renderer) -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_camera_inside_sees_what_is_ahead(renderer: Renderer, mode: str) -> None:
+def test_a_camera_inside_sees_only_what_is_ahead(renderer: Renderer, mode: str) -> None:
     camera = Camera.look_at((3.6, 4.1, 4.4), (3.6, 9.0, 4.6), fov=90)
     for step in (0.5, 50.0):
         got = renderer.render(camera, mode, SIZE, step, outputs=OUTPUTS, **suited(mode, {"isovalue": 0.5}))
@@ -542,7 +542,7 @@ def test_a_camera_that_looks_away_sees_the_background(renderer: Renderer) -> Non
     np.testing.assert_array_equal(got, np.broadcast_to(np.float32([1, 0, 0, 1]), got.shape))
 
 
-def test_outputs_come_as_asked(renderer: Renderer) -> None:
+def test_requested_outputs_are_returned(renderer: Renderer) -> None:
     assert isinstance(renderer.render(CAMERA, size=SIZE), np.ndarray)
     assert renderer.render(CAMERA, size=SIZE, outputs="depth").shape == (20, 24)
     got = renderer.render(CAMERA, size=SIZE, outputs=["normal", "rgba"])
@@ -558,7 +558,7 @@ def test_outputs_come_as_asked(renderer: Renderer) -> None:
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-12, 1e12, 1e30])
 def test_world_units_of_any_size(device: Device, scale: float) -> None:
-    """The picture is the same to the last bit but for the world's unit; so are depths, in that unit."""
+    """The picture is the same to the last bit; depths scale with the unit."""
     data = phantoms.sphere(14).data
     options: dict[str, Any] = {"mode": "isosurface", "size": (24, 20), "outputs": ("rgba", "depth"), "device": device}
     want = render(Volume(data), CAMERA, **options)
@@ -580,7 +580,7 @@ def test_a_camera_far_away_sees_what_an_orthographic_one_does(device: Device, mo
     assert off.mean() < 0.02
 
 
-def test_spacings_that_float32_cannot_carry_are_refused(device: Device) -> None:
+def test_spacings_beyond_float32_are_rejected(device: Device) -> None:
     for spacing in ((1e-7, 1, 1), (1e300, 1, 1), (1e-300,) * 3):
         with pytest.raises(GeometryError, match="differ by a factor"):
             render(Volume(np.ones((3, 4, 5)), spacing), size=(8, 8), device=device)
@@ -606,7 +606,7 @@ def test_pictures_smooth_the_noise_of_the_volume_unless_a_filter_is_given(device
     assert (render(volume, **options) != render(volume, filter="bspline3", **options)).any()
 
 
-def test_pictures_of_extremes_do_not_smooth_unless_they_are_told_to(device: Device) -> None:
+def test_pictures_of_extremes_do_not_smooth_by_default(device: Device) -> None:
     volume = noisy_ball()
     options: dict[str, Any] = {"size": (24, 20), "device": device}
     for mode in ("mip", "minip", "attenuated"):
@@ -616,7 +616,7 @@ def test_pictures_of_extremes_do_not_smooth_unless_they_are_told_to(device: Devi
         assert (render(volume, mode=mode, filter="bspline3(auto)", **options) != plain).any()
 
 
-def test_one_renderer_draws_both(device: Device) -> None:
+def test_one_renderer_renders_both(device: Device) -> None:
     volume = noisy_ball()
     with Renderer(volume, device=device) as renderer:
         assert renderer.filter == settled("bspline3(auto)", volume)
@@ -631,12 +631,12 @@ def test_one_renderer_draws_both(device: Device) -> None:
         assert {renderer.filter_of(mode).name for mode in modes()} == {"bspline3(0.3)"}
 
 
-def test_clean_volumes_are_drawn_through_their_samples(device: Device) -> None:
+def test_noise_free_volumes_are_interpolated(device: Device) -> None:
     with Renderer(phantoms.marschner_lobb(24), device=device) as renderer:
         assert renderer.filter.name == "bspline3"
 
 
-def test_labels_that_float32_cannot_tell_apart_are_refused(device: Device) -> None:
+def test_labels_indistinguishable_in_float32_are_rejected(device: Device) -> None:
     data = np.zeros((4, 4, 4), np.int32)
     data[1:3] = 2**24 + 1
     with pytest.raises(DataError, match=r"2\*\*24.*renumber"):

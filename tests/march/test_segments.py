@@ -1,4 +1,4 @@
-"""Skipping space changes no bit of any picture: random volumes, filters, modes, cameras and steps."""
+"""Skipping changes no bit of any picture: random volumes, filters, modes, cameras and steps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MODES = [name for name, mode in modes().items() if mode.skips]
 
 @st.composite
 def volumes(draw: st.DrawFn) -> Volume:
-    """Mostly empty, thin, noisy, constant or stepped: where skipping starts, ends and never happens."""
+    """Mostly empty, thin, noisy, constant or stepped: where skipping begins, ends and never happens."""
     shape = draw(st.tuples(*[st.integers(1, 21)] * 3))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     kind = draw(st.sampled_from(["sparse", "noise", "constant", "steps", "small"]))
@@ -48,7 +48,7 @@ def volumes(draw: st.DrawFn) -> Volume:
 
 @st.composite
 def views(draw: st.DrawFn) -> dict[str, Any]:
-    """A camera from near to far, a step, a clip box at times, and what is looked for."""
+    """A camera from near to far, a step, sometimes a clip box, and the mode's target."""
     camera = Camera.orbit(
         draw(st.floats(-180, 180)),
         draw(st.floats(-89, 89)),
@@ -117,7 +117,7 @@ FITTED = {
 @pytest.mark.parametrize("name", FITTED)
 @settings(deadline=None, max_examples=examples(25), suppress_health_check=UNHURRIED)
 @given(volume=volumes(), view=views(), mode=st.sampled_from(["isosurface", "mip"]), constant=st.booleans())
-def test_skipping_changes_no_bit_of_a_filter_that_was_fitted(
+def test_skipping_changes_no_bit_of_a_fitted_filter(
     device: Device, name: str, volume: Volume, view: dict[str, Any], mode: str, constant: bool
 ) -> None:
     kernel, radius, degree = FITTED[name]
@@ -154,7 +154,7 @@ def test_most_of_an_empty_volume_is_skipped(device: Device, mode: str, tile: str
     with device.limited(tile=TILES[tile]), Renderer(volume, device=device) as renderer:
         options = suited(mode, {"mode": mode, "size": (200, 200), "transfer": transfer, "isovalue": 0.5})
         pictures = renderer.render(outputs=("visited", "rgba"), background=None, **options)
-        # rays past the object seek the extreme of what the prefilter leaves there
+        # rays past the object search the extreme of the prefilter's residue
         bright = pictures["rgba"][..., 1]
         hits = (bright < 0.5 if mode == "minip" else bright > 0.2) & np.isfinite(pictures["visited"])
         share = np.nanmean(pictures["visited"][hits if mode in ("mip", "minip", "attenuated") else ...])
@@ -163,14 +163,14 @@ def test_most_of_an_empty_volume_is_skipped(device: Device, mode: str, tile: str
 
 
 @pytest.mark.parametrize("isovalue", [-1.0, 2.0])
-def test_an_isovalue_outside_the_range_is_looked_for_nowhere(device: Device, isovalue: float) -> None:
+def test_an_isovalue_outside_the_range_evaluates_no_samples(device: Device, isovalue: float) -> None:
     with Renderer(marschner_lobb(), device=device) as renderer:
         visited = renderer.render(mode="isosurface", size=(40, 40), isovalue=isovalue, outputs="visited")
     assert np.isfinite(visited).any()
     assert np.nanmax(visited) == 0.0
 
 
-def test_a_transfer_function_without_opacity_is_looked_at_nowhere(device: Device) -> None:
+def test_a_transparent_transfer_function_evaluates_no_samples(device: Device) -> None:
     nothing = TransferFunction(((0.0, "red"), (1.0, "white")), ((0.0, 0.0), (1.0, 0.0)))
     with Renderer(marschner_lobb(), device=device) as renderer:
         pictures = renderer.render(mode="composite", size=(40, 40), transfer=nothing, outputs=("rgba", "visited"), background=None)
@@ -178,7 +178,7 @@ def test_a_transfer_function_without_opacity_is_looked_at_nowhere(device: Device
     assert (pictures["rgba"] == 0).all()
 
 
-def test_tiles_of_another_shape_skip_too(device: Device) -> None:
+def test_tiles_of_other_shapes_skip_too(device: Device) -> None:
     view = {"isovalue": 0.5, "step": 0.5, "camera": Camera.orbit(20, 10, fit="volume")}
     with device.limited(tile=Tile(8, 8, 8, shared=True)):
         same(device, marschner_lobb(), "bspline3", "isosurface", view)

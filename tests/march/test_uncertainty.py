@@ -42,7 +42,7 @@ def shown(volume: Volume, device: Device, filter: str = "bspline3", **options: A
 # -- outputs -------------------------------------------------------------------------------------------------
 
 
-def test_it_is_stated_where_there_is_a_surface(device: Device) -> None:
+def test_it_is_given_where_there_is_a_surface(device: Device) -> None:
     outputs = ("uncertainty", "position", "rgba")
     got: Any = clvol.render(bumps(), filter="bspline3", device=device, outputs=outputs, **LOOK)
     assert list(got) == list(outputs)
@@ -58,7 +58,7 @@ def test_it_is_stated_where_there_is_a_surface(device: Device) -> None:
     np.testing.assert_array_equal(got["rgba"], plain)
 
 
-def test_nothing_is_stated_where_nothing_is_seen(device: Device) -> None:
+def test_it_is_nan_where_nothing_is_visible(device: Device) -> None:
     assert np.isnan(shown(bumps(), device, isovalue=100.0)).all()
 
 
@@ -69,7 +69,7 @@ def test_surfaces_of_both_methods(device: Device) -> None:
     np.testing.assert_allclose(stepped[both], exact[both], rtol=0.02)
 
 
-def test_more_noise_more_doubt(device: Device) -> None:
+def test_more_noise_is_more_uncertainty(device: Device) -> None:
     stated = [shown(bumps(), device, sigma=sigma) for sigma in (0.0, 0.01, 0.03)]
     hit = np.isfinite(stated[0][..., 0])
     for less, more in itertools.pairwise(stated):
@@ -79,7 +79,7 @@ def test_more_noise_more_doubt(device: Device) -> None:
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["linear", "bspline3", "bspline3-approx", "bspline3(0.1)", "bspline5", "hybrid", "lanczos3"])
 def test_units_of_data_and_world_do_not_matter(device: Device, filter: str) -> None:
-    """Values times 1000, or 2¹⁰⁰, and plus a constant where the weights sum to one; a thousandth of the lengths, far away."""
+    """Values scaled by 1000 or 2¹⁰⁰, plus a constant where the weights sum to one; lengths scaled by 10⁻³, far away."""
     volume = bumps()
     want = shown(volume, device, filter)
     hit = np.isfinite(want[..., 0])
@@ -120,7 +120,7 @@ def test_thin_volumes(device: Device, shape: tuple[int, int, int], boundary: str
     assert not np.isnan(got["uncertainty"][hit]).any()
 
 
-def test_a_surface_without_slope_may_be_anywhere(device: Device) -> None:
+def test_a_surface_without_slope_is_unbounded(device: Device) -> None:
     got = uncertainty.Uncertainty(clvol.Field(np.full((8, 8, 8), 0.5), "bspline3", device=device))(
         np.full((1, 3), 3.2), Noise(0.0, "none")
     )
@@ -136,24 +136,24 @@ def test_a_field_serves_many_pictures(device: Device) -> None:
             renderer.render(outputs="uncertainty", **LOOK)
 
 
-# -- what is refused -----------------------------------------------------------------------------------------
+# -- what is rejected -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mode", [name for name in clvol.modes() if name != "isosurface"])
-def test_other_modes_have_none(device: Device, mode: str) -> None:
+def test_other_modes_have_no_uncertainty(device: Device, mode: str) -> None:
     with Renderer(bumps(), device=device) as renderer, pytest.raises(OptionError, match=f"mode must be isosurface; got '{mode}'"):
         renderer.render(mode=mode, outputs=("rgba", "uncertainty"))
 
 
 @pytest.mark.parametrize("sigma", [1e25, 1e300])
-def test_noise_beyond_all_values_leaves_nothing_sure(device: Device, sigma: float) -> None:
+def test_noise_beyond_all_values_is_unbounded(device: Device, sigma: float) -> None:
     stated = shown(bumps(), device, sigma=sigma)
     hit = ~np.isnan(stated[..., 0])
     assert 0.1 < hit.mean() < 0.9
     assert (stated[hit] >= [1e6, 180]).all()
 
 
-def test_nor_has_a_filter_without_slopes(device: Device) -> None:
+def test_filters_without_slopes_have_no_uncertainty(device: Device) -> None:
     with pytest.raises(OptionError, match="needs a filter that has slopes; got 'nearest'"):
         shown(bumps(), device, "nearest")
 
@@ -167,7 +167,7 @@ def test_sigma_is_a_number(device: Device, sigma: Any) -> None:
 # -- in words ------------------------------------------------------------------------------------------------
 
 
-def test_in_words() -> None:
+def test_description() -> None:
     stated = np.full((3, 4, 2), np.nan, np.float32)
     assert in_words(stated) == "no surface"
     stated[1] = [0.03, 2.0]
@@ -195,8 +195,8 @@ ROWS = [
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_waves_become_what_theory_says(name: str) -> None:
-    """The mean squared error over all places is the error kernel's, computed by other code."""
+def test_waves_match_theory(name: str) -> None:
+    """The mean squared error over all positions is the error kernel, computed by other code."""
     row, x, omega = as_filter(name), (np.arange(512) + 0.5) / 512, np.linspace(0.05, 3.0, 20)
     value, slope = (uncertainty._wave(row, 0, x, omega, derivative) for derivative in (0, 1))
     got = (np.abs(value - 1) ** 2).mean(1), (np.abs(slope - 1j * omega[:, None]) ** 2).mean(1)
@@ -216,8 +216,8 @@ def test_noise_becomes_the_sum_of_squares_of_the_impulse_response(name: str) -> 
 
 
 @pytest.mark.parametrize("name", [row for row in ROWS if row != "lanczos3"])  # whose error has many extrema
-def test_stencils_respond_as_the_filter_errs(name: str) -> None:
-    """Within a fourth of the error, but near the Nyquist frequency; constants give nothing."""
+def test_stencils_match_the_filters_error(name: str) -> None:
+    """Within a fourth of the error, except near the Nyquist frequency; constants give nothing."""
     row, omega = as_filter(name), np.linspace(0.06, 0.75, 40) * np.pi
     k = np.arange(-uncertainty._REACH, uncertainty._REACH + 1)
     stencils = uncertainty._errors(row).stencils[0]
@@ -231,14 +231,14 @@ def test_stencils_respond_as_the_filter_errs(name: str) -> None:
     np.testing.assert_allclose(stencils.sum(1), 0, atol=1e-12)
 
 
-def test_smoothing_may_differ_from_axis_to_axis() -> None:
+def test_smoothing_may_differ_per_axis() -> None:
     errors = uncertainty._errors(as_filter("bspline3(0.1,0,1)"))
     for axis, name in enumerate(("bspline3(0.1)", "bspline3", "bspline3(1)")):
         np.testing.assert_array_equal(errors.squares[axis], uncertainty._errors(as_filter(name)).squares[0])
 
 
 @pytest.mark.parametrize("name", [name for name, row in clvol.filters().items() if row.has_gradient])
-def test_every_row_has_finite_stencils_of_one_parity(name: str) -> None:
+def test_every_filter_has_finite_stencils_of_one_parity(name: str) -> None:
     for central in (False, True):
         errors = uncertainty._errors(as_filter(name), central)
         assert np.isfinite(errors.stencils).all()
@@ -249,8 +249,8 @@ def test_every_row_has_finite_stencils_of_one_parity(name: str) -> None:
         assert (errors.noise >= 0).all()
 
 
-def test_noise_in_what_the_kernel_finds_is_known(device: Device) -> None:
-    """Averaged over a volume of noise, what is taken for detail is what is taken off again."""
+def test_the_noise_in_the_detail_estimate_is_subtracted(device: Device) -> None:
+    """Averaged over a volume of noise, the estimated detail equals the subtraction."""
     rng = np.random.default_rng(3)
     volume = Volume(rng.standard_normal((40, 40, 40)).astype(np.float32))
     with clvol.Field(volume, "bspline3-approx", "reflect", device=device) as field:

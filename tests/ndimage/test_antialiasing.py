@@ -18,7 +18,7 @@ def sigma(old: tuple[int, ...], new: tuple[int, ...]) -> list[float]:
 
 @pytest.mark.parametrize("mode", ["mirror", "reflect", "grid-wrap", "nearest", "grid-constant"])
 @pytest.mark.parametrize("chosen", [True, "gaussian"])
-def test_the_gaussian_is_scipys(chosen: Any, mode: str, device: Device) -> None:
+def test_the_gaussian_matches_scipy(chosen: Any, mode: str, device: Device) -> None:
     data = np.random.default_rng(0).random((24, 15, 20))
     factors = (1 / 4, 1, 1.5)
     soft = scipy_ndimage.gaussian_filter(data, sigma(data.shape, (6, 15, 30)), mode=mode, cval=0.5)
@@ -31,7 +31,7 @@ def test_the_gaussian_is_scipys(chosen: Any, mode: str, device: Device) -> None:
 @pytest.mark.parametrize(
     ("mode", "boundary", "grid"), [("mirror", "mirror", False), ("reflect", "reflect", True), ("grid-wrap", "wrap", True)]
 )
-def test_least_squares_is_that_of_the_reference(order: int, mode: str, boundary: str, grid: bool, device: Device) -> None:
+def test_least_squares_matches_the_reference(order: int, mode: str, boundary: str, grid: bool, device: Device) -> None:
     data = np.random.default_rng(0).random((18, 13))
     got = ndimage.zoom(data, (0.4, 0.55), order=order, mode=mode, grid_mode=grid, anti_aliasing="least-squares", device=device)
     assert got.shape == (7, 7)
@@ -40,7 +40,7 @@ def test_least_squares_is_that_of_the_reference(order: int, mode: str, boundary:
     np.testing.assert_allclose(got, reference.nearest_spline(data, places, name, boundary), atol=1e-7 if order == 5 else 1e-9)
 
 
-def test_complex_samples_go_by_parts(device: Device) -> None:
+def test_complex_samples_are_processed_by_parts(device: Device) -> None:
     random = np.random.default_rng(0)
     data = random.random((12, 10)) + 1j * random.random((12, 10))
     for chosen in ("gaussian", "least-squares"):
@@ -61,7 +61,7 @@ def test_any_number_of_axes_and_any_type(device: Device) -> None:
     assert (given == 7).all()
 
 
-def test_where_nothing_shrinks_it_changes_nothing(device: Device) -> None:
+def test_without_reduction_it_has_no_effect(device: Device) -> None:
     data = np.random.default_rng(0).random((9, 8))
     plain = ndimage.zoom(data, (2, 1), mode="reflect", device=device)
     np.testing.assert_array_equal(ndimage.zoom(data, (2, 1), mode="reflect", anti_aliasing=True, device=device), plain)
@@ -69,7 +69,7 @@ def test_where_nothing_shrinks_it_changes_nothing(device: Device) -> None:
     np.testing.assert_allclose(nearest, plain, atol=1e-12)
 
 
-def test_other_words_are_refused(device: Device) -> None:
+def test_other_values_are_rejected(device: Device) -> None:
     with pytest.raises(OptionError, match="anti_aliasing must be one of"):
         ndimage.zoom(np.ones((4, 4)), 0.5, anti_aliasing="box", device=device)  # type: ignore[arg-type]
 

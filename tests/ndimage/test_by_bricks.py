@@ -1,4 +1,4 @@
-"""SciPy's functions of volumes that are read part by part: SciPy itself is the truth."""
+"""SciPy's functions of lazy volumes, compared with SciPy itself."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CALLS: dict[str, tuple[Any, ...]] = {
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("call", CALLS)
-def test_as_scipy(call: str, mode: str) -> None:
+def test_results_match_scipy(call: str, mode: str) -> None:
     name, *arguments = CALLS[call]
     lazy = LazyVolume(Counted(DATA), (2, 3, 4), (5, 6, 7), limits=(0, 1))  # a geometry has no say
     for order, prefilter in ((0, True), (1, True), (3, True), (3, False), (5, True)):
@@ -50,7 +50,7 @@ def test_as_scipy(call: str, mode: str) -> None:
         assert off.mean() <= (2e-3 if order == 0 else 0), f"order {order}"  # of order 0: positions halfway between two samples
 
 
-def test_whole_numbers_are_rounded_and_results_put_where_they_belong() -> None:
+def test_integers_are_rounded_and_output_is_filled() -> None:
     data = (DATA * 60000).astype(np.uint16)
     lazy = LazyVolume(data, limits=(0, 60000))
     exact = scipy.ndimage.zoom(data, 0.5)
@@ -64,7 +64,7 @@ def test_whole_numbers_are_rounded_and_results_put_where_they_belong() -> None:
 
 
 def test_by_bricks_within_a_budget() -> None:
-    """A field that is given is used, with its budget, and stays open."""
+    """A given field is used, with its budget, and stays open."""
     lazy = LazyVolume(Counted(DATA), limits=(0, 1))
     told: list[float] = []
     with clvol.BrickedField(lazy, "bspline3", clvol.boundaries()["constant"], edge=8, memory=1 << 20) as field:
@@ -80,8 +80,8 @@ def test_by_bricks_within_a_budget() -> None:
 
 @pytest.mark.parametrize("mode", ["mirror", "grid-wrap", "nearest", "constant"])
 @pytest.mark.parametrize("chosen", ["gaussian", "least-squares"])
-def test_fewer_samples_without_aliases(chosen: Any, mode: str) -> None:
-    """As of the whole array, and for least squares to the last bit."""
+def test_antialiased_reduction(chosen: Any, mode: str) -> None:
+    """As for the whole array, and for least squares to the last bit."""
     for order, prefilter, zoom in ((3, True, (0.4, 0.7, 1.5)), (1, True, 0.5), (0, True, (1, 0.5, 0.3)), (3, False, 0.6)):
         about: dict[str, Any] = {"order": order, "mode": mode, "cval": 0.4, "prefilter": prefilter, "anti_aliasing": chosen}
         whole = ndimage.zoom(DATA, zoom, **about)
@@ -114,13 +114,13 @@ INSTEAD: dict[str, Any] = {
 
 
 def with_buffers_of(monkeypatch: pytest.MonkeyPatch, nbytes: int) -> None:
-    """The device allows no larger ones, and says so where they are allocated."""
+    """Limit the device's buffers; allocations beyond raise an error."""
     monkeypatch.setattr(Device, "largest", property(lambda _: nbytes))
 
 
 @pytest.mark.parametrize("call", INSTEAD)
-def test_arrays_whose_coefficients_are_larger_than_a_buffer_may_be(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody asked for bricks, and a warning says that last bits depend on it."""
+def test_arrays_whose_coefficients_exceed_the_largest_buffer(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bricks are automatic, and a warning says that the last bits depend on them."""
     whole, made = INSTEAD[call](LARGE), []
     with_buffers_of(monkeypatch, ROOM)
     monkeypatch.setattr("clvol.ndimage.by_bricks._BLOCK", 32)  # of positions, which need buffers too
@@ -139,7 +139,7 @@ def test_arrays_whose_coefficients_are_larger_than_a_buffer_may_be(call: str, mo
     np.testing.assert_allclose(found, whole, rtol=0, atol=4e-6)
 
 
-def test_what_bricks_would_compute_otherwise_stays_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_that_bricks_would_change_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     with_buffers_of(monkeypatch, 1 << 20)
     missing = LARGE.copy()
     missing[3, 4, 5] = np.nan
@@ -157,7 +157,7 @@ def test_what_bricks_would_compute_otherwise_stays_refused(monkeypatch: pytest.M
             call()
 
 
-def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
+def test_unsupported_options_are_rejected_with_alternatives() -> None:
     lazy = LazyVolume(DATA, limits=(0, 1))
     for call in (
         lambda: ndimage.spline_filter(lazy),

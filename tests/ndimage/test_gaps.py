@@ -1,4 +1,4 @@
-"""Missing samples in `clvol.ndimage`: what has weight is missing, everything else as if all were there."""
+"""Missing samples in `clvol.ndimage`: results with a weight on them are missing, all others unchanged."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from clvol.volume.missing import filled_smoothly
 @pytest.mark.one_in(18)
 @pytest.mark.parametrize("mode", ["mirror", "constant", "nearest"])
 @pytest.mark.parametrize("order", [0, 1, 3])
-def test_local_leaves_out_what_has_weight(device: Device, order: int, mode: str) -> None:
-    """One image of three has a hole; the others are what they are without."""
+def test_local_omits_results_with_weight_on_missing_samples(device: Device, order: int, mode: str) -> None:
+    """One of three images has a hole; the others are unchanged."""
     rng = np.random.default_rng(0)
     data = rng.normal(size=(3, 15, 16))
     data[1, 7, 8] = np.nan
@@ -43,7 +43,7 @@ def test_local_leaves_out_what_has_weight(device: Device, order: int, mode: str)
     assert seen[-1] == 1
 
 
-def test_whole_numbers_hold_no_nan(device: Device) -> None:
+def test_integers_cannot_store_nan(device: Device) -> None:
     data, points = np.ones((5, 5)), engine.Points(np.zeros((2, 1)))
     spline = Spline(1, "mirror", 0.0, True, "double", device, nan="local")
     output = np.empty(1, np.int16)

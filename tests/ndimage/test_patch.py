@@ -30,7 +30,7 @@ def unpatched() -> bool:
 
 
 @on_a_device
-def test_calls_are_taken_and_counted() -> None:
+def test_calls_are_replaced_and_counted() -> None:
     exact = scipy.ndimage.zoom(DATA, 2)
     with patched() as report:
         assert not any(getattr(scipy.ndimage, name) is BEFORE[name] for name in names)
@@ -54,7 +54,7 @@ def test_former_namespaces_are_patched() -> None:
     assert "shift" not in vars(sys.modules["scipy.ndimage.interpolation"])
 
 
-def test_everything_is_put_back_after_an_error() -> None:
+def test_everything_is_restored_after_an_error() -> None:
     with pytest.raises(ZeroDivisionError), patched("scipy", "skimage" if "skimage" in sys.modules else "numpy"):
         _ = 1 / 0
     assert unpatched()
@@ -63,7 +63,7 @@ def test_everything_is_put_back_after_an_error() -> None:
 
 
 @on_a_device
-def test_names_imported_within_the_block_are_scipys_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_imported_in_the_block_are_scipys_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("imports_late")
     monkeypatch.setitem(sys.modules, "imports_late", module)
     kept = []
@@ -120,7 +120,7 @@ def test_scikit_image_computes_with_clvol(package: str) -> None:
 
 
 @on_a_device
-def test_what_is_refused_raises() -> None:
+def test_rejected_calls_raise() -> None:
     with patched() as report:
         with pytest.raises(UnsupportedError, match="at most 3 axes"):
             scipy.ndimage.map_coordinates(DEEP, AT_DEEP)
@@ -134,7 +134,7 @@ def test_what_is_refused_raises() -> None:
 
 
 @on_a_device
-def test_what_is_refused_goes_to_scipy_if_asked_with_one_warning() -> None:
+def test_rejected_calls_fall_back_on_request_with_one_warning() -> None:
     with warnings.catch_warnings(record=True) as told, patched(fallback=True) as report:
         warnings.simplefilter("always")
         for _ in range(3):
@@ -151,7 +151,7 @@ def test_what_is_refused_goes_to_scipy_if_asked_with_one_warning() -> None:
 
 
 @on_a_device
-def test_what_a_mapping_raises_is_no_reason() -> None:
+def test_errors_of_a_mapping_do_not_fall_back() -> None:
     def mapping(_: tuple[int, ...]) -> tuple[int, ...]:
         raise TypeError("mine")
 
@@ -184,7 +184,7 @@ def test_patches_do_not_nest() -> None:
 
 
 @on_a_device
-def test_calls_of_all_threads_are_taken() -> None:
+def test_calls_of_all_threads_are_replaced() -> None:
     with patched() as report:
         threads = [threading.Thread(target=lambda: [scipy.ndimage.shift(DATA, 0.5, order=1) for _ in range(5)]) for _ in range(4)]
         for thread in threads:
@@ -203,7 +203,7 @@ def test_packages_must_be_known() -> None:
 
 
 @on_a_device
-def test_verbose_says_each_call(capsys: pytest.CaptureFixture[str]) -> None:
+def test_verbose_reports_each_call(capsys: pytest.CaptureFixture[str]) -> None:
     with patched(verbose=True, fallback=True):
         scipy.ndimage.zoom(DATA, 2, order=1)
         with pytest.warns(UserWarning, match="computed by SciPy"):
@@ -218,7 +218,7 @@ def test_verbose_says_each_call(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def run(script: Path, *arguments: str, plain: bool = False) -> subprocess.CompletedProcess[str]:
-    """A script run by clvol, or by Python alone."""
+    """A script run by clvol, or by plain Python."""
     command = [sys.executable, *([] if plain else ["-m", "clvol.ndimage"]), *arguments]
     return subprocess.run(command, capture_output=True, encoding="utf-8", timeout=120, check=False, cwd=script.parent)
 
@@ -260,7 +260,7 @@ print(__annotations__)
         "import atexit\natexit.register(print, 'at exit')\nassert False, 'no'\n",
     ],
 )
-def test_a_script_ends_as_with_python_itself(tmp_path: Path, text: str) -> None:
+def test_a_script_exits_as_with_python_itself(tmp_path: Path, text: str) -> None:
     script = tmp_path / "script.py"
     script.write_text(text, encoding="utf-8")
     ours, theirs = run(script, "script.py"), run(script, "script.py", plain=True)
@@ -282,12 +282,12 @@ def test_a_script_may_fall_back(tmp_path: Path) -> None:
     assert done.stderr.count("shift was computed by SciPy, not by clvol: shift must be finite; got nan") == 1
 
 
-def test_a_script_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_script(tmp_path: Path) -> None:
     done = run(tmp_path / "none.py", "none.py")
     assert done.returncode == 2
     assert "script must be a file; got 'none.py'" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_the_package_is_there_without_asking() -> None:
+def test_the_package_is_available_without_an_import() -> None:
     assert clvol.ndimage.patched is patched

@@ -1,4 +1,4 @@
-"""What `clvol.ndimage` refuses: with SciPy's exception and clvol's own, a message that says the rule, and nothing written."""
+"""Arguments that `clvol.ndimage` rejects: SciPy's exception and clvol's own, a message with the rule, nothing written."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ CALLS: dict[str, tuple[Any, ...]] = {
 
 
 def both(name: str, *arguments: Any, **options: Any) -> tuple[Exception, Exception | None]:
-    """What clvol raises, and what SciPy does, if anything."""
+    """What clvol raises, and what SciPy raises, if anything."""
     with pytest.raises(ClvolError) as ours:
         getattr(ndimage, name)(*arguments, **options)
     with warnings.catch_warnings():
@@ -59,7 +59,7 @@ def both(name: str, *arguments: Any, **options: Any) -> tuple[Exception, Excepti
 
 
 def agree(expected: type[Exception], says: str, name: str, *arguments: Any, **options: Any) -> None:
-    """Both refuse, by the same exception; clvol says the rule and what came."""
+    """Require that both reject it with the same exception; clvol states the rule and the value."""
     ours, theirs = both(name, *arguments, **options)
     assert type(ours) is expected
     assert theirs is not None, "SciPy takes it"
@@ -71,7 +71,7 @@ def agree(expected: type[Exception], says: str, name: str, *arguments: Any, **op
 
 
 def refuse(expected: type[Exception], says: str, name: str, *arguments: Any, **options: Any) -> None:
-    """Clvol refuses what SciPy computes something for."""
+    """Require that clvol rejects what SciPy computes."""
     ours, theirs = both(name, *arguments, **options)
     assert type(ours) is expected
     assert theirs is None, theirs
@@ -125,7 +125,7 @@ def test_ragged_samples(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["zoom", "shift", "affine_transform", "geometric_transform", "map_coordinates"])
-def test_a_number_is_no_array(name: str) -> None:
+def test_a_number_is_not_an_array(name: str) -> None:
     agree(RefusedError, "must have at least one axis", name, np.float64(3), *CALLS[name])
     agree(AxisError, "axis must be one of the array's 0", "spline_filter1d", np.float64(3))
 
@@ -158,7 +158,7 @@ def test_a_real_type_is_promoted_for_complex_samples(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [one for one in CALLS if not one.startswith("spline")])
-def test_values_beyond(name: str) -> None:
+def test_cval(name: str) -> None:
     for cval in ("a", None, 1j, [1, 2]):
         agree(OptionTypeError, "cval must be a real number", name, A, *CALLS[name], cval=cval)
     agree(NotFiniteError, "cval must be a number that float64 can hold", name, A, *CALLS[name], cval=10**400)
@@ -301,7 +301,7 @@ def test_mappings() -> None:
         ndimage.geometric_transform(A, in_c)  # type: ignore[arg-type]
 
 
-def test_five_axes_that_a_matrix_mixes() -> None:
+def test_a_matrix_that_mixes_five_axes() -> None:
     data, matrix = np.ones((2,) * 5), np.eye(5)
     matrix[0, 1] = matrix[1, 2] = matrix[2, 3] = 0.5
     refuse(UnsupportedError, "a matrix must not mix more than 3 axes of input with each other", "affine_transform", data, matrix)
@@ -312,7 +312,7 @@ def test_arrays_without_samples() -> None:
         ndimage.map_coordinates(np.ones((0, 4)), POINTS, mode="mirror")
 
 
-def test_what_a_mapping_raises_comes_through_and_nothing_is_written(device: Device) -> None:
+def test_errors_of_a_mapping_propagate_and_nothing_is_written(device: Device) -> None:
     output = np.full((3, 4), 77.0)
 
     def mapping(index: tuple[int, ...]) -> tuple[int, ...]:
@@ -326,7 +326,7 @@ def test_what_a_mapping_raises_comes_through_and_nothing_is_written(device: Devi
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_nothing_is_written_where_something_is_refused(name: str) -> None:
+def test_nothing_is_written_on_an_error(name: str) -> None:
     shape = getattr(ndimage, name)(A, *CALLS[name]).shape
     output = np.full(shape, 77.0)
     wrong: list[dict[str, Any]] = [{"mode": "edge"}, {"precision": "half"}, {"nan": "skip"}, {"device": "no such device"}]
@@ -351,8 +351,8 @@ def test_other_names_are_scipys_own() -> None:
         ndimage.no_such_name  # noqa: B018
 
 
-def test_an_interrupt_while_kernels_run_leaves_them_their_memory() -> None:
-    """In a process of its own, which a kernel that writes into memory that is gone would end."""
+def test_an_interrupt_keeps_the_memory_of_running_kernels() -> None:
+    """In a separate process: a kernel that writes to freed memory would crash it."""
     script = """
 import numpy as np
 from clvol import ndimage

@@ -26,7 +26,7 @@ tried = settings(
 
 
 def samples(seed: int, dtype: Any, shape: tuple[int, ...], layout: str) -> Array:
-    """An array of a type and a layout, with values over the range of 8 and 16 bits, of order 1 of floating numbers."""
+    """An array of a type and layout, over the range of 8 and 16 bits, or of order 1 for floating types."""
     dtype, rng = np.dtype(dtype), np.random.default_rng(seed)
     wide = tuple(2 * n for n in shape) if layout == "strided" else shape
     if dtype.kind in "iu":
@@ -63,7 +63,7 @@ def cases(draw: st.DrawFn, least: int = 1, most: int = 4, longest: int = 17) -> 
 
 
 def compare(name: str, device: Device, case: dict[str, Any], *arguments: Any, resampled: int | None = None, **options: Any) -> None:
-    """One call, its result in an array or not, beside the truth."""
+    """One call, with and without an output array, compared with the truth."""
     data, output, order = case["data"], case["output"], case["order"]
     shared = {key: case[key] for key in ("order", "mode", "cval", "prefilter")}
     exact = truth(name, data, *arguments, **shared, **options)
@@ -203,7 +203,7 @@ def test_spline_filter1d(device: Device, mode: str, order: int) -> None:
         assert_holds(result, exact, tolerance(data, order, None, 1))
 
 
-def test_whole_coefficients_are_cut_off_after_each_axis_as_scipy_does(device: Device) -> None:
+def test_integer_coefficients_are_truncated_after_each_axis_as_in_scipy(device: Device) -> None:
     data = samples(3, "h", (6, 7), "c")
     exact = scipy_ndimage.spline_filter(data, output=np.int32)
     result = ndimage.spline_filter(data, output=np.int32, precision="double", device=device)
@@ -223,7 +223,7 @@ def test_halves_are_rounded_away_from_zero_and_clipped(device: Device, dtype: st
 @pytest.mark.one_in(24)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_points_that_are_not_finite_have_the_value_beyond(device: Device, mode: str, value: float) -> None:
+def test_nonfinite_points_get_cval(device: Device, mode: str, value: float) -> None:
     data = samples(0, "d", (4, 5), "c")
     at = np.array([[1.0, value, 2.0], [1.5, 2.0, value]])
     for order in (0, 1, 3):
@@ -233,8 +233,8 @@ def test_points_that_are_not_finite_have_the_value_beyond(device: Device, mode: 
         assert result[0] == pytest.approx(exact[0], abs=1e-11)
 
 
-def test_a_zoom_hits_the_last_sample_or_misses_it_as_scipy_does(device: Device) -> None:
-    """Under "constant", a last position of one rounding error beyond the last sample has another value."""
+def test_a_zoom_hits_or_misses_the_last_sample_as_in_scipy(device: Device) -> None:
+    """Under "constant", a last position one rounding error beyond the last sample has another value."""
     missed = 0
     for n in range(2, 12):
         for m in range(2, 60):
@@ -263,9 +263,7 @@ def test_axes_of_points_may_be_named(device: Device, order: int) -> None:
 @pytest.mark.one_in(24)
 @pytest.mark.parametrize("order", range(6))
 @pytest.mark.parametrize("mode", ["mirror", "wrap", "nearest", "grid-constant"])
-def test_a_few_points_need_only_the_samples_around_them(
-    device: Device, monkeypatch: pytest.MonkeyPatch, mode: str, order: int
-) -> None:
+def test_a_few_points_need_only_their_neighbourhood(device: Device, monkeypatch: pytest.MonkeyPatch, mode: str, order: int) -> None:
     from clvol.ndimage import engine
 
     seen = []
@@ -285,8 +283,8 @@ def test_a_few_points_need_only_the_samples_around_them(
 
 @pytest.mark.parametrize("order", [1, 3])
 @pytest.mark.parametrize("axis", range(3))
-def test_planes_hear_nothing_of_each_other(device: Device, axis: int, order: int) -> None:
-    """Whether they are computed one by one, as where a sample is missing, or together."""
+def test_planes_are_independent(device: Device, axis: int, order: int) -> None:
+    """Computed one by one, as with a missing sample, or together."""
     data = samples(12, "d", (5, 6, 7), "c")
     hurt = data.copy()
     hurt[2, 2, 2] = np.nan
@@ -301,7 +299,7 @@ def test_planes_hear_nothing_of_each_other(device: Device, axis: int, order: int
 @pytest.mark.parametrize("output", ["d", ">f8", "h"])
 @pytest.mark.parametrize("moved", [(0,), (2,), (1, 3), (0, 1), (2, 3), (0, 1, 2, 3)])
 def test_batches_of_one_and_two_axes(device: Device, moved: tuple[int, ...], output: str) -> None:
-    """Of any layout, with a missing sample, without which one axis takes others along."""
+    """Of any layout, and with a missing sample, which forces one axis at a time."""
     for layout in ("c", "fortran", "strided"):
         data = 20 * samples(13, "d", (4, 3, 6, 5), layout)
         data[1, 2, 3, 4] = np.nan
@@ -320,7 +318,7 @@ def test_batches_of_one_and_two_axes(device: Device, moved: tuple[int, ...], out
                 assert np.isnan(result[~chosen]).any()
 
 
-def test_what_a_batch_needs_does_not_grow_with_the_zoom(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_of_a_batch_does_not_grow_with_the_zoom(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     from clvol.ndimage import engine
 
     made: list[int] = []
@@ -336,8 +334,8 @@ def test_what_a_batch_needs_does_not_grow_with_the_zoom(device: Device, monkeypa
 
 @pytest.mark.parametrize("shape", [(9, 9), (5, 7, 9), (1, 9, 9)])
 @pytest.mark.parametrize("mode", ["constant", "mirror"])
-def test_positions_are_rounded_as_scipy_rounds_them(device: Device, shape: tuple[int, ...], mode: str) -> None:
-    """Which of two samples is nearest to a point halfway between them depends on the order in which sums are made."""
+def test_positions_are_rounded_as_in_scipy(device: Device, shape: tuple[int, ...], mode: str) -> None:
+    """The order of additions decides which sample is nearest to a point half-way between two."""
     rng, n, halves = np.random.default_rng(3), len(shape), 0
     data = np.arange(float(np.prod(shape))).reshape(shape)
     for _ in range(40):
@@ -351,8 +349,8 @@ def test_positions_are_rounded_as_scipy_rounds_them(device: Device, shape: tuple
 
 
 @pytest.mark.parametrize("order", [1, 3])
-def test_axes_left_alone_pass_through_exactly(device: Device, order: int) -> None:
-    """And a sample that is missing in one image is missing in no other."""
+def test_unchanged_axes_are_exact(device: Device, order: int) -> None:
+    """A sample missing in one image is missing in no other."""
     series = samples(2, "d", (4, 6, 7), "c")
     series[1, 3, 3] = np.nan
     moved = ndimage.shift(series, (0, 0.5, 0.25), order=order, mode="mirror", device=device)
@@ -366,8 +364,8 @@ def test_axes_left_alone_pass_through_exactly(device: Device, order: int) -> Non
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("dtype", ["d", ">f8"])
-def test_lines_hear_nothing_of_each_other(device: Device, dtype: str, axis: int) -> None:
-    """Of an axis that is resampled alone; a missing sample costs its own line."""
+def test_lines_are_independent(device: Device, dtype: str, axis: int) -> None:
+    """When one axis is resampled, a missing sample affects only its own line."""
     data = samples(3, "d", (5, 6, 7), "c").astype(dtype)
     data[2, 3, 4] = np.nan
     shift = np.where(np.arange(3) == axis, 1.25, 0)
@@ -410,7 +408,7 @@ def test_matrices_that_are_not_square(device: Device, mode: str, order: int) -> 
         assert_holds(result, exact, 1e-11)
 
 
-def test_a_zero_in_a_matrix_of_one_axis_means_what_it_says(device: Device) -> None:
+def test_a_zero_in_a_one_axis_matrix_is_exact(device: Device) -> None:
     """SciPy divides by it."""
     data = samples(6, "d", (4, 5), "c")
     exact = truth("affine_transform", data, np.diag([0, 0.5]), (1.3, 0.2), (3, 4), order=3, mode="mirror")
@@ -418,7 +416,7 @@ def test_a_zero_in_a_matrix_of_one_axis_means_what_it_says(device: Device) -> No
     assert_holds(result, exact, 1e-11)
 
 
-def test_complex_samples_know_the_grid_mode(device: Device) -> None:
+def test_complex_samples_support_grid_mode(device: Device) -> None:
     data = samples(7, "D", (4, 5), "c")
     result = ndimage.zoom(data, 2, mode="mirror", grid_mode=True, device=device)
     exact = [scipy_ndimage.zoom(part, 2, mode="mirror", grid_mode=True) for part in (data.real, data.imag)]
@@ -446,7 +444,7 @@ def test_input_and_output_may_overlap(device: Device, name: str) -> None:
     np.testing.assert_allclose(ndimage.map_coordinates(data.copy(), at, output=at[0], device=device), exact, rtol=0, atol=1e-12)
 
 
-def test_points_are_taken_piece_by_piece(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_points_are_processed_in_pieces(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     from clvol.ndimage import in_memory
 
     monkeypatch.setattr(in_memory, "_PIECE", 7)
@@ -467,7 +465,7 @@ def test_points_are_taken_piece_by_piece(device: Device, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("name", ["zoom", "shift", "affine_transform", "rotate", "map_coordinates", "spline_filter"])
-def test_progress_is_told(device: Device, name: str) -> None:
+def test_progress_is_reported(device: Device, name: str) -> None:
     data = samples(10, "D", (3, 4, 5, 6), "c")
     arguments: dict[str, tuple[Any, ...]] = {"zoom": (1.5,), "shift": (0.4,), "rotate": (20,)}
     arguments |= {"affine_transform": (np.eye(4) * 0.9,), "map_coordinates": (np.ones((2, 9)),)}

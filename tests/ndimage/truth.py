@@ -1,4 +1,4 @@
-"""What `clvol.ndimage` is compared with: SciPy in float64, its start of the prefilter put right where it is wrong."""
+"""The truth for `clvol.ndimage`: SciPy in float64, with its prefilter's initial values corrected where they are wrong."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Array = NDArray[Any]
 
 
 def computed_in(data: Array, precision: str | None) -> str:
-    """The precision that clvol says it takes."""
+    """The precision that clvol documents."""
     small = data.dtype.kind == "b" or data.dtype.itemsize <= 2 or data.dtype.newbyteorder("=") in (np.float32, np.complex64)
     return precision or ("single" if small else "double")
 
 
 def tolerance(data: Array, order: int, precision: str | None, resampled: int, cval: complex = 0) -> float:
-    """How far a result may lie from the truth."""
+    """The allowed difference of a result from the truth."""
     largest = max(float(np.abs(data.astype(np.complex128)).max(initial=0)), abs(cval))
     return float((SINGLE if computed_in(data, precision) == "single" else DOUBLE) * largest * GAIN[order] ** min(resampled, 3))
 
@@ -32,7 +32,7 @@ def tolerance(data: Array, order: int, precision: str | None, resampled: int, cv
 def truth(
     name: str, data: Array, *arguments: Any, order: int, mode: str, cval: complex = 0.0, prefilter: bool = True, **options: Any
 ) -> Array:
-    """A function of SciPy's, in float64 or by parts in complex128."""
+    """A SciPy function in float64, or by parts in complex128."""
     if data.dtype.kind == "c":
         options |= {"order": order, "mode": mode, "prefilter": prefilter}
         real = truth(name, data.real, *arguments, cval=np.real(cval), **options)
@@ -49,7 +49,7 @@ def truth(
 
 
 def reflected(data: Array, order: int, axes: Any = None, margin: int = 40) -> Array:
-    """Coefficients under "reflect"; SciPy's own are wrong by up to 0.4 % of the range on axes of few samples."""
+    """Coefficients under "reflect"; SciPy's are wrong by up to 0.4 % of the range on short axes."""
     for axis in range(data.ndim) if axes is None else axes:
         wide = np.pad(data, [(margin, margin) if k == axis else (0, 0) for k in range(data.ndim)], mode="symmetric")
         inner = tuple(slice(margin, -margin) if k == axis else slice(None) for k in range(data.ndim))
@@ -58,7 +58,7 @@ def reflected(data: Array, order: int, axes: Any = None, margin: int = 40) -> Ar
 
 
 def assert_holds(result: Array, exact: Array, allowed: float) -> None:
-    """`result` is `exact` in its type: rounded and clipped, if whole; 1 or more is true."""
+    """`result` is `exact` in its type: integers are rounded and clipped; 1 or more is true."""
     __tracebackhide__ = True
     assert result.shape == exact.shape
     if result.dtype.kind == "c":

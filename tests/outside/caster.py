@@ -50,7 +50,7 @@ class Spline:
 
     @property
     def matrix(self) -> Array:
-        """From index to world, less the origin."""
+        """From index to world, without the origin."""
         return np.asarray(self.direction, float) * np.asarray(self.spacing, float)
 
     @cached_property
@@ -116,7 +116,7 @@ class Rays:
         return self.origin.reshape(-1, *extra, 3) + t[..., None] * self.direction.reshape(-1, *extra, 3)
 
     def middles(self, count: int) -> tuple[Array, Array]:
-        """The middles of `count` equal parts of every ray, (rays, count), and the length of a part, (rays,)."""
+        """The midpoints of `count` equal parts of every ray, (rays, count), and the length of a part, (rays,)."""
         length = np.where(self.hit, self.leave - self.enter, 0.0) / count
         start = np.where(self.hit, self.enter, 0.0)
         return start[:, None] + (np.arange(count) + 0.5) * length[:, None], length
@@ -165,7 +165,7 @@ def cast(
 
 
 def _within(start: Array, slope: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Where lines are inside a box."""
+    """The interval of each line inside a box."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (low - start) / slope, (high - start) / slope
     beside = (slope == 0) & ((start < low) | (start > high))

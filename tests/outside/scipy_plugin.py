@@ -19,7 +19,7 @@ from clvol.ndimage import interpolation
 
 
 class InDouble:
-    """What the tests find under the name `ndimage`; counts calls."""
+    """The `ndimage` that the tests see; counts calls."""
 
     calls: ClassVar[Counter[str]] = Counter()
 
@@ -36,12 +36,12 @@ class InDouble:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Only every so many of the tests, where the environment says so."""
+    """Select one test in n, if the environment says so."""
     items[:] = items[:: int(os.environ.get("EVERY", "1"))]
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """After the tests' decorators have looked SciPy's functions up."""
+    """After the tests' decorators have looked up SciPy's functions."""
     modules = {item.module for item in session.items if isinstance(item, pytest.Function)}
     assert modules
     for module in modules:

@@ -24,7 +24,7 @@ WORDS = {"mitchell", "catmull-rom"}  # which overshoot
 
 
 def grid(n: int) -> tuple[np.ndarray, Volume]:
-    """Positions (n, n, n, 3) of samples on [-1, 1]³, and a volume to put values in."""
+    """Positions (n, n, n, 3) of samples on [-1, 1]³, and a volume for values."""
     x = np.linspace(-1, 1, n)
     z, y, x = np.meshgrid(x, x, x, indexing="ij")
     return np.stack([x, y, z], -1), Volume(np.zeros((n,) * 3), (2 / (n - 1),) * 3, (-1.0,) * 3)
@@ -37,7 +37,7 @@ def sampled(function: Function, n: int = SIZE, sigma: float = 0.0, seed: int = 0
 
 
 def errors(volume: Volume, truth: Function, filters: Sequence[str] = ADVISED, count: int = 20_000) -> dict[str, float]:
-    """RMS distance from the truth, of each filter as it is for the volume, five samples away from the faces."""
+    """RMS error of each filter, as settled for the volume, five samples away from the faces."""
     points = volume.index_to_world(np.random.default_rng(1).uniform(5, np.array(volume.size) - 6, (count, 3)))
     wanted = truth(points)
     rows = settled_once([as_filter(name) for name in filters], volume)
@@ -45,7 +45,7 @@ def errors(volume: Volume, truth: Function, filters: Sequence[str] = ADVISED, co
 
 
 def loses(advice: Advice, found: dict[str, float], span: float) -> float:
-    """The error of what was recommended over the least; errors of less than a ten-thousandth of the range are none."""
+    """The error of the recommendation over the smallest; errors below 10⁻⁴ of the range count as none."""
     return max(found[advice.filter], 1e-4 * span) / max(min(found.values()), 1e-4 * span)
 
 
@@ -58,19 +58,19 @@ def rings(points: np.ndarray) -> np.ndarray:
 
 
 def zone_plate(points: np.ndarray) -> np.ndarray:
-    """Waves that get shorter outwards, to 3 samples along an axis at the faces of 48³."""
+    """Waves that shorten outwards, to 3 samples along an axis at the faces of 48³."""
     return 0.5 + 0.5 * np.cos(np.pi / 3 * (SIZE - 1) / 2 * (points**2).sum(-1))
 
 
 def edge(points: np.ndarray) -> np.ndarray:
-    """A ball with an edge as a scanner shows it, blurred by a Gaussian of 0.8 samples."""
+    """A ball with a scanner's edge, blurred by a Gaussian of 0.8 samples."""
     from scipy import special
 
     return 0.5 - 0.5 * special.erf((np.linalg.norm(points, axis=-1) - 0.6) * (SIZE - 1) / 2 / 0.8 / np.sqrt(2))
 
 
 def box(shift: Sequence[float], n: int = SIZE) -> Function:
-    """0 and 1, its faces `shift` samples away from those of a box in the middle."""
+    """0 and 1, with faces shifted by `shift` samples from a centred box."""
     away = np.asarray(shift) * 2 / (n - 1)
     return lambda points: (np.abs(points - away) <= 0.6).all(-1).astype(np.float64)
 
@@ -92,7 +92,7 @@ SMOOTH = [
 
 @pytest.mark.one_in(10)
 @pytest.mark.parametrize(("function", "sigma", "times"), SMOOTH)
-def test_the_recommended_filter_errs_least(function: Function, sigma: float, times: float) -> None:
+def test_the_recommended_filter_has_the_smallest_error(function: Function, sigma: float, times: float) -> None:
     volume = sampled(function, sigma=sigma)
     given = advise(volume)
     low, high = volume.value_range
@@ -100,8 +100,8 @@ def test_the_recommended_filter_errs_least(function: Function, sigma: float, tim
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.02, 0.2])
-def test_expected_errors_are_those_that_are_met(sigma: float) -> None:
-    """The noisy ball, by every filter: what is expected is what is measured."""
+def test_expected_errors_match_measured_ones(sigma: float) -> None:
+    """The noisy ball, with every filter."""
     volume = sampled(ball, sigma=sigma)
     expected, found = advise(volume).expected, errors(volume, ball)
     assert expected is not None
@@ -113,7 +113,7 @@ def test_expected_errors_are_those_that_are_met(sigma: float) -> None:
             assert expected.row(name).rms == pytest.approx(error, rel=0.05 if sigma else 0.4), name
 
 
-def test_noise_turns_the_order_over() -> None:
+def test_noise_reverses_the_order() -> None:
     clean, noisy = advise(sampled(ball)), advise(sampled(ball, sigma=0.2))
     assert clean.filter == "bspline3"
     assert as_filter(noisy.filter).smoothing != 0
@@ -121,7 +121,7 @@ def test_noise_turns_the_order_over() -> None:
     assert found["bspline3"] > 1.4 * found["linear"] > 5 * found[noisy.filter]  # 0.164, 0.109, 0.018
     assert "pays not to pass through" in " ".join(noisy.sentences)
     for given in (clean, noisy):
-        assert "fine as the samples" not in " ".join(given.sentences)  # which is no word for noise
+        assert "fine as the samples" not in " ".join(given.sentences)  # which does not describe noise
 
 
 # -- hard edges, wherever they lie -----------------------------------------------------------------------------------
@@ -129,7 +129,7 @@ def test_noise_turns_the_order_over() -> None:
 ALIGNMENTS = [(0, 0, 0), (1, 0, 0), (0, 1, 1), (1, 1, 1), (0.25, 0.5, 0.75), (0.1, 0.1, 0.1), (0.9, 0.35, 0.6)]
 
 
-def test_the_alignment_of_a_box_does_not_decide() -> None:
+def test_the_alignment_of_a_box_does_not_matter() -> None:
     totals: dict[str, float] = {}
     for shift in ALIGNMENTS:
         half = np.asarray(shift, float) / (2 if max(shift) == 1 else 1)
@@ -138,7 +138,7 @@ def test_the_alignment_of_a_box_does_not_decide() -> None:
         assert given.filter == "linear", shift
         assert "one sample to the next" in " ".join(given.sentences)
         found = errors(volume, box(half, 32))
-        assert loses(given, found, 1.0) < 1.15  # one alignment favours one filter, another another
+        assert loses(given, found, 1.0) < 1.15  # each alignment favours another filter
     rng = np.random.default_rng(2)
     for _ in range(8):
         half = rng.uniform(-0.5, 0.5, 3)
@@ -148,7 +148,7 @@ def test_the_alignment_of_a_box_does_not_decide() -> None:
     assert np.sqrt(totals["linear"] / min(totals.values())) < 1.02
 
 
-def test_a_noisy_box_is_smoothed_no_more_than_pays() -> None:
+def test_a_noisy_box_is_not_oversmoothed() -> None:
     truth = box((0.3, 0.1, 0.6))
     for sigma in (0.05, 0.2, 0.5):
         volume = sampled(truth, sigma=sigma)
@@ -159,7 +159,7 @@ def test_a_noisy_box_is_smoothed_no_more_than_pays() -> None:
 
 
 def labels(kind: type[np.generic], n: int = 40) -> Volume:
-    """Nine balls of as many labels, far apart in number."""
+    """Nine balls with distant label numbers."""
     rng = np.random.default_rng(4)
     z, y, x = np.indices((n, n, n))
     data = np.zeros((n, n, n))
@@ -187,7 +187,7 @@ def test_a_mask_gets_surfaces_without_stairs() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_noise_is_called_noise(seed: int) -> None:
+def test_noise_is_reported_as_noise(seed: int) -> None:
     noise = np.random.default_rng(seed).normal(3, 1, (40, 44, 48))
     given = advise(noise)
     assert given.sentences[0].startswith("These data are noise: a standard deviation of")
@@ -197,7 +197,7 @@ def test_noise_is_called_noise(seed: int) -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, 0.1, -1234.567])
-def test_constant_data_need_nothing(value: float) -> None:
+def test_constant_data_need_no_advice(value: float) -> None:
     given = advise(np.full((9, 9, 9), value))
     assert given.filter == "linear"
     assert "constant" in given.sentences[0]
@@ -206,8 +206,8 @@ def test_constant_data_need_nothing(value: float) -> None:
 # -- what must not matter, and what must not be said -----------------------------------------------------------------
 
 
-def test_the_length_of_a_volume_does_not_decide_how_well_it_is_sampled() -> None:
-    """Waves of the same 8 samples in 40 and in 160 slices, on a slope over all of them."""
+def test_the_length_of_a_volume_does_not_affect_its_sampling_quality() -> None:
+    """Waves of 8 samples in 40 and in 160 slices, on a slope over all of them."""
     details = []
     for n in (40, 160):
         z, y, x = np.indices((n, 40, 40))
@@ -222,7 +222,7 @@ def test_the_length_of_a_volume_does_not_decide_how_well_it_is_sampled() -> None
 
 
 @pytest.mark.parametrize("function", [box((0.3, 0.1, 0.6)), edge, zone_plate], ids=["box", "edge", "zone plate"])
-def test_what_overshoots_is_not_told_to_stay_within(function: Function) -> None:
+def test_overshooting_data_get_no_advice_on_range(function: Function) -> None:
     volume = sampled(function)
     low, high = volume.value_range
     points = volume.index_to_world(np.random.default_rng(5).uniform(0, SIZE - 1, (100_000, 3)))
@@ -244,8 +244,8 @@ def test_what_overshoots_is_not_told_to_stay_within(function: Function) -> None:
         assert told >= 0.7 * left - 1e-3
 
 
-def test_only_what_is_sure_is_said() -> None:
-    """Of noise in which nothing else is, no gain of a filter over one that lets through as much is told."""
+def test_only_certain_statements_are_made() -> None:
+    """In pure noise, no filter is claimed to gain over one that passes as much."""
     rng = np.random.default_rng(6)
     told = 0
     for _ in range(10):
@@ -276,8 +276,8 @@ def test_the_unit_of_the_data_does_not_matter(unit: float) -> None:
         assert a.rms == pytest.approx(unit * b.rms, rel=1e-3)
 
 
-def test_of_few_samples_no_order_is_told() -> None:
-    """Noise of 8³ and of 16³ samples: one block, of which any resampling has the same order."""
+def test_few_samples_give_no_order() -> None:
+    """Noise of 8³ and 16³ samples: one block, whose resamplings all have the same order."""
     for n in (8, 16):
         given = advise(np.random.default_rng(n).normal(size=(n, n, n)))
         said = " ".join(given.sentences)
@@ -292,8 +292,8 @@ def test_planes_need_no_more_than_linear_interpolation(slopes: tuple[float, floa
     assert given.sentences[1:] == ["It cannot leave the range of the samples."]
 
 
-def test_no_noise_is_told_of_clean_data() -> None:
-    """Sharp ellipsoids by their formula: what is in the highest octave there is no noise, and none is told."""
+def test_clean_data_have_no_noise() -> None:
+    """Sharp analytic ellipsoids: their highest octave is not noise."""
     from scipy import special
 
     def ellipsoids(points: np.ndarray) -> np.ndarray:
@@ -308,7 +308,7 @@ def test_no_noise_is_told_of_clean_data() -> None:
     assert loses(given, errors(volume, ellipsoids), 1.0) < 1.08
 
 
-def test_an_error_that_cannot_be_told_from_none_is_not_called_nothing() -> None:
+def test_an_undetectable_error_is_not_reported_as_zero() -> None:
     z, y, x = np.indices((48, 48, 48))
     given = advise(np.sin(0.7 * z) * np.sin(0.5 * y) + 0 * x)
     said = " ".join(given.sentences)
@@ -317,14 +317,14 @@ def test_an_error_that_cannot_be_told_from_none_is_not_called_nothing() -> None:
     assert "by 100 %" not in said
 
 
-def test_what_flattens_the_object_is_not_recommended() -> None:
+def test_flattening_filters_are_not_recommended() -> None:
     names = ["linear", "bspline3(auto)", "bspline3(20000)"]
     volume = sampled(ball, 24, 0.1)
     assert loses(advise(volume, names), errors(volume, ball, names), 1.0) == 1
 
 
-def test_smooth_data_of_few_values_are_advised_to_be_smoothed() -> None:
-    """Nearest, which suits labels, errs several times as much."""
+def test_smooth_data_of_few_values_get_smoothing() -> None:
+    """Nearest, which suits labels, has several times the error."""
 
     def wave(points: np.ndarray) -> np.ndarray:
         x, y, z = np.moveaxis(points, -1, 0)

@@ -1,4 +1,4 @@
-"""Arrays of other libraries, in and out: by their protocols, without a copy, or refused with the rule."""
+"""Arrays of other libraries, in and out: by protocol, without a copy, or rejected with the rule."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Exchanged:
 
 
 class OnDevice:
-    """As CuPy's arrays are: conversion is refused by a `TypeError`."""
+    """Like CuPy's arrays: conversion raises a `TypeError`."""
 
     __cuda_array_interface__: dict[str, Any] = {}  # noqa: RUF012  # a property there
 
@@ -114,13 +114,13 @@ def test_samples_and_points_of_any_kind(device: Device, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_functions_of_scipys_names_take_them_too(kind: str) -> None:
+def test_ndimage_functions_accept_them(kind: str) -> None:
     wrap, data, points = READERS[kind], samples(), places()
     got = clvol.ndimage.map_coordinates(wrap(data), wrap(np.ascontiguousarray(points[:, ::-1].T)), mode="mirror")
     assert_allclose(got, truth(data, points), rtol=0, atol=1e-12)
 
 
-def test_functions_of_scipys_names_write_into_them(device: Device) -> None:
+def test_ndimage_functions_write_into_them(device: Device) -> None:
     data = samples()
     expected = ndimage.shift(data, 0.3, mode="mirror")
     for wrap in (Converted, Interface, lambda a: torch().from_numpy(a)):
@@ -135,7 +135,7 @@ def test_functions_of_scipys_names_write_into_them(device: Device) -> None:
                 clvol.ndimage.shift(make(), 0.3)
 
 
-def test_exchanged_arrays_that_may_only_be_read() -> None:
+def test_read_only_dlpack_arrays() -> None:
     data = samples()
     data.flags.writeable = False
     given = Exchanged(data)
@@ -155,7 +155,7 @@ def test_bfloat16_is_read_as_float32() -> None:
     assert read.tolist() == [[1.0, 2.5], [-3.140625, 2.0**100]]
 
 
-def test_tensors_in_other_forms() -> None:
+def test_other_tensor_layouts() -> None:
     data = samples()
     tensor = torch().from_numpy(data)
     assert_array_equal(as_array(tensor.permute(2, 0, 1)), data.transpose(2, 0, 1))
@@ -172,7 +172,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_arrays_on_a_device_are_refused_with_the_way_out(kind: str) -> None:
+def test_device_arrays_are_rejected_with_a_workaround(kind: str) -> None:
     make, message = REFUSED[kind]
     with pytest.raises(DataError, match="data must lie in the host's memory; got a .*" + message):
         clvol.Volume(make())
@@ -186,7 +186,7 @@ def test_arrays_on_a_device_are_refused_with_the_way_out(kind: str) -> None:
         clvol.Volume(np.ones((3, 3))).index_to_world(make())
 
 
-def test_masked_points_are_refused() -> None:
+def test_masked_points_are_rejected() -> None:
     with pytest.raises(OptionError, match=r"points must be .* no masked element"):
         clvol.sample(np.ones((3, 3)), np.ma.array([[1.0, 2.0]], mask=[[True, False]]))
 
@@ -196,7 +196,7 @@ def test_masked_points_are_refused() -> None:
 
 @pytest.mark.parametrize("kind", ["interface", "converted", "dlpack", "torch", "xarray"])
 @pytest.mark.parametrize("dtype", ["f4", "f8"])
-def test_memory_of_any_kind_is_written_into(kind: str, dtype: str) -> None:
+def test_output_may_be_any_memory(kind: str, dtype: str) -> None:
     memory = np.zeros((3, 4), dtype)
     if kind == "dlpack" and not np.from_dlpack(Exchanged(memory)).flags.writeable:
         pytest.skip("this NumPy reads them only")
@@ -204,7 +204,7 @@ def test_memory_of_any_kind_is_written_into(kind: str, dtype: str) -> None:
     assert (memory == 7).all()
 
 
-def test_memory_that_cannot_be_written_into() -> None:
+def test_unwritable_output() -> None:
     fixed = np.zeros((3, 4))
     fixed.flags.writeable = False
     for out, rule in (
@@ -221,7 +221,7 @@ def test_memory_that_cannot_be_written_into() -> None:
             as_output(out, (3, 4))
 
 
-def test_tensors_that_cannot_be_written_into() -> None:
+def test_unwritable_tensors() -> None:
     with pytest.raises(OptionError, match="must not require a gradient"):
         as_output(torch().zeros(3, requires_grad=True), (3,))
     with pytest.raises(OptionError, match="of which NumPy makes a copy"):

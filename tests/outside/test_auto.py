@@ -1,4 +1,4 @@
-"""Noise that is found, and the λ chosen for it, on functions that are known; splines by SciPy's cosine transform."""
+"""Estimated noise and the chosen λ, on known functions; splines by SciPy's cosine transform."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def noisy(function: Callable[[Array], Array], shape: tuple[int, ...], sigma: flo
 
 
 def coefficients(data: NDArray[Any], smoothing: Sequence[float]) -> Array:
-    """Of the smoothing spline; λ in the order x, y(, z)."""
+    """Coefficients of the smoothing spline; λ in the order x, y(, z)."""
     c = np.asarray(data, np.float64)
     for axis, value in enumerate(tuple(smoothing)[::-1]):
         w = np.pi * np.arange(c.shape[axis]) / c.shape[axis]
@@ -121,7 +121,7 @@ def coefficients(data: NDArray[Any], smoothing: Sequence[float]) -> Array:
 
 
 def drawn(c: Array, index: Array) -> Array:
-    """The spline of some coefficients at index positions in the order of the array's axes."""
+    """The spline with these coefficients at index positions in the array's axis order."""
     return np.asarray(ndimage.map_coordinates(c, np.moveaxis(index, -1, 0), order=3, prefilter=False, mode="reflect"))
 
 
@@ -132,7 +132,7 @@ def error(function: Callable[[Array], Array], data: Array, smoothing: Sequence[f
 
 
 def require_good(function: Callable[[Array], Array], data: Array, allowed: float = 1.10) -> clvol.volume.smoothing.Smoothing:
-    """The error with what is chosen is at most 1.10 times that of the best λ for all axes."""
+    """The error with the choice is at most 1.10 times that of the best common λ."""
     chosen = choose(clvol.Volume(data))
     best = min((error(function, data, (value,) * data.ndim), value) for value in SCAN)
     assert error(function, data, chosen.values) <= allowed * best[0], (chosen, best)
@@ -163,7 +163,7 @@ def test_images(function: Callable[[Array], Array], sigma: float) -> None:
 
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("function", [random_field, vessels, hard_sphere, smooth_sphere], ids=lambda f: f.__name__)
-def test_blocks_of_a_volume_tell_of_all_of_it(function: Callable[[Array], Array]) -> None:
+def test_blocks_represent_the_whole_volume(function: Callable[[Array], Array]) -> None:
     data = noisy(function, (112, 96, 128), 0.1)
     assert data.size > 1 << 20
     chosen = choose(clvol.Volume(data))
@@ -174,7 +174,7 @@ def test_blocks_of_a_volume_tell_of_all_of_it(function: Callable[[Array], Array]
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("function", [smooth_sphere, random_field, blobs], ids=lambda f: f.__name__)
-def test_slices_that_are_far_apart_have_their_own(function: Callable[[Array], Array]) -> None:
+def test_coarse_slices_get_their_own_smoothing(function: Callable[[Array], Array]) -> None:
     data = noisy(function, (14, 56, 56), 0.1)
     chosen = choose(clvol.Volume(data, (1, 1, 4)))
     within, between = (0.03, 0.1, 0.3, 1, 3, 10, 30), (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
@@ -205,12 +205,12 @@ def test_counts_of_photons(function: Callable[[Array], Array], photons: int) -> 
 
 
 def zone_plate(p: Array) -> Array:
-    """Its local frequency reaches 0.9 of that of 64 samples' Nyquist limit at the faces."""
+    """Its local frequency reaches 0.9 of the Nyquist limit of 64 samples at the faces."""
     return np.asarray(0.5 + 0.5 * np.cos(0.9 * np.pi / 4 * 63 * (p**2).sum(-1)))
 
 
 def averaged_box(p: Array) -> Array:
-    """A box whose samples are means over their voxels, 64 samples along each axis."""
+    """A box of voxel means, 64 samples along each axis."""
     return np.asarray(((0.5853 - np.abs(p)) * 63 / 2 + 0.5).clip(0, 1).prod(-1))
 
 
@@ -218,7 +218,7 @@ def averaged_box(p: Array) -> Array:
 @pytest.mark.parametrize(
     "function", [smooth_sphere, marschner_lobb, random_field, zone_plate, averaged_box, vessels], ids=lambda f: f.__name__
 )
-def test_nothing_is_smoothed_without_noise(function: Callable[[Array], Array], bits: int | None) -> None:
+def test_noise_free_data_are_not_smoothed(function: Callable[[Array], Array], bits: int | None) -> None:
     data = samples(function, (64, 64, 64))
     if bits is not None:
         data = np.round((data - data.min()) / np.ptp(data) * (2**bits - 1)).astype(np.uint16)
@@ -282,7 +282,7 @@ def test_masked_objects_lose_most_of_theirs() -> None:
 
 
 def test_thin_vessels_lose_their_peaks() -> None:
-    """Why modes that show extremes do not smooth; the numbers are those of `choose`'s notes."""
+    """Why modes that show extremes do not smooth; `choose` documents the numbers."""
     center = np.array([19.5, 19.3, 19.7])
     q = np.stack(np.indices((40, 40, 40)), -1) - center
     kept: dict[float, list[float]] = {0.0: [], 0.02: [], 0.1: [], 0.5: []}

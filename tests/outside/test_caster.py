@@ -1,4 +1,4 @@
-"""Pictures beside a ray caster in float64 that shares nothing with clvol (caster.py)."""
+"""Pictures compared with an independent float64 ray caster (caster.py)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ISOVALUE = 0.55
 
 
 def blobs() -> np.ndarray:
-    """Three round hills, and nothing at the faces of the grid."""
+    """Three smooth blobs; zero at the faces of the grid."""
     z, y, x = np.indices((22, 26, 24)).astype(float)
     hills = [((12, 12, 10), 4.0, 1.0), ((8, 17, 13), 2.5, 0.8), ((16, 9, 8), 2.0, 0.9)]
     return sum(h * np.exp(-((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2) / (2 * s * s)) for (a, b, c), s, h in hills)
@@ -48,7 +48,7 @@ CASES = [("perspective", 3), ("orthographic", 5), ("aside", 1)]
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize(("camera", "order"), CASES)
 def test_surfaces(device: Device, camera: str, order: int) -> None:
-    """Hit or missed as it should be, and where it should be, to 0.004 of a voxel at a tenth of one."""
+    """Correct hits and misses, with positions within 0.004 of a voxel at a step of 0.1."""
     spline, rays, same = scene(camera, order)
     truth = caster.first_crossings(spline, rays, ISOVALUE, 800)
     pictures = clvol.render(
@@ -76,7 +76,7 @@ def test_surfaces(device: Device, camera: str, order: int) -> None:
 
 @pytest.mark.parametrize(("camera", "order"), CASES)
 def test_maxima(device: Device, camera: str, order: int) -> None:
-    """The largest sample, from below, to 2e-3 of the range at a tenth of a voxel."""
+    """The maximum, from below, within 2e-3 of the range at a step of 0.1 voxel."""
     spline, rays, same = scene(camera, order)
     grey = clvol.TransferFunction.ramp((0.0, 1.0))
     picture = clvol.render(
@@ -92,7 +92,7 @@ def test_maxima(device: Device, camera: str, order: int) -> None:
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize(("camera", "order"), CASES)
 def test_emission_and_absorption(device: Device, camera: str, order: int) -> None:
-    """Colours and opacities of matter that is clear at the faces, to 1e-4 at a twentieth of a voxel."""
+    """Colours and opacities of matter that is clear at the faces, within 1e-4 at a step of 0.05."""
     spline, rays, same = scene(camera, order)
     colors = ((0.0, (1.0, 0.2, 0.0)), (0.5, (0.3, 0.9, 0.4)), (1.0, (0.1, 0.3, 1.0)))
     opacities = ((0.125, 0.0), (0.5, 0.25), (1.0, 0.5))
@@ -114,7 +114,7 @@ def test_emission_and_absorption(device: Device, camera: str, order: int) -> Non
 
 
 def test_the_caster_itself() -> None:
-    """On a plane and a parabola, where everything is known: f = z, and f = 1 - r² by a cubic, which has it exactly inside."""
+    """On a plane and a parabola with known results: f = z, and f = 1 - r² by a cubic, which is exact inside."""
     z = np.indices((9, 9, 9))[0].astype(float)
     plane = caster.Spline(z, order=1)
     rays = caster.cast(plane, (3, 3), (4, 4, -10), up=(0, 1, 0), fov=20)

@@ -1,4 +1,4 @@
-"""Where rays begin and end, against line integrals in float64 along the same rays, computed by SciPy."""
+"""Starts and ends of rays, compared with line integrals in float64 along the same rays, computed by SciPy."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def smooth() -> NDArray[np.float32]:
 EYE = {"perspective": (25.0, -20.0, 14.0), "wide": (9.0, -1.0, 7.0)}
 CAMERAS = {
     "perspective": clvol.Camera(position=EYE["perspective"], fov=26),
-    "wide": clvol.Camera(position=EYE["wide"], fov=100),  # some rays step along themselves
+    "wide": clvol.Camera(position=EYE["wide"], fov=100),  # some rays step along their own direction
 }
 
 
@@ -51,7 +51,7 @@ def rays(camera: str, size: tuple[int, int] = SIZE) -> tuple[Array, Array]:
 
 
 def stretches(eye: Array, along: Array, box: Box) -> tuple[Array, Array]:
-    """Where rays enter and leave a box, and the domain -1/2 .. 11 1/2."""
+    """Where rays enter and leave a box and the domain, -1/2 .. 11 1/2."""
     low, high = np.maximum(box[0], -0.5), np.minimum(box[1], 11.5)
     with np.errstate(divide="ignore"):
         a, b = (low - eye) / along, (high - eye) / along
@@ -126,7 +126,7 @@ def drawn(device: Device, camera: str, box: Box, step: float, **options: Any) ->
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_the_error_at_clip_planes_is_of_second_order(device: Device, camera: str, tile: str) -> None:
-    """It depends on how planes of samples meet the box; over many steps it falls as their square, and nowhere is it large."""
+    """It depends on how sample planes meet the box; over many steps it falls quadratically, and is never large."""
     true, steps = true_picture(camera, CLIP), 2.0 ** -np.arange(0, 5.1, 0.5)
     enter, leave = stretches(*rays(camera), CLIP)
     with device.limited(tile=TILES[tile]):
@@ -143,7 +143,7 @@ def test_the_error_at_clip_planes_is_of_second_order(device: Device, camera: str
 
 @pytest.mark.parametrize("tile", TILES)
 def test_a_thin_slab_has_its_opacity_wherever_it_lies(device: Device, tile: str) -> None:
-    """0.2 of a voxel of matter that stops half of the light a voxel: 1 - 0.5^0.2 = 0.1294."""
+    """0.2 voxel of matter that absorbs half of the light per voxel: 1 - 0.5^0.2 = 0.1294."""
     fog = clvol.TransferFunction(((0.0, "white"),), ((0.0, 0.5),), 1.0)
     camera = clvol.Camera(direction=(0, 1, 0), up=(0, 0, 1), projection="orthographic", fit="volume")
     look: dict[str, Any] = {"size": (20, 17), "transfer": fog, "background": None, "outputs": ("rgba", "visited"), "rays": 1}
@@ -160,8 +160,8 @@ def test_a_thin_slab_has_its_opacity_wherever_it_lies(device: Device, tile: str)
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_a_thin_slab_shows_what_lies_in_it(device: Device, camera: str) -> None:
-    """Rays between two planes have one sample, in their middle: value, light and place are right, in every mode."""
+def test_a_thin_slab_is_correct_in_every_mode(device: Device, camera: str) -> None:
+    """Rays between two planes have one sample, in their middle: value, light and position are correct."""
     box: Box = ((1.0, 1.0, 5.21), (10.0, 10.0, 5.33))
     eye, along = rays(camera)
     enter, leave = stretches(eye, along, box)
@@ -190,7 +190,7 @@ def test_a_thin_slab_shows_what_lies_in_it(device: Device, camera: str) -> None:
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("tile", TILES)
 def test_light_on_a_thin_slab(device: Device, tile: str) -> None:
-    """Shading takes the gradient at the sample in the middle: a slab about it is shaded as matter is anywhere."""
+    """Shading uses the gradient at the middle sample, as anywhere in matter."""
     z, y, x = np.meshgrid(*[np.arange(12.0)] * 3, indexing="ij")
     ramp = (x + 2 * y - z).astype(np.float32)
     transfer = clvol.TransferFunction(((0.0, (0.8, 0.6, 0.4)),), ((0.0, 0.9),), 1.0)

@@ -17,7 +17,7 @@ SIDE, RADIUS = 40, 12.0
 
 
 def ball(origin: tuple[float, float, float], spacing: float = 1.0) -> Volume:
-    """r² about the middle, which the cubic B-spline reproduces there."""
+    """r² about the centre, which the cubic B-spline reproduces there."""
     z, y, x = np.mgrid[:SIDE, :SIDE, :SIDE] - (SIDE - 1) / 2
     return Volume(x * x + y * y + z * z, (spacing,) * 3, origin)
 
@@ -35,7 +35,7 @@ def rays(view: Viewpoint, size: tuple[int, int]) -> tuple[np.ndarray[Any, Any], 
 
 
 def sphere_points(volume: Volume, view: Viewpoint, size: tuple[int, int], radius: float) -> np.ndarray[Any, Any]:
-    """Where each ray first meets the sphere, counted from its centre; NaN where it does not."""
+    """Where each ray first meets the sphere, relative to its centre; NaN if it misses."""
     origin, direction = rays(view, size)
     center = np.asarray(volume.origin) + np.asarray(volume.spacing) * (SIDE - 1) / 2
     o = origin - center
@@ -65,8 +65,8 @@ def test_positions_are_as_exact_far_from_the_origin(device: Device, distance: fl
 
 
 @pytest.mark.parametrize("distance", [1e6, 1e7])
-def test_clip_boxes_and_normals_too(device: Device, distance: float) -> None:
-    """The faces of a box in front of the ball: positions lie on them, and the picture is that at the origin."""
+def test_clip_boxes_and_normals_are_exact_far_from_the_origin(device: Device, distance: float) -> None:
+    """Faces of a box in front of the ball: positions lie on them, and the picture equals that at the origin."""
     size, camera = (48, 48), Camera.orbit(30, 20, zoom=1.5, fit="volume")
     near, far = ball((0, 0, 0)), ball((distance, -distance, 2 * distance))
     pictures = []
@@ -84,8 +84,8 @@ WIDE = [(fov, zoom) for fov in (90.0, 150.0, 170.0, 179.0, 179.9) for zoom in (1
 
 
 @pytest.mark.parametrize(("fov", "zoom"), WIDE)
-def test_wide_cameras_are_exact_or_refused(device: Device, fov: float, zoom: float) -> None:
-    """Positions lie on the rays within 1/16 of a voxel, and skipping changes nothing; else an error names the limit."""
+def test_wide_cameras_are_exact_or_rejected(device: Device, fov: float, zoom: float) -> None:
+    """Positions lie on the rays within 1/16 voxel, and skipping changes nothing; else an error names the limit."""
     volume, camera, size = ball((0, 0, 0)), Camera(direction=(0.3, 0.8, -0.5), fov=fov, zoom=zoom, fit="volume"), (49, 33)
     corner = np.tan(np.radians(fov / 2)) / zoom
     with clvol.Renderer(volume, "linear", device=device) as renderer:
@@ -119,7 +119,7 @@ def test_unequal_spacings_move_nothing_off_its_ray(
 ) -> None:
     """By the default camera: positions lie on the rays within 1/16 of a voxel, and within a voxel of the volume.
 
-    (Volumes 10⁴ times as thin along the view as across were refused for what moves samples along their rays alone.)
+    (Volumes 10⁴ times as thin along the view as across were rejected for what moves samples along their rays alone.)
     """
     volume, size = Volume(np.ones((side,) * 3, np.float32), spacing), (24, 20)
     camera = Camera.orbit(projection=projection, fit="volume")
@@ -139,7 +139,7 @@ def test_unequal_spacings_move_nothing_off_its_ray(
     assert (index < side + 0.5).all()
 
 
-def test_spacings_that_float32_does_not_carry_are_named(device: Device) -> None:
+def test_spacings_beyond_float32_are_named(device: Device) -> None:
     needle = Volume(np.ones((128, 4, 4), np.float32), (1, 1, 1e4))
     with pytest.raises(GeometryError, match=r"the spacings \(1[.]0, 1[.]0, 10000[.]0\) give"):
         clvol.render(needle, size=(16, 16), device=device)
@@ -151,7 +151,7 @@ def test_a_camera_that_sees_nothing_of_the_volume_may_be_anywhere(device: Device
     np.testing.assert_array_equal(got, np.broadcast_to(np.float32([1, 0, 0, 1]), got.shape))
 
 
-def test_cameras_as_far_as_float64_reaches_are_refused(device: Device) -> None:
+def test_cameras_as_far_as_float64_reaches_are_rejected(device: Device) -> None:
     """(Squares of 1e155 overflow: "cannot convert float NaN to integer".)"""
     for position in ((1e155, 1e155, 0.0), (1e300, -1e300, 1e300), (-1.7e308, 0.0, 0.0)):
         for target in (None, (1.7e308, 0.0, 0.0)):
@@ -161,8 +161,8 @@ def test_cameras_as_far_as_float64_reaches_are_refused(device: Device) -> None:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_long_axes_are_exact_or_refused(device: Device, axis: int) -> None:
-    """A ramp at the far end of an axis: its surface lies where the ramp has the value, within 1/64 of a voxel."""
+def test_long_axes_are_exact_or_rejected(device: Device, axis: int) -> None:
+    """A ramp at the far end of an axis: its surface is at the isovalue within 1/64 voxel."""
     for n, taken in ((1 << 18, True), ((1 << 18) + 1, False), (5_000_000, False)):
         shape = [3, 3, 3]
         shape[2 - axis] = n
@@ -184,7 +184,7 @@ def test_long_axes_are_exact_or_refused(device: Device, axis: int) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_samples_are_exact_on_axes_that_pictures_refuse(device: Device, axis: int) -> None:
+def test_samples_are_exact_on_axes_that_pictures_reject(device: Device, axis: int) -> None:
     n, shape = 2_000_000, [2, 2, 2]
     shape[2 - axis] = n
     line = np.zeros(n, np.float32)

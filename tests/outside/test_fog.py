@@ -1,4 +1,4 @@
-"""Homogeneous fog against its closed form: opacity 1 - (1 - a)^(L/u) of a way L, and where half of the light is stopped."""
+"""Homogeneous fog compared with its closed form: opacity 1 - (1 - a)^(L/u) over a length L, and the depth of half of the light."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def test_opacity(device: Device, opacity: float, unit: float, tile: str) -> None
 
 
 @pytest.mark.parametrize("opacity", [1 - 1e-6, 1 - 1e-8, 1 - 1e-12, 1.0])
-def test_thin_slabs_of_what_is_all_but_opaque(device: Device, opacity: float) -> None:
-    """0.1 thick, cut by a clip box: float32 holds 1 - 1e-8 as 1, and it was drawn as opaque."""
+def test_thin_slabs_of_nearly_opaque_matter(device: Device, opacity: float) -> None:
+    """0.1 thick, cut by a clip box: float32 rounds 1 - 1e-8 to 1, which was rendered as opaque."""
     box = ((-1, 3.0, -1), (3, 3.1, 3))
     drawn = draw(device, 17, fog(opacity, 1.0), clip=box, shading=False)["rgba"][4, 4, 3]
     np.testing.assert_allclose(drawn, opacity_of(opacity, 0.1) if opacity < 1 else 1.0, rtol=1e-5)
@@ -68,8 +68,8 @@ def test_light_through_thousands_of_thin_samples(device: Device, opacity: float)
 
 
 @pytest.mark.parametrize("opacity", [0.05, 0.2, 0.7, 0.99, 1 - 1e-6])
-def test_half_of_the_light_is_stopped_where_it_is(device: Device, opacity: float) -> None:
-    """At u ln(1/2) / ln(1 - a) past the fog's face, whatever the step."""
+def test_the_depth_is_where_half_of_the_light_is_absorbed(device: Device, opacity: float) -> None:
+    """At u ln(1/2) / ln(1 - a) behind the fog's face, whatever the step."""
     past = np.log(0.5) / np.log1p(-opacity)
     for step in (0.1, 0.5, 1.3, 4.0):
         made = draw(device, 40, fog(opacity, 1.0), step=step, shading=False)

@@ -1,4 +1,4 @@
-"""ITK as the truth: values that its own tests list, and SimpleITK beside clvol. ITK's rule past the edge is "mirror"."""
+"""ITK as the truth: values from its own tests, and SimpleITK. ITK's boundary rule is "mirror"."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def degrees(first: int) -> list[str]:
 
 
 def table(rows: list[tuple[tuple[float, ...], tuple[Any, ...]]], first: int) -> list[Any]:
-    """A test for each filter: positions, and the values expected there. A row has a value for each filter from degree `first`."""
+    """A test for each filter: positions, and the expected values, one per filter from degree `first`."""
     points = [point for point, _ in rows]
     return [pytest.param(name, points, [row[k] for _, row in rows], id=name) for k, name in enumerate(degrees(first))]
 
@@ -34,7 +34,7 @@ def check(device: Device, data: Array, name: str, points: Any, truth: Any, deriv
 
 
 def test_a_line(device: Device) -> None:
-    """36 samples of a cubic polynomial; here as an image of one row."""
+    """36 samples of a cubic polynomial, as an image of one row."""
     i = np.arange(36.0)
     line = 454 - 84.6 * i + 5.2 * i * (i - 1) - 0.1 * i * (i - 1) * (i - 2)
     truth = {1.4: 334.41265437584, 8.9: 18.158173426944, 10.0: 4.0, -0.3: 442.24157192006658}
@@ -65,7 +65,7 @@ RAMP = [
 @pytest.mark.parametrize("kind", [np.float64, np.uint32])
 @pytest.mark.parametrize(("name", "points", "truth"), table(RAMP, 2))
 def test_a_volume(device: Device, name: str, points: Any, truth: Any, kind: type) -> None:
-    """x + y + z: near the faces the ends of the ramp show, which "mirror" bends."""
+    """x + y + z: near the faces "mirror" bends the ramp."""
     data = np.indices((30, 40, 80)).sum(axis=0).astype(kind)
     check(device, data, name, points, truth)
 
@@ -109,8 +109,8 @@ FILTERS = {"linear": "sitkLinear", "bspline3": "sitkBSpline", **{f"bspline{n}": 
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("name", FILTERS)
-def test_resampling_onto_a_turned_grid(device: Device, name: str, seed: int) -> None:
-    """Where ITK has a value: in the domain to the faces, half a voxel past the outer samples; "linear" is clamped by ITK there."""
+def test_resampling_onto_a_rotated_grid(device: Device, name: str, seed: int) -> None:
+    """Where ITK has a value: in the domain up to the faces, half a voxel past the outer samples, where ITK clamps "linear"."""
     sitk = pytest.importorskip("SimpleITK")
     if not hasattr(sitk, FILTERS[name]):
         pytest.skip(f"this SimpleITK has no {FILTERS[name]}")

@@ -1,4 +1,4 @@
-"""ITK as the truth for chains of transforms: SimpleITK's Resample, TransformPoint and files beside clvol."""
+"""ITK as the truth for chains of transforms: SimpleITK's Resample, TransformPoint and files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def moving(d: int) -> Volume:
 
 
 def fixed(d: int) -> Volume:
-    """Anisotropic, turned, about the moving image's middle."""
+    """Anisotropic, rotated, about the moving image's centre."""
     size, step, turn = np.array([25, 27, 22])[:d], np.array([0.8, 0.9, 1.7])[:d], turned(d, 2)
     origin = moving(d).center - turn @ (step * (size - 1) / 2) + 0.3
     return Volume(np.zeros(size[::-1]), tuple(step), tuple(origin), turn)
@@ -71,7 +71,7 @@ def grid(d: int, order: int = 3) -> Any:
 
 
 def displacements(d: int, seed: int = 6) -> Any:
-    """An image of displacements over a part of the fixed image, turned another way."""
+    """An image of displacements over a part of the fixed image, rotated differently."""
     size, turn = (8, 9, 7)[:d], turned(d, seed)
     step = 13.0 / np.array(size)
     image = sitk.GetImageFromArray(np.random.default_rng(seed).normal(0, 0.6, (*size[::-1], d)), isVector=True)
@@ -107,7 +107,7 @@ CHAINS: dict[str, Any] = {
 @pytest.mark.parametrize("name", CHAINS)
 @pytest.mark.parametrize("precision", WITHIN)
 def test_resample(device: Device, precision: Any, name: str, d: int) -> None:
-    """Values, and where they are missing, are ITK's: both the whole composite transform and its parts in a list."""
+    """Values and missing results match ITK: for the composite transform and for its parts in a list."""
     if precision == "double" and not device.has_double:
         pytest.skip("the device has no float64")
     parts = CHAINS[name](d)
@@ -124,7 +124,7 @@ def test_resample(device: Device, precision: Any, name: str, d: int) -> None:
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("name", CHAINS)
-def test_points_of_the_reference(name: str, d: int) -> None:
+def test_points_match_the_reference(name: str, d: int) -> None:
     whole = sitk.CompositeTransform(CHAINS[name](d))
     points = np.random.default_rng(0).permutation(places(fixed(d)))[:200] + 0.01
     ours, jacobian = reference.map_points(points, whole)
@@ -141,7 +141,7 @@ def test_points_of_the_reference(name: str, d: int) -> None:
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("d", [2, 3])
 def test_jacobians(device: Device, d: int) -> None:
-    """Of a quadratic displacement, for which ITK's central differences are exact; they take no account of a direction."""
+    """Of a quadratic displacement, for which ITK's central differences are exact; ITK ignores the direction."""
     like = Volume(fixed(d).data, fixed(d).spacing, fixed(d).origin)
     index = places(like) - like.center
     values = np.stack([0.01 * index[:, 0] * index[:, -1], 0.008 * index[:, 0] ** 2, 0.1 * index[:, -1]][:d], axis=-1)
@@ -203,7 +203,7 @@ def test_transform_files(tmp_path: Path, name: str, suffix: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".mha", ".nrrd", ".nii.gz"])
-def test_images_of_displacements(tmp_path: Path, suffix: str) -> None:
+def test_displacement_images(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"field{suffix}"
     sitk.WriteImage(displacements(3), str(path))
     (one,) = clvol.read_transform(path)
@@ -215,12 +215,12 @@ def test_images_of_displacements(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_allclose(one.grid.origin, wanted.grid.origin, atol=1e-5)
 
 
-def test_what_is_read() -> None:
+def test_accepted_files() -> None:
     kinds = [type(one) for one in from_simpleitk(sitk.CompositeTransform(CHAINS["affine, field, B-spline"](2)))]
     assert kinds == [AffineTransform, DisplacementField, BSplineTransform]
 
 
-def test_what_cannot_be_read(tmp_path: Path) -> None:
+def test_rejected_files(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"suffix of a transform must be one of \.tfm"):
         clvol.read_transform(tmp_path / "field.png")
     with pytest.raises(FormatError, match="there is no such file"):

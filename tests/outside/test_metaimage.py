@@ -1,4 +1,4 @@
-"""MetaImage files whose header says what samples mean: value = slope × sample + offset, in a unit of length."""
+"""MetaImage files with an intensity function, value = slope × sample + offset, and a unit of length."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def metaimage(path: Path, *lines: str, file: str = "LOCAL", data: np.ndarray = S
 @pytest.mark.parametrize("suffix", [".mha", ".mhd"])
 @pytest.mark.parametrize(("slope", "offset"), [(2, 5), (1, -1024), (0.1, 0), (1e-20, 0), (-1, 255), (1e-3, 101325)])
 def test_the_intensity_function_is_applied(tmp_path: Path, slope: float, offset: float, suffix: str) -> None:
-    """ITK reads past these fields."""
+    """ITK ignores these fields."""
     lines = (f"ElementToIntensityFunctionSlope = {slope}", f"ElementToIntensityFunctionOffset = {offset}")
     read = clvol.read(metaimage(tmp_path / f"v{suffix}", *lines, file="LOCAL" if suffix == ".mha" else "v.raw"))
     np.testing.assert_array_equal(read.data, slope * SAMPLES.astype(np.float64) + offset)
@@ -38,14 +38,14 @@ def test_the_intensity_function_is_applied(tmp_path: Path, slope: float, offset:
     assert read.spacing == (1, 2, 3)
 
 
-def test_half_an_intensity_function(tmp_path: Path) -> None:
+def test_an_incomplete_intensity_function(tmp_path: Path) -> None:
     read = clvol.read(metaimage(tmp_path / "a.mha", "ElementToIntensityFunctionSlope = 3"))
     np.testing.assert_array_equal(read.data, 3.0 * SAMPLES)
     read = clvol.read(metaimage(tmp_path / "b.mha", "ElementToIntensityFunctionOffset = 3"))
     np.testing.assert_array_equal(read.data, 3.0 + SAMPLES)
 
 
-def test_the_identity_keeps_the_samples_as_they_are(tmp_path: Path) -> None:
+def test_the_identity_keeps_the_samples(tmp_path: Path) -> None:
     lines = ("ElementToIntensityFunctionSlope = 1", "ElementToIntensityFunctionOffset = 0")
     read = clvol.read(metaimage(tmp_path / "v.mha", *lines))
     np.testing.assert_array_equal(read.data, SAMPLES)
@@ -53,7 +53,7 @@ def test_the_identity_keeps_the_samples_as_they_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["Slope = 0", "Slope = nan", "Slope = x", "Slope = 1 2", "Offset = inf", "Offset ="])
-def test_an_intensity_function_without_sense_is_an_error(tmp_path: Path, line: str) -> None:
+def test_an_invalid_intensity_function_is_an_error(tmp_path: Path, line: str) -> None:
     with pytest.raises(FormatError, match=r"ElementToIntensityFunction|finite numbers|a slope that is not 0"):
         clvol.read(metaimage(tmp_path / "v.mha", f"ElementToIntensityFunction{line}"))
 
@@ -70,8 +70,8 @@ def test_unknown_units_are_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("neighbour", ["v", "v.raw", "v.raw.gz", "v.zraw", "v.mha", "data.raw"])
-def test_neighbours_of_like_names_are_left_alone(tmp_path: Path, neighbour: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The samples are those of the file that the header names, from the header's folder and not the current one."""
+def test_files_of_similar_names_are_ignored(tmp_path: Path, neighbour: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The samples come from the file that the header names, in the header's folder, not the working directory."""
     path = metaimage(tmp_path / "v.mhd", file="v.bin")
     (tmp_path / neighbour).write_bytes((SAMPLES + 100).tobytes())
     (tmp_path / "current").mkdir()

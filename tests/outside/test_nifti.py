@@ -1,4 +1,4 @@
-"""NIfTI files as nibabel reads them: headers are made here, byte by byte, and nibabel's affine and samples are the truth."""
+"""NIfTI files compared with nibabel: headers are built byte by byte; nibabel's affine and samples are the truth."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FIELDS = {
 
 
 def nifti(path: Path, order: str = "<", data: np.ndarray = SAMPLES, **fields: tuple[Any, ...]) -> Path:
-    """A file with these header fields in place of the usual ones."""
+    """A file with these header fields replaced."""
     head = bytearray(int(fields.get("vox_offset", (352,))[0]))
     for name, (at, kind, values) in FIELDS.items():
         struct.pack_into(order + kind, head, at, *fields.get(name, values))
@@ -48,7 +48,7 @@ def nifti(path: Path, order: str = "<", data: np.ndarray = SAMPLES, **fields: tu
 
 
 def assert_as_nibabel(path: Path, millimetres: float = 1.0) -> clvol.Volume:
-    """Both ways in give nibabel's samples, to the last bit, and put every corner where nibabel does."""
+    """Both routes give nibabel's samples, to the last bit, and its corners."""
     image = nibabel.load(path)
     corners = np.array(np.meshgrid([-0.5, 9], [0, 7], [0, 3] if len(image.shape) > 2 else [0])).reshape(3, -1)
     right_anterior_superior = image.affine[:3, :3] @ corners + image.affine[:3, 3:]
@@ -67,8 +67,8 @@ def assert_as_nibabel(path: Path, millimetres: float = 1.0) -> clvol.Volume:
 
 
 @pytest.mark.parametrize("neighbour", ["x.nii", "x.img", "x.hdr", "x"])
-def test_a_file_of_nearly_the_same_name_is_left_alone(tmp_path: Path, neighbour: str) -> None:
-    """ITK looks for the image by name: of ``x.nii.gz`` and ``x.nii`` it reads the latter."""
+def test_a_file_of_a_similar_name_is_ignored(tmp_path: Path, neighbour: str) -> None:
+    """ITK searches for the image by name: of ``x.nii.gz`` and ``x.nii`` it reads the latter."""
     path = nifti(tmp_path / "x.nii.gz")
     nifti(tmp_path / neighbour, data=SAMPLES + 1000, pixdim=(1, 7, 7, 7, 1, 1, 1, 1))
     np.testing.assert_array_equal(clvol.read(path).data, SAMPLES)
@@ -76,7 +76,7 @@ def test_a_file_of_nearly_the_same_name_is_left_alone(tmp_path: Path, neighbour:
         np.testing.assert_array_equal(clvol.read(tmp_path / neighbour).data, SAMPLES + 1000)
 
 
-def test_a_plain_file_beside_a_packed_one(tmp_path: Path) -> None:
+def test_an_uncompressed_file_beside_a_compressed_one(tmp_path: Path) -> None:
     path = nifti(tmp_path / "x.nii")
     nifti(tmp_path / "x.nii.gz", data=SAMPLES + 1000)
     np.testing.assert_array_equal(clvol.read(path).data, SAMPLES)
@@ -89,12 +89,12 @@ def test_a_plain_file_beside_a_packed_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
 @pytest.mark.parametrize("codes", [(0, 0), (1, 0), (0, 1), (1, 1), (2, 4), (1, 5), (3, 9), (1, -1), (7, 0), (-2, 0)])
 def test_sform_then_qform_then_pixdim(tmp_path: Path, codes: tuple[int, int], suffix: str, order: str) -> None:
-    """The two differ, as in a file that was registered; codes that the format does not know count as 0."""
+    """The two differ, as after registration; unknown codes count as 0."""
     assert_as_nibabel(nifti(tmp_path / f"v{suffix}", order, codes=codes))
 
 
-def test_a_registered_file_lies_where_its_sform_says(tmp_path: Path) -> None:
-    """By hand, without nibabel: sform against qform are 17° and 170 mm apart."""
+def test_a_registered_file_uses_its_sform(tmp_path: Path) -> None:
+    """By hand, without nibabel: sform and qform are 17° and 170 mm apart."""
     angle = math.radians(17)
     rows = (*(2 * math.cos(angle), -2 * math.sin(angle), 0, 170), *(2 * math.sin(angle), 2 * math.cos(angle), 0, 0), *(0, 0, 2, 0))
     volume = clvol.read(nifti(tmp_path / "v.nii", codes=(1, 2), sform=rows, qform=(0,) * 6))
@@ -113,7 +113,7 @@ def test_a_sound_sform_needs_no_pixdim(tmp_path: Path, pixdim: tuple[float, ...]
 @pytest.mark.parametrize("qfac", [1, -1, 0, -0.5, 3, math.nan])
 @pytest.mark.parametrize("turn", [(0, 0, 0), tuple(TURN), (1, 0, 0), (0.6, 0.8, 0), (0.6, -0.48, 0.64)], ids=str)
 def test_quaternions(tmp_path: Path, turn: tuple[float, ...], qfac: float) -> None:
-    """Half turns too, where rounding makes the three parts longer than 1."""
+    """Including half turns, where rounding makes the vector part longer than 1."""
     pixdim = (qfac, 0.9, 1.1, 2.5, 0, 0, 0, 0)
     assert_as_nibabel(nifti(tmp_path / "v.nii", codes=(1, 0), qform=(*turn, *OFFSET), pixdim=pixdim))
 
@@ -126,7 +126,7 @@ def test_negative_pixdim(tmp_path: Path, codes: tuple[int, int]) -> None:
 @pytest.mark.parametrize("codes", [(0, 0), (1, 0)])
 @pytest.mark.parametrize("unknown", [0, math.nan, math.inf, -math.inf])
 def test_unknown_spacing_is_an_error(tmp_path: Path, unknown: float, codes: tuple[int, int]) -> None:
-    """Not 1: only the caller can know. (nibabel makes 0 a 1 as it loads, and says so in its log.)"""
+    """Not 1: only the caller knows it. (nibabel replaces 0 by 1 on loading, and logs it.)"""
     path = nifti(tmp_path / "v.nii", codes=codes, pixdim=(1, 0.9, 1.1, unknown, 1, 1, 1, 1))
     with pytest.raises(GeometryError, match=r"v\.nii: spacing must be (finite|positive).*spacing=.*replace"):
         clvol.read(path)
@@ -136,7 +136,7 @@ def test_unknown_spacing_is_an_error(tmp_path: Path, unknown: float, codes: tupl
             clvol.Volume(nibabel.load(path))
 
 
-def test_a_placement_that_is_not_used_may_be_anything(tmp_path: Path) -> None:
+def test_an_unused_placement_may_be_invalid(tmp_path: Path) -> None:
     nowhere = (math.nan,) * 12
     assert_as_nibabel(nifti(tmp_path / "a.nii", codes=(1, 0), sform=nowhere))
     assert_as_nibabel(nifti(tmp_path / "b.nii", codes=(0, 1), qform=nowhere[:6]))
@@ -155,7 +155,7 @@ def test_a_placement_that_is_not_used_may_be_anything(tmp_path: Path) -> None:
     ],
     ids=["sform not finite", "sform zero", "sform flat", "qform not finite", "quaternion too long", "offset not finite"],
 )
-def test_what_makes_no_sense_is_an_error_by_every_way_in(tmp_path: Path, fields: dict[str, Any]) -> None:
+def test_invalid_headers_are_errors_by_every_route(tmp_path: Path, fields: dict[str, Any]) -> None:
     path = nifti(tmp_path / "v.nii", **fields)
     with pytest.raises((FormatError, GeometryError)):
         clvol.read(path)
@@ -171,7 +171,7 @@ def test_units(tmp_path: Path, codes: tuple[int, int], code: int, millimetres: f
 
 
 @pytest.mark.parametrize("code", [4, 5, 6, 7, 7 + 16])
-def test_unknown_units_are_an_error_by_every_way_in(tmp_path: Path, code: int) -> None:
+def test_unknown_units_are_errors_by_every_route(tmp_path: Path, code: int) -> None:
     path = nifti(tmp_path / "v.nii", xyzt_units=(code,))
     with pytest.raises(FormatError, match="xyzt_units 1, 2 or 3"):
         clvol.read(path)
@@ -180,7 +180,7 @@ def test_unknown_units_are_an_error_by_every_way_in(tmp_path: Path, code: int) -
 
 
 @pytest.mark.parametrize("code", [2 + 56, 3 + 64, 1 + 248])
-def test_an_unknown_unit_of_time_says_nothing_about_space(tmp_path: Path, code: int) -> None:
+def test_an_unknown_unit_of_time_does_not_affect_space(tmp_path: Path, code: int) -> None:
     assert_as_nibabel(nifti(tmp_path / "v.nii", xyzt_units=(code,)), {1: 1e3, 2: 1.0, 3: 1e-3}[code & 7])
 
 
@@ -228,7 +228,7 @@ def test_extensions_before_the_samples_are_skipped(tmp_path: Path, suffix: str, 
 
 @pytest.mark.parametrize("start", [348, 349, 351])
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
-def test_samples_do_not_begin_in_the_four_bytes_after_the_header(tmp_path: Path, suffix: str, start: int) -> None:
+def test_samples_begin_after_the_extension_flag(tmp_path: Path, suffix: str, start: int) -> None:
     path = nifti(tmp_path / f"v{suffix}", vox_offset=(float(start),))
     with pytest.raises(FormatError, match=f"352 or later; its header says {start}"):
         clvol.read(path)
@@ -236,7 +236,7 @@ def test_samples_do_not_begin_in_the_four_bytes_after_the_header(tmp_path: Path,
         nibabel.load(path)
 
 
-def test_samples_that_begin_past_the_end_are_not_there(tmp_path: Path) -> None:
+def test_samples_beyond_the_end_are_an_error(tmp_path: Path) -> None:
     path = nifti(tmp_path / "v.nii")
     content = bytearray(path.read_bytes())
     struct.pack_into("<f", content, 108, 3e14)
@@ -245,8 +245,8 @@ def test_samples_that_begin_past_the_end_are_not_there(tmp_path: Path) -> None:
         clvol.read(path)
 
 
-def test_a_packed_file_is_counted_before_room_for_much_more_is_made(tmp_path: Path) -> None:
-    """A quarter of a megabyte of gzip could hold the 250 MB that this header promises, and holds less."""
+def test_a_compressed_file_is_measured_before_large_allocations(tmp_path: Path) -> None:
+    """250 kB of gzip could contain the 250 MB that this header promises, but do not."""
     path = nifti(tmp_path / "v.nii", datatype=(2, 8), dim=(3, 500, 500, 1000, 1, 1, 1, 1))
     noise = np.random.default_rng(0).bytes(1 << 18)
     packed = tmp_path / "v.nii.gz"
@@ -276,14 +276,14 @@ def test_images(tmp_path: Path, codes: tuple[int, int]) -> None:
     assert assert_as_nibabel(nifti(tmp_path / "v.nii", codes=codes, **fields)).shape == (4, 6)
 
 
-def test_an_image_across_the_plane_is_an_error_by_every_way_in(tmp_path: Path) -> None:
+def test_an_image_across_the_plane_is_an_error_by_every_route(tmp_path: Path) -> None:
     path = nifti(tmp_path / "v.nii", codes=(1, 0), dim=(2, 6, 4, 1, 1, 1, 1, 1))
     for way_in in (clvol.read, lambda path: clvol.Volume(nibabel.load(path))):
         with pytest.raises(GeometryError, match="must be in the xy plane"):
             way_in(path)
 
 
-def test_frames_are_the_same_by_every_way_in(tmp_path: Path) -> None:
+def test_frames_are_the_same_by_every_route(tmp_path: Path) -> None:
     path = nifti(tmp_path / "v.nii", dim=(4, 4, 3, 1, 2, 1, 1, 1))
     frames, direct = clvol.read_all(path), clvol.Volumes(nibabel.load(path))
     np.testing.assert_array_equal(frames, direct)
@@ -291,8 +291,8 @@ def test_frames_are_the_same_by_every_way_in(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, np.float32, np.float64])
-def test_what_nibabel_writes(tmp_path: Path, kind: type) -> None:
-    """nibabel keeps floats in integers by a scale that it chooses."""
+def test_files_written_by_nibabel(tmp_path: Path, kind: type) -> None:
+    """nibabel stores floats as integers with a scale that it chooses."""
     affine = np.array(np.vstack([SHEARED, (0, 0, 0, 1)]))
     values = np.random.default_rng(1).normal(40, 1e-20 if kind is np.float64 else 15, SIZE)
     image = nibabel.Nifti1Image(values, affine)

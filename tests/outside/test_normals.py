@@ -62,7 +62,7 @@ def test_a_hot_voxel_far_away_changes_no_normal_and_no_colour(device: Device, cl
 
 @pytest.mark.parametrize("method", ["exact", "stepped"])
 @pytest.mark.parametrize("hot", [1e8, 1e30])
-def test_nor_from_a_surface(device: Device, hot: float, method: str) -> None:
+def test_a_hot_voxel_far_away_changes_no_surface(device: Device, hot: float, method: str) -> None:
     options = {**LOOK, "transfer": None, "mode": "isosurface", "isovalue": 1.0, "method": method}
     want, got = (clvol.render(ball(h), device=device, **options) for h in (0, hot))
     np.testing.assert_allclose(got["normal"], want["normal"], atol=1e-4)
@@ -72,7 +72,7 @@ def test_nor_from_a_surface(device: Device, hot: float, method: str) -> None:
 @pytest.mark.one_in(9)
 @pytest.mark.parametrize(("filter", "gradient"), [*product(FILTERS, ["analytic", "central"])])
 def test_rounding_gives_no_normal(device: Device, filter: str, gradient: str) -> None:
-    """Constants, and both sides of a step, seen where it has faded: prefilters leave a few units in the last place."""
+    """Constants, and both sides of a step, where it has decayed: prefilters leave a few units in the last place."""
     clear = TransferFunction(((0, "white"), (1, "white")), ((0, 0.2), (1, 0.2)))
     for value, spacing in ((0.1 + 0.2, 1.0), (1 / 3, 1e-3), (-1234.5678, 7.0), (1e30 / 7, 1.0), (3e-20, 1.0), (0.0, 1.0)):
         volume = Volume(np.full((9, 12, 10), value, np.float32), (spacing, spacing, 3 * spacing))
@@ -87,8 +87,8 @@ def test_rounding_gives_no_normal(device: Device, filter: str, gradient: str) ->
     assert np.isnan(clvol.render(data, top, filter=filter, outputs="normal", **options)).all()
 
 
-def test_a_plateau_a_thousandth_above_another_has_normals_at_its_edge_beside_a_hot_voxel(device: Device) -> None:
-    """What is small beside the range is not rounding: the step of 1e-3 has its normals, along z."""
+def test_a_small_step_beside_a_hot_voxel_has_normals(device: Device) -> None:
+    """Small relative to the range is not rounding: the step of 1e-3 has its normals, along z."""
     data = np.ones((24, 24, 24))
     data[12:] += 1e-3
     data[0, 0, 0] = 1e6
@@ -108,8 +108,8 @@ def test_a_plateau_a_thousandth_above_another_has_normals_at_its_edge_beside_a_h
     np.testing.assert_allclose(np.abs(surface[there]), np.broadcast_to([0.0, 0, 1], (there.sum(), 3)), atol=1e-3)
 
 
-def test_central_differences_on_the_hybrid_are_those_of_the_magnified_volume(device: Device) -> None:
-    """As programs do that are given a volume magnified by SciPy: differences of its voxels, interpolated linearly."""
+def test_central_differences_on_the_hybrid_match_the_magnified_volume(device: Device) -> None:
+    """As in programs given a volume magnified by SciPy: differences of its voxels, interpolated linearly."""
     spacing = np.array([1.0, 0.8, 1.3])
     data = ndimage.gaussian_filter(np.random.default_rng(8).random((12, 14, 13)), 1.2)
     places = np.meshgrid(*(np.arange(-2, 2 * n + 1) / 2 for n in data.shape), indexing="ij")

@@ -1,4 +1,4 @@
-"""Samples far from zero: values, derivatives, surfaces and pictures, against SciPy and splines written here, in float64."""
+"""Samples far from zero: values, derivatives, surfaces and pictures, compared with SciPy and independent splines in float64."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def small(seed: int = 0) -> Array:
 
 
 def smooth() -> Array:
-    """From -3 to 3 with 20 binary digits after the point, so that adding 2**17 in float64 loses none."""
+    """From -3 to 3 with 20 fractional bits, so that adding 2**17 in float64 is exact."""
     z, y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
     values = 3 - 5 * (x**2 + 0.8 * y**2 + 0.6 * z**2) + 0.5 * np.sin(5 * x + 3 * y)
     return np.round(np.clip(values, -3, 3) * 2**20) / 2**20
@@ -66,7 +66,7 @@ def cubic_derivatives(data: Array, at: Array, orders: tuple[int, int, int]) -> A
 
 @pytest.mark.parametrize("offset", [PRESSURE, -PRESSURE, 273.15, 1e8, 1e12], ids=str)
 @pytest.mark.parametrize("name", ORDERS)
-def test_values_are_those_of_scipy(device: Device, name: str, offset: float) -> None:
+def test_values_match_scipy(device: Device, name: str, offset: float) -> None:
     data, at = small() + offset, inside()
     if name == "nearest":
         at = np.round(at) + np.random.default_rng(2).uniform(-0.4, 0.4, at.shape)  # SciPy takes another side at ½
@@ -108,7 +108,7 @@ def test_every_type_and_layout(device: Device, data: NDArray[Any]) -> None:
     assert_allclose(got, scipy_values(apart, at, 3), rtol=0, atol=1e-6 * np.ptp(apart) + 3e-16 * abs(offset))
 
 
-def test_a_memory_map_that_may_only_be_read(device: Device, tmp_path: Any) -> None:
+def test_a_read_only_memory_map(device: Device, tmp_path: Any) -> None:
     np.save(tmp_path / "pressure.npy", small() + PRESSURE)
     data, at = np.load(tmp_path / "pressure.npy", mmap_mode="r"), inside()
     assert_allclose(clvol.sample(data, at, device=device) - PRESSURE, scipy_values(small(), at, 3), rtol=0, atol=6e-6)
@@ -116,7 +116,7 @@ def test_a_memory_map_that_may_only_be_read(device: Device, tmp_path: Any) -> No
 
 @pytest.mark.parametrize("start", [2**53 + 2, 2**60 + 12345, -(2**62) + 7])
 def test_differences_of_integers_beyond_float64_are_exact(device: Device, start: int) -> None:
-    """float64 does not hold the samples, but their gradients are small numbers."""
+    """float64 cannot represent the samples, but their gradients are small numbers."""
     steps = (100 * small()).astype(np.int64)
     at = inside()
     expected = np.stack([cubic_derivatives(steps.astype(np.float64), at, o) for o in ((1, 0, 0), (0, 1, 0), (0, 0, 1))], -1)
@@ -166,7 +166,7 @@ def test_other_grids(device: Device) -> None:
     assert_allclose(got - PRESSURE, scipy_values(data - PRESSURE, at, 3), rtol=0, atol=6e-6)
 
 
-def test_what_lies_outside_is_as_it_was_given(device: Device) -> None:
+def test_outside_values_are_unchanged(device: Device) -> None:
     data = small() + PRESSURE
     at = np.array([[-5.0, 3, 3], [3, 3, 3], [np.nan, 3, 3], [40, 3, 3]])
     for fill in (0.0, 0.1, -7.0, np.nan, np.inf):
@@ -205,14 +205,14 @@ def test_coefficients_of_a_kernel_that_does_not_sum_to_one(device: Device) -> No
 
 @pytest.mark.parametrize("name", ["hybrid", "mitchell", "catmull-rom", "bspline3-approx", "omoms3"])
 def test_other_filters_whose_weights_sum_to_one(device: Device, name: str) -> None:
-    """An offset goes through them unchanged. (The values without it are held against the reference elsewhere.)"""
+    """An offset passes through unchanged. (Other tests compare values without it with the reference.)"""
     data, at = small() + PRESSURE, inside()
     got = clvol.sample(data, at, name, device=device) - PRESSURE
     assert_allclose(got, reference.sample(data - PRESSURE, at, name), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize(("name", "rule"), [("lanczos3", "mirror"), ("bspline3", "zero")])
-def test_where_constants_do_not_stay_constant_nothing_is_taken_off(device: Device, name: str, rule: str) -> None:
+def test_filters_that_change_constants_get_no_offset(device: Device, name: str, rule: str) -> None:
     data, at = small() + PRESSURE, inside()
     got = clvol.sample(data, at, name, rule, device=device)
     assert got.dtype == np.float32
@@ -226,7 +226,7 @@ def test_constants(device: Device) -> None:
     assert clvol.sample(np.full(SHAPE, 7.0), at, device=device).dtype == np.float32
 
 
-def test_ordinary_data_are_stored_as_they_are(device: Device) -> None:
+def test_ordinary_data_are_stored_unchanged(device: Device) -> None:
     for data in (small(), small() + 20, small().astype(np.float32), (100 * small()).astype(np.int16), np.zeros(SHAPE), small() > 0):
         with clvol.Field(data, device=device) as field:
             assert field.coefficients.stored.identity
@@ -239,7 +239,7 @@ def test_ordinary_data_are_stored_as_they_are(device: Device) -> None:
             assert_array_equal(room[field.coefficients.inner], inner.astype(np.float32))
 
 
-def test_no_pass_over_ordinary_integers(device: Device) -> None:
+def test_ordinary_integers_need_no_extra_pass(device: Device) -> None:
     volume = clvol.Volume((100 * small()).astype(np.int16))
     clvol.Field(volume, device=device).close()
     assert "limits" not in vars(volume)
@@ -260,7 +260,7 @@ def test_low_pass(device: Device) -> None:
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("kind", [np.int32, np.uint32, np.int64, np.uint64], ids=lambda k: k.__name__)
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline3", "bspline5", "catmull-rom", "lanczos3", "hybrid"])
-def test_pictures_of_integers_come_back(device: Device, kind: type[np.generic], name: str) -> None:
+def test_integer_images_round_trip(device: Device, kind: type[np.generic], name: str) -> None:
     rng = np.random.default_rng(3)
     low, high = (0 if np.iinfo(kind).min == 0 else -(2**31)), 2**31 - 1  # type: ignore[type-var]
     picture = rng.integers(low, high, (40, 31)).astype(kind)
@@ -279,7 +279,7 @@ def test_pictures_of_integers_come_back(device: Device, kind: type[np.generic], 
     [(np.int32, 2**31 - 7), (np.int64, 2**60 + 1), (np.int64, -(2**63) + 6), (np.uint64, 2**63 + 5), (np.uint64, 2**64 - 7)],
     ids=str,
 )
-def test_pictures_of_integers_far_from_zero_come_back(device: Device, kind: type[np.generic], start: int) -> None:
+def test_integer_images_far_from_zero_round_trip(device: Device, kind: type[np.generic], start: int) -> None:
     steps = np.random.default_rng(4).integers(-6, 7, (30, 31))
     picture = np.array([[start + int(v) for v in row] for row in steps], dtype=kind)
     assert_array_equal(clvol.images.resample(picture, picture.shape, device=device), picture)
@@ -295,7 +295,7 @@ def test_pictures_of_integers_far_from_zero_come_back(device: Device, kind: type
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.uint32, np.int64, np.uint64], ids=lambda k: k.__name__)
-def test_pictures_of_one_integer_stay_so(device: Device, kind: type[np.generic]) -> None:
+def test_constant_integer_images_stay_constant(device: Device, kind: type[np.generic]) -> None:
     limits = np.iinfo(kind)  # type: ignore[type-var]
     for value in (limits.min, limits.max, limits.max // 2 + 1, limits.max - 1):
         picture = np.full((9, 7), value, kind)
@@ -306,8 +306,8 @@ def test_pictures_of_one_integer_stay_so(device: Device, kind: type[np.generic])
 
 
 @pytest.mark.parametrize(("kind", "start"), [(np.uint64, 2**63), (np.int64, 2**61), (np.int64, -(2**62))], ids=str)
-def test_the_range_of_pictures_of_integers_decides_how_exact_they_are(device: Device, kind: type[np.generic], start: int) -> None:
-    """A range of 2⁴⁰ needs 40 of the digits of float64, wherever it lies."""
+def test_the_range_of_integer_images_sets_their_accuracy(device: Device, kind: type[np.generic], start: int) -> None:
+    """A range of 2⁴⁰ needs 40 bits of float64, wherever it lies."""
     steps = np.random.default_rng(6).integers(-(2**39), 2**39, (30, 31))
     picture = np.array([[start + int(v) for v in row] for row in steps], dtype=kind)
     finer = clvol.images.zoom(picture, 2, device=device)
@@ -318,8 +318,8 @@ def test_the_range_of_pictures_of_integers_decides_how_exact_they_are(device: De
 
 
 @pytest.mark.parametrize("low", [0, 5 - 2**62, -(2**63)], ids=str)
-def test_pictures_of_the_widest_range_do_not_wrap(device: Device, low: int) -> None:
-    """From one end of the type to the other, and beyond both by the overshoot of a spline."""
+def test_images_of_the_full_range_do_not_wrap(device: Device, low: int) -> None:
+    """From one end of the type to the other, and beyond both by a spline's overshoot."""
     kind, high = (np.uint64, 2**64 - 1) if low == 0 else (np.int64, 2**63 - 1)
     picture = np.array([[low] * 6 + [high] * 6] * 8, dtype=kind)
     for got in (clvol.images.zoom(picture, 3, device=device), clvol.images.zoom(picture[:, ::-1], 3, device=device)[:, ::-1]):
@@ -331,8 +331,8 @@ def test_pictures_of_the_widest_range_do_not_wrap(device: Device, low: int) -> N
 
 
 @pytest.mark.parametrize("kind", [np.uint16, np.int16, np.int32], ids=lambda k: k.__name__)
-def test_between_the_pixels_integers_are_within_one(device: Device, kind: type[np.generic]) -> None:
-    """Where float32 decides to which side what lies close to a half is rounded."""
+def test_integers_between_pixels_are_within_one(device: Device, kind: type[np.generic]) -> None:
+    """float32 decides how values close to a half are rounded."""
     low, high = (-(2**15), 2**15) if kind is np.int32 else (np.iinfo(kind).min, np.iinfo(kind).max)  # type: ignore[type-var]
     picture = np.random.default_rng(7).integers(low, high, (60, 61)).astype(kind)
     got = clvol.images.zoom(picture, 1.7, device=device).astype(np.int64)
@@ -344,7 +344,7 @@ def test_between_the_pixels_integers_are_within_one(device: Device, kind: type[n
     assert (got[4:-4, 4:-4] == np.rint(truth)).mean() > 0.98
 
 
-def test_turned_pictures_of_large_integers_are_those_of_scipy(device: Device) -> None:
+def test_rotated_images_of_large_integers_match_scipy(device: Device) -> None:
     picture = np.random.default_rng(5).integers(-(2**31), 2**31, (40, 31)).astype(np.int32)
     got = clvol.images.rotate(picture, 30, "linear", fill=17, device=device)
     rows, columns = (np.array(picture.shape) - 1) / 2
@@ -379,7 +379,7 @@ def looks(shift: float) -> dict[str, dict[str, Any]]:
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["bspline3", "linear", "hybrid"])
-def test_pictures_are_those_without_the_offset(device: Device, filter: str) -> None:
+def test_pictures_do_not_depend_on_the_offset(device: Device, filter: str) -> None:
     options: dict[str, Any] = {"size": (41, 37), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume"), "outputs": OUTPUTS}
     with clvol.Renderer(smooth(), filter, device=device) as near, clvol.Renderer(smooth() + FAR, filter, device=device) as far:
         for (mode, plain), moved in zip(looks(0.0).items(), looks(FAR).values(), strict=True):
@@ -388,14 +388,14 @@ def test_pictures_are_those_without_the_offset(device: Device, filter: str) -> N
                 assert_allclose(other[name], one[name], rtol=0, atol=2e-6 if mode == "composite" else 0, err_msg=f"{mode} {name}")
 
 
-def test_default_looks_are_those_without_the_offset(device: Device) -> None:
+def test_default_looks_do_not_depend_on_the_offset(device: Device) -> None:
     options: dict[str, Any] = {"size": (41, 37), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
     with clvol.Renderer(smooth(), device=device) as near, clvol.Renderer(smooth() + FAR, device=device) as far:
         for mode in clvol.modes():
             assert_allclose(far.render(mode=mode, **options), near.render(mode=mode, **options), rtol=0, atol=1e-5, err_msg=mode)
 
 
-def test_the_surface_lies_where_the_function_has_its_value(device: Device) -> None:
+def test_the_surface_lies_at_the_isovalue(device: Device) -> None:
     data = smooth() + PRESSURE
     drawn = clvol.render(
         data,
@@ -435,7 +435,7 @@ def test_skipping_changes_nothing(device: Device) -> None:
             assert_array_equal(*pictures, err_msg=mode)
 
 
-def test_the_reference_draws_the_same(device: Device) -> None:
+def test_the_reference_renders_the_same(device: Device) -> None:
     data = smooth()[::2, ::2, ::2] + PRESSURE
     options: dict[str, Any] = {"size": (17, 15), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
     for mode, look in looks(PRESSURE).items():

@@ -1,4 +1,4 @@
-"""Results in arrays that are given: of any strides, of NumPy or PyTorch, or refused before anything is computed."""
+"""Output arrays: of any strides, NumPy or PyTorch, or rejected before anything is computed."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_values_and_grids(device: Device, layout: str, kind: str, precision: Any
         assert_allclose(grid, ndimage.map_coordinates(DATA, at, order=3, mode="mirror"), rtol=0, atol=tolerance)
 
 
-def test_functions_that_use_a_field_once(device: Device) -> None:
+def test_functions_that_use_a_temporary_field(device: Device) -> None:
     for derivative, expected in ((0, VALUES), (1, slopes(1)), (2, slopes(2))):
         out = np.empty(expected.shape)
         assert clvol.sample(DATA, POINTS, derivative=derivative, out=out, device=device, precision="double") is out
@@ -104,7 +104,7 @@ def test_kernels_write_contiguous_arrays_themselves(device: Device, monkeypatch:
         assert [np.shares_memory(array, grid) for array in written] == [True]
 
 
-def test_tensors_of_pytorch(device: Device) -> None:
+def test_pytorch_tensors(device: Device) -> None:
     torch = pytest.importorskip("torch")
     with clvol.Field(DATA, device=device) as field:
         for out in (torch.zeros(6, 5), torch.zeros(5, 6).T, torch.zeros(6, 10, dtype=torch.float64)[:, ::2]):
@@ -115,7 +115,7 @@ def test_tensors_of_pytorch(device: Device) -> None:
         assert grid.abs().sum() > 0
 
 
-def test_data_that_are_stored_otherwise(device: Device) -> None:
+def test_scaled_and_shifted_data(device: Device) -> None:
     far = DATA + 101_325
     for kind, tolerance in (("f8", 1e-5), ("f4", 0.01)):
         out = np.empty(VALUES.shape, kind)
@@ -137,7 +137,7 @@ def test_no_points_at_all(device: Device) -> None:
     assert clvol.sample(DATA, np.empty((0, 3)), derivative=1, out=out, device=device) is out
 
 
-def test_what_is_refused_before_anything_is_computed(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invalid_outputs_are_rejected_before_any_computation(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     fixed = np.zeros((6, 5))
     fixed.flags.writeable = False
     with clvol.Field(DATA, device=device) as field:

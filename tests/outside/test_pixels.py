@@ -1,4 +1,4 @@
-"""Several rays a pixel: the picture stays where it is, under the filter that was asked for. Truth: Fourier transforms, here."""
+"""Several rays per pixel: the picture stays in place, under the requested filter. Truth: Fourier transforms, here."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PIXEL_FILTERS = [row.name for row in filters().values() if not row.prefilter and
 
 
 def waves(per_pixel: float, size: tuple[int, int] = SIZE, voxels: int = 4) -> tuple[Volume, Camera]:
-    """A cosine of so many waves a pixel along x, seen by a camera whose pixels are `voxels` wide; its crest at the centre."""
+    """A cosine with the given waves per pixel along x, seen with pixels `voxels` wide; its crest at the centre."""
     n = voxels * (size[0] + 12)
     x = np.arange(n) - (n - 1) / 2
     volume = Volume(np.broadcast_to(0.5 + 0.5 * np.cos(2 * np.pi * per_pixel * x / voxels), (n, 2, n)).astype(np.float32))
@@ -35,7 +35,7 @@ def drawn(volume: Volume, camera: Camera, device: Device, **options: Any) -> np.
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 8, 9, 16, 64])
 def test_several_rays_do_not_shift_the_picture(device: Device, count: int) -> None:
-    """A picture that is linear across is what it is with one ray. (It was shifted by up to 0.22 pixel, here 0.7 %.)"""
+    """A linear picture is unchanged. (It was shifted by up to 0.22 pixel, here 0.7 %.)"""
     n = 64
     z, _, x = np.meshgrid(np.arange(n), np.arange(2), np.arange(n), indexing="ij")
     volume = Volume(((x + 2 * z) / (3 * n)).astype(np.float32))
@@ -60,7 +60,7 @@ def response(name: str, f: float) -> float:
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("f", [0.1, 0.25, 0.4, 0.8])
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline2-approx", "bspline3-approx", "mitchell", "catmull-rom", "lanczos3"])
-def test_waves_are_damped_as_the_filter_says(device: Device, name: str, f: float) -> None:
+def test_waves_are_damped_by_the_filters_response(device: Device, name: str, f: float) -> None:
     volume, camera = waves(f, voxels=8)
     got = drawn(volume, camera, device, rays=512, pixel_filter=name)
     x = np.arange(SIZE[0]) + 0.5 - SIZE[0] / 2
@@ -71,7 +71,7 @@ def test_waves_are_damped_as_the_filter_says(device: Device, name: str, f: float
 
 
 def zone_plate(count: int, name: str) -> tuple[float, float]:
-    """RMS of what is left past half a wave a pixel, and of what is lost below it, of rings up to 0.75 waves a pixel."""
+    """RMS of the aliasing above half a wave per pixel, and of the loss below it, for rings up to 0.75 waves per pixel."""
     n = 192
     y, x = (np.mgrid[:n, :n] + 0.5 - n / 2).astype(float)
 
@@ -100,7 +100,7 @@ def test_lobes_need_about_64_rays(count: int) -> None:
 
 @pytest.mark.parametrize("name", PIXEL_FILTERS)
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 16, 33, 256])
-def test_patterns_are_even_and_within_the_filter(count: int, name: str) -> None:
+def test_ray_patterns_are_even_and_within_the_filter(count: int, name: str) -> None:
     row = as_filter(name)
     rays = pixel_rays(count, row, middle=False)
     offsets, weights = np.array([offset for offset, _ in rays]), np.array([weight for _, weight in rays])
@@ -119,7 +119,7 @@ def test_patterns_are_even_and_within_the_filter(count: int, name: str) -> None:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("count", [2, 3, 4, 16])
-def test_guides_are_of_the_ray_through_the_middle(device: Device, count: int) -> None:
+def test_guides_belong_to_the_ray_through_the_centre(device: Device, count: int) -> None:
     volume = clvol.phantoms.sphere(20)
     with Renderer(volume, device=device) as renderer:
         guides: Any = ("depth", "normal", "position", "visited")
@@ -132,7 +132,7 @@ def test_guides_are_of_the_ray_through_the_middle(device: Device, count: int) ->
     np.testing.assert_array_equal(alone, beside)
 
 
-def test_one_ray_goes_through_the_middle_whatever_the_filter(device: Device) -> None:
+def test_a_single_ray_goes_through_the_centre_whatever_the_filter(device: Device) -> None:
     volume = clvol.phantoms.sphere(20)
     pictures = [
         clvol.render(volume, size=SIZE, rays=1, pixel_filter=name, device=device) for name in ("nearest", "linear", "lanczos3")
@@ -141,7 +141,7 @@ def test_one_ray_goes_through_the_middle_whatever_the_filter(device: Device) -> 
         np.testing.assert_array_equal(picture, pictures[0])
 
 
-def test_what_is_no_pixel_filter_is_refused(device: Device) -> None:
+def test_invalid_pixel_filters_are_rejected(device: Device) -> None:
     lopsided = clvol.Filter("lopsided", ((0.75,), (0.25,)))
     for choice, message in (
         ("bspline3", "pixel_filter must be a filter without a prefilter"),
@@ -153,14 +153,14 @@ def test_what_is_no_pixel_filter_is_refused(device: Device) -> None:
             clvol.render(np.ones((3, 3, 3)), size=(4, 4), rays=4, pixel_filter=choice, device=device)
 
 
-def test_it_is_refused_before_any_work() -> None:
-    """(It was refused behind the upload, which here finds that a sample is NaN.)"""
+def test_invalid_pixel_filters_are_rejected_before_any_work() -> None:
+    """(It was rejected after the upload, which here finds a NaN.)"""
     data = np.full((3, 3, 3), np.nan)
     with pytest.raises(OptionError, match="pixel_filter must be a filter without a prefilter"):
         clvol.render(data, pixel_filter="bspline3")
 
 
-def test_pixels_on_edges_have_more_rays_and_no_others(device: Device) -> None:
+def test_only_pixels_on_edges_get_more_rays(device: Device) -> None:
     volume = clvol.phantoms.sphere(20)
     with Renderer(volume, device=device) as renderer:
         for background in ("white", None):
@@ -181,7 +181,7 @@ def test_pixels_on_edges_have_more_rays_and_no_others(device: Device) -> None:
             assert np.isinf(renderer.render(**look, outputs="depth")[0, 0])
 
 
-def test_edges_are_where_luminance_or_opacity_jump() -> None:
+def test_edges_are_jumps_of_luminance_or_opacity() -> None:
     picture = np.ones((30, 40, 4), np.float32)
     picture[..., :3] = 0.5
     assert len(on_edges(picture)) == 0

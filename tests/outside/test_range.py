@@ -31,7 +31,7 @@ def some(seed: int = 0) -> Array:
 
 
 def blobs() -> Array:
-    """Matter in the middle, nothing around it."""
+    """Matter in the centre, nothing around it."""
     z, y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
     return np.where(x**2 + y**2 + z**2 < 0.5, np.exp(-3 * (x**2 + 2 * y**2 + z**2)), 0)
 
@@ -54,7 +54,7 @@ def test_values_of_every_degree(device: Device, order: int, scale: float) -> Non
 @pytest.mark.one_in(75)
 @pytest.mark.parametrize(("name", "scale"), [*product(clvol.filters(), [4.99e36, 3e38, 1e-42])])
 def test_every_filter_gives_finite_numbers(device: Device, name: str, scale: float) -> None:
-    """Of float32 samples that reach as far as float32 does; under two boundary rules each, all of them in turn."""
+    """For samples up to the limits of float32; two boundary rules each, all of them in turn."""
     data, at = (some() * scale).astype(np.float32), inside(50)
     turn = list(clvol.filters()).index(name) % 4
     for boundary in list(clvol.boundaries())[turn::4]:
@@ -66,7 +66,7 @@ def test_every_filter_gives_finite_numbers(device: Device, name: str, scale: flo
 
 
 @pytest.mark.parametrize("scale", [1e20, 1e26, 1e36], ids=str)
-def test_a_prefilter_that_gains_much(device: Device, scale: float) -> None:
+def test_a_prefilter_of_high_gain(device: Device, scale: float) -> None:
     """The B-spline of degree 9 multiplies by 9! before it filters, along each axis."""
     got = clvol.sample(some() * scale, inside(), bspline(9), device=device)
     assert_allclose(got / scale, reference.sample(some(), inside(), bspline(9)), rtol=0, atol=3e-4)
@@ -91,7 +91,7 @@ def test_a_power_of_two_changes_no_digit(device: Device, exponent: int) -> None:
 
 
 def test_small_differences_far_from_zero(device: Device) -> None:
-    """An offset and a power of two: what is left of 1 ± 1e-20 is beyond float64, of 1e30 ± 1e20 it is not."""
+    """An offset and a power of two: float64 cannot resolve 1 ± 1e-20, but 1e30 ± 1e20."""
     data, at = 1e30 + some() * 1e20, inside()
     got = clvol.sample(data, at, device=device) - 1e30
     expected = ndimage.map_coordinates(data - 1e30, at[:, ::-1].T, np.float64, 3, "mirror")
@@ -106,7 +106,7 @@ def test_one_large_sample_beside_small_ones(device: Device) -> None:
     assert abs(got[1]) <= 1e-30
 
 
-def test_beyond_float64_is_refused() -> None:
+def test_beyond_float64_is_rejected() -> None:
     if np.finfo(np.longdouble).maxexp == np.finfo(np.float64).maxexp:
         pytest.skip("longdouble is float64 here")
     with pytest.raises(DataError, match="float64"):
@@ -130,7 +130,7 @@ def looks(scale: float) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.parametrize("exponent", [-1000, -149, -133, 66, 119, 124, 1000])
-def test_pictures_are_those_of_data_about_one(device: Device, exponent: int) -> None:
+def test_pictures_match_those_of_data_about_one(device: Device, exponent: int) -> None:
     scale = 2.0**exponent
     with clvol.Renderer(blobs(), device=device) as plain, clvol.Renderer(blobs() * scale, device=device) as scaled:
         for (mode, look), other in zip(looks(1.0).items(), looks(scale).values(), strict=True):
@@ -141,8 +141,8 @@ def test_pictures_are_those_of_data_about_one(device: Device, exponent: int) -> 
 
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip", "minip", "mean", "attenuated"])
-def test_default_looks_up_to_what_float64_holds(device: Device, mode: str) -> None:
-    """Samples of ±1.7e308, whose range is more than float64 holds: the pictures are those of ±0.95."""
+def test_default_looks_up_to_the_limits_of_float64(device: Device, mode: str) -> None:
+    """Samples of ±1.7e308, whose range overflows float64: the pictures are those of ±0.95."""
     z, y, x = np.mgrid[:9, :9, :9] / 8
     data = 0.95 * np.cos(3 * (x + 2 * y + z))
     data[4, 4, 4], data[0, 0, 0] = 0.95, -0.95
@@ -190,8 +190,8 @@ def test_skipping_among_subnormal_samples_beside_large_ones(device: Device) -> N
         assert_array_equal(on["rgba"], off["rgba"])
 
 
-def test_transfer_functions_that_reach_further_than_the_data(device: Device) -> None:
-    """Data about 1e-45, drawn by one from -1 to 1: all of it has the colour of zero; and the other way round."""
+def test_transfer_functions_wider_than_the_data(device: Device) -> None:
+    """Data about 1e-45 with a transfer function from -1 to 1: all have the colour of zero; and vice versa."""
     wide = clvol.TransferFunction(((-1.0, (0.0, 0, 0)), (1.0, (1.0, 1, 1))), ((-1.0, 1.0),))
     with clvol.Renderer(blobs() * 1e-45, device=device) as renderer:
         drawn = renderer.render(mode="mip", transfer=wide, size=(17, 17))

@@ -6,7 +6,7 @@ Departures, each with its test below:
   each;
 - "symmetric" from order 2 on is exact on short axes, too. SciPy's prefilter begins there with a sum that is cut off: values err by
   0.3 % of the range on axes of 3 samples at order 3, by 4 % at order 5, and an axis that keeps its length does not keep its values;
-- NaN and infinities are refused for orders of 2 and more, where scikit-image gives an array of NaN;
+- NaN and infinities are rejected for orders of 2 and more, where scikit-image gives an array of NaN;
 - a shape must be whole numbers; scikit-image rounds.
 """
 
@@ -66,15 +66,15 @@ def cases() -> Iterator[dict[str, Any]]:
 
 @pytest.mark.one_in(10)
 @pytest.mark.parametrize("kind", KINDS)
-def test_values_types_and_shapes_are_the_same(kind: str, device: Device) -> None:
+def test_values_types_and_shapes_match(kind: str, device: Device) -> None:
     compared = 0
     for seed, options in enumerate(cases()):
         (old, new), order, chosen = options.pop("shapes"), options["order"], options["anti_aliasing"]
         if kind == "?" and (order or chosen):
-            continue  # refused by both: below
+            continue  # rejected by both: below
         if np.dtype(kind).kind in "iu" and order == 0 and chosen:
-            continue  # rounded otherwise: below
-        if options["mode"] == "symmetric" and (order or 1) > 1:  # on short axes SciPy errs: below
+            continue  # rounds differently: below
+        if options["mode"] == "symmetric" and (order or 1) > 1:  # SciPy is wrong on short axes: below
             if len(old) > 3:
                 continue
             old, new = tuple(8 * n for n in old), tuple(8 * n for n in new)
@@ -110,7 +110,7 @@ def test_both_warn_of_a_gaussian_where_nothing_shrinks(device: Device) -> None:
 
 @pytest.mark.parametrize("chosen", [True, False])
 @pytest.mark.parametrize("order", [0, 1])
-def test_nan_passes_where_it_stays_in_its_place(order: int, chosen: bool, device: Device) -> None:
+def test_nan_is_accepted_where_it_stays_local(order: int, chosen: bool, device: Device) -> None:
     data = np.random.default_rng(0).random((9, 9))
     data[2, 3] = np.nan
     for new in ((4, 5), (13, 18)):
@@ -132,7 +132,7 @@ REFUSED: dict[str, tuple[Any, Any, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_it_refuses_is_refused_as_a_value_error(what: str, device: Device) -> None:
+def test_input_that_skimage_rejects_raises_a_value_error(what: str, device: Device) -> None:
     data, shape, options = REFUSED[what]
     for resize, more in ((transform.resize, {}), (clvol.resize, {"device": device})):
         with pytest.raises(ValueError):  # noqa: PT011  # the words are each one's own
@@ -154,7 +154,7 @@ def test_low_passed_integers_are_rounded_once(device: Device) -> None:
 
 @pytest.mark.parametrize("order", [2, 3, 4, 5])
 def test_symmetric_ends_are_exact_on_short_axes(order: int, device: Device) -> None:
-    """The same as in the middle of so many copies that nothing of an end is left."""
+    """The same as in the middle of many repetitions."""
     data = np.random.default_rng(0).random(3)
     copies = np.tile(np.append(data, data[::-1]), 21)
     truth = transform.resize(copies, (copies.size // 3 * 5,), order, "wrap", anti_aliasing=False, clip=False)[100:105]

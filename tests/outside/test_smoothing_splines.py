@@ -1,4 +1,4 @@
-"""Smoothing splines against SciPy's, against the sum that they minimise, and by hand."""
+"""Smoothing splines compared with SciPy's, with the functional that they minimise, and by hand."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def noisy(n: int, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("smoothing", [1e-3, 0.1, 1.0, 20.0])
-def test_the_cubic_is_scipys_smoothing_spline_far_from_the_ends(device: clvol.Device, smoothing: float) -> None:
-    """Theirs ends naturally, ours by the boundary rule; the ends are forgotten within the reach of the poles."""
+def test_the_cubic_matches_scipys_smoothing_spline_far_from_the_ends(device: clvol.Device, smoothing: float) -> None:
+    """SciPy's has natural ends, clvol's the boundary rule; their influence decays within the reach of the poles."""
     data = noisy(400)
     theirs = interpolate.make_smoothing_spline(np.arange(400), data, lam=smoothing)
     x = np.linspace(150, 250, 777)
@@ -36,7 +36,7 @@ def test_the_cubic_is_scipys_smoothing_spline_far_from_the_ends(device: clvol.De
 
 @pytest.mark.parametrize(("degree", "m"), [(3, 2), (5, 3)])
 def test_odd_degrees_minimise_distance_plus_bending(degree: int, m: int) -> None:
-    """Σ (f - s)² + λ ∫ (s⁽ᵐ⁾)² over a period: any other coefficients make it larger, and its gradient is zero."""
+    """Σ (f - s)² + λ ∫ (s⁽ᵐ⁾)² over a period: other coefficients increase it, and its gradient is zero."""
     n, smoothing = 16, 0.37
     data = noisy(n)
     b = interpolate.BSpline.basis_element(np.arange(degree + 2) - (degree + 1) / 2, extrapolate=False)
@@ -65,8 +65,8 @@ def test_odd_degrees_minimise_distance_plus_bending(degree: int, m: int) -> None
         assert abs(ahead - behind) < 1e-9  # twice the slope
 
 
-def test_a_signals_cspline_agrees() -> None:
-    """scipy.signal.cspline1d knows smoothing cubics too: its coefficients (mirror), for λ of complex poles."""
+def test_signal_cspline_agrees() -> None:
+    """scipy.signal.cspline1d implements smoothing cubics: its coefficients (mirror), for λ with complex poles."""
     data = noisy(120)
     for smoothing in (0.1, 1.0, 5.0):
         theirs = signal.cspline1d(data, smoothing)
@@ -74,7 +74,7 @@ def test_a_signals_cspline_agrees() -> None:
         np.testing.assert_allclose(ours[30:-30], theirs[30:-30], atol=1e-6)
 
 
-def test_no_smoothing_is_the_interpolation() -> None:
+def test_no_smoothing_is_interpolation() -> None:
     for name in ("bspline3(0)", "bspline3(0,0,0)", "bspline3( 0.0 )"):
         assert as_filter(name) is as_filter("bspline3") or as_filter(name) == as_filter("bspline3")
     assert bspline(3, smoothing=0) == bspline(3)
@@ -83,7 +83,7 @@ def test_no_smoothing_is_the_interpolation() -> None:
 
 
 @pytest.mark.parametrize("name", ["bspline2(0.3)", "bspline3(0.1)", "bspline4(7)", "bspline5(1)"])
-def test_polynomials_below_twice_the_penalty_stay(name: str) -> None:
+def test_polynomials_below_twice_the_penalty_are_preserved(name: str) -> None:
     """Their m-th differences, taken twice, vanish."""
     row, x = as_filter(name), np.arange(200.0)
     at = np.linspace(90, 110, 41)
@@ -94,7 +94,7 @@ def test_polynomials_below_twice_the_penalty_stay(name: str) -> None:
 
 
 def test_noise_falls_by_the_variance_gain_of_the_response(device: clvol.Device) -> None:
-    """The mean variance of the function drawn is that of the samples times the integral of |H|² over all frequencies, cubed."""
+    """The mean variance of the function is that of the samples times the cube of the integral of |H|² over all frequencies."""
     data = np.random.default_rng(0).normal(size=(64, 64, 64)).astype(np.float32)
     points = np.random.default_rng(1).uniform(8, 55, (200_000, 3))
     for name in ("bspline3", "bspline3(0.1)", "bspline3(2)"):
@@ -104,7 +104,7 @@ def test_noise_falls_by_the_variance_gain_of_the_response(device: clvol.Device) 
         assert got == pytest.approx(gain**3, rel=0.03)
 
 
-def test_smoothing_along_one_axis_leaves_the_others() -> None:
+def test_smoothing_along_one_axis_keeps_the_others() -> None:
     data = np.random.default_rng(2).normal(size=(9, 10, 11))
     volume = Volume(data)
     nodes = np.stack(np.meshgrid(*map(np.arange, (9, 10, 11)), indexing="ij")[::-1], -1).astype(float)
@@ -121,7 +121,7 @@ def test_smoothing_along_one_axis_leaves_the_others() -> None:
         assert np.abs(alone).max() > 0
 
 
-def test_lengths_are_lengths_of_the_world() -> None:
+def test_lengths_are_in_world_units() -> None:
     volume = Volume(np.zeros((4, 5, 6)), (0.5, 1.0, 2.0))
     row = settled("bspline3(length=1)", volume)
     assert row.smoothing == (16.0, 1.0, 0.0625)
@@ -155,13 +155,13 @@ def test_lengths_are_lengths_of_the_world() -> None:
         (lambda: clvol.Field(Volume(np.ones((3, 3)), (1e-3, 1)), "bspline3(length=1)"), "must be at most 0.01778 .* λ is 100000"),
     ],
 )
-def test_what_is_refused(call: object, says: str) -> None:
+def test_invalid_smoothing_is_rejected(call: object, says: str) -> None:
     assert callable(call)
     with pytest.raises(OptionError, match=says):
         call()
 
 
-def test_names_make_the_same_row_again() -> None:
+def test_names_reproduce_the_filter() -> None:
     for row in (
         bspline(3, smoothing=1 / 3),
         bspline(2, smoothing=(0.1, 0.2)),
@@ -172,14 +172,14 @@ def test_names_make_the_same_row_again() -> None:
     assert as_filter("cubic(0.1)") == as_filter("BSpline3( 1/10 )") == bspline(3, smoothing=0.1)
 
 
-def test_other_rows_with_a_prefilter_can_be_smoothed_too(device: clvol.Device) -> None:
+def test_other_filters_with_a_prefilter_can_smooth(device: clvol.Device) -> None:
     row = Filter("mine", bspline(3).taps, prefilter=True, smoothing=0.1)
     data = np.random.default_rng(4).normal(size=(7, 9))
     np.testing.assert_array_equal(clvol.prefilter(data, row, device=device), clvol.prefilter(data, "bspline3(0.1)", device=device))
 
 
-def test_a_kernel_that_is_only_too_high_is_divided(device: clvol.Device) -> None:
-    """A prefilter without poles: twice the triangle interpolates samples of half the height."""
+def test_a_scaled_kernel_is_divided(device: clvol.Device) -> None:
+    """A prefilter without poles: twice the triangle interpolates half the samples."""
     row = from_pieces("high", [(2, -2)], prefilter=True)
     data = np.random.default_rng(5).normal(size=(5, 6)).astype(np.float32)
     nodes = np.stack(np.meshgrid(np.arange(5), np.arange(6), indexing="ij")[::-1], -1).astype(float)

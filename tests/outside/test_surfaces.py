@@ -1,4 +1,4 @@
-"""Surfaces against SciPy's spline in float64: no root is missed, and none is drawn that is not the first."""
+"""Surfaces compared with SciPy's spline in float64: no root is missed, and only the first is rendered."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.outside import caster
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("scene", SCENES)
 def test_no_ray_misses_the_first_root(scene: str) -> None:
-    """Some thousand random rays here; ``python -m bench.roots`` holds a million."""
+    """Some thousand random rays here; ``python -m bench.roots`` tests a million."""
     surface = SCENES[scene]()
     count = check(surface, 6000, seed=5, edge=32)
     assert count.wrong == 0
@@ -34,12 +34,12 @@ def test_no_ray_misses_the_first_root(scene: str) -> None:
 
 
 def test_stepped_surfaces_do_miss_some() -> None:
-    """What `check` is worth: it finds the fault that this method has."""
+    """Verifies `check`: it detects this method's fault."""
     count = check(SCENES["noise"](), 4000, edge=32, method="stepped")
     assert count.wrong > 20
 
 
-def test_the_truth_agrees_with_samples_a_hundredth_of_a_voxel_apart() -> None:
+def test_the_truth_agrees_with_dense_sampling() -> None:
     data = np.random.default_rng(2).random((8, 9, 7))
     volume, camera, size = Volume(data), Camera.orbit(25, 15, fit="volume"), (24, 24)
     spline = caster.Spline(data)
@@ -76,8 +76,8 @@ def test_a_thin_sheet_is_seen_by_every_ray(thickness: float) -> None:
 
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("filter", ["nearest", "linear", "bspline3", "catmull-rom", "lanczos3", "hybrid"])
-def test_the_picture_is_the_same_however_rays_are_cut(device: Device, filter: str) -> None:
-    """Steps, tiles, and whether space is skipped: not one bit differs."""
+def test_the_picture_does_not_depend_on_how_rays_are_cut(device: Device, filter: str) -> None:
+    """Steps, tiles, and skipping: not one bit differs."""
     data = np.random.default_rng(7).random((11, 9, 13)).astype(np.float32)
     options: dict[str, Any] = {"isovalue": 0.55, "outputs": ("rgba", "depth", "normal", "position")}
     with clvol.Renderer(Volume(data, (1.0, 0.7, 1.2)), filter, device=device) as renderer:
@@ -101,7 +101,7 @@ def test_the_picture_is_the_same_however_rays_are_cut(device: Device, filter: st
                     np.testing.assert_array_equal(picture[name], pictures[0][name], err_msg=f"{filter} {name}")
 
 
-def test_a_ray_that_begins_behind_a_surface_sees_the_next() -> None:
+def test_a_ray_that_starts_behind_a_surface_sees_the_next() -> None:
     data = np.broadcast_to(np.sin(np.arange(32.0) + 0.5), (6, 6, 32))
     whole = clvol.render(
         data, Camera(direction=(1, 0.01, 0.02), fit="volume"), "isosurface", size=(9, 9), isovalue=0.0, outputs="position"
@@ -122,7 +122,7 @@ def test_a_ray_that_begins_behind_a_surface_sees_the_next() -> None:
 
 
 @pytest.mark.parametrize("size", [9, 33, 65])
-def test_rays_on_the_planes_between_cells_meet_no_surface_along_them(size: int) -> None:
+def test_rays_on_planes_between_cells_meet_no_spurious_surface(size: int) -> None:
     half = np.zeros((6, 6, 6))
     half[:, :, 3:] = 1
     camera = Camera(
@@ -132,7 +132,7 @@ def test_rays_on_the_planes_between_cells_meet_no_surface_along_them(size: int) 
     assert np.isinf(depth).all()
 
 
-def test_a_clip_face_that_holds_a_ray_does_not_cut_it() -> None:
+def test_a_clip_face_that_contains_a_ray_does_not_cut_it() -> None:
     data = np.random.default_rng(3).random((6, 6, 6))
     camera = Camera(direction=(0, 1, 0), projection="orthographic", fit="volume")
     options: dict[str, Any] = {"size": (9, 9), "isovalue": 0.6, "outputs": "depth", "clip": ((2.5, -9, -9), (99, 99, 99))}

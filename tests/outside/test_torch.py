@@ -1,4 +1,4 @@
-"""Tensors of PyTorch: values against SciPy's, gradients against PyTorch's own finite differences."""
+"""PyTorch tensors: values compared with SciPy's, gradients with PyTorch's finite differences."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from clvol.device import Device
 torch = pytest.importorskip("torch")
 import clvol.torch  # noqa: E402
 
-FAST = {"fast_mode": True, "atol": 1e-6}  # against differences along one random direction
+FAST = {"fast_mode": True, "atol": 1e-6}  # compared with differences along one random direction
 
 
 def problem(shape: tuple[int, ...] = (4, 5, 6), count: int = 7, kind: Any = torch.float64) -> tuple[Any, Any]:
-    """Samples, and points in the domain and out of it, away from where a derivative jumps."""
+    """Samples, and points inside and outside the domain, away from jumps of derivatives."""
     rng = np.random.default_rng(0)
     d = min(3, len(shape))
     whole = rng.integers(-3, 8, (count, d))
@@ -37,7 +37,7 @@ def _seeded() -> None:
     torch.manual_seed(0)
 
 
-def test_values_are_those_of_scipy(device: Device) -> None:
+def test_values_match_scipy(device: Device) -> None:
     values, points = problem((2, 3, 4, 5, 6), 30)
     got = clvol.torch.sample(values, points.reshape(5, 6, 3), device=device)
     assert got.shape == (2, 3, 5, 6)
@@ -61,7 +61,7 @@ def test_values_are_those_of_scipy(device: Device) -> None:
         ("mitchell", "mirror", (4, 5, 6)),
     ],
 )
-def test_gradients_and_their_gradients(device: Device, name: str, boundary: str, shape: tuple[int, ...]) -> None:
+def test_first_and_second_gradients(device: Device, name: str, boundary: str, shape: tuple[int, ...]) -> None:
     values, points = problem(shape)
 
     def sampled(v: Any, p: Any) -> Any:
@@ -78,12 +78,12 @@ def test_gradients_in_two_dimensions_entry_by_entry(device: Device) -> None:
     assert torch.autograd.gradgradcheck(lambda v, p: clvol.torch.sample(v, p, device=device), (values, points))
 
 
-def test_filters_that_bend_nowhere(device: Device) -> None:
+def test_filters_without_second_derivatives(device: Device) -> None:
     values, points = problem()
     assert torch.autograd.gradcheck(lambda v, p: clvol.torch.sample(v, p, "linear", device=device), (values, points), **FAST)
 
 
-def test_what_is_filled_has_no_gradient(device: Device) -> None:
+def test_filled_values_have_no_gradient(device: Device) -> None:
     values, _ = problem((5, 6))
     points = torch.tensor([[1.2, 0.3], [-0.6, 2.0], [5.4, 4.4], [np.nan, 1.0]], dtype=torch.float64, requires_grad=True)
     got = clvol.torch.sample(values, points, fill=-7.0, device=device)
@@ -115,7 +115,7 @@ def test_registration_by_gradients_finds_the_shift(device: Device) -> None:
     assert_allclose(shift.detach(), true, atol=1e-6)
 
 
-def test_gradients_are_the_same_on_every_run(device: Device) -> None:
+def test_gradients_are_reproducible(device: Device) -> None:
     values = torch.randn(30, 30, 30, requires_grad=True)
     points = (torch.rand(50_000, 3) * 29).requires_grad_()
     found = []
@@ -127,7 +127,7 @@ def test_gradients_are_the_same_on_every_run(device: Device) -> None:
     assert torch.equal(found[0][1], found[1][1])
 
 
-def test_samples_that_changed_between_forward_and_backward_are_noticed(device: Device) -> None:
+def test_samples_changed_between_forward_and_backward_are_detected(device: Device) -> None:
     values, points = problem()
     result = clvol.torch.sample(values * 1, points, device=device)
     result.sum().backward()
@@ -175,7 +175,7 @@ def test_mixed_precision_and_no_channels(device: Device) -> None:
     ],
     ids=lambda v: next(iter(v)) if isinstance(v, dict) else "",
 )
-def test_arguments_that_are_refused(change: dict[str, Any], error: type[Exception], rule: str) -> None:
+def test_arguments_that_are_rejected(change: dict[str, Any], error: type[Exception], rule: str) -> None:
     arguments: dict[str, Any] = {"values": torch.ones(4, 5), "points": torch.ones(3, 2)} | change
     with pytest.raises(error, match=rule):
         clvol.torch.sample(**arguments)

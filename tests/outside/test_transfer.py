@@ -1,4 +1,4 @@
-"""Transfer functions as devices draw them, against `numpy.interp` between the points in float64."""
+"""Rendered transfer functions compared with `numpy.interp` in float64."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COMPOSITE: dict[str, Any] = {"mode": "composite", "shading": False, "termination
 
 
 def drawn(device: Device, values: NDArray[Any], transfer: clvol.TransferFunction) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Values, each (N,), and their colours and opacities in the picture of a slab of voxels that have them, (N, 4)."""
+    """Values (N,), and their colours and opacities in the picture of a slab of such voxels, (N, 4)."""
     slab = values.reshape(24, 1, 24)
     with clvol.Renderer(slab, "nearest", device=device) as renderer:
         look: dict[str, Any] = {"camera": VIEW, "size": (61, 61), "rays": 1, "step": 1.0, "transfer": transfer, "background": None}
@@ -103,7 +103,7 @@ FAR_ENDS: dict[str, tuple[Any, tuple[float, float]]] = {
 
 
 @pytest.mark.parametrize("name", FAR_ENDS)
-def test_points_near_to_one_another_beside_ends_far_away(device: Device, name: str) -> None:
+def test_close_points_with_distant_ends(device: Device, name: str) -> None:
     """(Points of a cell as wide as the volume's range fell on one of its ends together: opacities erred by 0.5 to 0.999.)"""
     opacities, (low, high) = FAR_ENDS[name]
     colors = tuple((v, (a, 1 - a, 0.5)) for v, a in opacities)
@@ -116,8 +116,8 @@ def test_points_near_to_one_another_beside_ends_far_away(device: Device, name: s
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_points_anywhere(device: Device, seed: int) -> None:
-    """Numbers of points from 1 to 60, spread over many magnitudes, with jumps."""
+def test_random_points(device: Device, seed: int) -> None:
+    """From 1 to 60 points, spread over many magnitudes, with jumps."""
     rng = np.random.default_rng(seed)
     n, m = rng.integers(1, 60 if seed % 2 else 6, 2)
     spread = 10.0 ** rng.uniform(-3, 5)
@@ -139,7 +139,7 @@ def test_points_anywhere(device: Device, seed: int) -> None:
     check(device, values, colors, opacities, 1e-6 + 2e-7 * steepest)
 
 
-def test_a_narrow_window_is_seen_wherever_it_lies(device: Device) -> None:
+def test_a_narrow_window_is_visible_wherever_it_lies(device: Device) -> None:
     values = np.linspace(-1000, 1000, 576)
     for center in values[7::83]:
         at, got = drawn(

@@ -1,4 +1,4 @@
-"""Errors of surfaces against what is stated of them, on functions whose surfaces and normals are known in closed form."""
+"""Measured errors of surfaces compared with the stated uncertainty, for known surfaces and normals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ VIEW = Camera.orbit(30, 25, projection="orthographic", fit="volume")
 
 @dataclass(frozen=True)
 class Phantom:
-    """A function on [-1, 1]³, its gradient, and the value of the surface that is drawn."""
+    """A function on [-1, 1]³, its gradient, and the isovalue."""
 
     value: Callable[[Array], Array]
     gradient: Callable[[Array], Array]
@@ -41,7 +41,7 @@ class Phantom:
 
 
 def ball(width: float, radius: float = 0.6) -> Phantom:
-    """1 within a sphere, 0 outside; the edge is so many samples wide."""
+    """1 within a sphere, 0 outside; the edge is the given number of samples wide."""
     w = width * STEP
 
     def value(p: Array) -> Array:
@@ -55,7 +55,7 @@ def ball(width: float, radius: float = 0.6) -> Phantom:
 
 
 def wave(share: float) -> Phantom:
-    """A tilted wave of a share of the Nyquist frequency."""
+    """A tilted wave at a fraction of the Nyquist frequency."""
     k = share * np.pi / STEP * np.array([0.6, 0.5, 0.62]) / np.linalg.norm([0.6, 0.5, 0.62])
     return Phantom(lambda p: np.sin(p @ k), lambda p: np.cos(p @ k)[..., None] * k, 0.2)
 
@@ -76,7 +76,7 @@ def places(n: int = N) -> Array:
 
 @dataclass(frozen=True)
 class Found:
-    """Of each place that was hit: how far it is from the true surface, its normal from the true one, and what was stated."""
+    """For each hit: distance to the true surface, angle to its normal, and the stated uncertainty."""
 
     off: Array
     angle: Array
@@ -93,7 +93,7 @@ class Found:
 
 
 def measure(volume: Volume, phantom: Phantom, filter: str, device: Device, limit: float = 0.65, **options: Any) -> Found:
-    """What is stated of a picture of the inner part, where boundary rules do not matter."""
+    """Measurements in the inner part, where boundary rules do not matter."""
     outputs = ("position", "normal", "uncertainty")
     options = {"size": (128, 128), "isovalue": phantom.isovalue, "clip": ((-limit,) * 3, (limit,) * 3), **options}
     got = clvol.render(volume, VIEW, "isosurface", filter=filter, boundary="reflect", device=device, outputs=outputs, **options)
@@ -117,8 +117,8 @@ FILTERS = ["linear", "bspline3", "bspline3-approx", "bspline3(0.1)", "mitchell",
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", FILTERS)
-def test_the_filter_s_error_is_covered(device: Device, filter: str) -> None:
-    """Without noise. The bound may be a few times what it must be: neighbouring places have errors of all sizes."""
+def test_the_filters_error_is_covered(device: Device, filter: str) -> None:
+    """Without noise. The bound may be several times the minimum: neighbouring places have errors of all sizes."""
     for name, phantom in PHANTOMS.items():
         found = measure(sampled(phantom), phantom, filter, device, sigma=0.0)
         covered, sharp = found.coverage(), found.sharpness()
@@ -129,7 +129,7 @@ def test_the_filter_s_error_is_covered(device: Device, filter: str) -> None:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("filter", ["bspline4", "bspline5"])
-def test_so_is_that_of_high_degrees_where_samples_hold_the_function(device: Device, filter: str) -> None:
+def test_high_degrees_are_covered_for_well_sampled_functions(device: Device, filter: str) -> None:
     for name in ("soft ball", "short wave", "marschner-lobb"):
         phantom = PHANTOMS[name]
         covered = measure(
@@ -140,7 +140,7 @@ def test_so_is_that_of_high_degrees_where_samples_hold_the_function(device: Devi
 
 @pytest.mark.parametrize("filter", [*FILTERS, "bspline5"])
 def test_noise_is_covered(device: Device, filter: str) -> None:
-    """95 % and 68 % of the errors of places lie within 1.96 and 1 of what is stated of one deviation."""
+    """95 % and 68 % of the errors lie within 1.96 and 1 stated deviations."""
     for name, sigma in (("ball", 0.02), ("soft ball", 0.02), ("wave", 0.1), ("marschner-lobb", 0.02)):
         phantom = PHANTOMS[name]
         found = measure(sampled(phantom, sigma), phantom, filter, device, sigma=sigma)
@@ -150,7 +150,7 @@ def test_noise_is_covered(device: Device, filter: str) -> None:
 
 
 @pytest.mark.parametrize("filter", ["linear", "bspline3", "bspline3-approx", "bspline3(1)", "bspline5", "hybrid"])
-def test_what_noise_makes_of_a_plane(device: Device, filter: str) -> None:
+def test_noise_on_a_plane(device: Device, filter: str) -> None:
     """Filters of order 2 reproduce a plane, whose errors are then those of the noise alone, which is normal.
 
     Filters that err much for waves as short as the noise state up to a fourth more: noise may be taken for detail.
@@ -165,7 +165,7 @@ def test_what_noise_makes_of_a_plane(device: Device, filter: str) -> None:
 
 
 def test_neither_noise_nor_smoothing_need_be_known(device: Device) -> None:
-    """The default: sigma is estimated from the samples, and so is the smoothing."""
+    """The default: sigma and smoothing are estimated from the samples."""
     for name, sigma in (("ball", 0.02), ("soft ball", 0.05), ("wave", 0.1), ("marschner-lobb", 0.02)):
         phantom = PHANTOMS[name]
         for filter_name in ("bspline3", "bspline3(auto)"):
@@ -175,9 +175,9 @@ def test_neither_noise_nor_smoothing_need_be_known(device: Device) -> None:
 
 
 @pytest.mark.parametrize("filter", ["linear", "bspline3", "bspline3(0.1)"])
-def test_noise_that_is_correlated(device: Device, filter: str) -> None:
-    """Blurred along x and y, as by a scanner's own filter, it is averaged away less by a smoothing spline than white noise is."""
-    n = 64  # enough places for the correlation to be told
+def test_correlated_noise(device: Device, filter: str) -> None:
+    """Blurred along x and y, as by a scanner's filter: a smoothing spline averages it less than white noise."""
+    n = 64  # enough places to detect the correlation
     step, normal = 2 / (n - 1), np.array([0.3, -0.4, 0.8])
     plane = Phantom(lambda p: p @ normal / step, lambda p: np.broadcast_to(normal / step, p.shape), 0.3)
     noise = np.random.default_rng(4).standard_normal((n, n, n))
@@ -193,8 +193,8 @@ def test_noise_that_is_correlated(device: Device, filter: str) -> None:
     assert known.coverage()[0] > white.coverage()[0] + 0.02
 
 
-def test_scanners_of_any_shape(device: Device) -> None:
-    """Slices twice as far apart as pixels, turned in the world."""
+def test_anisotropic_and_rotated_grids(device: Device) -> None:
+    """Slices twice as far apart as pixels, rotated in the world."""
     a, b = np.radians((25, 40))
     turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
     turn = turn @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
@@ -211,7 +211,7 @@ def test_scanners_of_any_shape(device: Device) -> None:
         assert found.sharpness()[0] > 0.15, (name, found.sharpness())
 
 
-def test_integers_were_rounded(device: Device) -> None:
+def test_rounding_to_integers_counts_as_noise(device: Device) -> None:
     phantom = ball(4)
     data = np.rint(40 * phantom.value(places())).astype(np.uint8)
     grey = Phantom(lambda p: 40 * phantom.value(p), lambda p: 40 * phantom.gradient(p), 20.0)
@@ -220,7 +220,7 @@ def test_integers_were_rounded(device: Device) -> None:
     assert found.sharpness()[0] > 0.2
 
 
-def test_what_is_stated_falls_as_fast_as_the_error(device: Device) -> None:
+def test_the_uncertainty_falls_as_fast_as_the_error(device: Device) -> None:
     """With the fourth power of the sampling for cubic B-splines, with the second for linear interpolation."""
     radius, w = 0.6, 0.16
     phantom = ball(w / STEP, radius)
@@ -229,7 +229,7 @@ def test_what_is_stated_falls_as_fast_as_the_error(device: Device) -> None:
         assert np.log2(stated[0] / stated[1]) == pytest.approx(order, abs=0.35), name
 
 
-def test_central_differences_turn_normals_more(device: Device) -> None:
+def test_central_differences_increase_the_error_of_normals(device: Device) -> None:
     phantom = PHANTOMS["short wave"]
     found = measure(sampled(phantom), phantom, "bspline3", device, sigma=0.0, gradient="central")
     assert found.coverage()[1] >= 0.85

@@ -1,4 +1,4 @@
-"""The accessor of xarray's arrays: against xarray's own linear interpolation, and against SciPy's splines."""
+"""The xarray accessor, compared with xarray's own linear interpolation and SciPy's splines."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SAME: dict[str, Any] = {"rtol": 0, "atol": 1e-12}
 
 
 def cube() -> Any:
-    """Time, descending latitude and longitude, with coordinates of all kinds beside them."""
+    """Time, descending latitude and longitude, with auxiliary coordinates."""
     rng = np.random.default_rng(0)
     coords = {
         "t": np.arange(4.0),
@@ -62,7 +62,7 @@ INDEXERS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", INDEXERS)
 @pytest.mark.parametrize("lazy", [False, True], ids=["in memory", "dask"])
-def test_linear_interpolation_is_that_of_xarray(name: str, lazy: bool) -> None:
+def test_linear_interpolation_matches_xarray(name: str, lazy: bool) -> None:
     data, indexers = cube(), INDEXERS[name]
     expected = data.interp(indexers)
     if lazy:
@@ -76,7 +76,7 @@ def test_linear_interpolation_is_that_of_xarray(name: str, lazy: bool) -> None:
 
 
 def scipy_spline(data: Array, at: Any, order: int, mode: str) -> Array:
-    """SciPy's spline; of data that are reflected by hand, for SciPy's own "reflect" is rough on short axes."""
+    """SciPy's spline; "reflect" by padding, for SciPy's own is inaccurate on short axes."""
     pad = 60 if mode == "reflect" else 0
     return np.asarray(ndimage.map_coordinates(np.pad(data, pad, "symmetric"), np.add(at, pad), order=order, mode=mode))
 
@@ -86,7 +86,7 @@ def scipy_spline(data: Array, at: Any, order: int, mode: str) -> Array:
     ("boundary", "mode"), [("mirror", "mirror"), ("reflect", "reflect"), ("wrap", "grid-wrap"), ("nearest", "nearest")]
 )
 @pytest.mark.parametrize(("name", "order"), [("linear", 1), ("bspline2", 2), ("bspline3", 3), ("bspline4", 4), ("bspline5", 5)])
-def test_splines_are_those_of_scipy(name: str, order: int, boundary: str, mode: str) -> None:
+def test_splines_match_scipy(name: str, order: int, boundary: str, mode: str) -> None:
     data = cube()
     y, x = [7.5, 0.3], [3.03, 3.21, 3.47]
     at = np.meshgrid((8 - np.array(y)) / 2, (np.array(x) - 3) / 0.1, indexing="ij")
@@ -143,7 +143,7 @@ def test_coordinates_of_float32_are_uniform_enough() -> None:
     assert_allclose(data.clvol.interp(lon=lon[1:] - 0.1, filter="linear"), data.interp(lon=lon[1:] - 0.1), **SAME)
 
 
-def test_coordinates_that_are_refused() -> None:
+def test_coordinates_that_are_rejected() -> None:
     data = cube()
     for values, rule in (
         ([3, 3.1, 3.2, 3.3, 3.4, 3.51], r"'x' must be uniform, to within 0.001 of a step; it is off by up to 0\.\d+ steps"),
@@ -156,7 +156,7 @@ def test_coordinates_that_are_refused() -> None:
     assert data.assign_coords(x=[1, 2, 4, 8, 16, 32]).clvol.interp(t=[0.5]).shape == (1, 5, 6)
 
 
-def test_arguments_that_are_refused() -> None:
+def test_arguments_that_are_rejected() -> None:
     data = cube()
     four = data.expand_dims(w=np.arange(5.0))
     for call, rule in (
@@ -182,7 +182,7 @@ def test_arguments_that_are_refused() -> None:
         (data > 0.5).clvol.interp(x=3.1)
 
 
-def test_missing_samples_matter_where_they_are_near() -> None:
+def test_missing_samples_matter_only_nearby() -> None:
     values = np.random.default_rng(0).random(200)
     values[150] = np.nan
     data = xarray.DataArray(values, {"x": np.arange(200)}, "x")
@@ -191,7 +191,7 @@ def test_missing_samples_matter_where_they_are_near() -> None:
         data.clvol.interp(x=[140.5])
 
 
-def test_more_dimensions_than_kernels_take() -> None:
+def test_more_dimensions_than_kernels_support() -> None:
     values = np.random.default_rng(0).random((5, 6, 4, 7))
     data = xarray.DataArray(values, dims=list("abcd"))
     new = {"a": [0.5, 3.2], "b": [1.1], "c": [0.3, 2.9], "d": [0, 5.5, 2.5]}
@@ -247,7 +247,7 @@ def test_another_grid_of_the_same_domain() -> None:
 # -- large arrays ----------------------------------------------------------------------------------------------------
 
 
-def test_one_point_takes_its_surroundings_alone() -> None:
+def test_one_point_reads_only_its_neighbourhood() -> None:
     values = np.random.default_rng(0).random((288, 71, 73))
     data = xarray.DataArray(values, dims=("z", "y", "x"))
     point = {"z": 100.3, "y": 33.7, "x": 40.2}
@@ -263,7 +263,7 @@ def test_one_point_takes_its_surroundings_alone() -> None:
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("kind", ["f8", "f4"])
 @pytest.mark.parametrize("name", ["linear", "bspline3", "bspline5"])
-def test_blocks_of_dask_give_what_the_whole_array_gives(name: str, kind: str) -> None:
+def test_dask_blocks_match_the_whole_array(name: str, kind: str) -> None:
     pytest.importorskip("dask.array")
     rng = np.random.default_rng(0)
     values = rng.uniform(-1, 1, (3, 150, 160)).astype(kind)
@@ -282,7 +282,7 @@ def test_blocks_of_dask_give_what_the_whole_array_gives(name: str, kind: str) ->
     assert_allclose(wrapped.values, whole.values, rtol=0, atol=1e-12 if kind == "f8" else 2e-6)
 
 
-def test_nothing_is_computed_before_it_is_asked_for() -> None:
+def test_nothing_is_computed_before_compute() -> None:
     dask = pytest.importorskip("dask")
     array = pytest.importorskip("dask.array")
 
@@ -301,7 +301,7 @@ def test_nothing_is_computed_before_it_is_asked_for() -> None:
         lazy[0].compute()
 
 
-def test_a_block_takes_the_blocks_around_it_alone() -> None:
+def test_a_block_depends_only_on_its_neighbours() -> None:
     array = pytest.importorskip("dask.array")
     read = []
 

@@ -1,4 +1,4 @@
-"""The reference on a lattice, an axis at a time, against the reference point by point."""
+"""The reference on a lattice, one axis at a time, compared with the reference point by point."""
 
 from __future__ import annotations
 
@@ -46,6 +46,6 @@ def test_any_number_of_axes(shape: tuple[int, ...]) -> None:
         lambda: reference.lattice([np.nan], [[0.0]]),
     ],
 )
-def test_bad_input_is_refused(call) -> None:  # type: ignore[no-untyped-def]
+def test_bad_input_is_rejected(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ClvolError):
         call()

@@ -1,4 +1,4 @@
-"""The boundary rules of the reference against SciPy's modes."""
+"""Boundary rules of the reference compared with SciPy's modes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MODES = {
     "grid-constant(2.5)": "grid-constant",
     "overlap": "wrap",
 }
-# SciPy's prefilter for "reflect" starts wrongly on short axes: by the largest pole to the power of 2n - 1
+# SciPy's prefilter for "reflect" has wrong initial values on short axes: by the largest pole to the power of 2n - 1
 SHAPES = {"reflect": ((17, 24), (16, 18, 17)), "": ((6, 7), (1, 5), (2, 3), (5, 6, 7), (1, 2, 4), (20, 3, 17), (1, 1, 1))}
 
 
@@ -68,7 +68,7 @@ def test_axis_by_axis_is_point_by_point(name: str, rule: str) -> None:
 @pytest.mark.parametrize("rule", ["nearest", "grid-constant(3)", "constant", "overlap"])
 @pytest.mark.parametrize("name", ["bspline3", "bspline5"])
 def test_slopes_are_differences(name: str, rule: str) -> None:
-    """Of the rule's own function, where it has one."""
+    """Of the rule's own function, where it exists."""
     rng = np.random.default_rng(2)
     data, h = rng.normal(size=(6, 7)), 1e-5
     points = rng.uniform(-20, 25, (300, 2))

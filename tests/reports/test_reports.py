@@ -25,7 +25,7 @@ FEW = ("nearest", "linear", "bspline3")
 
 
 class Page(HTMLParser):
-    """What a page holds: tags, attributes, words."""
+    """The content of a page: tags, attributes, words."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ def made(device: Device, tmp_path_factory: pytest.TempPathFactory) -> tuple[repo
     return done, Page(done.path.read_text(encoding="utf-8")), reported
 
 
-def test_a_report_is_one_page_that_needs_nothing_else(made: tuple[reports.Report, Page, list[float]]) -> None:
+def test_a_report_is_one_self_contained_page(made: tuple[reports.Report, Page, list[float]]) -> None:
     done, page, _ = made
     assert done.path.name == "index.html"
     assert list(done.path.parent.iterdir()) == [done.path]
@@ -88,7 +88,7 @@ def test_a_report_is_one_page_that_needs_nothing_else(made: tuple[reports.Report
     assert all(link.startswith("data:image/png;base64,") for link in page.links)
 
 
-def test_a_report_holds_all_sections(made: tuple[reports.Report, Page, list[float]]) -> None:
+def test_a_report_contains_all_sections(made: tuple[reports.Report, Page, list[float]]) -> None:
     done, page, _ = made
     assert page.text.startswith("Which filter for a <b> & c?")
     for heading in (
@@ -123,7 +123,7 @@ def test_a_report_holds_all_sections(made: tuple[reports.Report, Page, list[floa
     assert page.tags.count("img") == 5 * len(FEW) + 2
 
 
-def test_pictures_of_a_report_are_pictures(made: tuple[reports.Report, Page, list[float]]) -> None:
+def test_images_of_a_report_are_valid(made: tuple[reports.Report, Page, list[float]]) -> None:
     _, page, _ = made
     arrays = [iio.imread(io.BytesIO(base64.b64decode(link.partition(",")[2]))) for link in page.links]
     for cells in (arrays[i : i + 5] for i in (0, 5, 10)):
@@ -142,7 +142,7 @@ def test_progress_of_a_report_rises_to_one(made: tuple[reports.Report, Page, lis
     assert len(reported) > 8
 
 
-def test_the_table_of_a_report_is_that_of_compare(made: tuple[reports.Report, Page, list[float]]) -> None:
+def test_the_table_of_a_report_matches_compare(made: tuple[reports.Report, Page, list[float]]) -> None:
     table = made[0].table
     assert [row.filter for row in table] == [*FEW, EXACT_SINC]
     wanted = clvol.analysis.compare(blob(), FEW, timing=False, points=20_000, max_samples=reports._COMPARED)
@@ -164,7 +164,7 @@ def test_a_report_goes_to_a_folder_or_a_file(tmp_path: Path) -> None:
             reports.page(bad)
 
 
-def test_a_report_that_cannot_be_written_is_refused_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unwritable_reports_are_rejected_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(**_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
@@ -200,7 +200,7 @@ def test_a_report_replaces_an_old_one(tmp_path: Path, device: Device) -> None:
     [np.full((9, 9, 9), 4.0), np.zeros((1, 1, 1)), np.arange(8.0).reshape(2, 2, 2), np.eye(6)[:, :, None] * np.ones(3)],
     ids=["constant", "one sample", "2³", "thin"],
 )
-def test_odd_data_give_a_report(tmp_path: Path, device: Device, data: np.ndarray) -> None:
+def test_unusual_data_give_a_report(tmp_path: Path, device: Device, data: np.ndarray) -> None:
     done = reports.report(Volume(data), tmp_path / "a.html", filters=FEW, pixels=16, device=device)
     page = Page(done.path.read_text(encoding="utf-8"))
     assert not re.search(r"\b(nan|inf)\b", page.text, re.IGNORECASE)
@@ -211,8 +211,8 @@ def test_odd_data_give_a_report(tmp_path: Path, device: Device, data: np.ndarray
 
 
 @pytest.mark.parametrize("value", [0.1, 3.7, -1234.567, 0.0])
-def test_of_constant_data_nothing_is_drawn(tmp_path: Path, device: Device, value: float) -> None:
-    """What a picture would show is the noise of float32 about the only value there is."""
+def test_constant_data_are_not_rendered(tmp_path: Path, device: Device, value: float) -> None:
+    """A picture would show the noise of float32 about the only value."""
     done = reports.report(Volume(np.full((13, 12, 11), value)), tmp_path / "a.html", filters=FEW, pixels=16, device=device)
     page = Page(done.path.read_text(encoding="utf-8"))
     assert page.tags.count("img") == 1  # the filters' responses
@@ -220,7 +220,7 @@ def test_of_constant_data_nothing_is_drawn(tmp_path: Path, device: Device, value
     assert "The data are constant" in page.text
 
 
-def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device) -> None:
+def test_unreportable_input_is_rejected_first(tmp_path: Path, device: Device) -> None:
 
     def nothing(done: float) -> None:
         pytest.fail(f"{done} of the work was done")
@@ -244,7 +244,7 @@ def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device) -
 
 
 @pytest.mark.thorough
-def test_a_report_takes_filters_that_no_table_knows(tmp_path: Path, device: Device) -> None:
+def test_a_report_accepts_custom_filters(tmp_path: Path, device: Device) -> None:
     wide = clvol.from_callable("wide tent", lambda x: np.maximum(1 - np.abs(x) / 2, 0) / 2, 2)
     for filters in ((clvol.bspline(7), wide), (wide,)):
         done = reports.report(phantoms.marschner_lobb(16), tmp_path / "a.html", filters=filters, pixels=16, device=device)
@@ -267,7 +267,7 @@ def test_without_a_period_there_is_no_exact_sinc(tmp_path: Path, device: Device)
     assert [row.filter for row in done.table] == ["linear", EXACT_SINC]
 
 
-def test_of_a_large_volume_the_middle_is_measured() -> None:
+def test_the_middle_of_a_large_volume_is_measured() -> None:
     volume = Volume(np.arange(20 * 30 * 40, dtype=np.float32).reshape(20, 30, 40), (1, 2, 3))
     middle = middle_part(volume, 1000)
     assert 700 < middle.data.size <= 1000
@@ -293,14 +293,14 @@ def test_the_two_sincs_have_two_names() -> None:
     assert named == ["sinc", EXACT_SINC]
 
 
-def test_columns_that_nothing_has_are_left_out() -> None:
+def test_empty_columns_are_omitted() -> None:
     rows = LeftOutTable([LeftOutRow("linear", 1.5, None, 2.5)], sigma=0.0, spacing=(1, 1, 1))
     text = html._table(rows, "linear")
     assert "along z" in text
     assert "along y" not in text
 
 
-def test_the_exact_sinc_is_measured_where_the_others_are(made: tuple[reports.Report, Page, list[float]]) -> None:
+def test_the_exact_sinc_is_measured_in_the_same_region(made: tuple[reports.Report, Page, list[float]]) -> None:
     table = made[0].table
     assert table[-1].filter == EXACT_SINC
     wanted = clvol.analysis.compare(blob(), [EXACT_SINC], timing=False, points=20_000, max_samples=reports._COMPARED)
@@ -314,12 +314,12 @@ def test_the_loss_from_the_low_pass_is_stated(made: tuple[reports.Report, Page, 
     assert f"The low-pass itself removed {done.table.lost:.3g} (RMS) from the samples" in page.text
 
 
-def test_the_advice_of_a_report_is_that_of_advise(made: tuple[reports.Report, Page, list[float]]) -> None:
+def test_the_advice_of_a_report_matches_advise(made: tuple[reports.Report, Page, list[float]]) -> None:
     given = reports.advise(blob(), [*FEW, EXACT_SINC])
     assert (made[0].advice.filter, made[0].advice.sentences) == (given.filter, given.sentences)
 
 
-def test_smoothing_that_is_auto_is_settled_once(tmp_path: Path, device: Device) -> None:
+def test_automatic_smoothing_is_settled_once(tmp_path: Path, device: Device) -> None:
     noisy = Volume(phantoms.sphere(24).data + np.random.default_rng(0).normal(0, 0.1, (24, 24, 24)).astype(np.float32))
     names = ("linear", "bspline3", "bspline3(auto)")
     done = reports.report(noisy, tmp_path / "a.html", filters=names, pixels=16, device=device)
@@ -331,7 +331,7 @@ def test_smoothing_that_is_auto_is_settled_once(tmp_path: Path, device: Device) 
     assert [row.filter for row in done.table] == ["linear", "bspline3", EXACT_SINC]  # λ is 0 there: one row
 
 
-def test_smoothing_may_differ_from_axis_to_axis(tmp_path: Path, device: Device) -> None:
+def test_smoothing_may_differ_per_axis(tmp_path: Path, device: Device) -> None:
     """A noisy plate: smoothed along it, and hardly across it."""
     z = np.arange(32.0)[:, None, None]
     noise = np.random.default_rng(0).normal(0, 0.1, (32, 32, 32))
@@ -352,7 +352,7 @@ def test_smoothing_may_differ_from_axis_to_axis(tmp_path: Path, device: Device) 
 # -- spectra and pictures ------------------------------------------------------------------------------------------
 
 
-def test_spectra_find_a_wave_where_it_is() -> None:
+def test_spectra_show_a_wave_at_its_frequency() -> None:
     x = np.arange(64)
     data = np.broadcast_to(np.cos(np.pi * 0.75 * x), (5, 2, 64))
     found = spectrum.spectra(Volume(data.copy()))
@@ -363,8 +363,8 @@ def test_spectra_find_a_wave_where_it_is() -> None:
     assert power.sum() == pytest.approx(1)
 
 
-def test_pictures_of_fewer_samples_are_as_opaque(device: Device) -> None:
-    """Opacity is that of a length in the world, not of a sample, of which the decimated volume has fewer."""
+def test_pictures_of_decimated_volumes_are_as_opaque(device: Device) -> None:
+    """Opacity refers to a length in the world, not to a sample."""
     x = np.linspace(-1, 1, 41)
     volume = Volume((2 - x**2 - x[:, None] ** 2 - x[:, None, None] ** 2).astype(np.float32))
     fog = clvol.TransferFunction(((0.0, "white"),), ((0.0, 0.0), (2.0, 0.05)))
@@ -383,7 +383,7 @@ def plane(slope: float, n: int = 48) -> np.ndarray:
     return np.stack([x, slope * x, z], -1).astype(np.float32)
 
 
-def test_close_ups_look_at_what_differs() -> None:
+def test_close_ups_show_the_largest_difference() -> None:
     volume = Volume(np.zeros((9, 9, 9)), (0.25,) * 3, (-1.0,) * 3)
     rgba, position = np.zeros((48, 48, 4), np.float32), plane(0.2)
     position[:4] = np.nan
@@ -397,8 +397,8 @@ def test_close_ups_look_at_what_differs() -> None:
     assert pictures._closer(camera, volume, nothing, {**nothing, "rgba": other}) == camera.zoomed(4)
 
 
-def test_close_ups_do_not_look_at_a_grazing_edge() -> None:
-    """The left half faces the camera and differs little, the right half is seen at 84° and differs most."""
+def test_close_ups_avoid_a_grazing_edge() -> None:
+    """The left half faces the camera and differs little; the right half is seen at 84° and differs most."""
     volume = Volume(np.zeros((9, 9, 9)), (0.25,) * 3, (-1.0,) * 3)
     position = plane(0.2)
     position[:, 24:] = plane(10.0)[:, 24:]
@@ -413,7 +413,7 @@ def test_close_ups_do_not_look_at_a_grazing_edge() -> None:
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_what_shows_fills_the_pictures(device: Device, projection: Any) -> None:
+def test_visible_matter_fills_the_pictures(device: Device, projection: Any) -> None:
     """A small ball in a corner of the volume."""
     z, y, x = np.indices((40, 40, 40))
     volume = Volume((5 - np.sqrt((x - 30) ** 2 + (y - 12) ** 2 + (z - 27) ** 2)).astype(np.float32))

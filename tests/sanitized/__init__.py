@@ -1,1 +1,1 @@
-"""The kernels, sanitized by clang, on the host: `runtime` in the place of OpenCL, and what runs on it."""
+"""The kernels, sanitized by clang, on the host: `runtime` replaces OpenCL; the rest runs on it."""

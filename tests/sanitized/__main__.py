@@ -1,6 +1,6 @@
-"""Runs kernels at the edges of their memory and of their numbers, sanitized: `python -m tests.sanitized few|all|far|fault NAME`.
+"""Runs kernels at the limits of memory and numbers, sanitized: `python -m tests.sanitized few|all|far|fault NAME`.
 
-test_sanitized.py runs this, in an environment that brings the sanitizer (runtime.environment).
+test_sanitized.py runs this, in an environment that loads the sanitizer (runtime.environment).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FAULTS: dict[str, tuple[Any, ...]] = {"overrun": (np.int32(5),), "overflow": (np
 
 
 def fault(name: str) -> None:
-    """What sanitizers are there to see: four bytes past a buffer of five numbers; a product and a number that no int holds."""
+    """Faults that sanitizers must detect: four bytes past a buffer of five numbers; an overflowing product and conversion."""
     kernel = runtime.Kernel(runtime.Program(None, _FAULTS).build(), name)
     kernel(None, (1,), None, runtime.Buffer(None, 0, 20), *FAULTS[name])
 
@@ -36,7 +36,7 @@ LAST = 40  # slices of them
 
 
 def last_slices(runs: Callable[..., None]) -> Callable[..., None]:
-    """Launches along the slices of the long volume take the last of them alone."""
+    """Launches along the slices of the long volume take only the last."""
 
     def run(self: runtime.Kernel, queue: Any, sizes: Any, local: Any, *given: Any, global_offset: Any = None) -> None:
         first = [*(global_offset or [0] * len(sizes))]
@@ -49,7 +49,7 @@ def last_slices(runs: Callable[..., None]) -> Callable[..., None]:
 
 
 def far() -> None:
-    """The far corner of a volume that no int counts the voxels of, and whose bytes no 32 bits count, is that of a short one."""
+    """The far corner of a volume whose voxels overflow int, and whose bytes overflow 32 bits, equals that of a short one."""
     from tests import edges
 
     runtime.Kernel.__call__ = last_slices(runtime.Kernel.__call__)  # type: ignore[method-assign]

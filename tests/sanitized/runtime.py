@@ -31,7 +31,7 @@ from clvol.device import cache, opencl, probe
 HERE = Path(__file__).parent
 VERSIONS = ("", *(f"-{n}" for n in range(14, 23)))  # of clang
 FLAGS = ("-cl-std=CL1.2", "-Xclang", "-finclude-default-header", "-target", "x86_64-pc-linux-gnu")
-# what a mode or a filter has no use for is there for the others; and vectors are wider than the oldest processors' registers
+# a mode or filter may not use what others need; and vectors are wider than the oldest processors' registers
 WARNINGS = ("-Wall", "-Wextra", "-Werror", "-Wno-unused-parameter", "-Wno-unused-function", "-Wno-psabi")
 SANITIZED = ("-O0", "-g1", "-fPIC", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-shared-libasan")
 FILLED = 0x7F  # the bytes of new buffers: large numbers, and no whole number that is an index
@@ -43,7 +43,7 @@ POINTER, VALUE, IMAGE = range(3)  # kinds of arguments
 
 
 def clang() -> str | None:
-    """The compiler, if it is there with what it needs to sanitize."""
+    """The compiler, if it is installed with its sanitizers."""
     for version in VERSIONS:
         found = shutil.which(f"clang{version}")
         if found and _asan(found):
@@ -63,7 +63,7 @@ def _asan(compiler: str) -> str | None:
 
 
 def environment(compiler: str) -> dict[str, str]:
-    """That of a process in which kernels are sanitized."""
+    """The environment of a process that runs sanitized kernels."""
     return {
         **os.environ,
         "LD_PRELOAD": _asan(compiler) or "",
@@ -78,7 +78,7 @@ def _poison(start: int, size: int) -> None:
 
 
 class Buffer:
-    """Memory of its own, even where the host's should be used: mapping brings one to the other."""
+    """Separate memory, even with USE_HOST_PTR: mapping copies between the two."""
 
     _start = 0
 
@@ -112,7 +112,7 @@ class Buffer:
 
 
 class Mapped:
-    """The base of an array that is a buffer's memory."""
+    """The base of an array in a buffer's memory."""
 
     def __init__(self, buffer: Buffer, offset: int, shape: Sequence[int], kind: np.dtype[Any]) -> None:
         self._buffer = buffer
@@ -138,7 +138,7 @@ class Image:
 
 
 class Program:
-    """One kernel file, compiled; the same text only once in a machine."""
+    """One compiled kernel file; each text is compiled once per machine."""
 
     def __init__(self, context: Any, text: str) -> None:
         self.text = text
@@ -206,7 +206,7 @@ def _parameter(text: str) -> tuple[int, str]:
 
 
 def _runner(name: str, parameters: list[tuple[int, str]]) -> str:
-    """A function that calls a kernel with what a table says: pointers, and addresses of values."""
+    """A function that calls a kernel with the table's arguments: pointers, and addresses of values."""
     given = [
         "image" if how == IMAGE else f"({kind})(size_t)table[{i}]" if how == POINTER else f"*(global {kind} *)(size_t)table[{i}]"
         for i, (how, kind) in enumerate(parameters)
@@ -320,7 +320,7 @@ PLATFORM.get_devices = lambda *_: [DEVICE]
 
 
 def module() -> ModuleType:
-    """What clvol imports as pyopencl."""
+    """The module that clvol imports as pyopencl."""
     made = _Module("pyopencl")
     mine = (Buffer, Program, Kernel, enqueue_copy, enqueue_fill_buffer, enqueue_map_buffer, enqueue_marker)
     made.__dict__.update({each.__name__: each for each in mine})
@@ -335,7 +335,7 @@ def module() -> ModuleType:
 
 
 def install() -> None:
-    """From now on clvol computes on this runtime, and on nothing else."""
+    """Make clvol compute on this runtime only."""
     _LIBRARY.memalign.restype = ctypes.c_void_p
     _LIBRARY.memalign.argtypes = [ctypes.c_size_t, ctypes.c_size_t]
     _LIBRARY.free.argtypes = [ctypes.c_void_p]

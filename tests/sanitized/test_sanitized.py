@@ -1,4 +1,4 @@
-"""Kernels compiled by clang with its address and undefined sanitizers do nothing that these object to."""
+"""Kernels compiled with clang's address and undefined-behaviour sanitizers run without a report."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def run(*what: str, seconds: float = 600) -> tuple[int, str]:
-    """The exit status and the output of a process in which kernels are sanitized."""
+    """Exit status and output of a process that runs sanitized kernels."""
     compiler = runtime.clang()
     if compiler is None:
         message = "clang 14 or later with its sanitizers is not installed (Debian: apt install clang-14 libclang-rt-14-dev)"
@@ -55,7 +55,7 @@ def run(*what: str, seconds: float = 600) -> tuple[int, str]:
         ("convert", ["outside the range of representable values of type 'int'"]),
     ],
 )
-def test_faults_are_seen(fault: str, words: Sequence[str]) -> None:
+def test_faults_are_detected(fault: str, words: Sequence[str]) -> None:
     status, output = run("fault", fault, seconds=120)
     assert status != 0
     for each in words:

@@ -1,4 +1,4 @@
-"""Cameras: which way they look, what they see, and what they refuse."""
+"""Cameras: direction, field of view, and invalid arguments."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ CORNERS = [
 
 @pytest.mark.parametrize(("corner", "azimuth", "elevation", "where"), CORNERS)
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_a_marked_corner_appears_where_it_should(
+def test_a_marked_corner_appears_at_its_position(
     device: Device, corner: tuple[int, int, int], azimuth: float, elevation: float, where: str, projection: Any
 ) -> None:
     data = np.zeros((10, 10, 10), np.float32)
@@ -78,8 +78,8 @@ def test_a_marked_corner_appears_where_it_should(
     assert ("right" if right > 20 else "left") == where.split()[1]
 
 
-def test_a_stack_of_images_is_seen_as_viewers_of_images_show_it(device: Device) -> None:
-    """From above: as its array is printed, row 0 at the top and column 0 on the left, slice 0 nearest; what has no frame, z up."""
+def test_a_stack_of_images_is_seen_as_in_image_viewers(device: Device) -> None:
+    """From above, as its array is printed: row 0 at the top, column 0 on the left, slice 0 nearest; without a frame, z is up."""
     data = np.random.default_rng(0).integers(0, 255, (4, 8, 8)).astype(np.uint8)
     above = Camera.orbit(0, 90, projection="orthographic", fit="volume", zoom=(8 * 8 + 4 * 4 + 8 * 8) ** 0.5 / 8)
     options: dict[str, Any] = {"size": (8, 8), "transfer": TransferFunction.ramp((0, 255)), "device": device}
@@ -90,7 +90,7 @@ def test_a_stack_of_images_is_seen_as_viewers_of_images_show_it(device: Device) 
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), ANGLES)
-def test_other_views_of_a_stack_of_images_are_turned_about_x(azimuth: float, elevation: float) -> None:
+def test_other_views_of_a_stack_of_images_are_rotated_about_x(azimuth: float, elevation: float) -> None:
     stack = Volume(BOX.data, BOX.spacing, BOX.origin, space="image")
     mine, plain = (Camera.orbit(azimuth, elevation).view(volume) for volume in (stack, BOX))
     for name in ("right", "up", "forward"):
@@ -117,7 +117,7 @@ def test_look_at_from_inside() -> None:
     np.testing.assert_allclose(view.forward, -np.array([1, 2, -1]) / np.sqrt(6), atol=1e-12)
 
 
-def test_looking_along_up_still_gives_a_picture() -> None:
+def test_looking_along_up_is_valid() -> None:
     for direction in ((0, 0, 1), (0, 0, -1), (0, 0, 1e-300)):
         view = Camera(direction=direction, up=(0, 0, 5)).view(BOX)
         assert np.isfinite(view.right).all()
@@ -127,7 +127,7 @@ def test_looking_along_up_still_gives_a_picture() -> None:
 @pytest.mark.parametrize("aspect", [0.1, 0.5, 1.0, 16 / 9, 7.0])
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 @pytest.mark.parametrize("fov", [5.0, 30.0, 110.0])
-def test_a_fitted_picture_holds_the_bounding_sphere(aspect: float, projection: Any, fov: float) -> None:
+def test_a_fitted_picture_contains_the_bounding_sphere(aspect: float, projection: Any, fov: float) -> None:
     view = Camera.orbit(25, 35, projection=projection, fov=fov).view(BOX, aspect)
     radius = np.linalg.norm(BOX.corners - BOX.center, axis=1).max()
     directions = np.random.default_rng(0).normal(size=(4000, 3))
@@ -196,7 +196,7 @@ def test_errors(case: str) -> None:
         projection=(lambda v: Camera(projection=v), ("fisheye", None, np.array(["a", "b"]))),
     ),
 )
-def test_wrong_options_are_refused(call: Any, bad: Any) -> None:
+def test_wrong_options_are_rejected(call: Any, bad: Any) -> None:
     with pytest.raises(OptionError):
         call(bad)
 
@@ -211,11 +211,11 @@ def test_wrong_options_are_refused(call: Any, bad: Any) -> None:
         look_at=(Camera.look_at, BAD_VECTORS),
     ),
 )
-def test_wrong_vectors_are_refused(call: Any, bad: Any) -> None:
+def test_wrong_vectors_are_rejected(call: Any, bad: Any) -> None:
     with pytest.raises(GeometryError):
         call(bad)
 
 
-def test_numpy_scalars_are_taken() -> None:
+def test_numpy_scalars_are_accepted() -> None:
     camera = Camera(fov=np.float32(40), zoom=np.array(2), distance=np.int64(3), up=np.array([0, 1, 0]))
     assert (camera.fov, camera.zoom, camera.distance, camera.up) == (40, 2, 3, (0, 1, 0))

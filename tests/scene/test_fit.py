@@ -1,4 +1,4 @@
-"""What cameras are fitted to: balls whose place is known, noise, boxes, and nothing at all."""
+"""Fitting cameras: balls at known positions, noise, boxes, and empty volumes."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def test_a_clip_box_cuts_the_matter() -> None:
     assert aside.radius == ball().radius
 
 
-def test_only_opacities_that_show_count() -> None:
-    """A haze of less than a fiftieth of the largest opacity is no matter."""
+def test_only_visible_opacities_count() -> None:
+    """A haze below 1/50 of the largest opacity does not count as matter."""
     hazy = TransferFunction(((0.0, "white"),), ((-99.0, 0.005), (0.0, 0.005), (0.0, 0.5)))
     assert sphere_of_matter(ball(), as_mode("composite"), hazy).radius < 11.5
     thick = hazy.with_opacity(((-99.0, 0.1), (0.0, 0.1), (0.0, 0.5)))
@@ -75,11 +75,11 @@ def test_specks_of_noise_do_not_count(mode: str) -> None:
     data[np.random.default_rng(0).random(data.shape) < 5e-4] = 5.0
     assert sphere_of_matter(replace(volume, data=data), *MODES[mode]).radius < 16  # but those next to it, as of 50 with all
     lonely = np.zeros((40, 40, 40), np.float32)
-    lonely[30, 20, 10] = 5.0  # all that there is
+    lonely[30, 20, 10] = 5.0  # the whole volume
     assert sphere_of_matter(Volume(lonely), *MODES["mip"]).radius < 3
 
 
-def test_large_volumes_are_looked_at_in_steps() -> None:
+def test_large_volumes_are_subsampled() -> None:
     data = np.zeros((130, 200, 260), np.uint8)
     data[60:100, 20:60, 200:240] = 7
     sphere = sphere_of_matter(Volume(data), as_mode("composite"), TransferFunction(SEEN.colors, ((0.5, 0.0), (0.5, 0.5))))
@@ -89,7 +89,7 @@ def test_large_volumes_are_looked_at_in_steps() -> None:
 
 
 @pytest.mark.parametrize("data", [np.zeros((9, 8, 7)), np.ones((1, 1, 1)), np.full((5, 5, 5), 3.0)])
-def test_where_nothing_shows_it_is_the_volumes_own(data: np.ndarray) -> None:
+def test_an_invisible_volume_is_fitted_to_its_box(data: np.ndarray) -> None:
     volume = Volume(data)
     for mode in (as_mode("isosurface", {"isovalue": 2.0}), as_mode("composite")):
         sphere = sphere_of_matter(volume, mode, TransferFunction(((0.0, "white"),), ((0.0, 0.0),)))
@@ -100,7 +100,7 @@ def test_where_nothing_shows_it_is_the_volumes_own(data: np.ndarray) -> None:
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 @pytest.mark.parametrize("elevation", [-70, 0, 20, 90])
 @pytest.mark.parametrize("aspect", [0.5, 1.5])
-def test_orbits_are_steady_and_all_of_it_is_in_the_picture(projection: Any, elevation: float, aspect: float) -> None:
+def test_orbits_are_steady_and_contain_the_matter(projection: Any, elevation: float, aspect: float) -> None:
     data = np.zeros((40, 40, 40), np.uint8)
     data[5:9, 4:30, 6:34] = data[5:30, 20:26, 30:34] = 1  # a slab with a column on one side
     volume, look = Volume(data), (as_mode("composite"), TransferFunction(SEEN.colors, ((0.5, 0.0), (0.5, 0.5))))
@@ -123,7 +123,7 @@ GIVEN = [{"target": (1, 2, 3)}, {"distance": 4.0}, {"position": (9, 9, 9)}, {"ra
 
 
 @pytest.mark.parametrize("given", GIVEN)
-def test_what_is_given_stays(given: dict[str, Any]) -> None:
+def test_given_options_are_kept(given: dict[str, Any]) -> None:
     camera = Camera(**given)
     assert fitted(camera, ball(), *MODES["isosurface"]) is camera
 

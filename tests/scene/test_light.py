@@ -16,7 +16,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.light import HEADLIGHT, KIT, MAX_LIGHTS, Light, Material
 
 
-def test_directions_are_made_unit() -> None:
+def test_directions_are_normalised() -> None:
     assert Light((0, 3, 4)).direction == pytest.approx((0, 0.6, 0.8))
     assert HEADLIGHT.direction is None
     assert Light(color="red").color == (1, 0, 0)  # type: ignore[arg-type]
@@ -29,7 +29,7 @@ def test_colours() -> None:
     assert color_of("c", np.array([1, 0, 0])) == (1, 0, 0)  # type: ignore[arg-type]
 
 
-def test_each_share_of_light_on_a_sphere(device: Device) -> None:
+def test_each_component_of_light_on_a_sphere(device: Device) -> None:
     """Ambient everywhere; diffuse towards the light; a highlight halfway between light and viewer."""
     volume, camera = phantoms.sphere(32), Camera.orbit(0, 0, projection="orthographic", fit="volume")
     options: dict[str, Any] = {"camera": camera, "mode": "isosurface", "isovalue": 0.5, "color": "white"}
@@ -67,7 +67,7 @@ def test_lights_add_up(device: Device) -> None:
 
 
 def test_lights_that_move_with_the_camera(device: Device) -> None:
-    """Right, up and towards the viewer, in any view."""
+    """Right, up and towards the viewer, in every view."""
     volume, camera = phantoms.sphere(32), Camera.orbit(40, 25, projection="orthographic", fit="volume")
     options: dict[str, Any] = {"camera": camera, "mode": "isosurface", "isovalue": 0.5, "color": "white", "rays": 1}
     options |= {"size": (65, 65), "device": device, "outputs": ("rgba", "normal"), "material": Material(0, 1, 0, 1)}
@@ -78,7 +78,7 @@ def test_lights_that_move_with_the_camera(device: Device) -> None:
         np.testing.assert_allclose(got["rgba"][hit][:, 0], np.maximum(got["normal"][hit] @ axis, 0), atol=1e-5)
 
 
-def test_the_kit_lights_all_that_faces_the_viewer_and_no_more_than_fully() -> None:
+def test_the_default_lights_reach_all_visible_surfaces_without_overexposure() -> None:
     normals = np.random.default_rng(0).normal(size=(5000, 3))
     normals[:, 2] = np.abs(normals[:, 2])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -122,11 +122,11 @@ def test_errors(case: str) -> None:
         (lambda: Material(diffuse=True), OptionError),
     ],
 )
-def test_wrong_types_are_refused(make: Any, kind: type[ClvolError]) -> None:
+def test_wrong_types_are_rejected(make: Any, kind: type[ClvolError]) -> None:
     with pytest.raises(kind):
         make()
 
 
-def test_numpy_scalars_are_taken() -> None:
+def test_numpy_scalars_are_accepted() -> None:
     assert Material(np.float32(0.5), np.int64(1), np.array(0.25), 2) == Material(0.5, 1.0, 0.25, 2.0)
     assert Light(np.array([0, 0, 2])).direction == (0, 0, 1)

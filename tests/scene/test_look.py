@@ -1,4 +1,4 @@
-"""What is asked for of a look, and presets: each keyword changes what it names, and leaves the rest."""
+"""Look options and presets: each keyword changes what it names, and nothing else."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LABELS = Volume(np.where(FAR < 4, 7, np.where(FAR < 8, 2, 0)).astype(np.uint16),
 
 @pytest.mark.parametrize("mode", modes())
 @pytest.mark.parametrize("volume", [SCAN, LABELS], ids=["scan", "labels"])
-def test_nothing_asked_for_is_the_modes_own(volume: Volume, mode: str) -> None:
+def test_without_options_the_mode_decides(volume: Volume, mode: str) -> None:
     assert look(volume, mode) == modes()[mode].transfer(volume)
 
 
@@ -53,7 +53,7 @@ def test_a_window_is_a_center_and_a_width(mode: str) -> None:
     assert look(SCAN, mode, window=(80, 100)).value_range == (30, 130)
 
 
-def test_the_sources_clim_is_heeded() -> None:
+def test_the_volumes_clim_is_used() -> None:
     wanted = replace(SCAN, clim=(-50.0, 120.0))
     assert look(wanted, "mip").value_range == (-50, 120)
     assert look(wanted, "mip", window=(80, 100)).value_range == (30, 130)
@@ -66,7 +66,7 @@ def test_the_sources_clim_is_heeded() -> None:
     )
 
 
-def test_a_channels_color_is_that_of_its_light() -> None:
+def test_a_channel_has_the_colour_of_its_light() -> None:
     green = replace(SCAN, color="lime")
     brightest = look(green, "mip")(1e6)[:3]
     np.testing.assert_array_equal(brightest, (0, 1, 0))
@@ -74,13 +74,13 @@ def test_a_channels_color_is_that_of_its_light() -> None:
     assert shade[1] > shade[0] == shade[2]
 
 
-def test_few_samples_are_not_too_thin_to_be_seen() -> None:
+def test_few_samples_are_visible() -> None:
     fine, coarse = (Volume(np.arange(n**3).reshape(n, n, n) % 7.0, spacing=(64 / n,) * 3) for n in (64, 16))
     assert look(fine, "composite").unit_distance is None
     assert look(coarse, "composite").unit_distance == pytest.approx(1, rel=0.02)
 
 
-def test_each_label_has_one_color() -> None:
+def test_each_label_has_one_colour() -> None:
     for mode in ("composite", "mip", "minip"):
         chosen = look(LABELS, mode)
         for number in (2, 7):
@@ -96,7 +96,7 @@ def test_each_label_has_one_color() -> None:
     assert np.abs(np.diff(colors, axis=0)).max(1).min() > 0.25  # neighbours differ clearly
 
 
-def test_labels_of_any_type_have_colors() -> None:
+def test_labels_of_any_dtype_have_colours() -> None:
     for data in (LABELS.data.astype(">i4"), LABELS.data.astype(np.float64), LABELS.data.astype(np.uint64) * 2**30):
         numbers = np.unique(data).astype(np.float64)
         chosen = look(Volume(data, labels=True), "composite")
@@ -114,7 +114,7 @@ def test_labels_are_not_blended_in_pictures(device: Device) -> None:
 
 @pytest.mark.parametrize("name", clvol.presets())
 @pytest.mark.parametrize("mode", ["composite", "mip", "mean"])
-def test_presets_show_something_and_no_air(name: str, mode: str) -> None:
+def test_presets_show_matter_and_hide_air(name: str, mode: str) -> None:
     row, volume = clvol.presets()[name], LABELS if name == "labels" else CT
     assert row.name == name
     assert row.description

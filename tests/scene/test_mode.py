@@ -1,4 +1,4 @@
-"""Modes: a class, a kernel file and a reference each; options are fields, and foreign ones are refused by name."""
+"""Modes: a class, a kernel file and a reference each; options are fields, and options of other modes are rejected by name."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_the_table_is_a_copy() -> None:
 
 
 @pytest.mark.parametrize("name", modes())
-def test_every_option_is_a_field_that_is_described(name: str) -> None:
+def test_every_option_is_a_documented_field(name: str) -> None:
     for option, says in mode_options(modes()[name]).items():
         assert option in every_option()
         assert len(says) > 10, option
@@ -60,7 +60,7 @@ def test_unknown_modes(wrong: Any) -> None:
         as_mode(wrong)
 
 
-def test_options_of_other_modes_are_refused_by_name() -> None:
+def test_options_of_other_modes_are_rejected_by_name() -> None:
     with pytest.raises(OptionError, match="isovalue is no option of mip, but of isosurface; mip has none"):
         as_mode("mip", {"isovalue": 0.5})
     with pytest.raises(OptionError, match="shading is no option of mean, but of composite and isosurface; mean has none"):
@@ -90,7 +90,7 @@ def test_bad_values_of_options(case: str) -> None:
         as_mode(mode, options)
 
 
-def test_options_change_a_mode_and_leave_the_rest() -> None:
+def test_options_change_only_what_they_name() -> None:
     mode = as_mode(Isosurface(0.5, color="red"), {"shading": np.bool_(False)})
     assert mode == Isosurface(0.5, (1.0, 0.0, 0.0), shading=False)
     assert not mode.shaded
@@ -98,7 +98,7 @@ def test_options_change_a_mode_and_leave_the_rest() -> None:
     assert not as_mode("mip").shaded
 
 
-def test_what_is_left_open_is_settled_for_a_volume() -> None:
+def test_automatic_options_are_settled_for_a_volume() -> None:
     volume = phantoms.marschner_lobb(11)
     assert as_mode("isosurface").settled(volume) == Isosurface(isovalue_of(volume)[0])
     assert Isosurface(0.2).settled(volume) == Isosurface(0.2)
@@ -129,8 +129,8 @@ def test_a_mode_is_a_class() -> None:
         as_mode(Mode())
 
 
-def test_a_mode_of_ones_own_is_drawn_as_it_says(device: Device) -> None:
-    """Its looks are its own: nothing is remembered from another instance of its class."""
+def test_a_custom_mode_renders_with_its_own_look(device: Device) -> None:
+    """Looks are per instance, not cached per class."""
 
     @dataclass(frozen=True)
     class Window(Mip):
@@ -161,7 +161,7 @@ def test_attenuation_of_nothing_is_the_maximum(device: Device) -> None:
     np.testing.assert_array_equal(same["depth"], plain["depth"])
 
 
-def test_what_is_near_stands_out(device: Device) -> None:
+def test_near_matter_is_brighter(device: Device) -> None:
     """Two equal balls, one behind the other: the farther one is exp(-attenuation d) as bright, d in sphere diameters."""
     data = np.zeros((41, 41, 41), np.float32)
     z, y, x = np.indices(data.shape)
@@ -203,21 +203,21 @@ def test_bad_attenuation(bad: Any) -> None:
         ("BLOCK", Block("evil", a=FLOAT), "BLOCK must be a 'mode_block'"),
     ],
 )
-def test_modes_made_by_hand_are_looked_at_before_a_compiler_sees_them(what: str, wrong: object, message: str) -> None:
+def test_custom_modes_are_checked_before_compilation(what: str, wrong: object, message: str) -> None:
     made = type("Made", (Mip,), {what: wrong})
     for one in (made, made()):
         with pytest.raises(OptionError, match=re.escape(message)):
             as_mode(one)
 
 
-def test_a_mode_whose_name_was_changed_is_refused() -> None:
+def test_a_renamed_mode_is_rejected() -> None:
     mode = Mip()
     object.__setattr__(mode, "name", "#include <evil>")
     with pytest.raises(OptionError, match="name must be lowercase letters"):
         as_mode(mode)
 
 
-def test_every_mode_of_the_table_is_sound() -> None:
+def test_every_mode_of_the_table_is_valid() -> None:
     for mode in modes().values():
         assert as_mode(mode) == mode
         assert as_mode(type(mode)) == mode

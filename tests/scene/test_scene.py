@@ -1,4 +1,4 @@
-"""Scenes and media: what they take, what they refuse, and that they draw what volumes draw."""
+"""Scenes and media: arguments, errors, and the same pictures as volumes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RED = TransferFunction(((0.0, "black"), (1.0, "red")), ((0.0, 0.0), (1.0, 0.5)))
 CAMERA, SIZE = Camera.orbit(20, 30), (24, 20)
 
 
-def test_a_scene_draws_what_its_parts_draw(device: Device) -> None:
+def test_a_scene_renders_as_its_parts_do(device: Device) -> None:
     volume = Volume(DATA, (1.0, 0.8, 1.3))
     matte, light, box = Material(specular=0.0), Light((1, 2, 3)), ((0.5, 0.5, 0.5), (3.0, 3.5, 6.0))
     scene = Scene(Medium(volume, RED, matte, "mitchell", "wrap"), light, "white", box)
@@ -41,7 +41,7 @@ def test_a_scene_draws_what_its_parts_draw(device: Device) -> None:
     assert not np.array_equal(got, clvol.render(volume, CAMERA, size=SIZE, device=device))
 
 
-def test_what_is_given_stands_instead_of_the_scenes(device: Device) -> None:
+def test_explicit_arguments_override_the_scene(device: Device) -> None:
     scene = Scene(Medium(DATA, RED), background="white", clip=((0, 0, 0), (2, 2, 2)))
     with clvol.Renderer(scene, device=device) as renderer:
         plain = renderer.render(CAMERA, size=SIZE, background="black", clip=None, transfer=RED)
@@ -54,7 +54,7 @@ def test_what_is_given_stands_instead_of_the_scenes(device: Device) -> None:
 @pytest.mark.parametrize(
     "scene", [DATA, Volume(DATA), Medium(DATA), Scene(DATA), Scene([Medium(DATA)]), Scene([Volume(DATA)]), DATA.tolist()]
 )
-def test_whatever_holds_a_volume_is_a_scene(scene: Any) -> None:
+def test_anything_with_a_volume_is_a_scene(scene: Any) -> None:
     (medium,) = as_scene(scene).media
     np.testing.assert_array_equal(medium.volume.data, DATA)
     assert medium.filter is None  # the mode decides
@@ -68,7 +68,7 @@ def test_a_box_cannot_be_changed() -> None:
         scene.clip[0][0] = 1.0  # type: ignore[index]
 
 
-def test_a_field_is_drawn_as_it_is_and_stays(device: Device) -> None:
+def test_a_field_is_used_as_is_and_stays_open(device: Device) -> None:
     with clvol.Field(DATA, "mitchell", "wrap", device) as field:
         renderer = clvol.Renderer(field)
         want = clvol.render(DATA, CAMERA, "composite", filter="mitchell", boundary="wrap", size=SIZE, device=device)
@@ -109,7 +109,7 @@ REFUSED: dict[str, tuple[Any, type[ClvolError], str]] = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_refused(case: str) -> None:
+def test_invalid_scenes_are_rejected(case: str) -> None:
     make, error, message = REFUSED[case]
     with pytest.raises(error, match=message):
         make()

@@ -1,4 +1,4 @@
-"""Transfer functions: the exact function, its table, and what is guessed from a histogram."""
+"""Transfer functions: the exact function, its table, and the automatic one from a histogram."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from clvol.volume.volume import Volume
 SOME = TransferFunction(((-1.0, "red"), (0.0, (0, 1, 0)), (3.0, "#0000ff")), ((-0.5, 0.0), (1.0, 0.8), (2.0, 0.1)))
 
 
-def test_points_are_met_and_lines_lie_between() -> None:
+def test_linear_between_points() -> None:
     np.testing.assert_allclose(SOME([-1, 0, 3])[:, :3], np.eye(3))
     np.testing.assert_allclose(SOME([-0.5, 1, 2])[:, 3], [0, 0.8, 0.1])
     np.testing.assert_allclose(SOME(1.5), [0, 0.5, 0.5, 0.45])
@@ -33,7 +33,7 @@ MANY = TransferFunction.from_cmap("viridis", (0, 1), [(0.30003, 0.0), (0.5, 0.3)
 
 
 def looked_up(transfer: TransferFunction, values: NDArray[np.float32], stored: Stored = AS_THEY_ARE) -> NDArray[np.float64]:
-    """Colours and opacities of stored values, from what kernels read."""
+    """Colours and opacities of stored values, from the table that kernels read."""
     block, table = transfer.block(1.0, stored), transfer.table(stored).astype(np.float64)
     assert transfer.table(stored).dtype == np.float32
     if not block["pieces"]:
@@ -51,7 +51,7 @@ def looked_up(transfer: TransferFunction, values: NDArray[np.float32], stored: S
 
 @pytest.mark.parametrize("points", [5, 7, 40])
 def test_infinite_values_lie_in_the_last_piece(points: int) -> None:
-    """Bounds may be infinite, and whatever rays hold that have ended: comparisons may not lead past the table."""
+    """Bounds may be infinite, and so may finished rays' values: the search must stay within the table."""
     at = np.sqrt(np.arange(1.0, points + 1))
     chosen = TransferFunction(tuple((x, "red") for x in at), ((at[0], 0.2), (at[-1], 0.9)))
     table, pieces = chosen.table(), int(chosen.block(1.0)["pieces"])
@@ -66,19 +66,19 @@ def test_infinite_values_lie_in_the_last_piece(points: int) -> None:
 
 @pytest.mark.parametrize(("transfer", "pieces"), [(SOME, 0), (ODD, 6), (MANY, 68)], ids=["equal nodes", "few", "many"])
 @pytest.mark.parametrize(("offset", "exponent"), [(0.0, 0), (0.5, 0), (-0.75, -3), (0.125, 140)])
-def test_what_kernels_read_is_the_function(transfer: TransferFunction, pieces: int, offset: float, exponent: int) -> None:
+def test_the_table_represents_the_function(transfer: TransferFunction, pieces: int, offset: float, exponent: int) -> None:
     low, high = transfer.value_range
     values = np.concatenate([np.random.default_rng(0).uniform(low - 0.2, high + 0.2, 5000), [p[0] for p in transfer.colors]])
     way = Stored(offset, exponent)
     stored = np.ldexp(values - offset, -exponent).astype(np.float32)
     back = np.ldexp(stored.astype(np.float64), exponent) + offset
-    if exponent < 100:  # else they are hardly numbers of float32
+    if exponent < 100:  # else they are near the limits of float32
         assert transfer.block(1.0, way)["pieces"] == pieces
         np.testing.assert_allclose(looked_up(transfer, stored, way), transfer(back), rtol=0, atol=3e-6)
     assert np.isfinite(looked_up(transfer, stored, way)).all()
 
 
-def test_equal_nodes_serve_points_that_lie_on_them() -> None:
+def test_equal_nodes_represent_points_on_them() -> None:
     for stops in (2, 3, 5, 64, 257, 1025):
         at = np.linspace(-3, 7, stops)
         block = TransferFunction(tuple((float(x), (1.0, 1.0, 1.0)) for x in at), ((-3.0, 1.0),)).block(1.0)
@@ -86,7 +86,7 @@ def test_equal_nodes_serve_points_that_lie_on_them() -> None:
         assert block["last"] % (stops - 1) == 0
 
 
-def test_nearly_opaque_matter_is_known_by_what_it_lets_through() -> None:
+def test_nearly_opaque_matter_is_stored_as_transmittance() -> None:
     fog = TransferFunction(((0.0, "white"),), ((0.0, 1 - 1e-7), (1.0, 1 - 1e-6)))
     assert fog.block(1.0)["pieces"] == 3
     pieces = fog.table()[:36].reshape(-1, 3, 4)
@@ -168,7 +168,7 @@ def test_errors(case: str) -> None:
         *(lambda bad=bad: TransferFunction.ramp(bad) for bad in (3, None, (1, 0), "ab")),
     ],
 )
-def test_wrong_types_are_refused(make: Any) -> None:
+def test_wrong_types_are_rejected(make: Any) -> None:
     with pytest.raises(OptionError):
         make()
 
@@ -183,7 +183,7 @@ def test_ranges_of_any_size(scale: float) -> None:
         table = chosen.table()
         assert np.isfinite(table[: 12 * int(chosen.block(1.0)["pieces"]) or None]).all()
         assert np.isfinite(chosen([0, scale, -scale])).all()
-        if 1e-37 < scale < 1e37:  # else float32 holds no such numbers or slopes
+        if 1e-37 < scale < 1e37:  # else float32 cannot represent these numbers or slopes
             red = looked_up(chosen, np.array(chosen.value_range, np.float32))[:, 0]
             assert red[0] < red[1] == pytest.approx(chosen(scale)[0])
 
@@ -203,7 +203,7 @@ def test_few_values(values: list[float]) -> None:
         assert np.isfinite(chosen.table()[: 12 * int(chosen.block(1.0)["pieces"]) or None]).all()
 
 
-def test_it_is_chosen_where_the_sparse_sample_holds_no_finite_value() -> None:
+def test_automatic_when_the_subsample_has_no_finite_value() -> None:
     data = np.full((2, 4_000_000), np.nan)
     data[1, 1::2] = [1, 2] * 1_000_000
     assert 1 <= isovalue_of(data)[0] <= 2

@@ -1,4 +1,4 @@
-"""Movies as files, and the command that makes them."""
+"""Movie files, and the command that creates them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COMMAND = ("movie", "phantom:marschner-lobb:24", "--size", "48", "40", "--mode",
 
 
 def bars(count: int, width: int = 48, height: int = 32) -> Iterator[NDArray[np.uint8]]:
-    """A red bar on blue that walks to the right."""
+    """A red bar on blue that moves to the right."""
     for i in range(count):
         picture = np.zeros((height, width, 4), np.uint8)
         picture[...] = (0, 0, 200, 255)
@@ -55,7 +55,7 @@ def frames_of(path: Path) -> list[NDArray[np.uint8]]:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_pictures_come_back_in_order(form: str, tmp_path: Path) -> None:
+def test_frames_are_read_back_in_order(form: str, tmp_path: Path) -> None:
     path = tmp_path / f"a.{form}"
     movies.write(bars(5), path, form, 20)
     made = frames_of(path)
@@ -77,7 +77,7 @@ def test_videos_of_odd_size_lose_a_pixel_and_keep_their_colours(form: str, tmp_p
 
 
 @pytest.mark.parametrize("form", movies.FORMATS)
-def test_no_pictures_are_no_movie(form: str, tmp_path: Path) -> None:
+def test_a_movie_needs_frames(form: str, tmp_path: Path) -> None:
     if form in ("mp4", "webm"):
         pytest.importorskip("imageio_ffmpeg")
     with pytest.raises(OptionError, match="pictures must be at least one; got none"):
@@ -85,7 +85,7 @@ def test_no_pictures_are_no_movie(form: str, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_transparent_is_black_and_stays_so_in_a_zip(tmp_path: Path) -> None:
+def test_transparency_is_black_in_videos_and_kept_in_a_zip(tmp_path: Path) -> None:
     half = np.full((4, 6, 4), (200, 100, 50, 128), np.uint8)
     movies.write([half, half], tmp_path / "a.gif", "gif")
     assert np.abs(frames_of(tmp_path / "a.gif")[0].astype(int) - (100, 50, 25)).max() <= 1
@@ -94,7 +94,7 @@ def test_what_is_transparent_is_black_and_stays_so_in_a_zip(tmp_path: Path) -> N
         np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(archive.read("0000.png")))), half)
 
 
-def test_without_an_encoder_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_encoder_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(movies.importlib.util, "find_spec", lambda _: None)  # type: ignore[attr-defined]
     for form in ("mp4", "webm"):
         with pytest.raises(MissingDependencyError, match=r"pip install clvol\[movie\]"):
@@ -128,7 +128,7 @@ def test_the_command(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_a_cluster_makes_the_same_movie(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A task a picture: in the order of the pictures, few of them waiting."""
+    """One task per picture, in order, with few pending."""
     pytest.importorskip("distributed")
     volume, cameras, told = clvol.phantoms.marschner_lobb(24), clvol.Camera.turntable(9), list[float]()
     alone = [picture.copy() for picture in frames(volume, cameras, mode="mip", size=(30, 20))]
@@ -141,7 +141,7 @@ def test_a_cluster_makes_the_same_movie(tmp_path: Path, capsys: pytest.CaptureFi
         assert told == [(i + 1) / 9 for i in range(9)]
         coming = frames(volume, [*cameras, None], cluster=cluster, mode="mip", size=(30, 20))
         next(coming)
-        coming.close()  # what is not wanted is not drawn
+        coming.close()  # unrequested frames are not rendered
         with pytest.raises(OptionError, match="lod"):
             list(frames(volume, cameras, cluster=cluster, lod=-1))
         made = []
@@ -169,7 +169,7 @@ def test_a_cluster_makes_the_same_movie(tmp_path: Path, capsys: pytest.CaptureFi
     ],
     ids=str,
 )
-def test_what_is_refused(
+def test_invalid_movies_are_rejected(
     options: list[str], code: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -212,7 +212,7 @@ main({[*COMMAND, "-o", f"a.{form}", "--frames", "5000"]!r})
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupt_is_one_though_what_follows_fails(
+def test_an_interrupt_propagates_even_if_cleanup_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Python's own rmtree closes a folder twice if it is interrupted in between."""
@@ -231,8 +231,8 @@ def test_an_interrupt_is_one_though_what_follows_fails(
     assert (end.value.code, capsys.readouterr().err) == (130, "clvol: interrupted\n")
 
 
-def test_pictures_are_of_one_volume_and_of_cameras() -> None:
-    """Which is said before the first one is asked for."""
+def test_invalid_arguments_are_rejected_before_the_first_frame() -> None:
+    """Before the first picture is rendered."""
     volume = clvol.Volume(np.zeros((4, 5, 6), np.float32))
     with pytest.raises(OptionError, match=r"source must be one volume; got 2: clvol\.batch takes several"):
         frames([volume, volume], [None])

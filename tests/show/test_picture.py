@@ -55,19 +55,19 @@ def test_values_are_rounded_clipped_and_nan_is_black() -> None:
 
 
 @pytest.mark.parametrize("shape", [(), (3,), (2, 3, 2), (2, 3, 5), (2, 2, 2, 3), (0, 3), (3, 0, 3)], ids=str)
-def test_what_is_no_picture_is_refused(shape: tuple[int, ...]) -> None:
+def test_arrays_that_are_not_pictures_are_rejected(shape: tuple[int, ...]) -> None:
     with pytest.raises(OptionError, match=r"a picture has shape"):
         to_bytes(np.zeros(shape, np.float32))
 
 
 @pytest.mark.parametrize("dtype", [np.int32, np.uint16, np.complex64, object, "U1"], ids=str)
-def test_other_types_of_values_are_refused(dtype: type) -> None:
+def test_other_dtypes_are_rejected(dtype: type) -> None:
     with pytest.raises(OptionError, match=r"floating values in 0\.\.1, or uint8"):
         to_bytes(np.zeros((2, 2), dtype))
 
 
 @pytest.mark.parametrize("name", ["a.gif", "a", ".png", "a.png.txt", "a.npy"])
-def test_unknown_suffixes_leave_nothing_behind(tmp_path: Path, name: str) -> None:
+def test_unknown_suffixes_leave_no_file(tmp_path: Path, name: str) -> None:
     with pytest.raises(FormatError, match=r"pictures are written as \.png"):
         save(np.zeros((2, 2)), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
@@ -101,7 +101,7 @@ def test_a_failed_write_leaves_the_old_picture(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("shape", [(60, 80), (60, 80, 1), (60, 80, 3), (60, 80, 4)], ids=str)
-def test_a_label_is_a_band_beneath_the_picture(shape: tuple[int, ...]) -> None:
+def test_a_label_is_a_band_below_the_picture(shape: tuple[int, ...]) -> None:
     picture = np.full(shape, 0.2, np.float32)
     if shape[2:] == (4,):
         picture[..., 3] = 1
@@ -114,7 +114,7 @@ def test_a_label_is_a_band_beneath_the_picture(shape: tuple[int, ...]) -> None:
     assert (labelled(picture, " ")[60:] == sheet[60, 0]).all()
 
 
-def test_what_is_transparent_is_black_in_a_labelled_picture() -> None:
+def test_transparency_is_black_in_a_labelled_picture() -> None:
     picture = np.ones((9, 9, 4), np.float32)
     picture[:, :4, 3] = 0
     picture[:, 4:, 3] = 0.5
@@ -139,7 +139,7 @@ def test_a_grid_of_floating_pictures_has_eight_bits() -> None:
     assert grid([np.ones((2, 2, 3), np.float32)], 1).tolist() == np.full((2, 2, 3), 255).tolist()
 
 
-def test_a_grid_of_nothing_or_of_different_pictures_is_refused() -> None:
+def test_empty_and_mixed_grids_are_rejected() -> None:
     with pytest.raises(OptionError, match=r"one or more pictures of one shape; got \[\]"):
         grid([], 3)
     with pytest.raises(OptionError, match=r"one shape"):
@@ -163,12 +163,12 @@ def test_a_grid_of_nothing_or_of_different_pictures_is_refused() -> None:
         *(partial(grid, [np.zeros((2, 2))], 1, gap) for gap in (-1, *BAD_WHOLE)),
     ],
 )
-def test_wrong_types_are_refused(call) -> None:  # type: ignore[no-untyped-def]
+def test_wrong_types_are_rejected(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()
 
 
-def test_heat_rises_from_black_to_white_and_shows_where_there_is_none() -> None:
+def test_heat_rises_from_black_to_white_and_marks_missing_values() -> None:
     colors = heat([[0.0, 0.25, 0.5, 0.75, 1.0, 7.0, np.nan]])
     assert colors.shape == (1, 7, 3)
     brightness = colors[0, :5].sum(-1)
@@ -178,7 +178,7 @@ def test_heat_rises_from_black_to_white_and_shows_where_there_is_none() -> None:
     assert colors[0, 6].argmax() == 2
 
 
-def test_a_heat_map_has_its_scale_beneath() -> None:
+def test_a_heat_map_has_its_scale_below() -> None:
     values = np.linspace(0, 0.019, 60 * 240).reshape(60, 240)
     values[0, 0] = np.nan
     picture = heat_with_scale(values, "mm", "within")
@@ -200,6 +200,6 @@ def test_scales_end_at_round_numbers(most: float, top: float) -> None:
 
 
 @pytest.mark.parametrize("values", [np.zeros(3), np.zeros((2, 2, 2)), np.zeros((0, 4))], ids=str)
-def test_a_heat_map_is_of_a_plane(values: np.ndarray) -> None:
+def test_a_heat_map_needs_two_dimensions(values: np.ndarray) -> None:
     with pytest.raises(OptionError, match=r"shape \(height, width\)"):
         heat_with_scale(values)

@@ -27,7 +27,7 @@ VOID = {"img", "meta", "br"}
 
 
 class Page(HTMLParser):
-    """Tags that close, texts, and pictures of a piece of HTML."""
+    """Tags, texts and pictures of an HTML fragment, whose tags must close."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class Page(HTMLParser):
 
 
 def marked(space: str = "", **about: Any) -> clvol.Volume:
-    """Dark but for the middle of its sides at low z (50), low y (100) and low x (200)."""
+    """Dark except the centres of its sides at low z (50), low y (100) and low x (200)."""
     data = np.zeros((3, 3, 3), np.uint8)
     data[0, 1, 1], data[1, 0, 1], data[1, 1, 0] = 50, 100, 200  # low z, low y, low x
     return clvol.Volume(data, space=space, clim=(0, 255), **about)
@@ -73,7 +73,7 @@ def marked(space: str = "", **about: Any) -> clvol.Volume:
     ids=["patient", "image", "none"],
 )
 @pytest.mark.parametrize("turned", [False, True], ids=["along", "against"])
-def test_slices_are_turned_as_the_world_is_seen(
+def test_slices_are_oriented_as_seen_in_the_world(
     space: str, y_down: bool, z_down: bool, names: tuple[str, ...], turned: bool
 ) -> None:
     volume = marked(space)
@@ -95,7 +95,7 @@ def test_slices_are_turned_as_the_world_is_seen(
         assert picture[end if runs_down else last, 80] == down
 
 
-def test_a_volume_says_what_it_is() -> None:
+def test_a_volume_shows_its_metadata() -> None:
     page = Page(marked("LPS", spacing=(1, 2, 3), units="mm", name="<b>bold & bright</b>")._repr_html_())
     assert [p.shape[:2] for p in page.pictures] == [(160, 80), (160, 53), (160, 107)]
     assert "<b>bold & bright</b>" in page.texts
@@ -125,12 +125,12 @@ def test_every_volume_shows_itself(data: np.ndarray) -> None:
 
 
 def bars(page: str) -> list[tuple[float, float]]:
-    """Of a histogram: where each begins, and its height."""
+    """Start and height of each histogram bar."""
     path = page.rpartition('<path d="')[2].partition('"')[0]
     return [(float(x), float(h)) for x, h in re.findall(r"M([\d.]+) [\d.]+v-([\d.]+)", path)]
 
 
-def test_a_volume_shows_how_many_samples_have_which_value() -> None:
+def test_a_volume_shows_its_histogram() -> None:
     data = np.repeat(np.array([3, 4, 6], np.uint8), (1000, 100, 10)).reshape(10, 111, 1)
     found = bars(clvol.Volume(data)._repr_html_())
     assert [x for x, _ in found] == [0, 90, 270]  # a quarter each for 3, 4, 5 and 6
@@ -141,7 +141,7 @@ def test_a_volume_shows_how_many_samples_have_which_value() -> None:
     np.testing.assert_allclose([h for _, h in many], 92, rtol=0.02)
 
 
-def test_a_field_shows_its_kernel_and_what_it_is_made_of(device: clvol.Device) -> None:
+def test_a_field_shows_its_kernel_and_properties(device: clvol.Device) -> None:
     field = clvol.Field(clvol.Volume(np.ones((3, 4, 5), np.float32)), "bspline3", device=device)
     texts = Page(field._repr_html_()).texts
     for text in ("Field", "3 × 4 × 5 float32", "bspline3", "mirror", device.name):
@@ -150,7 +150,7 @@ def test_a_field_shows_its_kernel_and_what_it_is_made_of(device: clvol.Device) -
     assert "freed, the field is closed" in Page(field._repr_html_()).texts
 
 
-def test_several_volumes_show_the_first_few_in_their_colours() -> None:
+def test_volumes_show_the_first_few_in_their_colours() -> None:
     leading = Leading(("time", "channel"), (3, 2), {"channel": ("DAPI", "GFP")}, ((0, 0, 1), (0, 1, 0)), ((0, 1), None))
     page = Page(clvol.Volumes(np.ones((3, 2, 4, 5, 6), np.uint8), leading=leading)._repr_html_())
     assert len(page.pictures) == 4
@@ -231,7 +231,7 @@ def test_a_picture_is_its_array() -> None:
 @pytest.mark.parametrize(
     "again", [copy.copy, copy.deepcopy, lambda p: pickle.loads(pickle.dumps(p))], ids=["copy", "deep", "pickle"]
 )
-def test_a_picture_stays_one_when_it_is_copied(again: Any) -> None:
+def test_a_copied_picture_is_a_picture(again: Any) -> None:
     picture = Picture(np.arange(6.0).reshape(2, 3), "depth")
     other = again(picture)
     assert type(other) is Picture
@@ -239,7 +239,7 @@ def test_a_picture_stays_one_when_it_is_copied(again: Any) -> None:
     np.testing.assert_array_equal(other, picture)
 
 
-def test_outputs_are_shown_as_what_they_are() -> None:
+def test_outputs_are_displayed_by_kind() -> None:
     depth = Picture(np.array([[2.0, 4.0, np.inf]]), "depth")
     np.testing.assert_array_equal(to_bytes(depth), [[[255, 255, 255, 255], [64, 64, 64, 255], [64, 64, 64, 0]]])
     normal = Picture(np.array([[[1.0, 0, -1], [np.nan] * 3]]), "normal")
@@ -279,7 +279,7 @@ def test_pictures_are_rendered(tmp_path: Path) -> None:
 
 @pytest.fixture
 def viewed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What a viewer on the desktop was given."""
+    """What a desktop viewer was given."""
     from PIL import ImageShow
 
     seen: list[Any] = []
@@ -311,7 +311,7 @@ def test_on_a_desktop_a_viewer_shows_it(
 
 
 @pytest.mark.parametrize("kernel", [True, False], ids=["notebook", "terminal"])
-def test_in_a_notebook_it_stands_below_the_cell(viewed: list[Any], monkeypatch: pytest.MonkeyPatch, kernel: bool) -> None:
+def test_in_a_notebook_it_appears_below_the_cell(viewed: list[Any], monkeypatch: pytest.MonkeyPatch, kernel: bool) -> None:
     shell = SimpleNamespace(kernel=None) if kernel else SimpleNamespace()
     told: list[Any] = []
     ipython, shows = ModuleType("IPython"), ModuleType("IPython.display")
@@ -325,7 +325,7 @@ def test_in_a_notebook_it_stands_below_the_cell(viewed: list[Any], monkeypatch: 
     assert len(viewed) == (0 if kernel else 1)
 
 
-def test_what_is_no_picture_is_not_shown() -> None:
+def test_arrays_that_are_not_pictures_are_not_shown() -> None:
     with pytest.raises(clvol.OptionError, match="a picture has shape"):
         show(np.zeros((2, 3, 5)))
 
@@ -333,7 +333,7 @@ def test_what_is_no_picture_is_not_shown() -> None:
 # -- the package ---------------------------------------------------------------------------------------------
 
 
-def test_heavier_parts_are_imported_when_they_are_used() -> None:
+def test_heavy_modules_are_imported_on_first_use() -> None:
     code = """
 import sys, clvol
 late = ("analysis", "figures", "reference", "reports")

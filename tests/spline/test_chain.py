@@ -1,4 +1,4 @@
-"""Chains of transforms inside the kernel, against the reference and closed forms."""
+"""Chains of transforms in the kernel, compared with the reference and closed forms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def moving(d: int) -> Volume:
 
 
 def fixed(d: int) -> Volume:
-    """A turned grid about the moving image's middle, which reaches past its domain."""
+    """A rotated grid about the moving image's centre that extends past its domain."""
     turn = rotation(d, 3)
     step = np.array([0.8, 0.9, 1.3])[:d]
     size = np.array([22, 21, 17])[:d]
@@ -38,7 +38,7 @@ def affine(d: int, seed: int = 4) -> AffineTransform:
 
 
 def lattice(d: int, size: tuple[int, ...], seed: int) -> dict[str, Any]:
-    """A turned grid over the middle of the fixed image, smaller than that."""
+    """A smaller, rotated grid over the middle of the fixed image."""
     turn = rotation(d, seed)
     step = 11.0 / np.array(size[:d])
     return {
@@ -87,7 +87,7 @@ CHAINS: dict[str, Any] = {
         *(("single", name, 3) for name in ("nothing", "field", "all")),  # of the same text; each chain is four new kernels
     ],
 )
-def test_values_gradients_and_jacobians_are_those_of_the_reference(device: Device, precision: Any, name: str, d: int) -> None:
+def test_values_gradients_and_jacobians_match_the_reference(device: Device, precision: Any, name: str, d: int) -> None:
     if precision == "double" and not device.has_double:
         pytest.skip("the device has no float64")
     within, options = WITHIN[precision], {"precision": precision, "device": device}
@@ -107,7 +107,7 @@ def test_values_gradients_and_jacobians_are_those_of_the_reference(device: Devic
     np.testing.assert_allclose(got.jacobian.data, determinants, rtol=0, atol=within * max(1, np.abs(determinants).max()))
     pulled = clvol.warp(volume, like, chain, derivative=1, wrt="fixed", **options)
     total = np.einsum("...ij,...i->...j", jacobian, gradient)
-    # both factors are off: Intel's compiler makes it 2.6 times what values are
+    # both factors are rounded: with Intel's compiler the error is 2.6 times that of values
     np.testing.assert_allclose(pulled.gradient, total, rtol=0, atol=4 * within * np.abs(total).max())
     for made in (got.values, got.jacobian):
         assert (made.spacing, made.origin) == (like.spacing, like.origin)
@@ -133,7 +133,7 @@ def test_points_that_leave_the_moving_image_are_filled(device: Device, d: int, f
 
 @pytest.mark.parametrize("factor", [1.0, 2.0**100])
 def test_data_far_from_one(device: Device, factor: float) -> None:
-    """Stored less a power of two: results come back in units of the data, and what is filled as well."""
+    """Stored values are scaled by a power of two: results and fill values are in units of the data."""
     volume, like, chain = moving(3), fixed(3), CHAINS["all"](3)
     plain = clvol.warp(volume, like, chain, derivative=1, wrt="fixed", fill=0, device=device)
     scaled = Volume(volume.data * factor, volume.spacing, volume.origin, volume.direction)
@@ -146,7 +146,7 @@ def test_data_far_from_one(device: Device, factor: float) -> None:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("rule", ["local", "propagate"])
-def test_missing_samples_spoil_what_touches_them(device: Device, rule: str) -> None:
+def test_missing_samples_affect_results_that_touch_them(device: Device, rule: str) -> None:
     volume, like, chain = moving(3), fixed(3), CHAINS["all"](3)
     data = volume.data.copy()
     data[8, 9, 10] = np.nan
@@ -164,7 +164,7 @@ def test_missing_samples_spoil_what_touches_them(device: Device, rule: str) -> N
     np.testing.assert_array_equal(np.isnan(alone.data), expected)
 
 
-def test_launches_and_neighbours_change_nothing(device: Device) -> None:
+def test_results_do_not_depend_on_launches_or_neighbours(device: Device) -> None:
     volume, like, chain = moving(3), fixed(3), CHAINS["all"](3)
     whole = clvol.warp(volume, like, chain, derivative=1, jacobian=True, device=device)
     told: list[float] = []
@@ -193,7 +193,7 @@ def test_the_last_transform_is_applied_first(device: Device) -> None:
 
 
 def test_a_quadratic_displacement_has_a_linear_jacobian(device: Device) -> None:
-    """u = (x y / 20, x² / 30, 0): a cubic B-spline holds it to the last samples but for the ends' rule; det by hand."""
+    """u = (x y / 20, x² / 30, 0): exact for a cubic B-spline except near the ends; the determinant by hand."""
     n = 41
     like = Volume(np.zeros((9, 9, 9)), origin=(16.0, 16.0, 16.0))
     z, y, x = np.indices((n, n, n), dtype=float)
@@ -220,8 +220,8 @@ def test_a_homogeneous_matrix_is_an_affine_map(device: Device) -> None:
     np.testing.assert_array_equal(got.data, wanted.data)
 
 
-def test_points_at_the_edge_of_a_grid_are_inside_and_past_it_stay(device: Device) -> None:
-    """A constant displacement: B-spline grids end where coefficients do, fields half a voxel past their samples."""
+def test_points_at_the_edge_of_a_grid_are_inside_and_beyond_are_unmoved(device: Device) -> None:
+    """A constant displacement: B-spline grids end with their coefficients, fields half a voxel past their samples."""
     ramp = Volume(np.tile(np.arange(60.0), (5, 1)))
     shift = np.zeros((8, 10, 2))
     shift[..., 0] = 0.25
@@ -243,7 +243,7 @@ def test_points_at_the_edge_of_a_grid_are_inside_and_past_it_stay(device: Device
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("d", [2, 3])
-def test_a_series_is_its_frames(device: Device, d: int) -> None:
+def test_a_series_equals_its_frames(device: Device, d: int) -> None:
     frames = np.random.default_rng(0).normal(size=(4, *moving(d).shape)).astype(np.float32)
     place = {"spacing": moving(d).spacing, "origin": moving(d).origin, "direction": moving(d).direction}
     chains = [None, affine(d), [affine(d), field(d)], grid(d)]
@@ -315,7 +315,7 @@ BAD: dict[str, tuple[type[Exception], str, Any]] = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_is_no_transform_is_refused(name: str) -> None:
+def test_invalid_transforms_are_rejected(name: str) -> None:
     error, message, make = BAD[name]
     with pytest.raises(error, match=message):
         make()
@@ -333,7 +333,7 @@ def test_what_is_no_transform_is_refused(name: str) -> None:
         (np.zeros((4, 4)), GeometryError, "last row"),
     ],
 )
-def test_wrong_chains_are_refused_before_anything_is_computed(transform: Any, error: type[Exception], message: str) -> None:
+def test_invalid_chains_are_rejected_before_any_computation(transform: Any, error: type[Exception], message: str) -> None:
     for call in (clvol.resample, clvol.warp):
         with pytest.raises(error, match=message):
             call(moving(3), like=fixed(3), transform=transform, device="no such device")
@@ -341,7 +341,7 @@ def test_wrong_chains_are_refused_before_anything_is_computed(transform: Any, er
         clvol.resample_series(np.zeros((1, 4, 4, 4)), [transform], device="no such device")
 
 
-def test_other_options_are_checked() -> None:
+def test_options_are_checked() -> None:
     volume, like = moving(3), fixed(3)
     for options, message in (
         ({"derivative": 2}, "derivative must be a whole number, at least 0 and at most 1"),
@@ -366,12 +366,12 @@ def test_other_options_are_checked() -> None:
         ([moving(3), moving(2)], [None, None], {}, OptionError, "like must have 2 axes"),
     ],
 )
-def test_wrong_series_are_refused(series: Any, transforms: Any, options: Any, error: type[Exception], message: str) -> None:
+def test_invalid_series_are_rejected(series: Any, transforms: Any, options: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         clvol.resample_series(series, transforms, **options)
 
 
-def test_a_closed_field_says_so(device: Device) -> None:
+def test_a_closed_field_is_an_error(device: Device) -> None:
     volume = clvol.Field(moving(3), device=device)
     volume.close()
     with pytest.raises(OptionError, match="released"):

@@ -1,4 +1,4 @@
-"""Sampling and resampling as a caller sees them, from volumes and from a `Field`."""
+"""The public API for sampling and resampling, of volumes and of a `Field`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def random_volume(shape: tuple[int, ...] = (5, 6, 7)) -> Volume:
     return Volume(data, (0.7, 1.3, 2.1)[:d], (3.0, -5.0, 7.0)[:d], ROTATION if d == 3 else None, "mm")
 
 
-# -- the facts that the project was started from ---------------------------------------------------------------
+# -- known facts at the start of the project ---------------------------------------------------------------
 
 POINTS = np.random.default_rng(0).uniform(-0.8, 0.8, (200_000, 3))
 
@@ -99,7 +99,7 @@ def test_hessian_is_symmetric_and_the_derivative_of_the_gradient(device: Device)
     np.testing.assert_allclose(hessian, numeric, atol=0.01 * np.abs(hessian).max())
 
 
-def test_fill_outside_the_domain_only(device: Device) -> None:
+def test_fill_applies_only_outside_the_domain(device: Device) -> None:
     volume = Volume(np.ones((4, 5, 6)))
     points = [[-0.49, 0, 0], [-0.51, 0, 0], [5.49, 4.49, 3.49], [5.51, 4, 3], [0, 4.51, 0], [0, 0, -0.51], [np.nan, 0, 0]]
     got = sample(volume, points, "linear", fill=-7, device=device)
@@ -117,8 +117,8 @@ def test_progress_reaches_one(device: Device) -> None:
     assert seen[-1] == 1
 
 
-def test_a_rotated_polynomial_is_drawn_the_same(device: Device) -> None:
-    """A cubic in world space, sampled on an oblique grid: the cubic spline gives it back away from the edges."""
+def test_a_rotated_polynomial_is_reproduced(device: Device) -> None:
+    """A cubic in world space, sampled on an oblique grid: the cubic spline reproduces it away from the edges."""
 
     def cubic(p: np.ndarray) -> np.ndarray:
         x, y, z = (p / 20).T
@@ -147,7 +147,7 @@ def test_registered_filter_runs(device: Device) -> None:
     )
 
 
-def test_threads_get_the_same_answers(device: Device) -> None:
+def test_threads_get_the_same_results(device: Device) -> None:
     volume = random_volume()
     points = volume.index_to_world(np.random.default_rng(1).uniform(0, 4, (20_000, 3)))
     wanted, wrong = sample(volume, points, device=device), []
@@ -170,7 +170,7 @@ def test_threads_get_the_same_answers(device: Device) -> None:
 
 @pytest.mark.parametrize("name", ["bspline3", "linear", "hybrid"])
 @pytest.mark.parametrize("shape", [(5, 6, 7), (6, 7)])
-def test_resample_and_magnify_are_the_reference(device: Device, shape: tuple[int, ...], name: str) -> None:
+def test_resample_and_magnify_match_the_reference(device: Device, shape: tuple[int, ...], name: str) -> None:
     volume, d = random_volume(shape), len(shape)
     like = Volume(np.zeros((4, 3, 5)[:d]), (1.1, 0.9, 1.7)[:d], (2.0, -4.0, 8.0)[:d], None, "cm")
     cases: list[dict[str, Any]] = [
@@ -314,7 +314,7 @@ def test_bad_input_of_resample(device: Device, case: dict[str, Any]) -> None:
         resample(GOOD, device=device, **case)
 
 
-def test_too_large_a_grid_is_refused_before_it_is_made(device: Device) -> None:
+def test_an_excessive_grid_is_rejected_before_allocation(device: Device) -> None:
     with pytest.raises(DeviceError, match="MiB"):
         resample(GOOD, (2**20, 2**20), device=device)
 
@@ -325,7 +325,7 @@ def test_bad_input_of_magnify(device: Device) -> None:
             magnify(GOOD, factor, device=device)  # type: ignore[arg-type]
 
 
-def test_nan_is_found_and_named(device: Device) -> None:
+def test_nan_is_detected_and_located(device: Device) -> None:
     data = np.ones((3, 4, 5))
     data[1, 2, 3] = np.nan
     with pytest.raises(DataError, match=r"1 NaN and 0 infinite, the first at index \[1, 2, 3\]"):
@@ -367,12 +367,12 @@ def test_everything_but_the_device_works_without_pyopencl() -> None:
     assert done.stdout.strip() == "fine"
 
 
-def test_prefilter_of_ones_is_ones(device: Device) -> None:
+def test_prefilter_preserves_ones(device: Device) -> None:
     for rule in ("mirror", "reflect", "wrap"):
         np.testing.assert_allclose(prefilter(np.ones((4, 5, 6)), boundary=rule, device=device), 1, atol=1e-6)
 
 
-# -- what a reviewer found -----------------------------------------------------------------------------------------
+# -- regressions -----------------------------------------------------------------------------------------
 
 
 def test_prefilter_of_volumes_and_images(device: Device) -> None:
@@ -387,8 +387,8 @@ def test_prefilter_of_volumes_and_images(device: Device) -> None:
 
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["bspline3", "sinc(8)", "hybrid"])
-def test_launches_are_short_and_do_not_show(device: Device, filter: str) -> None:
-    """However few points a launch takes, grids and points come out the same."""
+def test_launches_are_short_and_do_not_affect_results(device: Device, filter: str) -> None:
+    """Grids and points are the same however few points a launch takes."""
     image, volume = random_volume((9, 11)), random_volume()
     points = np.random.default_rng(0).uniform(0, 4, (3000, 3))
     want = (
@@ -409,16 +409,16 @@ def test_launches_are_short_and_do_not_show(device: Device, filter: str) -> None
 @pytest.mark.parametrize(
     "bad", [{"derivative": 1.5}, {"derivative": None}, {"fill": "a"}, {"fill": [1, 2]}, {"points": [[1], [2, 3]]}]
 )
-def test_arguments_of_the_wrong_kind(device: Device, bad: dict[str, Any]) -> None:
+def test_arguments_of_wrong_types(device: Device, bad: dict[str, Any]) -> None:
     with pytest.raises(OptionError):
         sample(**{"volume": random_volume(), "points": [[0, 0, 0]], "device": device, **bad})
 
 
-def test_a_fill_of_nan(device: Device) -> None:
+def test_fill_with_nan(device: Device) -> None:
     assert np.isnan(sample(random_volume(), [[1e3, 0, 0]], fill=np.nan, device=device)).all()
 
 
-def test_resample_of_an_image_in_colour_says_where_to_go() -> None:
+def test_resample_of_a_colour_image_names_the_right_function() -> None:
     for channels in (3, 4):
         with pytest.raises(OptionError, match=r"3 whole numbers.*got \(16, 16\): .* there is clvol\.images\.resample"):
             resample(np.zeros((8, 8, channels)), shape=(16, 16))
@@ -434,7 +434,7 @@ FIELD_SHAPES = [(5, 6, 7), (6, 7), (1, 1, 1), (1, 1)]
 @pytest.mark.one_in(12)
 @pytest.mark.parametrize("name", ["bspline3", "hybrid", "mitchell"])
 @pytest.mark.parametrize("shape", FIELD_SHAPES)
-def test_a_field_is_the_functions_and_the_reference(device: Device, shape: tuple[int, ...], name: str) -> None:
+def test_a_field_matches_the_functions_and_the_reference(device: Device, shape: tuple[int, ...], name: str) -> None:
     volume, d = random_volume(shape), len(shape)
     points = volume.index_to_world(np.random.default_rng(1).uniform(-1, 6.3, (4, 25, d)))
     largest = np.abs(reference.prefilter(volume.data, name, "reflect")).max()
@@ -477,7 +477,7 @@ def test_a_field_keeps_its_coefficients(device: Device) -> None:
     field.close()
 
 
-def test_a_closed_field_says_so(device: Device) -> None:
+def test_a_closed_field_is_an_error(device: Device) -> None:
     volume = random_volume()
     field = Field(volume, device=device)
     values = field([[1.0, 2, 3]])
@@ -492,7 +492,7 @@ def test_a_closed_field_says_so(device: Device) -> None:
             call([[1.0, 2, 3]])
 
 
-def test_a_field_refuses_what_it_was_not_made_with(device: Device) -> None:
+def test_a_field_rejects_other_settings(device: Device) -> None:
     with Field(random_volume(), "bspline2", "reflect", device) as field:
         assert as_field(field) is field
         assert as_field(field, "bspline2", "reflect", device) is field
@@ -507,7 +507,7 @@ def test_a_field_refuses_what_it_was_not_made_with(device: Device) -> None:
         assert not field.closed
 
 
-def test_a_field_of_bad_samples_is_refused(device: Device) -> None:
+def test_fields_of_invalid_samples_are_rejected(device: Device) -> None:
     for bad in ([[np.nan, 1.0]], [[np.inf, 1.0]], [[1j]], [], np.ones(3)):
         with pytest.raises(DataError):
             Field(bad, device=device)
@@ -517,7 +517,7 @@ def test_a_field_of_bad_samples_is_refused(device: Device) -> None:
 
 
 @pytest.mark.parametrize("dtype", [">f4", ">f8", "<i2", ">u2", "u1", "?"])
-def test_a_field_of_any_samples(device: Device, dtype: str) -> None:
+def test_fields_of_any_dtype(device: Device, dtype: str) -> None:
     data = np.random.default_rng(0).integers(0, 2 if dtype == "?" else 100, (4, 5, 6)).astype(dtype)
     data.setflags(write=False)
     with Field(data, device=device) as field:
@@ -544,16 +544,16 @@ def test_threads_share_a_field(device: Device) -> None:
     assert not wrong
 
 
-def test_rows_end_in_numbers(device: Device) -> None:
-    """What vectors read past the last row is zero, whatever the memory held before."""
+def test_rows_are_padded_with_zeros(device: Device) -> None:
+    """Vectors read past the last row: the padding is zero, whatever the memory contained."""
     with Field(random_volume(), device=device) as field:
         stored = np.full(field.nbytes // 4, np.nan, np.float32)
         device.buffers.download(field.coefficients.buffer, stored)
         assert not stored[-8:].any()
 
 
-def test_samples_that_are_stored_as_they_are_are_copied_at_once(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A volume of any layout in one call of NumPy, not slice by slice through the map to stored units."""
+def test_unscaled_samples_are_copied_at_once(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One NumPy call for a volume of any layout, not slice by slice through the conversion."""
     data = np.random.default_rng(8).random((5, 6, 7))
     want = prefilter(data, "linear", device=device)
     monkeypatch.setattr(Stored, "samples", lambda *_: pytest.fail("samples were mapped one slice at a time"))

@@ -1,4 +1,4 @@
-"""Closing while something is computed: it goes on to its end, whoever comes later is refused, and the memory goes with the last."""
+"""Closing during a computation: it completes, later calls are rejected, and the last use frees the memory."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_the_last_user_frees(lease: tuple[Lease, list[str]]) -> None:
     assert freed == ["memory"]
 
 
-def test_other_threads_are_refused_while_the_last_use_goes_on(lease: tuple[Lease, list[str]]) -> None:
+def test_other_threads_are_rejected_during_the_last_use(lease: tuple[Lease, list[str]]) -> None:
     made, freed = lease
     refused: list[OptionError] = []
 
@@ -75,7 +75,7 @@ def test_errors_within_a_use_end_it(lease: tuple[Lease, list[str]]) -> None:
     assert freed == ["memory"]
 
 
-def test_what_is_added_in_a_use_after_closing_is_freed_too(lease: tuple[Lease, list[str]]) -> None:
+def test_buffers_added_after_closing_are_freed(lease: tuple[Lease, list[str]]) -> None:
     made, freed = lease
     with made.held():
         made.close()
@@ -84,7 +84,7 @@ def test_what_is_added_in_a_use_after_closing_is_freed_too(lease: tuple[Lease, l
 
 
 def closing(close: Callable[[], None], *, in_thread: bool) -> Callable[[float], None]:
-    """What closes at the first report of progress, perhaps in another thread, and does not go on before that is done."""
+    """A progress callback that closes on its first call, perhaps in another thread, and waits until it is done."""
 
     def report(_: float) -> None:
         if in_thread:
@@ -99,7 +99,7 @@ def closing(close: Callable[[], None], *, in_thread: bool) -> Callable[[float], 
 
 
 @pytest.mark.parametrize("in_thread", [False, True], ids=["callback", "thread"])
-def test_a_renderer_closed_under_a_picture(device: Device, in_thread: bool) -> None:
+def test_a_renderer_closed_during_a_picture(device: Device, in_thread: bool) -> None:
     with Renderer(DATA, "bspline3", device=device) as other:
         expected = other.render(**VIEW)
     renderer = Renderer(DATA, "bspline3", device=device)
@@ -112,7 +112,7 @@ def test_a_renderer_closed_under_a_picture(device: Device, in_thread: bool) -> N
 
 
 @pytest.mark.parametrize("in_thread", [False, True], ids=["callback", "thread"])
-def test_a_field_closed_under_a_renderer_and_under_samples(device: Device, in_thread: bool) -> None:
+def test_a_field_closed_during_rendering_and_sampling(device: Device, in_thread: bool) -> None:
     field = Field(DATA, device=device)
     expected, values = Renderer(field).render(**VIEW), field(POINTS)
     with Renderer(field) as first, Renderer(field) as second:
@@ -127,7 +127,7 @@ def test_a_field_closed_under_a_renderer_and_under_samples(device: Device, in_th
     assert (field.closed, field.coefficients.buffer) == (True, None)
 
 
-def test_an_interpolator_closed_under_values(device: Device) -> None:
+def test_an_interpolator_closed_during_evaluation(device: Device) -> None:
     grid = (range(9), range(8), range(7))
     data = np.random.default_rng(1).random((9, 8, 7, 3), np.float32)
     at = np.array([[4.0, 3.5, 2.25], [1.0, 1.5, 6.0]])
@@ -139,7 +139,7 @@ def test_an_interpolator_closed_under_values(device: Device) -> None:
         one(at)
 
 
-def test_closing_at_any_time_while_threads_draw(device: Device) -> None:
+def test_closing_at_any_time_while_threads_render(device: Device) -> None:
     with Renderer(DATA, "bspline3", device=device) as other:
         expected = other.render(**VIEW)
     for wait in (0.0, 0.03):
@@ -165,7 +165,7 @@ def test_closing_at_any_time_while_threads_draw(device: Device) -> None:
             np.testing.assert_array_equal(picture, expected)
 
 
-def test_nothing_holds_a_field_that_nobody_wants(device: Device) -> None:
+def test_an_unreferenced_field_is_freed(device: Device) -> None:
     gc.disable()
     try:
         field = Field(DATA[:9, :9, :9], device=device)
@@ -178,7 +178,7 @@ def test_nothing_holds_a_field_that_nobody_wants(device: Device) -> None:
 
 
 class Watched:
-    """A buffer that says whether kernels were done when it was freed."""
+    """A buffer that records whether kernels had finished when it was freed."""
 
     def __init__(self, buffer: Any, last: Any) -> None:
         self.buffer, self.last, self.idle = buffer, last, list[bool]()
@@ -189,13 +189,13 @@ class Watched:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
-def test_an_error_frees_no_memory_under_a_kernel(
+def test_an_error_frees_no_memory_of_a_running_kernel(
     device: Device, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
 ) -> None:
     watched: list[Watched] = []
 
     def interrupted(self: Coefficients, _: int = 0) -> None:
-        """The last step of making coefficients, which the prefilter still runs in front of."""
+        """The last step of computing coefficients, while the prefilter still runs."""
         watched.append(Watched(self.buffer, opencl().enqueue_marker(self.device.queue)))
         self.buffer = watched[-1]
         self.device.queue.flush()

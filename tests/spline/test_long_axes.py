@@ -1,4 +1,4 @@
-"""Grids with long axes are made in parts: the same bits, and no tables that outgrow the result."""
+"""Grids with long axes are computed in parts: the same bits, and no tables larger than the result."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_parts_change_no_bit(shape: tuple[int, ...], options: dict[str, Any], mo
     assert told[-1] == pytest.approx(1)
 
 
-def test_parts_of_long_rows_that_are_mostly_left_out_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_of_mostly_skipped_long_rows_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     image = np.random.default_rng(1).random((3, 5000), dtype=np.float32)
     whole = clvol.resample(image, (4, 37))
     monkeypatch.setattr(parts, "_LONG", 256)
@@ -41,7 +41,7 @@ def test_parts_of_long_rows_that_are_mostly_left_out_change_no_bit(monkeypatch: 
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 2_000_000), (2_000_000, 1, 1), (2, 1, 1_000_000)])
-def test_no_table_outgrows_the_result(shape: tuple[int, ...]) -> None:
+def test_no_table_is_larger_than_the_result(shape: tuple[int, ...]) -> None:
     clvol.resample(VOLUME, (1, 1, 70_000))  # kernels are built, tables of filters made
     tracemalloc.start()
     try:
@@ -54,7 +54,7 @@ def test_no_table_outgrows_the_result(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(made.data.ravel()[[0, -1]], ends)
 
 
-def test_points_of_a_long_axis_are_where_they_would_be_on_a_short_one() -> None:
+def test_points_on_a_long_axis_match_those_on_a_short_one() -> None:
     n = 1_000_003
     long = clvol.resample(VOLUME, (1, 1, n)).data.ravel()
     at = np.r_[0:5, 65_530:65_540, n - 5 : n]

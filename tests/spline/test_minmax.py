@@ -1,4 +1,4 @@
-"""The min-max pyramid bounds what the function does, for every filter, and is tight."""
+"""The min-max pyramid bounds the function, for every filter, and is tight."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def levels(bounds: MinMax) -> list[NDArray[np.float32]]:
 
 
 def blocks_of(points: NDArray[np.float64], filter: Filter, halo: int) -> NDArray[np.int64]:
-    """The finest block of each point (x, y, z)."""
+    """The finest block that contains each point (x, y, z)."""
     first = np.floor(points * filter.scale - filter.support / 2 + 1).astype(np.int64) + halo  # independent of Filter.cell
     return np.asarray(first // (BLOCK * filter.scale))
 
 
-def test_bernstein_coefficients_of_a_cell_are_those_of_the_filter() -> None:
+def test_bernstein_coefficients_of_a_cell_match_the_filter() -> None:
     # section 4.1: in the Bernstein basis the cubic's four points are sums of its neighbours' with these weights
     want = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6
     np.testing.assert_allclose(bernstein(as_filter("bspline3")), want, atol=1e-15)
@@ -62,7 +62,7 @@ def test_bernstein_coefficients_of_a_cell_are_those_of_the_filter() -> None:
 ROWS: dict[str, Filter] = {
     **filters(),
     **{name: as_filter(name) for name in SMOOTHED},
-    # fits that sum to one nearly, that jump, and one that takes values below 0 everywhere
+    # fits that nearly sum to one, that jump, and one with negative values everywhere
     "nearly one": from_callable("nearly-one", lambda x: np.sinc(x) * np.sinc(x / 4), 4, degree=2),
     "jumps": from_callable("jumps", lambda x: np.exp(-x * x / 0.98), 2, degree=0),
     "negative": from_pieces("negative", [[-1.0, 0.25], [-0.75, 0.5]]),
@@ -91,8 +91,8 @@ def test_no_value_lies_outside_the_bounds_of_its_block(device: Device, name: str
             bounds.release()
 
 
-def test_bounds_are_near_the_truth(device: Device) -> None:
-    """Of Marschner-Lobb, hardly a block more may hold the isovalue than does."""
+def test_bounds_are_tight(device: Device) -> None:
+    """For Marschner-Lobb, hardly more blocks may contain the isovalue than do."""
     volume = marschner_lobb(41)
     row = as_filter("bspline3")
     with coefficients_of(volume, row, as_boundary("mirror"), device) as held:

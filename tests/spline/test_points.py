@@ -1,4 +1,4 @@
-"""Points that a processor samples eight at a time, sorted or not: each gives what it gives alone."""
+"""Points sampled eight at a time by a processor, sorted or not: each result is independent of the others."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def volume_of(d: int, seed: int = 0) -> Volume:
 
 
 def points_of(volume: Volume, count: int, seed: int = 0, dtype: type = np.float64) -> np.ndarray:
-    """Most within, in one of eight outside, and one of sixteen not finite."""
+    """Most inside, one in eight outside, and one in sixteen not finite."""
     rng, size, d = np.random.default_rng(seed), np.array(volume.size), volume.ndim
     index = rng.uniform(-0.5, size - 0.5, (count, d))
     index[5::8] = rng.uniform(-2 * size, 3 * size, index[5::8].shape)
@@ -39,7 +39,7 @@ def points_of(volume: Volume, count: int, seed: int = 0, dtype: type = np.float6
 
 @pytest.mark.one_in(72)
 @pytest.mark.parametrize(("name", "derivative", "d"), [*product(ROWS, [0, 1], [2, 3])])
-def test_a_point_gives_the_same_wherever_it_stands(device: Device, name: str, derivative: int, d: int) -> None:
+def test_a_result_does_not_depend_on_its_index(device: Device, name: str, derivative: int, d: int) -> None:
     volume = volume_of(d)
     points = points_of(volume, 600 + 5)
     rule = RULES[len(name) % len(RULES)]
@@ -90,7 +90,7 @@ def test_no_points_and_few(device: Device, derivative: int) -> None:
 
 
 @pytest.mark.parametrize("shape", [(3, 2, 1030), (5, 7, 3), (1, 1, 1)])
-def test_a_turned_grid_is_its_points(device: Device, shape: tuple[int, ...]) -> None:
+def test_a_rotated_grid_equals_its_points(device: Device, shape: tuple[int, ...]) -> None:
     volume = volume_of(3)
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     grid = Volume(np.broadcast_to(np.float32(0), shape), (0.01, 0.9, 0.7), volume.center - 3.0, turn)
@@ -163,7 +163,7 @@ def test_sorted_points_and_other_filters(device: Device, name: str) -> None:
 
 
 def test_which_points_are_sorted(device: Device) -> None:
-    """Many, far from each other, of a volume larger than caches, by a filter of many taps."""
+    """Many distant points, in a volume larger than caches, for a filter of many taps."""
     count = 1 << 17
     points = np.random.default_rng(0).uniform(0, 127, (count, 3))
     ordered = points[np.argsort(points[:, 2])]

@@ -1,4 +1,4 @@
-"""Coefficients from the device against those of the float64 reference."""
+"""Coefficients of the device compared with the float64 reference."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def check(device: Device, data: Any, name: str, rule: str = "mirror") -> None:
     assert miss <= RELATIVE * np.abs(wanted).max(), np.asarray(data).shape
 
 
-def test_every_prefiltered_row_has_a_tolerance() -> None:
+def test_every_filter_with_a_prefilter_has_a_tolerance() -> None:
     assert set(TOLERANCE) == set(ROWS)
 
 
@@ -97,15 +97,17 @@ def test_coefficients(device: Device, name: str, rule: str) -> None:
     ],
 )
 def test_coefficients_of_smoothing_splines(device: Device, name: str, rule: str) -> None:
-    """λ of real poles, of nearly equal ones (1/144) and of complex ones; from axis to axis, too."""
+    """λ with real poles, nearly equal ones (1/144) and complex ones; different per axis, too."""
     rng = np.random.default_rng(3)
     for shape in SHAPES:
         if "," in name and len(shape) < 3:
             continue
         data = rng.normal(size=shape).astype(np.float32)
         wanted = reference.prefilter(data, name, rule)
-        largest = max(np.abs(wanted).max(), np.abs(data).max())  # smoothing leaves less than what is rounded on the way
-        allowed = 2 * RELATIVE if rule.startswith(("nearest", "grid-constant")) else RELATIVE  # padded: constants round one way
+        largest = max(np.abs(wanted).max(), np.abs(data).max())  # the smoothed result is smaller than the intermediate rounding
+        allowed = (
+            2 * RELATIVE if rule.startswith(("nearest", "grid-constant")) else RELATIVE
+        )  # padded: constants round in one direction
         np.testing.assert_allclose(prefilter(data, name, rule, device), wanted, rtol=0, atol=allowed * largest)
 
 
@@ -114,8 +116,8 @@ def test_coefficients_of_smoothing_splines(device: Device, name: str, rule: str)
     ("name", "error"),
     [("bspline2(30)", 2e-5), ("bspline3(100)", 2e-5), ("bspline3(1e5)", 1e-4), ("bspline5(1e3)", 2e-5), ("bspline5(1e5)", 5e-4)],
 )
-def test_coefficients_of_much_smoothing(device: Device, name: str, error: float) -> None:
-    """Poles near the unit circle add up rounding."""
+def test_coefficients_of_strong_smoothing(device: Device, name: str, error: float) -> None:
+    """Poles near the unit circle accumulate rounding."""
     worst = 0.0
     for n, rule in itertools.product((4, 60, 800), RULES):
         data = np.random.default_rng(n).normal(size=(n, 9)).astype(np.float32)
@@ -126,7 +128,7 @@ def test_coefficients_of_much_smoothing(device: Device, name: str, error: float)
 
 @pytest.mark.parametrize("rule", RULES)
 def test_halo_is_the_extension(device: Device, rule: str) -> None:
-    """What lies around the coefficients on the device is what numpy.pad makes of them."""
+    """The halo on the device equals that of numpy.pad."""
     from clvol.filter.boundary import as_boundary
     from clvol.spline.field import coefficients_of
 
@@ -141,7 +143,7 @@ def test_halo_is_the_extension(device: Device, rule: str) -> None:
 
 
 def test_a_long_axis_starts_as_a_short_one(device: Device) -> None:
-    """Longer than the starting sums reach, with all energy at one end."""
+    """Longer than the initial sums reach, with all energy at one end."""
     data = np.zeros(5000, np.float32)
     data[[0, 1, -1]] = (1, -3, 2)
     for name in ("bspline3", "bspline5"):
@@ -149,8 +151,8 @@ def test_a_long_axis_starts_as_a_short_one(device: Device) -> None:
 
 
 @pytest.mark.parametrize("name", ["bspline3", "bspline5"])
-def test_order_of_the_work_does_not_show(device: Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """Slice by slice or axis by axis, in long launches or short ones."""
+def test_results_do_not_depend_on_the_order_of_work(device: Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Slice by slice or axis by axis, in long or short launches."""
     data = np.random.default_rng(6).normal(size=(6, 21, 75)).astype(np.float32)
     results = []
     for units, voxels in itertools.product((1, 1000), (1, 1 << 26)):
@@ -200,14 +202,14 @@ def test_layouts(device: Device, layout: str) -> None:
     np.testing.assert_array_equal(np.asarray(made), before)  # never written to
 
 
-def test_row_without_prefilter_gives_the_samples_back(device: Device) -> None:
+def test_without_a_prefilter_coefficients_are_samples(device: Device) -> None:
     data = np.random.default_rng(4).integers(0, 255, (4, 5, 3)).astype(np.uint8)
     for name in ("nearest", "linear", "mitchell", "bspline3-approx"):
         np.testing.assert_array_equal(prefilter(data, name, device=device), data)
         np.testing.assert_array_equal(prefilter(data[0, 0], name, device=device), data[0, 0])
 
 
-def test_hybrid_gives_the_coefficients_of_its_magnifier(device: Device) -> None:
+def test_hybrid_uses_the_coefficients_of_its_magnifier(device: Device) -> None:
     data = np.random.default_rng(5).normal(size=(4, 5))
     np.testing.assert_array_equal(prefilter(data, "hybrid", device=device), prefilter(data, "bspline3", device=device))
 
@@ -228,12 +230,12 @@ def test_hybrid_gives_the_coefficients_of_its_magnifier(device: Device) -> None:
         (np.zeros(3, "M8[s]"), DataError),
     ],
 )
-def test_bad_samples_are_refused(device: Device, data: Any, error: type[Exception]) -> None:
+def test_invalid_samples_are_rejected(device: Device, data: Any, error: type[Exception]) -> None:
     with pytest.raises(error):
         prefilter(data, device=device)
 
 
-def test_bad_options_are_refused(device: Device) -> None:
+def test_bad_options_are_rejected(device: Device) -> None:
     for options in ({"filter": "none"}, {"boundary": "none"}, {"filter": 3}, {"device": "no such device"}):
         with pytest.raises(OptionError):
             prefilter([1.0, 2.0], **{"device": device, **options})  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Fewer samples: against least squares as it is defined, and against what is known of it."""
+"""Reduction: compared with the definition of least squares and known results."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def test_the_result_is_the_least_squares_solution(filter: str, boundary: str) ->
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5])
-def test_what_is_lost_is_orthogonal_to_all_that_the_coarse_grid_holds(degree: int) -> None:
-    """Pythagoras: on a closed curve, the splines being SciPy's."""
+def test_the_residual_is_orthogonal_to_the_coarse_space(degree: int) -> None:
+    """Pythagoras: on a closed curve, with SciPy's splines."""
     n, m = 30, 12
     samples = np.random.default_rng(degree).normal(size=n)
     few = matrix("linear" if degree == 1 else f"bspline{degree}", "wrap", n, m, 0.0, n / m) @ samples
@@ -76,8 +76,8 @@ def test_what_is_lost_is_orthogonal_to_all_that_the_coarse_grid_holds(degree: in
 @pytest.mark.parametrize(
     ("filter", "start"), [("nearest", 0.5), ("linear", 0.0), ("bspline2", 0.5), ("bspline3", 0.0), ("bspline5", 1.0)]
 )
-def test_a_spline_of_the_coarse_grid_comes_back(filter: str, start: float) -> None:
-    """Its knots are among those of the fine grid, whose spline through its samples is it again."""
+def test_a_spline_of_the_coarse_grid_is_reproduced(filter: str, start: float) -> None:
+    """Its knots are knots of the fine grid, so the fine interpolating spline equals it."""
     m, n = 11, 22
     few = np.random.default_rng(2).normal(size=m)
     at = ((np.arange(n) - start) / 2 + 0.5) % m - 0.5
@@ -87,7 +87,7 @@ def test_a_spline_of_the_coarse_grid_comes_back(filter: str, start: float) -> No
 
 @pytest.mark.parametrize(("filter", "degree"), [("nearest", 0), ("linear", 1), ("bspline2", 2), ("bspline3", 3), ("bspline5", 5)])
 @pytest.mark.parametrize("step", [2.0, 2.7])
-def test_polynomials_come_back_far_from_the_ends(filter: str, degree: int, step: float) -> None:
+def test_polynomials_are_reproduced_far_from_the_ends(filter: str, degree: int, step: float) -> None:
     n, m = 1200, 5
     start = 0.5 * (n - 1) - 0.5 * step * (m - 1)
     x = (np.arange(n) - 0.5 * (n - 1)) / 100
@@ -101,14 +101,14 @@ def test_boxes_are_means_of_blocks() -> None:
     np.testing.assert_allclose(matrix("nearest", "reflect", 24, 8, 1.0, 3.0) @ samples, samples.reshape(8, 3).mean(1), atol=1e-14)
 
 
-def test_no_fewer_samples_are_the_spline_itself() -> None:
+def test_without_reduction_it_is_the_spline_itself() -> None:
     samples, at = np.random.default_rng(1).normal(size=13), np.linspace(0, 12, 29)
     for name in ("linear", "bspline3", "bspline5"):
         got = matrix(name, "reflect", 13, 29, 0.0, at[1]) @ samples
         np.testing.assert_allclose(got, reference.lattice(samples, [at], name, "reflect"), atol=1e-12)
 
 
-def test_a_gaussian_is_scipys() -> None:
+def test_the_gaussian_matches_scipy() -> None:
     samples = np.random.default_rng(3).normal(size=9)
     for mode, boundary in {"mirror": "mirror", "reflect": "reflect", "wrap": "wrap", "nearest": "nearest"}.items():
         for sigma in (0.1, 0.5, 1.3, 7.0):
@@ -118,14 +118,14 @@ def test_a_gaussian_is_scipys() -> None:
     np.testing.assert_allclose(constant, ndimage.gaussian_filter1d(samples, 1.3, mode="constant", cval=2.5), atol=1e-14)
 
 
-def test_single_precision_leaves_out_no_more_than_float32_does() -> None:
-    """Of samples within ±1, whatever they are: the sum of what is left out of a row."""
+def test_single_precision_truncates_within_float32() -> None:
+    """For any samples within ±1: the sum of the omitted weights of a row."""
     for name in ("linear", "bspline3", "bspline5"):
         short, long = (matrix(name, "reflect", 200, 71, 0.9, 2.8, kind) for kind in (np.float32, np.float64))
         assert np.abs(short - long).sum(1).max() < 2e-7
 
 
-def test_what_has_no_nearest_spline_is_refused() -> None:
+def test_filters_without_a_least_squares_spline_are_rejected() -> None:
     with pytest.raises(OptionError, match="hybrid"):
         matrix("hybrid", "mirror", 9, 4, 0.0, 2.0)
 
@@ -137,7 +137,7 @@ def test_what_has_no_nearest_spline_is_refused() -> None:
 @pytest.mark.parametrize(
     "shape", [(1,), (5,), (200,), (3, 70), (70, 3), (1, 9, 1), (4, 33, 65), (5, 32, 31), (2, 3, 4, 5), (33, 1, 40, 1)]
 )
-def test_sums_are_products_with_matrices(shape: tuple[int, ...], kind: type[np.generic], device: Device) -> None:
+def test_sums_equal_matrix_products(shape: tuple[int, ...], kind: type[np.generic], device: Device) -> None:
     if kind == np.float64 and not device.has_double:
         pytest.skip("no double precision")
     random = np.random.default_rng(sum(shape))
@@ -175,7 +175,7 @@ def test_results_do_not_depend_on_launches(device: Device) -> None:
     assert told == sorted(told)
 
 
-def test_double_precision_is_refused_where_there_is_none(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_double_precision_is_rejected_where_it_is_unsupported(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(device.__dict__, "has_double", False)
     with pytest.raises(DeviceError, match="double"):
         sum_along(np.zeros(3), {0: gaussian(1.0, 3, as_boundary("nearest"))}, np.float64, device)
@@ -220,7 +220,7 @@ def test_the_gaussian_comes_first(device: Device) -> None:
     np.testing.assert_allclose(got, wanted, atol=3e-6)
 
 
-def test_a_turned_grid_takes_the_gaussian_alone(device: Device) -> None:
+def test_a_rotated_grid_supports_only_the_gaussian(device: Device) -> None:
     volume, angle = Volume(np.random.default_rng(0).random((24, 24), np.float32)), np.pi / 6
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     grid = Volume(np.zeros((6, 6)), (3.0, 3.0), tuple(volume.center - turn @ [7.5, 7.5]), turn)
@@ -240,7 +240,7 @@ def test_grids_that_run_backwards_or_past_the_edge(device: Device) -> None:
     np.testing.assert_allclose(got, wanted, atol=3e-6)
 
 
-def test_what_cannot_be_reduced_is_refused(device: Device) -> None:
+def test_invalid_reductions_are_rejected(device: Device) -> None:
     data = np.ones((8, 8), np.float32)
     for options, rule in (
         ({"anti_aliasing": "fourier"}, "anti_aliasing must be one of"),
@@ -260,14 +260,14 @@ def test_what_cannot_be_reduced_is_refused(device: Device) -> None:
         field.resample((2, 2), anti_aliasing="least-squares")
 
 
-def test_zero_is_a_rule_for_filters_whose_coefficients_are_samples(device: Device) -> None:
+def test_zero_is_allowed_for_filters_whose_coefficients_are_samples(device: Device) -> None:
     data = np.random.default_rng(0).random((9, 9))
     got = clvol.resample(data, (4, 4), filter="linear", boundary="zero", device=device, anti_aliasing="least-squares").data
     np.testing.assert_allclose(got, reference.nearest_spline(data, [(0.625, 2.25, 4)] * 2, "linear", "zero"), atol=1e-6)
 
 
-def test_it_keeps_more_than_a_gaussian_and_lets_less_through(device: Device) -> None:
-    """Waves on a closed line of 96 samples, to 32 and back: what fits must stay, what does not must go."""
+def test_it_preserves_more_than_a_gaussian_and_aliases_less(device: Device) -> None:
+    """Waves on a closed line of 96 samples, to 32 and back: representable waves must stay, others must vanish."""
     n, m = 96, 32
     x = np.arange(n)
     kept, let_through = {}, {}

@@ -1,4 +1,4 @@
-"""Grids along the volume's axes, made one axis after the other, against the float64 reference."""
+"""Grids along the volume's axes, computed one axis at a time, compared with the float64 reference."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GRIDS = [
 
 @pytest.fixture
 def only_separable(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
-    """The kernel of single points may not be used."""
+    """Make the point kernel unavailable."""
     if device.kind != "cpu":
         pytest.skip("other devices take a grid point by point")
 
@@ -62,8 +62,8 @@ def test_separable(device: Device, name: str, rule: str) -> None:
 
 
 @pytest.mark.usefixtures("only_separable")
-def test_a_turned_volume_has_axes_of_its_own(device: Device) -> None:
-    """Along them its grids are separable, whatever rounding its direction makes."""
+def test_a_rotated_volume_has_its_own_axes(device: Device) -> None:
+    """Grids along its axes are separable, despite rounding of its direction."""
     turned = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
     data = np.random.default_rng(0).normal(size=(5, 6, 7)).astype(np.float32)
     volume = Volume(data, (0.7, 1.3, 2.1), (3.0, -5.0, 7.0), turned)
@@ -73,7 +73,7 @@ def test_a_turned_volume_has_axes_of_its_own(device: Device) -> None:
 
 
 def test_a_sheared_grid_is_not_separable(device: Device) -> None:
-    """A thousandth of a sample over the whole grid shows."""
+    """A shear of 10⁻³ sample over the whole grid is detected."""
     volume = volume_of((3, 4, 5))
     shear = np.eye(3)
     shear[0, 1] = 1e-3
@@ -83,7 +83,7 @@ def test_a_sheared_grid_is_not_separable(device: Device) -> None:
 
 
 @pytest.mark.parametrize("fill", [-3.0, np.nan])
-def test_fill_is_that_of_single_points(device: Device, fill: float) -> None:
+def test_fill_matches_single_points(device: Device, fill: float) -> None:
     volume = volume_of((3, 4, 5))
     for size, spacing, origin in GRIDS:
         like = Volume(np.zeros(size), spacing, origin)

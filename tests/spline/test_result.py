@@ -1,4 +1,4 @@
-"""What `resample` gives: its type, where its grid lies, and labels, which are never blended."""
+"""Results of `resample`: dtype, placement of the grid, and labels, which are never blended."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DATA = RNG.normal(100, 60, (9, 10, 11)).astype(np.int16)
 
 
 def regions(*labels: int, dtype: type = np.uint16) -> Volume:
-    """Three balls in nothing."""
+    """Three balls on an empty background."""
     z, y, x = np.mgrid[:20, :22, :24]
     data = np.zeros((20, 22, 24), dtype)
     for (cz, cy, cx), label in zip([(7, 7, 7), (13, 14, 17), (5, 16, 6)], labels, strict=True):
@@ -32,7 +32,7 @@ def test_results_are_rounded_and_clipped(device: Device, dtype: object) -> None:
     np.testing.assert_array_equal(got, np.clip(wide if kind.kind == "f" else np.rint(wide), *ends).astype(kind))
 
 
-def test_the_same_type_has_the_byte_order_of_the_machine() -> None:
+def test_dtype_same_has_native_byte_order() -> None:
     assert as_kind("same", np.dtype(">i2")) == np.dtype(np.int16)
 
 
@@ -96,12 +96,12 @@ def test_large_labels_keep_their_last_digit(device: Device) -> None:
         (np.where(np.indices((40, 40, 40)).sum(0) > 80, RNG.normal(1000, 90, (40,) * 3), 0).astype(np.int16), False),  # cut out
     ],
 )
-def test_what_is_taken_for_labels(data: np.ndarray, labels: bool) -> None:
+def test_which_volumes_are_treated_as_labels(data: np.ndarray, labels: bool) -> None:
     assert Volume(data).is_labels is labels
     assert Volume(data, labels=True).is_labels
 
 
-def test_what_is_refused(device: Device) -> None:
+def test_invalid_arguments_are_rejected(device: Device) -> None:
     with pytest.raises(OptionError, match="dtype must be 'same' or"):
         clvol.resample(DATA, spacing=1, dtype="complex64", device=device)
     with pytest.raises(OptionError, match="dtype or out"):
@@ -118,19 +118,19 @@ def test_what_is_refused(device: Device) -> None:
         clvol.resample(hurt, spacing=1, nan="local", dtype=np.int16, device=device)
 
 
-def test_points_in_the_order_of_the_array_are_noticed(device: Device) -> None:
+def test_points_in_array_order_are_detected(device: Device) -> None:
     data = np.zeros((10, 20, 40), np.float32)
     with pytest.warns(clvol.ClvolWarning, match=r"points are \(x, y, z\) .* reversed") as told:
         clvol.sample(data, [[9, 15, 35], [8, 12, 30]], device=device)
     assert told[0].filename == __file__  # the caller's line
 
 
-def test_points_outside_alone_are_no_mistake(device: Device, recwarn: pytest.WarningsRecorder) -> None:
+def test_points_outside_alone_raise_no_warning(device: Device, recwarn: pytest.WarningsRecorder) -> None:
     clvol.sample(np.zeros((10, 20, 40), np.float32), [[80, 80, 80], [9, 15, 5]], device=device)
     assert not recwarn.list
 
 
-def test_points_of_nibabel(device: Device) -> None:
+def test_points_in_ras(device: Device) -> None:
     nib = pytest.importorskip("nibabel")
     affine = np.array([[2, 0, 0, -9], [0, 1.5, 0, 4], [0, 0, 1, 7], [0, 0, 0, 1.0]])
     image = nib.Nifti1Image(np.einsum("i,j,k->ijk", *(np.arange(1.0, n) ** 1.5 for n in (8, 9, 7))), affine)

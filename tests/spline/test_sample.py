@@ -44,14 +44,14 @@ def combinations() -> list[tuple[str, str, int, tuple[str, str], int]]:
 COMBINATIONS = combinations()
 
 
-def test_every_pair_of_values_is_run() -> None:
+def test_every_pair_of_values_is_covered() -> None:
     for a, b in itertools.combinations(range(5), 2):
         pairs = {(c[a], c[b]) for c in COMBINATIONS}
         assert len(pairs) == len({c[a] for c in COMBINATIONS}) * len({c[b] for c in COMBINATIONS})
 
 
 def direction(d: int) -> np.ndarray:
-    """Oblique and left-handed in 3-D, and not a rotation's mirror of itself: a transpose would be seen."""
+    """Oblique and left-handed in 3-D, and no proper rotation: a transposed matrix would be detected."""
     return np.linalg.qr(np.random.default_rng(d).normal(size=(d, d)))[0]
 
 
@@ -125,7 +125,7 @@ PLACES = [(n, r) for n in ("nearest", "linear", "bspline2", "bspline3", "lanczos
 @pytest.mark.one_in(24)
 @pytest.mark.parametrize(("name", "rule"), PLACES)
 def test_exactly_at_samples_halves_and_faces(device: Device, name: str, rule: str) -> None:
-    """Knots of the filters; with spacing 1 and origin 0 both sides reach them exactly, and go to the same side."""
+    """Knots of the filters; with spacing 1 and origin 0 both sides hit them exactly and take the same side."""
     data = np.random.default_rng(1).normal(size=(4, 5, 6)).astype(np.float32)
     z, y, x = np.meshgrid(*(np.arange(-3, n + 3, 0.5) for n in data.shape), indexing="ij")
     points = np.stack([x, y, z], -1)
@@ -151,7 +151,7 @@ def test_a_million_samples_away(device: Device, name: str, rule: str) -> None:
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("derivative", [0, 1, 2])
-def test_positions_that_are_not_finite_give_nan(device: Device, derivative: int, d: int) -> None:
+def test_nonfinite_positions_give_nan(device: Device, derivative: int, d: int) -> None:
     points = np.zeros((4, d))
     points[0, 0], points[1, 1], points[2, -1] = np.nan, np.inf, -np.inf
     got = sample(np.ones((3,) * d), points, derivative=derivative, device=device).reshape(4, -1)
@@ -161,13 +161,13 @@ def test_positions_that_are_not_finite_give_nan(device: Device, derivative: int,
     np.testing.assert_array_equal(np.isnan(got), np.isnan(wanted))
 
 
-def test_positions_too_large_for_any_index_stay_finite(device: Device) -> None:
+def test_positions_beyond_any_index_give_finite_values(device: Device) -> None:
     points = np.array([[1e18, 0, 0], [0, -1e30, 0], [0, 0, 1e300]])
     for rule in RULES:
         assert np.isfinite(sample(np.ones((3, 3, 3)), points, "linear", rule, device=device)).all()
 
 
-def test_interpolating_rows_pass_through_the_samples(device: Device) -> None:
+def test_interpolating_filters_pass_through_the_samples(device: Device) -> None:
     volume = volume_of((4, 5, 6))
     z, y, x = np.indices(volume.shape)
     points = volume.index_to_world(np.stack([x, y, z], -1) + 0.0)

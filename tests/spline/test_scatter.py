@@ -1,4 +1,4 @@
-"""The adjoint of sampling: against matrices whose columns are SciPy's splines of unit impulses, and <A v, y> = <v, Aᵀ y>."""
+"""The adjoint of sampling: matrices whose columns are SciPy's splines of unit impulses, and <A v, y> = <v, Aᵀ y>."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SHAPES = [(4, 5, 6), (1, 2, 7), (7, 5), (1, 1)]
 
 
 def scipy_matrix(shape: tuple[int, ...], at: Array, order: int, mode: str) -> Array:
-    """What each sample adds to the spline at points (x first)."""
+    """The contribution of each sample to the spline at points (x first)."""
     impulses = np.eye(int(np.prod(shape))).reshape(-1, *shape)
     where = at[:, ::-1].T
     if mode == "reflect":  # SciPy's is rough on short axes: reflected by hand
@@ -81,7 +81,7 @@ def test_single_precision_is_that_of_float32(device: Device, name: str) -> None:
     assert_allclose(got, exact, rtol=0, atol=1e-5 * np.abs(exact).max())
 
 
-def test_nothing_depends_on_chance(device: Device) -> None:
+def test_results_are_reproducible(device: Device) -> None:
     rng = np.random.default_rng(2)
     at, y = rng.uniform(-3, 43, (200_000, 3)), rng.normal(size=200_000)
     once = clvol.adjoint(y, at, (40, 41, 42), device=device)
@@ -89,14 +89,14 @@ def test_nothing_depends_on_chance(device: Device) -> None:
         assert_array_equal(clvol.adjoint(y, at, (40, 41, 42), device=device), once)
 
 
-def test_how_often_points_touch_each_sample(device: Device) -> None:
+def test_counts_of_points_per_sample(device: Device) -> None:
     # the weights of a point sum to one: so does what a 1 at each point adds; and in the middle of many each sample has its share
     grid = np.stack(np.meshgrid(*[np.arange(0, 20, 0.25)] * 2, indexing="ij"), -1) - 0.375
     share = clvol.adjoint(np.ones(grid.shape[:2]), grid, (20, 20), "bspline3-approx", "reflect", device=device)
     assert_allclose(share, 16, rtol=1e-6)
 
 
-def test_jumps_lie_where_sampling_has_them(device: Device) -> None:
+def test_jumps_match_those_of_sampling(device: Device) -> None:
     # a turned grid whose points lie half way between samples, but for rounding
     angle = np.deg2rad(30)
     v = clvol.Volume(
@@ -109,7 +109,7 @@ def test_jumps_lie_where_sampling_has_them(device: Device) -> None:
         assert v.data[given == 1].tolist() == [value]
 
 
-def test_points_that_add_nothing(device: Device) -> None:
+def test_points_without_a_contribution(device: Device) -> None:
     at = np.array([[np.nan, 1], [1, np.inf], [-np.inf, 2], [2, 2]])
     got = clvol.adjoint([1, 2, 3, 4], at, (5, 5), "linear", device=device)
     assert got[2, 2] == 4
@@ -150,7 +150,7 @@ def test_shapes_and_kinds_of_arguments(device: Device) -> None:
     ],
     ids=str,
 )
-def test_arguments_that_are_refused(change: dict[str, Any], rule: str) -> None:
+def test_arguments_that_are_rejected(change: dict[str, Any], rule: str) -> None:
     arguments: dict[str, Any] = {"values": np.ones(2), "points": np.ones((2, 3)), "like": (4, 5, 6)} | change
     with pytest.raises(OptionError, match=rule):
         clvol.adjoint(**arguments)

@@ -1,4 +1,4 @@
-"""Arrays of others, given as they are: pictures and samples are those of the same samples in memory."""
+"""Third-party arrays: pictures and samples match those of the same samples in memory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOOK: dict[str, Any] = {"camera": clvol.Camera.orbit(30, 20), "size": (20, 20), 
 
 
 class Plain:
-    """A shape, a dtype and slices, and nothing else."""
+    """Only a shape, a dtype and slicing."""
 
     def __init__(self, data: Any) -> None:
         self.data, self.shape, self.dtype = data, data.shape, data.dtype
@@ -78,7 +78,7 @@ def source(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:
 
 
 def of(source: Any) -> dict[str, Any]:
-    """What bricks give of an array."""
+    """Results by bricks for an array."""
     with BrickedField(source, edge=16, memory=8 << 20) as field, clvol.Renderer(field) as renderer:
         pictures = {mode: renderer.render(mode=mode, **LOOK) for mode in ("isosurface", "composite")}
         return {"points": field(AT), "grid": field.resample(GRID).data, **pictures}
@@ -93,7 +93,7 @@ def truth() -> dict[str, Any]:
     }
 
 
-def test_pictures_and_samples_are_those_of_memory(source: Any) -> None:
+def test_pictures_and_samples_match_those_in_memory(source: Any) -> None:
     expected = truth()
     for name, found in of(source).items():
         np.testing.assert_array_equal(found, expected[name], name)

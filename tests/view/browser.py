@@ -24,7 +24,7 @@ import pytest
 
 __all__ = ["Browser", "browser", "open_browser", "why_none"]
 
-# A driver's browser must not look for updates and the like, nor find a machine that is not this one.
+# The browser must not check for updates and the like, nor reach another machine.
 FLAGS = (
     "--headless",
     "--no-sandbox",  # tests run as root in containers
@@ -46,7 +46,7 @@ _CANVAS = "canvas"
 
 
 def why_none() -> str:
-    """What is missing for a test with a browser; nothing if all is there."""
+    """What a browser test lacks here; nothing if all is installed."""
     if not _program("CHROMIUM", "chromium", "chromium-browser", "google-chrome"):
         return "needs Chromium (Debian: apt-get install chromium chromium-driver), which is not installed"
     if not _program("CHROMEDRIVER", "chromedriver"):
@@ -59,12 +59,12 @@ def why_none() -> str:
 
 
 def _program(variable: str, *names: str) -> str:
-    """A program: the one that is named by the environment, else the first that is found."""
+    """The program named by the environment, else the first one found."""
     return os.environ.get(variable) or next(filter(None, map(shutil.which, names)), "")
 
 
 class Browser:
-    """One window of the browser; `driver` is selenium's, for what is not here."""
+    """One browser window; `driver` is selenium's, for everything else."""
 
     def __init__(self, driver: Any) -> None:
         self.driver = driver
@@ -74,11 +74,11 @@ class Browser:
         self.driver.get(url)
 
     def js(self, code: str, *arguments: Any) -> Any:
-        """What JavaScript returns; ``arguments[0]`` and on are given."""
+        """Run JavaScript and return its result; arguments are ``arguments[0]`` and so on."""
         return self.driver.execute_script(code, *arguments)
 
     def wait(self, condition: Callable[[], Any] | str, seconds: float = 20, what: str = "") -> Any:
-        """The first true answer of a function, or of an expression of JavaScript; an assertion that fails if there is none."""
+        """The first true result of a function or JavaScript expression; an assertion fails after a timeout."""
 
         def ask() -> Any:
             return self.js(f"return {condition}") if isinstance(condition, str) else condition()
@@ -91,7 +91,7 @@ class Browser:
             time.sleep(0.02)
 
     def screenshot(self, path: Path | None = None) -> np.ndarray:
-        """The page as it is seen: (height, width, 3) of uint8; written down too if a path is given."""
+        """The page as (height, width, 3) of uint8; saved too if a path is given."""
         import imageio.v3 as iio
 
         data = self.driver.get_screenshot_as_png()
@@ -100,7 +100,7 @@ class Browser:
         return np.asarray(iio.imread(io.BytesIO(data)))[..., :3]
 
     def canvas(self, selector: str = _CANVAS) -> np.ndarray:
-        """The pixels that a canvas holds: (height, width, 4) of uint8."""
+        """The pixels of a canvas: (height, width, 4) of uint8."""
         import imageio.v3 as iio
 
         url = self.js("return document.querySelector(arguments[0]).toDataURL('image/png')", selector)
@@ -116,12 +116,12 @@ class Browser:
         return left, top, width, height
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
-        """One event of the mouse at a place of the window: mouseMoved, mousePressed, mouseReleased, mouseWheel (deltaX, deltaY)."""
+        """A mouse event at a position in the window: mouseMoved, mousePressed, mouseReleased, mouseWheel (deltaX, deltaY)."""
         held = {"button": "left", "clickCount": 1} if kind in ("mousePressed", "mouseReleased") else {}
         self.driver.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": y, **held, **more})
 
     def drag(self, by: tuple[float, float], selector: str = _CANVAS, *, steps: int = 8, **more: Any) -> None:
-        """Drag from the middle of an element."""
+        """Drag from the centre of an element."""
         left, top, width, height = self.box(selector)
         x, y = left + width / 2, top + height / 2
         self.mouse("mouseMoved", x, y)
@@ -145,13 +145,13 @@ class Browser:
     # -- what went over the wire -----------------------------------------------------------------------------
 
     def log(self) -> list[dict[str, Any]]:
-        """All events of the browser's protocol since it began: {"method", "params"}."""
+        """All events of the browser's protocol since the start: {"method", "params"}."""
         entries = self.driver.get_log("performance")
         self._log += [json.loads(entry["message"])["message"] for entry in entries]
         return self._log
 
     def requests(self) -> list[str]:
-        """Addresses of all requests and websockets so far, but for ``blob:`` and the like, and those of the browser's own pages."""
+        """URLs of all requests and websockets so far, except ``blob:`` and the like, and the browser's own pages."""
         urls = []
         for event in self.log():
             if event["method"] == "Network.requestWillBeSent":
@@ -161,13 +161,13 @@ class Browser:
         return [url for url in urls if urlsplit(url).scheme not in ("data", "blob", "about", "chrome", "chrome-untrusted")]
 
     def console(self) -> list[str]:
-        """What the console holds since it was last asked: errors, and what the content security policy refused."""
+        """New console output: errors, and violations of the content security policy."""
         return [f"{entry['level']}: {entry['message']}" for entry in self.driver.get_log("browser")]
 
 
 @contextmanager
 def open_browser(width: int = 1280, height: int = 800) -> Iterator[Browser]:
-    """A browser with a window of that size and an empty profile."""
+    """A browser with a window of the given size and an empty profile."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
@@ -188,7 +188,7 @@ def open_browser(width: int = 1280, height: int = 800) -> Iterator[Browser]:
 
 @pytest.fixture
 def browser() -> Iterator[Browser]:
-    """A fresh browser; the test is skipped where there is none."""
+    """A fresh browser; skips the test if there is none."""
     if why := why_none():
         pytest.skip(why)
     with open_browser() as found:

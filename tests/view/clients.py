@@ -1,4 +1,4 @@
-"""A client of a session for tests, and states drawn by chance."""
+"""A session client for tests, and random states."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def decoded(data: bytes | None) -> NDArray[np.uint8]:
 
 
 class Client:
-    """Keeps what a session sends; acknowledges frames, unless told not to."""
+    """Records what a session sends; acknowledges frames unless disabled."""
 
     def __init__(self, view: View, state: State | None = None, *, acknowledges: bool = True) -> None:
         self.got: list[tuple[dict[str, Any], bytes | None]] = []
@@ -58,7 +58,7 @@ class Client:
             return [message for message, _ in self.got if message["type"] == kind]
 
     def wait(self, wanted: Callable[[dict[str, Any]], bool], seconds: float = 60) -> tuple[dict[str, Any], bytes | None]:
-        """The last message of those that are wanted, once there is one."""
+        """The last of the requested messages, once there is one."""
         with self.condition:
             came = self.condition.wait_for(lambda: any(wanted(message) for message, _ in self.got), seconds)
             assert came, [message for message, _ in self.got[-4:]]
@@ -74,7 +74,7 @@ class Client:
 
 @contextmanager
 def at_rest(view: View, size: tuple[float, float]) -> Iterator[Client]:
-    """A client of a pane so large that has its still picture; what it got until then is forgotten."""
+    """A client with a pane of the given size that has its still picture; earlier messages are dropped."""
     made = Client(view)
     made.resize(*size)
     made.still()
@@ -84,7 +84,7 @@ def at_rest(view: View, size: tuple[float, float]) -> Iterator[Client]:
 
 
 def random_changes(chance: random.Random) -> dict[str, Any]:
-    """Changes of several fields that go together."""
+    """Consistent changes of several fields."""
 
     def vector(size: float = 2.0) -> list[float]:
         return [chance.uniform(-size, size) for _ in range(3)]
@@ -131,7 +131,7 @@ def random_changes(chance: random.Random) -> dict[str, Any]:
 
 
 def random_event(chance: random.Random, width: float, height: float) -> dict[str, Any]:
-    """An event as a hand that does not know what it does makes it."""
+    """A random user event."""
     kind = chance.choice(["pointer_down", *["pointer_move"] * 4, "pointer_up", "wheel", "key_down", "key_up", "double_click"])
     modifiers = [name for name in ("Shift", "Control", "Alt", "Pinch") if chance.random() < 0.1]
     made: dict[str, Any] = {"event_type": kind, "modifiers": modifiers}

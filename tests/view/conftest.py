@@ -15,7 +15,7 @@ __all__ = ["browser", "client"]
 
 @pytest.fixture
 def client(view: View) -> Iterator[Client]:
-    """Of the view that a test's module has."""
+    """Of the test module's view."""
     made = Client(view)
     yield made
     made.close()

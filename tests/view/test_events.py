@@ -1,4 +1,4 @@
-"""Events to states, against what geometry says."""
+"""From events to states, compared with geometry."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def context(space: str = "", **more: Any) -> Context:
 def drag(
     state: State, *points: tuple[float, float], at: Context | None = None, inputs: Inputs | None = None, **more: Any
 ) -> Reduced:
-    """Down at the first point, over the others, and up at the last."""
+    """Press at the first point, move over the others, release at the last."""
     at = at or context()
     kinds = ["pointer_down", *["pointer_move"] * (len(points) - 1), "pointer_up"]
     made = Reduced(state, inputs or Inputs())
@@ -67,7 +67,7 @@ def forward(state: State) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("style", ["turntable", "trackball"])
 def test_half_the_shorter_side_is_a_quarter_turn(style: Any) -> None:
-    """What is in front goes to the right: the camera that looked along +y now looks along +x."""
+    """The front moves right: the camera that looked along +y now looks along +x."""
     state = State(camera=replace(LEVEL, style=style))
     made = drag(state, (100, 100), (100 + HEIGHT / 2, 100)).state
     assert np.allclose(forward(made), (1, 0, 0), atol=1e-12)
@@ -76,8 +76,8 @@ def test_half_the_shorter_side_is_a_quarter_turn(style: Any) -> None:
 
 
 @pytest.mark.parametrize("style", ["turntable", "trackball"])
-def test_what_is_in_front_goes_with_the_pointer(style: Any) -> None:
-    """The point of the sphere that faces the viewer moves as far on the screen as a point at its surface does, that way."""
+def test_the_front_follows_the_pointer(style: Any) -> None:
+    """The nearest point of the sphere moves on the screen as far as a surface point would, in that direction."""
     state = State(camera=replace(LEVEL, style=style, projection="orthographic"))
     before = pane(state)
     front = np.asarray(LEVEL.target) - 5 * forward(state)
@@ -92,7 +92,7 @@ def test_what_is_in_front_goes_with_the_pointer(style: Any) -> None:
         assert np.sign(np.round([moved[0] - WIDTH / 2, moved[1] - HEIGHT / 2], 6)).tolist() == [np.sign(dx), np.sign(dy)]
 
 
-def test_a_drag_depends_on_its_ends_alone() -> None:
+def test_a_drag_depends_only_on_its_ends() -> None:
     chance = random.Random(1)
     points = [(chance.uniform(0, 400), chance.uniform(0, 300)) for _ in range(30)]
     for style in ("turntable", "trackball"):
@@ -125,14 +125,14 @@ def test_a_stack_of_images_has_its_vertical_upside_down() -> None:
     assert abs(view.right[2]) < 1e-12
 
 
-def test_a_camera_that_was_fitted_is_pinned_where_it_was() -> None:
+def test_dragging_a_fitted_camera_fixes_its_position() -> None:
     at = context()
     made = drag(State(), (100, 100), (100, 150), at=at).state
     assert made.camera.target == pytest.approx(tuple(at.volume.center))
     assert made.camera.radius == at.volume.radius
 
 
-def test_a_click_changes_nothing_of_a_camera_that_was_fitted() -> None:
+def test_a_click_does_not_change_a_fitted_camera() -> None:
     pressed = reduce(State(), Inputs(), {"event_type": "pointer_down", "pane": "3d", "x": 9, "y": 9, "button": 1}, context())
     assert pressed.state == State()
     assert (
@@ -168,7 +168,7 @@ def test_the_point_under_the_cursor_stays_when_the_wheel_zooms(projection: Any, 
         assert pane(state).project(point) == pytest.approx((310, 55), abs=1e-7)
 
 
-def test_zoom_stops_at_its_ends() -> None:
+def test_zoom_stops_at_its_limits() -> None:
     state = State(camera=LEVEL)
     for dy in (-1e5, 1e5, 1e5):
         for name in ("3d", "x"):
@@ -182,7 +182,7 @@ def test_zoom_stops_at_its_ends() -> None:
     assert state.slice.zoom == 0.05
 
 
-def test_roll_turns_what_is_seen_with_the_pointer() -> None:
+def test_roll_rotates_the_picture_with_the_pointer() -> None:
     state = State(camera=replace(LEVEL, direction=(0.3, 0.8, -0.4)))
     before = pane(state)
     point = before.at_depth(WIDTH / 2 + 100, HEIGHT / 2, before.distance)
@@ -190,8 +190,8 @@ def test_roll_turns_what_is_seen_with_the_pointer() -> None:
     assert after.project(point) == pytest.approx((WIDTH / 2, HEIGHT / 2 + 100), abs=1e-8)
 
 
-def test_the_rays_of_a_pane_are_those_of_its_pictures() -> None:
-    """The camera's block of numbers, which kernels read, gives the same directions."""
+def test_the_rays_of_a_pane_match_its_pictures() -> None:
+    """The camera's parameter block, which kernels read, gives the same directions."""
     at = context()
     for projection in ("perspective", "orthographic"):
         camera = Camera(target=(1, 2, 3), direction=(0.3, 0.8, -0.4), up=(0.1, 0, 1), radius=9, zoom=1.7, projection=projection)  # type: ignore[arg-type]
@@ -223,7 +223,7 @@ def test_the_rays_of_a_pane_are_those_of_its_pictures() -> None:
         ("", "z", (1, 0, 0), (0, -1, 0)),
     ],
 )
-def test_slices_are_turned_as_their_kind_of_data_is_looked_at(space: str, name: str, right: Any, down: Any) -> None:
+def test_slices_are_oriented_by_the_kind_of_data(space: str, name: str, right: Any, down: Any) -> None:
     seen = pane(State(), name, context(space))
     assert isinstance(seen, SlicePane)
     assert np.array_equal(seen.right, right)
@@ -231,7 +231,7 @@ def test_slices_are_turned_as_their_kind_of_data_is_looked_at(space: str, name: 
 
 
 @pytest.mark.parametrize(("name", "thick"), [("x", 1.0), ("y", 1.5), ("z", 2.0)])
-def test_a_notch_of_the_wheel_is_a_slice(name: str, thick: float) -> None:
+def test_a_wheel_notch_is_one_slice(name: str, thick: float) -> None:
     axis = "xyz".index(name)
     made = reduce(State(), Inputs(), {"event_type": "wheel", "x": 9, "y": 9, "dy": 100, "pane": name}, context()).state
     assert made.crosshair is not None
@@ -244,7 +244,7 @@ def test_a_notch_of_the_wheel_is_a_slice(name: str, thick: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["x", "y", "z"])
-def test_a_drag_in_a_slice_takes_the_crosshair_along(name: str) -> None:
+def test_a_drag_in_a_slice_moves_the_crosshair(name: str) -> None:
     state = State(layout="linked", crosshair=(-4.0, -3.0, 1.0))
     made = drag(state, (150, 120), (230, 180), pane=name).state
     assert made.crosshair is not None
@@ -266,7 +266,7 @@ def test_slices_zoom_about_the_cursor_and_pan_with_it(name: str) -> None:
     assert pane(made, name).project(point) == pytest.approx((250, 140), abs=1e-9)
 
 
-def test_the_second_button_is_the_window_of_slices() -> None:
+def test_the_second_button_sets_the_window_of_slices() -> None:
     state = State(layout="slice", active="z")
     made = drag(state, (100, 100), (100, 100 + HEIGHT / 2), button=2).state
     assert made.window == pytest.approx((0.5 + 0.5, 1.0))  # down raises the centre
@@ -292,7 +292,7 @@ def test_the_isovalue_is_dragged_over_the_range_of_values() -> None:
 
 
 @pytest.mark.parametrize("by", ["key", "tool"])
-def test_a_face_of_the_crop_box_goes_with_the_pointer(by: str) -> None:
+def test_a_face_of_the_crop_box_follows_the_pointer(by: str) -> None:
     at = context()
     low, high = at.volume.corners.min(0), at.volume.corners.max(0)
     target = tuple(at.volume.center)
@@ -310,8 +310,8 @@ def test_a_face_of_the_crop_box_goes_with_the_pointer(by: str) -> None:
     assert reduce(far, Inputs(), {"event_type": "key_down", "key": "Escape"}, at).state.clip is None
 
 
-def test_a_clip_plane_is_dragged_by_its_dot() -> None:
-    """Where the box is shown a drag that begins at a dot moves that plane alone; any other turns."""
+def test_a_clip_plane_is_dragged_by_its_handle() -> None:
+    """With the box shown, a drag from a handle moves that plane only; any other drag rotates."""
     at = context()
     low, high = (tuple(map(float, corner(0))) for corner in (at.volume.corners.min, at.volume.corners.max))
     camera = replace(LEVEL, target=tuple(at.volume.center), direction=(0.5, 1, -0.4), projection="orthographic")
@@ -337,7 +337,7 @@ def test_a_clip_plane_is_dragged_by_its_dot() -> None:
     assert (panned.clip, panned.camera.direction) == (state.clip, camera.direction)
 
 
-def test_a_clip_plane_that_moves_towards_the_viewer_has_no_dot() -> None:
+def test_a_clip_plane_facing_the_viewer_has_no_handle() -> None:
     at = context()
     state = State(camera=replace(LEVEL, projection="orthographic"), tool="crop")  # looks along +y
     assert {axis for axis, *_ in faces(state, at, "3d")} == {0, 2}
@@ -369,7 +369,7 @@ def test_six_arrows_are_a_quarter_turn() -> None:
     assert np.allclose(forward(state), (0, 0, -1), atol=1e-12)
 
 
-def test_keys_do_what_they_say() -> None:
+def test_keys_do_what_is_documented() -> None:
     state = State(camera=LEVEL)
     first = state.changed({"mode": "mip"})
     assert pressed(state, "2").state.mode == "isosurface"
@@ -408,7 +408,7 @@ def test_a_view_along_an_axis_is_along_it(space: str, axis: str) -> None:
 # -- clicks ------------------------------------------------------------------------------------------------------
 
 
-def test_a_click_in_the_volume_wants_a_pick_where_slices_are_linked() -> None:
+def test_a_click_in_the_volume_picks_if_slices_are_linked() -> None:
     state = State(layout="linked", camera=LEVEL)
     assert drag(state, (100, 90), (102, 91), pane="3d").effects == (("pick", "3d", 100.0, 90.0, True),)
     assert drag(state, (100, 90), (140, 91), pane="3d").effects == ()
@@ -433,14 +433,14 @@ def test_a_click_in_the_volume_wants_a_pick_where_slices_are_linked() -> None:
     ],
     ids=str,
 )
-def test_what_is_no_event_is_refused(event: Any) -> None:
+def test_invalid_events_are_rejected(event: Any) -> None:
     with pytest.raises(OptionError):
         reduce(State(), Inputs(), event, context())
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_events_by_chance_leave_a_state(seed: int) -> None:
-    """Two thousand in all, from any state; whatever came, it reads back from its text."""
+def test_random_events_give_valid_states(seed: int) -> None:
+    """Two thousand in all, from any state; each state round-trips through its text."""
     chance = random.Random(seed)
     at = context(["", "LPS", "image"][seed % 3])
     state, inputs = State().changed(random_changes(chance)), Inputs()

@@ -1,4 +1,4 @@
-"""A volume that does not fit into memory: a size of it is looked at, and what its pixels show beyond that is read by bricks."""
+"""A volume larger than memory: a level of it is resident, and pixels that show more are refined by bricks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SIDE = 120
 
 
 class Waves:
-    """A ball whose surface has waves too short for the smaller sizes, computed where it is read; it counts what is read."""
+    """A ball with surface waves too short for the coarser levels, computed on read; it counts reads."""
 
     dtype = np.dtype(np.float32)
     chunks = (32, 32, 32)
@@ -64,7 +64,7 @@ def samples() -> Waves:
 
 @pytest.fixture
 def view(samples: Waves, device: Device, monkeypatch: pytest.MonkeyPatch) -> Iterator[View]:
-    """Of which the smallest size alone is at hand, with an isovalue of its own choice."""
+    """A view whose smallest level alone is resident, with an automatic isovalue."""
     lazy = stored(samples)
     with monkeypatch.context() as patch:
         patch.setattr(memory, "available", lambda: 2 * needed_by(lazy.levels[-1]))
@@ -74,13 +74,13 @@ def view(samples: Waves, device: Device, monkeypatch: pytest.MonkeyPatch) -> Ite
 
 
 def drawn(text: str, volume: Volume | LazyVolume) -> NDArray[np.uint8]:
-    """What the copied program draws."""
+    """The output of the copied program."""
     names: dict[str, Any] = {"volume": volume}
     exec(text, names)
     return to_bytes(names["picture"])
 
 
-def test_the_largest_size_that_fits_is_at_hand(samples: Waves, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_largest_level_that_fits_is_resident(samples: Waves, monkeypatch: pytest.MonkeyPatch) -> None:
     lazy = stored(samples)
     sizes = lazy, *lazy.levels
     for level, size in enumerate(sizes):
@@ -90,24 +90,24 @@ def test_the_largest_size_that_fits_is_at_hand(samples: Waves, monkeypatch: pyte
     assert resident_level(lazy) == len(lazy.levels)
 
 
-def test_what_fits_in_no_size_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_volumes_that_fit_at_no_level_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = Waves(600)
     lazy = LazyVolume(samples, limits=(-100, 80))
     monkeypatch.setattr(memory, "available", lambda: 1000)
     with pytest.raises(OutOfMemoryError, match=r"its smallest size, .600, 600, 600., takes 1648 MiB: clvol.pyramid"):
         View(lazy)
-    assert samples.read < samples.shape[0] ** 3 // 20  # what is looked at of its options
+    assert samples.read < samples.shape[0] ** 3 // 20  # for its automatic options
 
 
-def test_options_are_refused_before_all_is_read() -> None:
+def test_options_are_rejected_before_everything_is_read() -> None:
     samples = Waves(200)
     with pytest.raises(OptionError, match="nonsense"):
         View(LazyVolume(samples), nonsense=1)
     assert samples.read < 200**3
 
 
-def test_a_label_map_in_several_sizes_has_no_finer_pictures(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Labels of another size would be others than those at hand, which are counted, coloured and hidden."""
+def test_a_multi_resolution_label_map_is_not_refined(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another level may have labels other than the resident ones, which are counted, coloured and hidden."""
     data = np.zeros((32, 32, 32), np.uint8)
     data[8:24, 8:24, 8:24] = 3
     small = LazyVolume(data[::2, ::2, ::2], spacing=(2, 2, 2), origin=(0.5,) * 3, labels=True)
@@ -129,9 +129,9 @@ def test_a_label_map_in_several_sizes_has_no_finer_pictures(device: Device, monk
     view.close()
 
 
-def test_pixels_that_show_no_more_read_nothing(view: View, client: Client, samples: Waves) -> None:
+def test_pixels_without_finer_detail_read_nothing(view: View, client: Client, samples: Waves) -> None:
     assert view.volume.shape == (SIDE // 4,) * 3
-    read = samples.read  # from which it was decided how it looks
+    read = samples.read  # which decided its look
     client.resize(16, 16)
     client.still()
     assert len(client.of("status")) == 0
@@ -139,7 +139,7 @@ def test_pixels_that_show_no_more_read_nothing(view: View, client: Client, sampl
 
 
 @pytest.mark.parametrize("mode", ["isosurface", "composite", "mip"])
-def test_at_rest_a_picture_is_of_the_samples_that_it_shows(view: View, client: Client, samples: Waves, mode: str) -> None:
+def test_a_still_picture_uses_the_level_that_it_resolves(view: View, client: Client, samples: Waves, mode: str) -> None:
     assert view.resident.finer is not None
     client.set(mode=mode, options={})
     client.set(camera__zoom=6.0)
@@ -156,7 +156,7 @@ def test_at_rest_a_picture_is_of_the_samples_that_it_shows(view: View, client: C
 
 
 def test_it_shows_the_same_matter_in_the_same_place(client: Client) -> None:
-    """Without light, in which fine waves look unlike none: as much matter in the same place."""
+    """Unlit, since fine waves change shading: the same amount of matter in the same place."""
     client.set(mode="composite", options={"shading": False})
     client.set(camera__zoom=1.4)
     client.resize(200, 200)
@@ -180,8 +180,8 @@ def test_slices_too(view: View, client: Client, samples: Waves) -> None:
     np.testing.assert_array_equal(pixels, drawn(program, view.resident.finer.stored)[..., :3])
 
 
-def test_what_is_stored_cannot_be_read_any_more(client: Client, samples: Waves) -> None:
-    """It is told, what is at hand stays, and the next view is drawn."""
+def test_a_store_that_became_unreadable(client: Client, samples: Waves) -> None:
+    """The error is reported, the resident level stays, and the next view is rendered."""
     samples.broken = True
     client.set(camera__zoom=6.0)
     client.resize(*SIZE)
@@ -244,8 +244,8 @@ def noisy(side: int, sigma: float, seed: int = 0) -> NDArray[Any]:
     return (ball + np.random.default_rng(seed).normal(0, sigma, ball.shape)).astype(np.float32)
 
 
-def test_a_size_between_is_drawn_as_the_program_draws_it(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each size has noise of its own; one filter is for all."""
+def test_an_intermediate_level_matches_the_copied_program(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise differs per level; one filter serves all."""
     levels = [LazyVolume(noisy(96 // n, 12 / n**1.5), spacing=(n,) * 3, origin=((n - 1) / 2,) * 3) for n in (2, 4)]
     lazy = LazyVolume(noisy(96, 12), levels=levels)
     with monkeypatch.context() as patch:
@@ -265,9 +265,7 @@ def test_a_size_between_is_drawn_as_the_program_draws_it(device: Device, monkeyp
         view.close()
 
 
-def test_what_is_at_hand_is_reconstructed_as_its_bounds_say(
-    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_resident_level_uses_the_filter_of_its_bounds(device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clvol.pyramid(Volume(noisy(64, 0)), tmp_path / "ball.zarr", filter="catmull-rom", boundary="wrap", chunks=16)
     lazy = clvol.open(tmp_path / "ball.zarr")
     with monkeypatch.context() as patch:
@@ -291,8 +289,8 @@ def test_what_is_at_hand_is_reconstructed_as_its_bounds_say(
         view.close()
 
 
-def test_clients_draw_by_bricks_one_after_the_other(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bricks of two pictures at a time, of different sizes, would take their budget twice."""
+def test_clients_render_by_bricks_one_at_a_time(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bricks of two pictures at different levels would take the budget twice."""
     drawing, together = threading.Semaphore(1), [False]
     render = clvol.Renderer.render
 
@@ -337,7 +335,7 @@ def test_facts_do_not_wait_for_bricks(client: Client, samples: Waves, monkeypatc
     client.still()
 
 
-def test_nothing_is_left_of_a_client_that_went_while_bricks_were_read(
+def test_nothing_is_left_of_a_client_that_left_while_reading_bricks(
     view: View, samples: Waves, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go, reading = threading.Event(), threading.Event()
@@ -366,6 +364,6 @@ def test_nothing_is_left_of_a_client_that_went_while_bricks_were_read(
     assert view.resident.finer._renderer is None
 
 
-def test_a_state_that_the_volume_does_not_have_is_refused(view: View) -> None:
+def test_a_state_outside_the_volume_is_rejected(view: View) -> None:
     with pytest.raises(OptionError, match="index"):
         view.state = State(index={"time": 3})

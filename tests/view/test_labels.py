@@ -1,4 +1,4 @@
-"""Labels that are hidden in a view: gone from pictures, in what is copied, and refused where there are none."""
+"""Hidden labels in a view: absent from pictures and copied programs, and rejected where there are none."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NAMES = {1: "left ball", 2: "right ball"}
 
 
 def balls() -> NDArray[np.uint8]:
-    """A ball of 1 and one of 2 that touch, in nothing."""
+    """Touching balls of label 1 and 2, on an empty background."""
     z, y, x = np.mgrid[:24, :24, :40]
     data = np.zeros(z.shape, np.uint8)
     for number, middle in ((1, 13), (2, 27)):
@@ -75,7 +75,7 @@ def copied(client: Client, volume: Volume) -> NDArray[np.uint8]:
     ids=lambda look: "-".join(map(str, look)) or "default",
 )
 @pytest.mark.parametrize("labels", [{"hidden": [2]}, {"shown": [1]}], ids=lambda labels: "".join(labels))
-def test_what_is_hidden_is_as_if_it_were_background(
+def test_hidden_labels_are_background(
     client: Client, volume: Volume, device: Device, labels: dict[str, Any], look: dict[str, Any]
 ) -> None:
     pane = look.get("active", "3d")
@@ -104,8 +104,8 @@ def test_what_is_hidden_is_as_if_it_were_background(
     assert not client.of("status")
 
 
-def test_the_other_ball_stays_where_it_is(client: Client, volume: Volume, device: Device) -> None:
-    """By the pixels' colours, and where the middles of both balls lie."""
+def test_the_other_ball_stays_in_place(client: Client, volume: Volume, device: Device) -> None:
+    """By pixel colours and by the centres of both balls."""
     pictures = {}
     for word, labels in (("both", None), ("one", {"shown": [1]}), ("two", {"hidden": [1]}), ("none", {"shown": []})):
         client.forget()
@@ -127,7 +127,7 @@ def test_the_other_ball_stays_where_it_is(client: Client, volume: Volume, device
     }
 
 
-def test_the_camera_stays_and_undo_goes_back(client: Client, view: View) -> None:
+def test_the_camera_stays_and_undo_reverts(client: Client, view: View) -> None:
     before = client.session.state
     placed = view.resident.placed(before, SIZE[0] / SIZE[1])
     client.set(labels={"hidden": [2, 2]})
@@ -149,7 +149,7 @@ def test_the_camera_stays_and_undo_goes_back(client: Client, view: View) -> None
     assert client.session.state == before
 
 
-def test_what_is_edited_is_the_function_of_all_labels(view: View, client: Client) -> None:
+def test_the_edited_function_covers_all_labels(view: View, client: Client) -> None:
     before = view.resident.effective(client.session.state)["transfer"]
     client.set(labels={"shown": [2]})
     client.still()
@@ -158,7 +158,7 @@ def test_what_is_edited_is_the_function_of_all_labels(view: View, client: Client
     assert np.array_equal(drawn, view.resident.transfer(State())([0, 2]))
 
 
-def test_there_is_nothing_to_pick_where_a_label_is_hidden(client: Client) -> None:
+def test_hidden_labels_cannot_be_picked(client: Client) -> None:
     at = {"what": "pick", "x": 0.62 * SIZE[0], "y": SIZE[1] / 2}
     client.session.receive({"type": "do", "id": 1, **at})
     found, _ = client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
@@ -169,10 +169,10 @@ def test_there_is_nothing_to_pick_where_a_label_is_hidden(client: Client) -> Non
     assert found["position"] is None
 
 
-def test_a_label_is_picked_where_the_device_has_no_room_for_the_volume(
+def test_a_label_is_picked_if_the_volume_does_not_fit_on_the_device(
     volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Then the renderer reads its samples by bricks."""
+    """The renderer then reads its samples by bricks."""
 
     def refuse(*_: Any) -> Any:
         raise OutOfMemoryError("out of memory")
@@ -199,7 +199,7 @@ def test_a_label_is_picked_where_the_device_has_no_room_for_the_volume(
         ({"hidden": ["1"]}, "each of labels.hidden must be a whole number"),
     ],
 )
-def test_labels_that_there_are_not_are_refused(client: Client, labels: Any, says: str) -> None:
+def test_unknown_labels_are_rejected(client: Client, labels: Any, says: str) -> None:
     before = client.session.state
     client.set(labels=labels)
     told, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
@@ -228,7 +228,7 @@ def test_a_volume_without_labels_has_none_to_hide(device: Device) -> None:
     view.close()
 
 
-def test_of_thousands_of_labels_some_are_told_and_all_are_found(device: Device) -> None:
+def test_of_thousands_of_labels_some_are_listed_and_all_are_found(device: Device) -> None:
     data = np.arange(5000, dtype=np.uint16).reshape(10, 20, 25).repeat(2, 2)
     view = View(Volume(data, labels={4321: "Hippocampus, left", 17: "right hippocampus"}), device=device)
     client = Client(view)
@@ -255,7 +255,7 @@ def test_of_thousands_of_labels_some_are_told_and_all_are_found(device: Device) 
     view.close()
 
 
-def test_labels_are_hidden_once_and_nobody_else_waits(volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_labels_are_hidden_once_without_blocking_others(volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     resident = Resident(volume, device=device)
     begun, go_on, calls = threading.Event(), threading.Event(), []
     without = clvol.labels.without
@@ -295,7 +295,7 @@ def test_labels_are_hidden_once_and_nobody_else_waits(volume: Volume, device: De
     resident.close()
 
 
-def test_a_hidden_label_that_found_no_room_is_tried_again(volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hiding_is_retried_after_a_lack_of_memory(volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     resident, hidden = Resident(volume, device=device), State(labels=LabelState(hidden=(2,)))
 
     def refuse(*_: Any) -> Any:
@@ -309,8 +309,8 @@ def test_a_hidden_label_that_found_no_room_is_tried_again(volume: Volume, device
     resident.close()
 
 
-def test_all_labels_are_gone_through_once(view: View, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not at each message: there may be a million of them."""
+def test_labels_are_scanned_once(view: View, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not at each message: there may be a million."""
     view.resident.catalog.require(State(labels=LabelState(hidden=(1,))))
     monkeypatch.setattr("clvol.labels.numbers_of", lambda _: pytest.fail("all labels were gone through again"))
     view.resident.catalog.require(State(labels=LabelState(hidden=(2,))))
@@ -349,7 +349,7 @@ def test_labels_that_a_search_finds(device: Device) -> None:
     resident.close()
 
 
-def test_few_sets_of_labels_take_memory(view: View, client: Client) -> None:
+def test_few_sets_of_labels_are_cached(view: View, client: Client) -> None:
     for chosen in ([1], [2], [1, 2], []):
         for how in ("shown", "hidden"):
             client.forget()

@@ -1,4 +1,4 @@
-"""Messages: typed, or refused with the rule, what is allowed and what came."""
+"""Messages: parsed by type, or rejected with the rule, the allowed values and the given one."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_each_type_is_parsed() -> None:
         ({"type": "event", "event": {"type": "resize", "width": 1, "height": 1, "ratio": 0}}, "ratio must be"),
     ],
 )
-def test_what_is_wrong_is_refused(message: Any, says: str) -> None:
+def test_invalid_messages_are_rejected(message: Any, says: str) -> None:
     with pytest.raises(OptionError, match=says):
         parse(message)
 

@@ -1,4 +1,4 @@
-"""Which job comes next: without threads, without a clock, without a device."""
+"""The choice of the next job: without threads, clock or device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sessions: what they draw is what copied programs draw, the newest state wins, and nothing is left of them."""
+"""Sessions: pictures match copied programs, the newest state wins, and nothing is left behind."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def view(volume: Volume, device: Device) -> Iterator[View]:
     made.close()
 
 
-def test_a_rehearsal_builds_what_another_volume_needs(volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_warm_up_builds_the_kernels_of_another_volume(volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     built: list[str] = []
     build = device.build
     View(clvol.phantoms.marschner_lobb(32), device=device, mode="attenuated").rehearse()
@@ -58,7 +58,7 @@ def test_a_rehearsal_builds_what_another_volume_needs(volume: Volume, device: De
 
 
 def drawn(text: str, volume: Volume) -> NDArray[np.uint8]:
-    """What a copied program draws, as a PNG holds it."""
+    """The PNG of a copied program."""
     space: dict[str, Any] = {"volume": volume}
     exec(text, space)
     pixels = to_bytes(space["picture"])
@@ -94,7 +94,7 @@ LOOKS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("look", LOOKS)
-def test_the_still_picture_is_that_of_the_copied_program(client: Client, volume: Volume, look: str) -> None:
+def test_the_still_picture_matches_the_copied_program(client: Client, volume: Volume, look: str) -> None:
     client.set(**LOOKS[look])
     client.resize(*SIZE)
     shown = client.session.state.active if client.session.state.layout == "slice" else None
@@ -129,7 +129,7 @@ def test_a_view_starts_as_render_draws(volume: Volume, device: Device) -> None:
     view.close()
 
 
-def test_a_view_draws_under_its_limits_and_its_program_says_so(volume: Volume) -> None:
+def test_a_view_applies_its_limits_and_so_does_its_program(volume: Volume) -> None:
     limits = {"evaluator": "paired", "fetch": "buffer"}
     view = View(volume, limits=limits, filter="bspline3")
     picture = view.picture(SIZE)
@@ -143,7 +143,7 @@ def test_a_view_draws_under_its_limits_and_its_program_says_so(volume: Volume) -
     view.close()
 
 
-def test_a_scene_brings_what_it_has(volume: Volume, device: Device) -> None:
+def test_a_scene_sets_the_initial_state(volume: Volume, device: Device) -> None:
     transfer = TransferFunction(((0, "black"), (900, "red")), ((100, 0.0), (500, 1.0)))
     medium = clvol.Medium(volume, transfer=transfer, material=Material(0.4), filter="linear")  # type: ignore[arg-type]  # converted
     scene = clvol.Scene((medium,), lights=(Light(),), background=None, clip=((-9, 6, 41), (9, 28, 60)))
@@ -176,12 +176,12 @@ def test_a_scene_brings_what_it_has(volume: Volume, device: Device) -> None:
     ],
     ids=str,
 )
-def test_a_view_says_at_once_what_is_wrong(volume: Volume, options: dict[str, Any], says: str) -> None:
+def test_a_view_rejects_errors_at_once(volume: Volume, options: dict[str, Any], says: str) -> None:
     with pytest.raises(OptionError, match=says):
         View(volume, **options)
 
 
-def test_a_view_takes_volumes_alone() -> None:
+def test_a_view_accepts_only_volumes() -> None:
     with pytest.raises(DataError, match="3 axes"):
         View(np.zeros((4, 5)))
 
@@ -189,7 +189,7 @@ def test_a_view_takes_volumes_alone() -> None:
 # -- what comes and goes -----------------------------------------------------------------------------------------
 
 
-def test_what_a_client_is_told_first(client: Client, volume: Volume) -> None:
+def test_the_first_messages_to_a_client(client: Client, volume: Volume) -> None:
     state, _ = client.wait(lambda m: m["type"] == "state" and "effective" in m)
     info = client.of("info")[0]
     assert client.got[0][0] is info
@@ -209,7 +209,7 @@ def test_what_a_client_is_told_first(client: Client, volume: Volume) -> None:
     assert clvol.view.State.from_json(state["state"]) == client.session.state
 
 
-def test_a_drag_shows_previews_then_the_still_picture_and_is_one_step(client: Client) -> None:
+def test_a_drag_shows_previews_then_the_still_picture_in_one_undo_step(client: Client) -> None:
     client.set(mode="isosurface")
     client.resize(*SIZE)
     client.still()
@@ -235,21 +235,21 @@ def test_a_drag_shows_previews_then_the_still_picture_and_is_one_step(client: Cl
     assert client.session.state.mode == "isosurface"
 
 
-def test_a_change_that_is_undone_before_it_was_told_can_be_redone(client: Client) -> None:
+def test_a_change_undone_before_it_was_sent_can_be_redone(client: Client) -> None:
     client.resize(*SIZE)
     client.still()
-    client.wait(lambda m: m["type"] == "state" and "effective" in m)  # nothing of this state is left to tell
+    client.wait(lambda m: m["type"] == "state" and "effective" in m)  # this state has nothing left to send
     client.forget()
     first = client.session.state
-    client.event("wheel", x=40, y=30, dx=0, dy=-100)  # told when it rests
+    client.event("wheel", x=40, y=30, dx=0, dy=-100)  # sent when it rests
     client.session.receive({"type": "do", "what": "undo", "id": 7})
     client.wait(lambda m: m["type"] == "reply" and m["id"] == 7)
     client.wait(lambda m: m["type"] == "state" and m["can_redo"] and not m["can_undo"])
     assert client.session.state == first
 
 
-def test_states_say_which_change_they_know_of(client: Client) -> None:
-    """Refused ones, and those that change nothing, are known too."""
+def test_states_acknowledge_changes(client: Client) -> None:
+    """Including rejected and void ones."""
     client.wait(lambda m: m["type"] == "state")
     for number, changes in enumerate(({"mode": "mip"}, {"mode": "mip"}, {"mode": "none"}, {"index.time": "never"}, {}), 1):
         client.session.receive({"type": "set", "changes": changes, "number": number})
@@ -260,7 +260,7 @@ def test_states_say_which_change_they_know_of(client: Client) -> None:
     assert message["heard"] == 5
 
 
-def test_after_a_click_and_a_change_the_session_still_hears(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_click_and_a_change_the_session_still_responds(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     client.resize()
     client.still()
     budgets: list[float] = []
@@ -268,7 +268,7 @@ def test_after_a_click_and_a_change_the_session_still_hears(client: Client, monk
     monkeypatch.setattr(client.session._drawer, "shots", lambda order: budgets.append(order.budget) or shots(order))
     for kind, buttons in (("pointer_down", [1]), ("pointer_up", [])):
         client.event(kind, pane="3d", x=20, y=20, button=1, buttons=buttons)
-    client.set(step=0.25)  # takes longer than what was seen before
+    client.set(step=0.25)  # takes longer than any previous one
     client.wait(lambda m: m["type"] == "frame" and m["final"] and m["number"] > 1)
     client.forget()
     client.set(step=0.3)
@@ -278,7 +278,7 @@ def test_after_a_click_and_a_change_the_session_still_hears(client: Client, monk
 
 
 def test_the_sizes_of_a_drag_do_not_alternate(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where its pictures would be coarse they may take longer, until it rests."""
+    """If its pictures would be coarse they may take longer, until it rests."""
     client = Client(view)
     client.resize(512, 512)
     client.still()
@@ -351,7 +351,7 @@ def test_the_wiper_shows_previews_and_draws_nothing_twice(view: View, monkeypatc
     client.close()
 
 
-def test_what_cannot_be_measured_is_said(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unmeasurable_errors_are_reported(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any) -> Any:
         raise clvol.DataError("no such samples")
 
@@ -364,7 +364,7 @@ def test_what_cannot_be_measured_is_said(view: View, monkeypatch: pytest.MonkeyP
     client.close()
 
 
-def test_a_picture_that_is_saved_ends_with_its_session(view: View) -> None:
+def test_saving_a_picture_stops_with_its_session(view: View) -> None:
     client = Client(view)
     client.resize(*SIZE)
     client.still()
@@ -378,7 +378,7 @@ def test_a_picture_that_is_saved_ends_with_its_session(view: View) -> None:
 
 
 def test_the_newest_state_wins(view: View) -> None:
-    """Of hundreds of states that come faster than pictures, few are drawn, and the last one is."""
+    """Of hundreds of states that arrive faster than pictures, few are rendered, and the last one is."""
     client = Client(view)
     client.resize(*SIZE)
     client.still()
@@ -399,8 +399,8 @@ def test_the_newest_state_wins(view: View) -> None:
     client.close()
 
 
-def test_a_long_picture_is_given_up_when_something_comes(view: View) -> None:
-    """A still picture that would take many seconds; the next change is answered long before it would be done."""
+def test_a_long_picture_is_cancelled_by_a_change(view: View) -> None:
+    """A still picture of many seconds; the next change is answered long before it would finish."""
     client = Client(view)
     client.set(mode="composite", step=0.02, options__termination=0.0, opacity=0.01)
     client.resize(1800, 1400)
@@ -416,7 +416,7 @@ def test_a_long_picture_is_given_up_when_something_comes(view: View) -> None:
     assert time.monotonic() - began < 2
 
 
-def test_no_more_than_two_frames_are_under_way(view: View) -> None:
+def test_at_most_two_frames_are_in_flight(view: View) -> None:
     client = Client(view, acknowledges=False)
     client.resize(*SIZE)
     client.set(mode="isosurface")
@@ -433,7 +433,7 @@ def test_no_more_than_two_frames_are_under_way(view: View) -> None:
     client.close()
 
 
-def test_errors_are_told_and_the_session_goes_on(client: Client) -> None:
+def test_errors_are_reported_and_the_session_continues(client: Client) -> None:
     client.resize(*SIZE)
     client.still()
     for message, says in [
@@ -450,7 +450,7 @@ def test_errors_are_told_and_the_session_goes_on(client: Client) -> None:
         client.session.receive(message)  # type: ignore[arg-type]  # what clients send
         status, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
         assert says in status["text"]
-    # what only the picture refuses: one so wide that float32 misses the rays
+    # what only the picture rejects: one so wide that float32 misses the rays
     client.forget()
     client.set(camera__target=[0, 0, 0], camera__radius=1e9, mode="isosurface")
     client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
@@ -459,7 +459,7 @@ def test_errors_are_told_and_the_session_goes_on(client: Client) -> None:
     client.still()
 
 
-def test_a_failing_device_is_told_and_asked_again(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_device_is_reported_and_retried(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
     client = Client(view)
     client.resize(*SIZE)
     client.still()
@@ -486,7 +486,7 @@ def test_a_failing_device_is_told_and_asked_again(view: View, monkeypatch: pytes
     client.forget()
     client.set(camera__zoom=1.4)
     client.still()
-    assert [(m["text"], m["kind"]) for m in client.of("status")] == [("", "info")]  # what was wrong is over
+    assert [(m["text"], m["kind"]) for m in client.of("status")] == [("", "info")]  # the error is gone
     client.close()
 
 
@@ -522,11 +522,11 @@ def test_two_sessions_share_the_coefficients_not_the_state(view: View) -> None:
     deadline = time.monotonic() + 60  # statistics beside a picture may still build a kernel
     while any(entry.users for entry in view.resident.renderers._entries.values()) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert len(view.resident.renderers._entries) == 2  # the last two, now that nobody uses another
+    assert len(view.resident.renderers._entries) == 2  # the last two, now that no other is in use
     assert not any(entry.users for entry in view.resident.renderers._entries.values())
 
 
-def test_linked_panes_are_drawn_and_follow_the_crosshair(client: Client) -> None:
+def test_linked_panes_follow_the_crosshair(client: Client) -> None:
     client.set(layout="linked", mode="isosurface", options__isovalue=500)
     for name in ("3d", "x", "y", "z"):
         client.resize(64, 48, pane=name)
@@ -587,7 +587,7 @@ def test_the_point_under_the_cursor_stays_on_a_surface(client: Client) -> None:
 
 
 def test_the_crop_box_is_dragged_in_the_volume_and_shown(client: Client, volume: Volume) -> None:
-    """Several boxes, one after the other: what is known of the time of one picture is used for the next."""
+    """Several boxes in succession: measured times of one picture are used for the next."""
     client.set(mode="isosurface", tool="crop", camera__direction=[0, 1, 0], camera__projection="orthographic")
     client.resize(*SIZE)
     client.still()
@@ -614,7 +614,7 @@ def test_the_crop_box_is_dragged_in_the_volume_and_shown(client: Client, volume:
     assert not client.of("status")
 
 
-def test_the_wiper_tells_the_error_of_both_filters(view: View) -> None:
+def test_the_wiper_reports_the_error_of_both_filters(view: View) -> None:
     client = Client(view)
     client.set(mode="isosurface", filter="bspline3", wiper={"filter": "nearest", "at": 0.5})
     client.resize(*SIZE)
@@ -627,7 +627,7 @@ def test_the_wiper_tells_the_error_of_both_filters(view: View) -> None:
     noise = view.volume.noise.sigma
     assert math.hypot(other["x"], noise) == pytest.approx(expected.x or 0, rel=1e-3, abs=noise)
     client.forget()
-    client.set(wiper={"filter": "linear", "at": 0.5})  # what was measured of another is not shown beside it
+    client.set(wiper={"filter": "linear", "at": 0.5})  # the measurement of another is not shown beside it
     client.wait(lambda m: m["type"] == "wiper" and m["errors"] is None)
     message, _ = client.wait(lambda m: m["type"] == "wiper" and m["errors"])
     assert [row["filter"] for row in message["errors"]["filters"]] == ["bspline3", "linear"]
@@ -659,7 +659,7 @@ def test_pictures_and_movies_are_saved(client: Client, volume: Volume) -> None:
     assert data[:2] == b"PK"
 
 
-def test_events_by_chance_leave_a_session_that_draws(view: View) -> None:
+def test_random_events_leave_a_working_session(view: View) -> None:
     chance = random.Random(5)
     client = Client(view)
     client.resize(48, 36)
@@ -711,7 +711,7 @@ def _sessions() -> int:
     return sum(isinstance(thing, Session) for thing in gc.get_objects())
 
 
-def test_a_volume_without_a_finite_sample_is_told_and_the_session_lives(device: Device) -> None:
+def test_a_volume_without_finite_samples_is_reported_and_the_session_survives(device: Device) -> None:
     client = Client(View(Volume(np.full((4, 4, 4), np.nan, np.float32)), device=device))
     client.resize()
     told, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
@@ -720,7 +720,7 @@ def test_a_volume_without_a_finite_sample_is_told_and_the_session_lives(device: 
     client.close()
 
 
-def test_editing_a_point_keeps_the_length_that_opacities_are_of(device: Device) -> None:
+def test_editing_a_point_keeps_the_unit_distance(device: Device) -> None:
     view = View(clvol.phantoms.sphere(24), device=device)
     resident = view.session(lambda *_: None)._resident
     transfer = resident.effective(State())["transfer"]
@@ -731,7 +731,7 @@ def test_editing_a_point_keeps_the_length_that_opacities_are_of(device: Device) 
     view.close()
 
 
-def test_a_renderer_that_is_forgotten_is_closed_by_who_draws_it_last(view: View) -> None:
+def test_an_evicted_renderer_is_closed_by_its_last_user(view: View) -> None:
     session = view.session(lambda *_: None)
     resident = session._resident
     with resident.renderers.renderer("linear", "mirror") as mine:

@@ -1,4 +1,4 @@
-"""Several volumes on one grid: one is shown at a time, from where the one before was seen, and copied programs say which."""
+"""Several volumes on one grid: one is shown at a time, the camera persists, and copied programs name the volume."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TIMES = 4
 
 
 def samples() -> NDArray[np.float32]:
-    """A ball that wanders along x with time; in the second channel it is wider, lies elsewhere, and is ten times brighter."""
+    """A ball that moves along x with time; the second channel is wider, elsewhere, and ten times brighter."""
     z, y, x = np.mgrid[:20, :22, :40].astype(np.float32)
     made = np.empty((TIMES, 2, *z.shape), np.float32)
     for t in range(TIMES):
@@ -64,7 +64,7 @@ def ask(client: Client, what: str, **more: Any) -> dict[str, Any]:
     return client.wait(lambda m: m["type"] == "reply" and m["id"] == what)[0]
 
 
-def test_the_panel_is_told_of_the_axes(view: View, client: Client) -> None:
+def test_the_panel_gets_the_axes(view: View, client: Client) -> None:
     info = view.resident.info()
     assert info["axes"] == [
         {"axis": "time", "count": 4, "names": [], "first": 0},
@@ -82,7 +82,7 @@ def test_the_panel_is_told_of_the_axes(view: View, client: Client) -> None:
 
 
 @pytest.mark.parametrize("look", [{}, {"mode": "isosurface"}, {"mode": "mip"}, {"layout": "slice", "active": "z"}])
-def test_each_is_shown_as_if_it_were_the_only_one(client: Client, volumes: Volumes, device: Device, look: dict[str, Any]) -> None:
+def test_each_is_shown_as_if_alone(client: Client, volumes: Volumes, device: Device, look: dict[str, Any]) -> None:
     pane = look.get("active", "3d")
     client.set(**look, **{"camera.fit": "volume", "index": {"channel": 1, "time": 3}})
     _, shown = client.still(pane)
@@ -104,7 +104,7 @@ def test_each_is_shown_as_if_it_were_the_only_one(client: Client, volumes: Volum
     assert from_toml(client.session.toml()) == state
 
 
-def test_camera_and_clip_stay_and_colours_follow_unless_they_were_edited(view: View, client: Client) -> None:
+def test_camera_and_clip_persist_and_colours_follow_unless_edited(view: View, client: Client) -> None:
     client.set(clip={"low": [0, 0, 0], "high": [30, 20, 20]})
     client.still()
     client.forget()
@@ -125,7 +125,7 @@ def test_camera_and_clip_stay_and_colours_follow_unless_they_were_edited(view: V
     assert view.resident.transfer(client.session.state).value_range == (10, 90)
 
 
-def test_the_volume_is_told_once_of_many_steps(view: View, client: Client) -> None:
+def test_many_steps_send_the_volume_once(view: View, client: Client) -> None:
     session, infos = client.session, []
     info = view.resident.info
 
@@ -146,7 +146,7 @@ def test_the_volume_is_told_once_of_many_steps(view: View, client: Client) -> No
     assert 1 <= len(client.of("info")) == len(infos) <= 3
 
 
-def test_keys_step_through_times_and_undo_goes_back(client: Client) -> None:
+def test_keys_step_through_times_and_undo_reverts(client: Client) -> None:
     first = client.session.state
     for key, at in ((".", 1), (".", 2), (",", 1), (".", 2), (".", 3), (".", 3)):
         client.event("key_down", key=key, pane="3d")
@@ -160,14 +160,14 @@ def test_keys_step_through_times_and_undo_goes_back(client: Client) -> None:
     assert client.session.state == first
 
 
-def test_without_times_keys_step_along_the_first_axis_and_of_one_volume_nowhere(device: Device) -> None:
+def test_without_times_keys_step_along_the_first_axis(device: Device) -> None:
     few = Resident(Volumes(samples()[0]), device=device)
     assert few.catalog.stepped(State(), 1).index == {"volume": 1}
     assert few.catalog.stepped(State(index={"volume": 1}), 1).index == {"volume": 1}
     assert Resident(samples()[0, 0], device=device).catalog.stepped(State(), 1) == State()
 
 
-def test_keys_step_from_a_channel_that_is_called_like_a_computed_one(device: Device) -> None:
+def test_keys_step_from_a_channel_named_like_a_computed_one(device: Device) -> None:
     few = Resident(Volumes(samples()[0], leading=Leading(("channel",), (2,), {"channel": ("magnitude", "phase")})), device=device)
     assert few.catalog.stepped(State(index={"channel": "magnitude"}), 1).index == {"channel": 1}
     with pytest.raises(OptionError, match="channel must be 0 to 1"):
@@ -188,7 +188,7 @@ def test_keys_step_from_a_channel_that_is_called_like_a_computed_one(device: Dev
         ({"time": 10**30}, "index.time must be a whole number"),
     ],
 )
-def test_places_that_there_are_not_are_refused(view: View, client: Client, index: Any, says: str) -> None:
+def test_unknown_indices_are_rejected(view: View, client: Client, index: Any, says: str) -> None:
     before = client.session.state
     client.set(index=index)
     told, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
@@ -219,7 +219,7 @@ def test_colours_begin_with_their_luminance(device: Device) -> None:
     assert resident.catalog.volume_of(State(index={"channel": "luminance"})) is resident.volume
 
 
-def test_labels_beside_an_image_are_hidden_there_alone(device: Device) -> None:
+def test_labels_beside_an_image_are_hidden_independently(device: Device) -> None:
     data = np.zeros((2, 16, 16, 16), np.uint8)
     data[0, 4:12, 4:12, 4:12] = np.random.default_rng(0).integers(50, 250, (8, 8, 8))
     data[1, 4:8], data[1, 9:13] = 1, 5
@@ -247,13 +247,13 @@ def test_labels_beside_an_image_are_hidden_there_alone(device: Device) -> None:
         ("what I opened", "(what I opened).pick(time=2, channel=1)"),
     ],
 )
-def test_a_copied_program_reads_the_one_alone_only_of_a_file(volumes: Volumes, source: str, text: str) -> None:
+def test_a_copied_program_reads_a_single_volume_of_a_file(volumes: Volumes, source: str, text: str) -> None:
     view = View(volumes, source=source)
     view.state = view.state.changed({"index": {"channel": 1, "time": 2}})
     assert f"volume = {text}\n" in view.python()
 
 
-def test_renderers_stay_while_there_is_room(volumes: Volumes, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_renderers_are_cached_while_they_fit(volumes: Volumes, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     resident = Resident(volumes, device=device)
 
     def tour() -> list[int]:
@@ -274,7 +274,7 @@ def test_renderers_stay_while_there_is_room(volumes: Volumes, device: Device, mo
     assert not resident.renderers._entries
 
 
-def test_a_sketch_comes_before_a_large_one(device: Device) -> None:
+def test_a_preview_precedes_a_large_volume(device: Device) -> None:
     z, y, x = np.ogrid[:90, :200, :240]
     data = np.empty((2, 90, 200, 240), np.uint8)
     for i, middle in enumerate((80, 150)):
@@ -299,7 +299,7 @@ def test_a_sketch_comes_before_a_large_one(device: Device) -> None:
     view.close()
 
 
-def test_a_maker_of_another_volume_is_another(volumes: Volumes, device: Device) -> None:
+def test_coefficients_of_another_volume_are_separate(volumes: Volumes, device: Device) -> None:
     resident = Resident(volumes, device=device)
     other = Which((2, 1))
     resident.renderers.prepare(None, "mirror", other).join(60)
@@ -312,7 +312,7 @@ def test_a_maker_of_another_volume_is_another(volumes: Volumes, device: Device) 
 
 
 @pytest.mark.usefixtures("device")
-def test_the_command_reads_all_of_a_file_and_copies_the_one(volumes: Volumes, tmp_path: Path) -> None:
+def test_the_command_reads_all_volumes_and_copies_one(volumes: Volumes, tmp_path: Path) -> None:
     file = tmp_path / "cells.ome.tif"
     clvol.write(volumes, file)
     scene, source, _ = _read(Input(), str(file))
@@ -338,7 +338,7 @@ def test_the_command_reads_all_of_a_file_and_copies_the_one(volumes: Volumes, tm
 @pytest.mark.parametrize(
     ("reader", "axes"), [(Input(channel="GFP"), ("time",)), (Input(time=1), ("channel",)), (Input(time=1, channel="1"), None)]
 )
-def test_what_is_chosen_is_read_alone(volumes: Volumes, tmp_path: Path, reader: Input, axes: tuple[str, ...] | None) -> None:
+def test_only_the_chosen_volume_is_read(volumes: Volumes, tmp_path: Path, reader: Input, axes: tuple[str, ...] | None) -> None:
     file = tmp_path / "cells.ome.tif"
     clvol.write(volumes, file)
     scene, source, _ = _read(reader, str(file))
@@ -358,7 +358,7 @@ def test_what_is_chosen_is_read_alone(volumes: Volumes, tmp_path: Path, reader: 
     resident.close()
 
 
-def test_of_a_file_that_is_large_one_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_volume_of_a_large_file_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "cells.npy"
     np.save(file, samples())
     with pytest.warns(clvol.ClvolWarning, match="its axes were taken for"):

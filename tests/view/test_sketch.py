@@ -1,4 +1,4 @@
-"""What is shown while coefficients are made: few samples, in the place and with the look of all of them."""
+"""The preview shown while coefficients are computed: few samples, with the placement and look of all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SIZE = 96, 80
 
 @pytest.fixture(scope="module")
 def volume() -> Volume:
-    """A ball beside the middle, of unequal spacings, turned; as large as one that is shown by few samples first."""
+    """An off-centre ball, with unequal spacings, rotated; large enough for a preview."""
     z, y, x = np.ogrid[:90, :200, :240]
     ball = ((x - 150) / 60) ** 2 + ((y - 80) / 55) ** 2 + ((z - 50) / 25) ** 2
     turned = ((0.8, -0.6, 0.0), (0.6, 0.8, 0.0), (0.0, 0.0, 1.0))
@@ -38,7 +38,7 @@ def view(volume: Volume, device: Device) -> Iterator[View]:
     made.close()
 
 
-def test_a_picture_of_few_samples_comes_first_and_facts_after_it(client: Client) -> None:
+def test_a_preview_comes_first_and_facts_after_it(client: Client) -> None:
     client.resize(*SIZE)
     still, _ = client.wait(lambda m: m["type"] == "frame" and m["final"])
     frames, states = client.of("frame"), client.of("state")
@@ -57,7 +57,7 @@ def test_a_picture_of_few_samples_comes_first_and_facts_after_it(client: Client)
 
 
 @pytest.mark.parametrize("mode", ["isosurface", "composite", "mip"])
-def test_few_samples_lie_where_all_do_and_look_like_them(volume: Volume, device: Device, mode: str) -> None:
+def test_a_preview_has_the_placement_and_look_of_the_volume(volume: Volume, device: Device, mode: str) -> None:
     resident = Resident(volume, device=device, mode=mode)
     few = np.asarray(Sketch(resident, resident.catalog.which(resident.initial)).picture(resident.initial, SIZE))[..., :3]
     with clvol.Renderer(volume, device=device) as renderer:
@@ -73,7 +73,7 @@ def test_few_samples_lie_where_all_do_and_look_like_them(volume: Volume, device:
 
 @pytest.fixture
 def made_late(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
-    """Coefficients are made when this is set."""
+    """Coefficients are computed once this is set."""
     go, made = threading.Event(), Renderers._made
 
     def slowly(self: Renderers, key: Any) -> clvol.Renderer:
@@ -89,7 +89,7 @@ def next_frame(client: Client, after: dict[str, Any]) -> dict[str, Any]:
     return client.wait(lambda m: m["type"] == "frame" and m["number"] > after["number"])[0]
 
 
-def test_what_changes_before_coefficients_are_there_is_shown_at_once(client: Client, made_late: threading.Event) -> None:
+def test_changes_before_coefficients_are_shown_at_once(client: Client, made_late: threading.Event) -> None:
     client.resize(*SIZE)
     first, _ = client.wait(lambda m: m["type"] == "frame")
     client.set(**{"camera.zoom": 1.5})
@@ -108,7 +108,7 @@ def test_facts_do_not_wait_for_coefficients(client: Client, made_late: threading
     client.wait(lambda m: m["type"] == "state" and "effective" in m)
     client.wait(lambda m: m["type"] == "overlay")
     assert not made_late.is_set()
-    assert len(client.of("frame")) == 1  # and the sketch is sent once
+    assert len(client.of("frame")) == 1  # and the preview is sent once
 
 
 def test_a_wheel_and_a_pick_do_not_wait_for_coefficients(client: Client, made_late: threading.Event) -> None:
@@ -122,7 +122,7 @@ def test_a_wheel_and_a_pick_do_not_wait_for_coefficients(client: Client, made_la
     assert not made_late.is_set()
 
 
-def test_beside_slices_it_is_turned_too(client: Client, made_late: threading.Event) -> None:
+def test_it_rotates_beside_slices_too(client: Client, made_late: threading.Event) -> None:
     client.resize(*SIZE)
     client.set(layout="linked")
     first, _ = client.wait(lambda m: m["type"] == "frame" and m["pane"] == "3d")
@@ -135,7 +135,7 @@ def test_beside_slices_it_is_turned_too(client: Client, made_late: threading.Eve
         client.wait(lambda m, pane=pane: m["type"] == "frame" and m["pane"] == pane and m["final"])  # type: ignore[misc]
 
 
-def test_only_one_makes_coefficients_and_none_after_the_end(view: View, made_late: threading.Event) -> None:
+def test_coefficients_are_computed_once_and_not_after_closing(view: View, made_late: threading.Event) -> None:
     view.resident.renderers.prepare(None, "mirror")
     unwanted = view.resident.renderers.prepare("bspline5", "mirror")
     last = view.resident.renderers.prepare("linear", "mirror")
@@ -148,7 +148,7 @@ def test_only_one_makes_coefficients_and_none_after_the_end(view: View, made_lat
     assert not [entry for entry in view.resident.renderers._entries.values() if entry.renderer is not None]
 
 
-def test_of_small_volumes_and_slices_nothing_comes_before(device: Device, view: View) -> None:
+def test_small_volumes_and_slices_have_no_preview(device: Device, view: View) -> None:
     with_few = Client(View(clvol.phantoms.marschner_lobb(24), device=device))
     with_few.resize(*SIZE)
     with_few.wait(lambda m: m["type"] == "frame" and m["final"])
@@ -162,7 +162,7 @@ def test_of_small_volumes_and_slices_nothing_comes_before(device: Device, view: 
     sliced.close()
 
 
-def test_samples_are_thinned_in_their_places(volume: Volume) -> None:
+def test_a_subsample_keeps_its_placement(volume: Volume) -> None:
     few = thinned(volume)
     assert max(few.size) <= 64
     corner = few.index_to_world((0, 0, 0))

@@ -1,4 +1,4 @@
-"""States: their text, what they refuse, and undo."""
+"""States: their text, invalid values, and undo."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.view.clients import random_changes
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_any_state_comes_back_from_its_text(seed: int) -> None:
+def test_any_state_round_trips_through_its_text(seed: int) -> None:
     chance = random.Random(seed)
     which = {
         "labels": chance.choice([None, {"hidden": chance.sample(range(-9, 99), 3)}, {"shown": chance.sample(range(99), 2)}]),
@@ -88,31 +88,31 @@ def test_any_state_comes_back_from_its_text(seed: int) -> None:
     ],
     ids=str,
 )
-def test_what_is_wrong_is_named(changes: Any, says: str) -> None:
+def test_errors_name_the_field(changes: Any, says: str) -> None:
     with pytest.raises(OptionError, match=says):
         State().changed(changes)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"version":2}', '{"a":1}', "[" * 100000, "nul", '{"version":true}'])
-def test_what_is_no_state_is_refused(text: str) -> None:
+def test_invalid_states_are_rejected(text: str) -> None:
     with pytest.raises(OptionError):
         State.from_text(text)
 
 
 @pytest.mark.parametrize("text", ["", "#s=", "#s=****", "#s=AAAA", "x" * 400000, "#t=e30"])
-def test_what_is_no_address_is_refused(text: str) -> None:
+def test_invalid_urls_are_rejected(text: str) -> None:
     with pytest.raises(OptionError):
         from_url(text)
 
 
-def test_options_of_the_old_mode_go_with_it() -> None:
+def test_options_of_the_old_mode_are_dropped() -> None:
     state = State().changed({"mode": "isosurface", "options.isovalue": 3}).changed({"mode": "mip"})
     assert state.options == {}
     assert state.changed({"mode": "mip"}) == state
 
 
 def test_points_are_the_transfer_function() -> None:
-    """Other nodes for colours than for opacities, and a jump in each."""
+    """Different nodes for colours and opacities, and a jump in each."""
     transfer = TransferFunction(
         ((0.0, "black"), (1.0, "red"), (1.0, "blue"), (3.0, "white")), ((0.5, 0.0), (2.0, 0.25), (2.0, 0.75), (4.0, 1.0))
     )
@@ -155,7 +155,7 @@ def test_undo_keeps_a_bounded_number_of_states() -> None:
     assert len(history.past) == History.MOST
 
 
-def test_points_of_many_labels_come_soon_and_are_those_of_the_function() -> None:
+def test_points_of_many_labels_are_fast_and_match_the_function() -> None:
     values = np.arange(20_000.0)
     colors = tuple((float(v), (v % 7 / 7, v % 5 / 5, 0.5)) for v in values for _ in range(2))
     opacities = tuple((float(v), v % 3 / 3) for v in values[::2])
@@ -184,5 +184,5 @@ def test_points_of_many_labels_come_soon_and_are_those_of_the_function() -> None
         (None, "INPUT", {}),
     ],
 )
-def test_a_copied_command_reads_the_file_as_it_was_read(source: str | None, path: str, options: dict[str, Any]) -> None:
+def test_a_copied_command_reads_the_file_with_the_same_options(source: str | None, path: str, options: dict[str, Any]) -> None:
     assert _input(source) == (path, options)

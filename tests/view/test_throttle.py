@@ -1,4 +1,4 @@
-"""Backpressure: bounded inboxes, at most two frames under way, and quality that follows the round trip."""
+"""Backpressure: bounded queues, at most two frames in flight, and quality that follows the round trip."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_only_the_last_of_consecutive_moves_is_kept() -> None:
     assert [message["event"].get("x") for message in inbox] == [4, 9, None, None]
 
 
-def test_an_inbox_is_bounded_and_says_so_once() -> None:
+def test_an_inbox_is_bounded_and_warns_once() -> None:
     inbox = Inbox()
     for _ in range(5000):
         inbox.put({"type": "set"})
@@ -34,7 +34,7 @@ def test_an_inbox_is_bounded_and_says_so_once() -> None:
     assert inbox.take_all() == ([], None)
 
 
-def test_two_frames_are_under_way_until_they_are_acknowledged_or_lost() -> None:
+def test_two_frames_are_in_flight_until_acknowledged_or_lost() -> None:
     throttle = Throttle()
     assert throttle.room_in(0.0) == 0
     assert [throttle.send(0.0), throttle.send(0.5)] == [1, 2]
@@ -60,7 +60,7 @@ def test_quality_and_size_follow_the_round_trip() -> None:
     assert (throttle.quality, throttle.scale) == (90, 1.0)
 
 
-def test_frames_per_second_are_of_the_last_two() -> None:
+def test_frames_per_second_use_the_last_two() -> None:
     throttle = Throttle()
     assert throttle.fps(0.0) == 0
     for i in range(10):

@@ -1,4 +1,4 @@
-"""Sessions' threads, which end when what they draw is drawn, or its kernels are built."""
+"""Threads of sessions, which end with their rendering or their kernels' builds."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ __all__ = ["sessions", "wait_for_sessions"]
 
 
 def sessions() -> set[threading.Thread]:
-    """Those that run."""
+    """The running ones."""
     return {thread for thread in threading.enumerate() if thread.name == "clvol view"}
 
 
 def wait_for_sessions(most: int, but: Collection[threading.Thread] = (), seconds: float = 60.0) -> None:
-    """Until at most so many run beside those that ran before; an `AssertionError` if that takes longer."""
+    """Wait until at most n more run than before; an `AssertionError` after a timeout."""
     end = time.monotonic() + seconds
     while len(sessions().difference(but)) > most:
         assert time.monotonic() < end, f"{len(sessions().difference(but))} sessions have not ended"

@@ -1,4 +1,4 @@
-"""Which values are background, where the automatic isovalue lies, and what projections show from black to white."""
+"""Background values, the automatic isovalue, and display windows of projections."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ OUTSIDE: dict[str, tuple[NDArray[Any], float]] = {
 
 
 @pytest.mark.parametrize("case", OUTSIDE)
-def test_the_exact_background_is_never_seen(case: str) -> None:
+def test_the_exact_background_is_invisible(case: str) -> None:
     data, background = OUTSIDE[case]
     volume = Volume(data)
     assert matter_of(volume).ground == background
@@ -44,8 +44,8 @@ def test_the_exact_background_is_never_seen(case: str) -> None:
     assert isovalue_of(volume)[0] != background
 
 
-def test_measured_values_are_no_exact_background() -> None:
-    """Peaks of few integers are common, but their neighbours are, too; values cut off at the top lie inside."""
+def test_measured_values_are_not_exact_background() -> None:
+    """Peaks of few integers are common, but so are their neighbours; clipped values lie inside."""
     narrow = (np.where(BALL, 120, 10) + RNG.normal(0, 2, SHAPE)).astype(np.uint8)
     assert matter_of(Volume(narrow)).ground is None
     bright = np.minimum(np.where(CORE, 300, np.where(BALL, 150, 30)) + RNG.normal(0, 8, SHAPE), 255)
@@ -53,25 +53,25 @@ def test_measured_values_are_no_exact_background() -> None:
     assert matter_of(Volume(bright)).sign == 1
 
 
-def test_noise_of_air_is_not_seen() -> None:
+def test_noise_of_air_is_invisible() -> None:
     data = np.where(BALL, 100, 20) + RNG.normal(0, 5, SHAPE)
-    data[0, 0, 0] = -5000  # one voxel tells nothing
+    data[0, 0, 0] = -5000  # a single voxel is no evidence
     seen = TransferFunction.automatic(data)(data)[..., 3]
     assert (seen[~BALL] > 0).mean() < 0.01
     assert (seen[BALL] > 0).mean() > 0.99
 
 
-def test_a_bright_background_is_known_by_the_faces() -> None:
+def test_a_bright_background_is_recognised_at_the_faces() -> None:
     data = np.where(BALL, 80, 200) + RNG.normal(0, 8, SHAPE)
     assert matter_of(Volume(data)).sign == -1
     seen = TransferFunction.automatic(data)(data)[..., 3]
     assert (seen[~BALL] > 0).mean() < 0.01
     assert (seen[BALL] > 0).mean() > 0.99
-    assert matter_of(Volume(data[6:18, 6:18, 6:18])).sign == 1  # nothing says what is background
+    assert matter_of(Volume(data[6:18, 6:18, 6:18])).sign == 1  # the background is unknown
 
 
-def test_padding_below_air_hides_no_air() -> None:
-    """Computed tomography: around the field of view is a value below air, which is background, too."""
+def test_padding_below_air_does_not_hide_air_as_background() -> None:
+    """In CT, the padding around the field of view has a value below air, which is background too."""
     data = np.where(BALL, 40.0, -1000.0) + RNG.normal(0, 20, SHAPE)
     data[:, np.hypot(X, Y)[0] < 12] = -2000
     volume = Volume(data.round())
@@ -79,7 +79,7 @@ def test_padding_below_air_hides_no_air() -> None:
     assert (TransferFunction.automatic(volume)([-2000, -1000])[:, 3] == 0).all()
 
 
-def test_signed_data_rise_to_both_sides() -> None:
+def test_signed_data_get_opacity_on_both_sides() -> None:
     for data in (OUTSIDE["a thresholded map"][0], OUTSIDE["a masked map"][0], RNG.normal(0, 1, SHAPE)):
         assert matter_of(Volume(data)).signed
         most = float(np.abs(data).max())
@@ -125,14 +125,14 @@ def test_constant_samples() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint16])
-def test_labels_are_parted_from_their_background(dtype: Any) -> None:
+def test_labels_are_separated_from_their_background(dtype: Any) -> None:
     data = np.where(CORE, 2, np.where(BALL, 1, 0)).astype(dtype)
     assert isovalue_of(Volume(data, labels=True))[0] == 0.5
     assert isovalue_of(Volume(data + dtype(5), labels=True))[0] == 5.5  # without 0 the commonest is the background
 
 
-def test_clims_are_those_of_what_rays_meet() -> None:
-    """The maxima of noise about an object are black, and one bright voxel is not all that is white."""
+def test_clims_are_those_of_ray_maxima() -> None:
+    """Maxima of noise around an object are black, and a single bright voxel does not set white."""
     data = np.where(BALL, 100, 20) + 20 * CORE + RNG.normal(0, 3, SHAPE)
     data[12, 12, 12] = 1e5
     clims = clims_of(Volume(data))
@@ -153,8 +153,8 @@ def test_labels_of_any_width_are_counted(dtype: str, first: int) -> None:
     np.testing.assert_array_equal(np.unique(numbers), np.unique(np.array([first, first + 100], np.float64)))
 
 
-def test_a_look_at_a_volume_copies_no_volume() -> None:
-    """Arrays in Fortran's order, too, as files of NIfTI and MATLAB give them."""
+def test_analysing_a_volume_does_not_copy_it() -> None:
+    """Including arrays in Fortran order, as from NIfTI and MATLAB files."""
     samples = np.random.default_rng(0).integers(0, 255, (320, 300, 280), np.uint8)
     peaks = {}
     for layout in (samples, np.asfortranarray(samples)):
@@ -168,8 +168,8 @@ def test_a_look_at_a_volume_copies_no_volume() -> None:
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int16", ">i2", "float16", "float32", ">f8", "longdouble"])
-def test_what_is_sorted_and_counted_is_as_numpy_has_it(dtype: str) -> None:
-    """In the data's own type, of signed data, of bright backgrounds: `numpy.unique` of float64 says what is there."""
+def test_sorting_and_counting_match_numpy(dtype: str) -> None:
+    """In the data's own dtype, for signed data and bright backgrounds: `numpy.unique` of float64 is the truth."""
     chance = np.random.default_rng(5)
     data = (50 * chance.random((20, 20, 20))).astype(dtype)
     found = histogram._sorted(histogram._some(Volume(data)))

@@ -1,4 +1,4 @@
-"""Labels: which there are, their names, and volumes with some of them alone."""
+"""Labels: those present, their names, and volumes with some of them alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from clvol.base.errors import OptionError
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int16", ">i4", "float32"])
-def test_what_is_left_out_becomes_background(dtype: str) -> None:
+def test_omitted_labels_become_background(dtype: str) -> None:
     data = np.array([[[0, 1, 2], [3, 2, 0]]], dtype)
     volume = Volume(data, labels={1: "liver", 3: "spleen"}, spacing=(1, 2, 3))
     assert labels.numbers_of(volume).tolist() == [1, 2, 3]
@@ -55,7 +55,7 @@ def test_a_label_far_beyond_the_number_of_samples_takes_no_table(monkeypatch: py
 
 @pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int32", "uint64", "int64", "float16", "float32", "float64"])
 @pytest.mark.parametrize("span", [9, 100])
-def test_any_samples_are_told_from_any_labels(dtype: str, span: int) -> None:
+def test_any_samples_can_be_compared_with_any_labels(dtype: str, span: int) -> None:
     chance = np.random.default_rng(span)
     data = chance.integers(0, span, (4, 5, 3)).astype(dtype)
     chosen = [-(10**400), -(2**63), -5, 0, *map(int, chance.integers(0, span, 5)), 300, 70_000, 2**24 + 1, 2**63, 2**64, 10**400]
@@ -78,7 +78,7 @@ def test_a_label_beside_one_that_float32_cannot_hold() -> None:
     assert labels.without(volume, [2**24 + 1]).data.tolist()[0][0][1] == 2**24
 
 
-def test_thousands_of_labels_are_looked_up_in_samples() -> None:
+def test_thousands_of_labels_are_found_in_samples() -> None:
     data = np.arange(200_000, dtype=np.float32).reshape(20, 100, 100) % 5000
     volume = Volume(data, labels=True)
     labels.numbers_of(volume)
@@ -86,13 +86,13 @@ def test_thousands_of_labels_are_looked_up_in_samples() -> None:
     assert np.array_equal(some.data, np.where((data < 4000) & (data % 2 == 0), 0, data))
 
 
-def test_background_is_the_commonest_where_there_is_no_0() -> None:
+def test_without_0_the_commonest_label_is_background() -> None:
     volume = Volume(np.array([[[7, 7, 2], [3, 2, 7]]], np.int16), labels=True)
     assert labels.numbers_of(volume).tolist() == [2, 3]
     assert labels.without(volume, [3]).data.tolist() == [[[7, 7, 2], [7, 2, 7]]]
 
 
-def test_what_was_seen_to_be_labels_stays_labels() -> None:
+def test_recognised_labels_stay_labels() -> None:
     blocks = np.kron(np.array([[[0, 1], [5, 9]], [[9, 5], [0, 3]]]), np.ones((12, 12, 12))).astype(np.uint8)
     volume = Volume(blocks)
     assert volume.labels is None
@@ -100,7 +100,7 @@ def test_what_was_seen_to_be_labels_stays_labels() -> None:
     assert labels.only(volume, [5]).is_labels
 
 
-def test_refuses_what_is_no_label_map_and_no_label() -> None:
+def test_rejects_other_volumes_and_invalid_labels() -> None:
     with pytest.raises(OptionError, match="the volume must be a label map"):
         labels.only(Volume(np.random.default_rng(0).normal(size=(4, 4, 4))), [1])
     with pytest.raises(OptionError, match=r"each label must be a whole number; got 1\.5"):

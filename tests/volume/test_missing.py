@@ -1,4 +1,4 @@
-"""Missing samples: what stands in for them, and which results they reach."""
+"""Missing samples: their replacements, and the results that they affect."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def holes(shape: tuple[int, ...], share: float, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", [(30,), (9, 12), (8, 9, 10)])
-def test_the_fill_continues_what_is_straight(shape: tuple[int, ...]) -> None:
-    """A function without second differences is the least bent one, at corners too."""
+def test_the_fill_continues_linear_functions(shape: tuple[int, ...]) -> None:
+    """A function without second differences has the least bending, at corners too."""
     ramp = 3.0 + sum((a + 2) * x for a, x in enumerate(np.indices(shape)))
     missing = holes(shape, 0.2)
     missing[(0,) * len(shape)] = missing[(-1,) * len(shape)] = True
@@ -42,8 +42,8 @@ def test_the_fill_continues_what_is_straight(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(got[~missing], ramp[~missing])
 
 
-def test_one_missing_sample_is_the_least_bent_value() -> None:
-    """In closed form: along each axis (-1 4 4 -1)/6 of the four neighbours, in the mean over the axes."""
+def test_one_missing_sample_minimises_bending() -> None:
+    """In closed form: (-1 4 4 -1)/6 of the four neighbours along each axis, averaged over the axes."""
     data = noise((7, 8, 9), kind=np.float64)
     missing = np.zeros(data.shape, bool)
     missing[3, 4, 4] = True
@@ -54,7 +54,7 @@ def test_one_missing_sample_is_the_least_bent_value() -> None:
     assert filled_smoothly(data, missing)[3, 4, 4] == pytest.approx(wanted, abs=1e-12)
 
 
-def test_what_the_fill_is_where_little_or_nothing_is_known() -> None:
+def test_the_fill_with_few_or_no_known_samples() -> None:
     nothing = np.ones((3, 4, 5), bool)
     np.testing.assert_array_equal(filled_smoothly(np.full(nothing.shape, np.nan), nothing), 0)
     for shape in ((2,), (1, 1, 2), (2, 2), (40, 41)):  # one sample alone
@@ -80,8 +80,8 @@ def test_scale_changes_nothing(scale: float) -> None:
 
 
 @pytest.mark.parametrize(("hole", "bound"), [(1, 1e-6), (3, 1e-5), (9, 1e-4)])
-def test_beside_a_hole_a_smooth_function_is_hardly_changed(hole: int, bound: float) -> None:
-    """What a cubic spline errs by, next to the hole, beyond what it errs by without one: rms, of the range."""
+def test_beside_a_hole_a_smooth_function_is_nearly_exact(hole: int, bound: float) -> None:
+    """The increase of a cubic spline's error next to the hole: RMS, relative to the range."""
     n, rng = 40, np.random.default_rng(3)
     grid = np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), -1).astype(float)
     data = np.zeros((n,) * 3)
@@ -104,7 +104,7 @@ def test_beside_a_hole_a_smooth_function_is_hardly_changed(hole: int, bound: flo
 
 
 def touched(missing: np.ndarray, index: np.ndarray, name: str, rule: str) -> np.ndarray:
-    """Whether a missing sample, or its image, lies within half the kernel's width of a position; the outermost hair left open."""
+    """Whether a missing sample, or its image, lies within half the kernel's width of a position, except at its very end."""
     row = as_filter(name)
     by = row.magnified_by
     reach = row.support / 2 if by is None else by.support / 2 + row.support / 2 / row.scale
@@ -129,7 +129,7 @@ def touched(missing: np.ndarray, index: np.ndarray, name: str, rule: str) -> np.
         ("bspline3-approx", "grid-constant"),
     ],
 )
-def test_local_is_nan_where_the_kernel_touches_and_the_filled_volume_elsewhere(device: Device, name: str, rule: str) -> None:
+def test_local_is_nan_where_the_kernel_touches_and_filled_elsewhere(device: Device, name: str, rule: str) -> None:
     data = noise((12, 13, 14))
     missing = np.zeros(data.shape, bool)
     missing[5, 6, 7] = missing[0, 0, 0] = missing[-1, -1, -1] = True
@@ -153,8 +153,8 @@ def test_local_is_nan_where_the_kernel_touches_and_the_filled_volume_elsewhere(d
     assert field.closed
 
 
-def test_a_sample_that_is_only_beside_the_kernel_does_not_count(device: Device) -> None:
-    """At integer positions a cubic's outer tap has no weight, and a linear filter has one sample."""
+def test_a_sample_just_outside_the_kernel_does_not_count(device: Device) -> None:
+    """At integer positions a cubic's outer tap has weight zero, and a linear filter uses one sample."""
     data = np.ones((9, 9, 9), np.float32)
     data[4, 4, 4] = np.nan
     at = np.stack(np.meshgrid(*[np.arange(9.0)] * 3, indexing="ij")[::-1], -1)
@@ -166,7 +166,7 @@ def test_a_sample_that_is_only_beside_the_kernel_does_not_count(device: Device) 
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_grids_are_points(device: Device, kind: type) -> None:
+def test_grids_match_points(device: Device, kind: type) -> None:
     data = np.where(holes((8, 9, 10), 0.01), np.nan, noise((8, 9, 10), kind=kind))
     turned = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     for grid in (
@@ -183,8 +183,8 @@ def test_grids_are_points(device: Device, kind: type) -> None:
     np.testing.assert_array_equal(np.isnan(twice[::2, ::2, ::2]), np.isnan(data))
 
 
-def test_the_share_that_may_be_missing(device: Device) -> None:
-    """Half of the volume is missing: along its face the share is one half, and falls to nothing over a kernel's reach."""
+def test_the_fraction_that_may_be_missing(device: Device) -> None:
+    """Half of the volume is missing: along its face the fraction is one half, and falls to zero over a kernel's reach."""
     data = np.ones((9, 9, 20), np.float32)
     data[..., 10:] = np.nan
     x = np.linspace(6, 13, 141)
@@ -212,8 +212,8 @@ def test_one_sample_is_a_27th_of_a_cubics_taps() -> None:
     ("rule", "mode"), [("mirror", "mirror"), ("wrap", "grid-wrap"), ("nearest", "nearest"), ("overlap", "wrap")]
 )
 @pytest.mark.parametrize(("name", "order"), [("linear", 1), ("bspline3", 3), ("bspline3-approx", 3)])
-def test_propagated_as_scipy_does(device: Device, name: str, order: int, rule: str, mode: str) -> None:
-    """NaN times zero is NaN: taps without weight count."""
+def test_nan_propagates_as_in_scipy(device: Device, name: str, order: int, rule: str, mode: str) -> None:
+    """NaN times zero is NaN: taps of weight zero count."""
     data = noise((7, 8, 9), kind=np.float64)
     data[2, 3, 4] = data[6, 7, 8] = data[0, 0, 5] = np.nan
     lattice = np.stack(np.meshgrid(*(np.arange(n) for n in data.shape), indexing="ij")[::-1], -1).reshape(-1, 3)
@@ -239,7 +239,7 @@ def test_nothing_but_missing_samples(device: Device, rule: str, name: str) -> No
         assert np.isnan(clvol.sample(np.full(shape, np.nan), points, name, nan=rule, device=device)).all()
 
 
-def test_nothing_missing_is_as_without(device: Device) -> None:
+def test_an_empty_mask_has_no_effect(device: Device) -> None:
     data, points = noise((5, 6, 7)), np.random.default_rng(0).uniform(0, 4, (50, 3))
     wanted = clvol.sample(data, points, device=device)
     for nan in ("local", "propagate", Missing("local", mask=np.zeros(data.shape, bool))):
@@ -274,7 +274,7 @@ def test_progress_goes_from_0_to_1_once(device: Device) -> None:
     assert seen[-1] == 1
 
 
-def test_pictures_take_whole_fields_alone(device: Device) -> None:
+def test_pictures_need_fields_without_missing_samples(device: Device) -> None:
     data = np.random.default_rng(0).random((8, 9, 10)).astype(np.float32)
     data[4, 4, 4] = np.nan
     with clvol.Field(data, nan="local", device=device) as field, pytest.raises(OptionError, match="a field without gaps"):
@@ -286,7 +286,7 @@ def test_pictures_take_whole_fields_alone(device: Device) -> None:
     np.testing.assert_array_equal(kept, clvol.render(Volume(data).filled(), filter="bspline3", size=(8, 8), device=device))
 
 
-def test_what_is_refused(device: Device) -> None:
+def test_invalid_masks_and_options_are_rejected(device: Device) -> None:
     data = noise((5, 6, 7))
     for bad in ("skip", None, 3):
         with pytest.raises(OptionError, match="nan must be one of error, propagate, local"):

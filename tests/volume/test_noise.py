@@ -1,4 +1,4 @@
-"""What is told of noise, on samples that were made with it."""
+"""Noise estimates, on samples with known noise."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ def test_white_noise(shape: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("scale", [1.0, -3.0, 1e-6, 1e12])
-def test_affine_changes_of_value(scale: float) -> None:
+def test_affine_changes_of_values(scale: float) -> None:
     data = ball() + 0.2 * gaussian(48, 48, 48)
     there, back = estimate(data), estimate(scale * data + 7 * scale)
     assert back.kind == there.kind
     assert back.sigma == pytest.approx(abs(scale) * there.sigma, rel=0.02)
 
 
-def test_permuted_and_turned_axes() -> None:
+def test_permuted_and_flipped_axes() -> None:
     data = ball() + 0.2 * gaussian(48, 48, 48)
     there = estimate(data)
     for other in (data.transpose(1, 2, 0), data.transpose(2, 1, 0)):
@@ -84,7 +84,7 @@ def test_noise_that_is_correlated_along_an_axis() -> None:
     assert noise.sigma == pytest.approx(data.std(), rel=0.1)
 
 
-def test_the_spectrum_holds_all_variance_and_its_share_of_noise() -> None:
+def test_the_spectrum_contains_all_variance_and_its_noise() -> None:
     data = 4 * ball() + 0.5 * gaussian(48, 48, 48)
     spectrum = estimate(data).spectrum
     assert spectrum.power.sum() == pytest.approx((data / np.ptp(data)).var(), rel=1e-5)
@@ -94,7 +94,7 @@ def test_the_spectrum_holds_all_variance_and_its_share_of_noise() -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, -1000.0, 3.5])
-def test_a_background_that_was_masked_out(value: float) -> None:
+def test_a_masked_background(value: float) -> None:
     inside = ball()
     noise = estimate(np.where(inside, value + 40 + gaussian(48, 48, 48), value))
     assert noise.masked
@@ -104,7 +104,7 @@ def test_a_background_that_was_masked_out(value: float) -> None:
     assert noise.jump > 5
 
 
-def test_a_background_that_objects_fade_into_is_no_mask() -> None:
+def test_a_gradual_background_is_not_a_mask() -> None:
     x = np.linspace(-1, 1, 64)
     bump = np.exp(-(x[:, None, None] ** 2 + x[:, None] ** 2 + x**2) / 0.1)
     cut = (bump - 0.1).clip(0)
@@ -115,7 +115,7 @@ def test_a_background_that_objects_fade_into_is_no_mask() -> None:
     assert noise.sigma < 1e-4
 
 
-def test_few_photons_are_no_background() -> None:
+def test_low_photon_counts_are_not_background() -> None:
     assert estimate(np.random.default_rng(0).poisson(3, (40, 40, 40))).background is None
 
 
@@ -125,7 +125,7 @@ def test_two_values(dtype: type) -> None:
     assert (noise.kind, noise.sigma, noise.distinct) == ("binary", 0, 2)
 
 
-def test_labels_and_what_is_none() -> None:
+def test_labels_and_other_data() -> None:
     labels = ball().astype(np.int16) * 7 + ball(radius=0.3) * 20
     assert estimate(labels).kind == "labels"
     averaged = ndimage.zoom(ball(96).astype(float), 0.5, order=1) * 200
@@ -136,7 +136,7 @@ def test_labels_and_what_is_none() -> None:
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 1, 1), (4, 5, 6), (1, 9, 3)])
-def test_too_few_samples_tell_of_no_noise(shape: tuple[int, ...]) -> None:
+def test_too_few_samples_give_no_estimate(shape: tuple[int, ...]) -> None:
     for data in (gaussian(*shape), np.zeros(shape), np.zeros(shape, np.uint8)):
         noise = estimate(data)
         assert (noise.kind, noise.sigma) == ("none", 0)
@@ -150,13 +150,13 @@ def test_types_of_samples(dtype: Any) -> None:
 
 
 @pytest.mark.parametrize("scale", [1.7e308, 1e-310])
-def test_ranges_that_float64_hardly_holds(scale: float) -> None:
+def test_ranges_near_the_limits_of_float64(scale: float) -> None:
     data = np.random.default_rng(0).uniform(-1, 1, (24, 24, 24))
     assert estimate(data * scale).sigma == pytest.approx(scale / np.sqrt(3), rel=0.1)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_samples_that_are_not_finite_are_refused(bad: float) -> None:
+def test_samples_that_are_not_finite_are_rejected(bad: float) -> None:
     data = gaussian(10, 10, 10)
     data[3, 4, 5] = bad
     with pytest.raises(DataError, match=r"finite.*Volume\.filled"):
@@ -174,7 +174,7 @@ def test_large_volumes_are_not_copied(tmp_path: Path) -> None:
     assert noise.spectrum.power.size <= 64**3
 
 
-def test_what_is_told_is_plain() -> None:
+def test_the_description_is_plain() -> None:
     noise = estimate(gaussian(20, 20, 20))
     assert dataclasses.is_dataclass(noise)
     assert "spectrum" not in repr(noise)
@@ -194,8 +194,8 @@ def test_integers_far_from_zero_keep_their_noise(dtype: type[np.integer[Any]], o
     assert (far.sigma, far.step, far.distinct) == (there.sigma, 1, there.distinct)
 
 
-def test_waves_longer_than_a_block_are_found_where_they_are() -> None:
-    """White noise and one wave: the power of its cell is the wave's, that of the others the noise's."""
+def test_waves_longer_than_a_block_are_found_at_their_frequency() -> None:
+    """White noise and one wave: its cell has the wave's power, the others the noise's."""
     n, wave, sigma = 192, 6, 0.5
     x = np.cos(np.pi * wave * (np.arange(n) + 0.5) / n)
     data = x[:, None, None] * x[:, None] * x + sigma * gaussian(n, n, n)
@@ -208,7 +208,7 @@ def test_waves_longer_than_a_block_are_found_where_they_are() -> None:
     assert unit * near < 0.002
 
 
-def test_means_see_what_blocks_do_not() -> None:
+def test_means_detect_what_blocks_miss() -> None:
     data = gaussian(128, 112, 96).astype(np.float32)
     data[0, 0, 0] = np.nan  # beside the blocks
     with pytest.raises(DataError, match="finite"):
@@ -218,7 +218,7 @@ def test_means_see_what_blocks_do_not() -> None:
 
 
 def test_blocks_represent_a_large_volume() -> None:
-    """The share of an object in the middle, which blocks crowded there would overstate, and the noise of its counts."""
+    """The fraction of a central object, which blocks crowded there would overestimate, and its photon noise."""
     inside = ball(176)
     data = np.random.default_rng(0).poisson(np.where(inside, 220, 20))
     noise = estimate(data)
@@ -228,7 +228,7 @@ def test_blocks_represent_a_large_volume() -> None:
 
 
 @pytest.mark.parametrize("levels", [4, 8])
-def test_smooth_data_of_few_values_are_no_labels(levels: int) -> None:
+def test_smooth_data_of_few_values_are_not_labels(levels: int) -> None:
     z, y, x = np.mgrid[:40, :40, :40]
     wave = np.sin(x / 4 + y / 7) * np.cos(z / 5)
     rounded = np.round((wave + 1) / 2 * (levels - 1)).astype(np.uint8)
@@ -239,12 +239,12 @@ def test_smooth_data_of_few_values_are_no_labels(levels: int) -> None:
 
 
 @pytest.mark.parametrize("n", [1, 2, 33, 256, 257])
-def test_the_cosine_transform_is_scipys(n: int) -> None:
+def test_the_cosine_transform_matches_scipy(n: int) -> None:
     data = np.random.default_rng(n).normal(size=(3, n, 4)).astype(np.float32)
     np.testing.assert_allclose(_cosine_transform(data, 1), fft.dct(data, axis=1, norm="ortho"), rtol=0, atol=1e-5)
 
 
-def test_estimating_noise_waits_for_no_import_of_scipy() -> None:
+def test_estimating_noise_does_not_import_scipy() -> None:
     made = "clvol.Volume(numpy.random.default_rng(0).random((64,) * 3)).noise"
     code = f"import clvol, numpy, sys; {made}; print('scipy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)

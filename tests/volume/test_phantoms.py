@@ -1,4 +1,4 @@
-"""Phantoms are samples of the functions that they say they are."""
+"""Phantoms sample their documented functions."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_names_are_complete() -> None:
 
 @pytest.mark.parametrize("size", [1, *BAD_COUNTS, (4, 4), (4, 4, 4, 4), (4, 4, 0), (4, 4, 2.5), (4, True, 4)], ids=repr)
 @pytest.mark.parametrize("name", phantoms.names())
-def test_bad_sizes_are_refused(name: str, size: object) -> None:
+def test_bad_sizes_are_rejected(name: str, size: object) -> None:
     make = getattr(phantoms, name.replace("-", "_"))
     if name == "checker" and type(size) is int and size == 1:
         assert make(1).shape == (1, 1, 1)
@@ -115,7 +115,7 @@ def test_bad_sizes_are_refused(name: str, size: object) -> None:
 
 
 @pytest.mark.parametrize("bad", ["", "cube", "sphere:", "sphere:x", "sphere:4,4", "sphere:0", "Sphere", 3])
-def test_bad_names_are_refused(bad: object) -> None:
+def test_bad_names_are_rejected(bad: object) -> None:
     with pytest.raises(OptionError):
         by_name(bad)  # type: ignore[arg-type]
 
@@ -136,7 +136,7 @@ def test_bad_names_are_refused(bad: object) -> None:
         lambda: phantoms.checker(4, 3),
     ],
 )
-def test_bad_parameters_are_refused(call) -> None:  # type: ignore[no-untyped-def]
+def test_bad_parameters_are_rejected(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()
 
@@ -152,19 +152,19 @@ def test_bad_parameters_are_refused(call) -> None:  # type: ignore[no-untyped-de
         points=(marschner_lobb_function, BAD_REALS),
     ),
 )
-def test_bad_values_are_refused(call: Any, bad: Any) -> None:
+def test_bad_values_are_rejected(call: Any, bad: Any) -> None:
     with pytest.raises(OptionError):
         call(bad)
 
 
 @pytest.mark.parametrize("size", [10**5, 10**7, 10**30, (10**5, 10**5, 10**5)])
 @pytest.mark.parametrize("name", phantoms.names())
-def test_sizes_beyond_memory_are_said(name: str, size: object) -> None:
+def test_sizes_beyond_memory_are_rejected(name: str, size: object) -> None:
     with pytest.raises(OutOfMemoryError, match="out of memory: size must give at most"):
         getattr(phantoms, name.replace("-", "_"))(size)
 
 
-def test_what_does_not_fit_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_phantoms_that_do_not_fit_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise MemoryError("1 GiB")
 

@@ -1,4 +1,4 @@
-"""The choice of λ: what is told of it, its form, and the cases that no noise decides."""
+"""The choice of λ: its description, its form, and cases that noise does not decide."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def noisy(*shape: int, sigma: float = 0.2) -> NDArray[np.float64]:
     return waves + sigma * np.random.default_rng(0).normal(size=shape)
 
 
-def test_the_name_of_the_filter_gives_it_again() -> None:
+def test_the_name_reproduces_the_filter() -> None:
     chosen = choose(noisy(33, 34, 35))
     assert all(value == float(f"{value:.3g}") > 0 for value in chosen.values)
     row = clvol.bspline(3, smoothing=chosen.values)
@@ -27,7 +27,7 @@ def test_the_name_of_the_filter_gives_it_again() -> None:
     assert len(set(chosen.values)) == 1  # the axes do not differ
 
 
-def test_it_is_the_same_every_time_and_for_every_affine_change() -> None:
+def test_it_is_reproducible_and_invariant_to_affine_changes() -> None:
     data = noisy(40, 40, 40)
     first = choose(data)
     assert choose(data.copy()) == first
@@ -48,14 +48,14 @@ def test_values_are_in_the_order_of_the_geometry() -> None:
     assert image.values[1] < 0.1 < image.values[0]
 
 
-def test_an_axis_of_one_sample_takes_the_others_smoothing() -> None:
+def test_an_axis_of_one_sample_uses_the_others_smoothing() -> None:
     for seed in range(4):
         assert len(set(choose(np.random.default_rng(seed).normal(size=(1, 64, 64))).values)) == 1
 
 
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("degree", [2, 3, 5, 9])
-def test_nothing_but_noise_is_smoothed_as_far_as_can_be_drawn(degree: int) -> None:
+def test_pure_noise_gets_the_maximum_smoothing(degree: int) -> None:
     volume = clvol.Volume(np.random.default_rng(0).normal(size=(40, 40, 40)))
     row = settled(f"bspline{degree}(auto)", volume)
     drawn = clvol.resample(volume, shape=volume.shape, filter=row).data
@@ -63,7 +63,7 @@ def test_nothing_but_noise_is_smoothed_as_far_as_can_be_drawn(degree: int) -> No
 
 
 @pytest.mark.parametrize(("length", "message"), [(1e300, "at most 17.78 for the spacings"), (18.0, "got 18")])
-def test_lengths_that_smooth_too_much_are_refused(length: float, message: str) -> None:
+def test_excessive_smoothing_lengths_are_rejected(length: float, message: str) -> None:
     with pytest.raises(OptionError, match=message):
         settled(clvol.bspline(3, length=length), clvol.Volume(np.zeros((4, 4, 4)), (1, 2, 3)))
     assert max(np.ravel(settled("bspline3(length=17.7)", clvol.Volume(np.zeros((4, 4, 4)), (1, 2, 3))).smoothing)) <= 1e5
@@ -84,7 +84,7 @@ def test_more_noise_is_smoothed_more() -> None:
 @pytest.mark.parametrize("degree", range(2, 10))
 def test_degrees_smooth_alike(degree: int) -> None:
     def half(degree: int, value: float) -> float:
-        """The frequency of which half remains."""
+        """The frequency with a response of one half."""
         omega = np.linspace(0, np.pi, 20_001)
         row = clvol.bspline(degree, smoothing=value)
         plain = clvol.bspline(degree)
@@ -104,7 +104,7 @@ def test_degrees_smooth_alike(degree: int) -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 10, 2.5, "3", None])
-def test_other_degrees_are_refused(degree: object) -> None:
+def test_other_degrees_are_rejected(degree: object) -> None:
     with pytest.raises(OptionError, match="degree"):
         choose(noisy(9, 9, 9), degree)  # type: ignore[arg-type]
 
@@ -126,7 +126,7 @@ def test_reasons(data: NDArray[np.float64], values: tuple[float, ...], reason: s
     assert chosen.reason.startswith(reason)
 
 
-def test_a_mask_adds_to_what_the_noise_asks_for() -> None:
+def test_a_mask_adds_to_the_smoothing_for_noise() -> None:
     x = np.linspace(-1, 1, 48)
     inside = x[:, None, None] ** 2 + x[:, None] ** 2 + x**2 < 0.5
     little = choose(np.where(inside, 2 + noisy(48, 48, 48, sigma=0.01), 0))
@@ -136,7 +136,7 @@ def test_a_mask_adds_to_what_the_noise_asks_for() -> None:
     assert min(much.values) > 0.2
 
 
-def test_samples_that_are_not_finite_are_refused() -> None:
+def test_samples_that_are_not_finite_are_rejected() -> None:
     with pytest.raises(DataError, match="finite"):
         choose(np.array([[1.0, np.nan]]))
 

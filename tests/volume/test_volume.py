@@ -1,4 +1,4 @@
-"""A volume holds samples and says where they lie."""
+"""A volume has samples and a placement."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_corners_and_center() -> None:
     assert Volume(DATA[0]).corners.shape == (4, 2)
 
 
-def test_crop_keeps_places() -> None:
+def test_crop_keeps_positions() -> None:
     part = VOLUME.crop((1, 0, 2), (4, 5, 3))
     np.testing.assert_array_equal(part.data, DATA[2:3, 0:5, 1:4])
     np.testing.assert_allclose(part.index_to_world([0, 0, 0]), VOLUME.index_to_world([1, 0, 2]))
@@ -84,7 +84,7 @@ def test_crop_keeps_places() -> None:
             VOLUME.crop(low, high)  # type: ignore[arg-type]
 
 
-def test_downsample_keeps_places() -> None:
+def test_downsample_keeps_positions() -> None:
     part = VOLUME.downsample(2)
     np.testing.assert_array_equal(part.data, DATA[::2, ::2, ::2])
     np.testing.assert_allclose(part.index_to_world([1, 1, 1]), VOLUME.index_to_world([2, 2, 2]))
@@ -109,7 +109,7 @@ def test_gaussian_is_in_world_units() -> None:
             Volume(impulse).gaussian(sigma)  # type: ignore[arg-type]
 
 
-def test_values_that_are_not_finite() -> None:
+def test_nonfinite_values() -> None:
     data = np.array([[1.0, np.nan], [np.inf, -3.0]])
     volume = Volume(data)
     assert volume.value_range == (-3, 1)
@@ -125,7 +125,7 @@ def test_values_that_are_not_finite() -> None:
 
 
 @pytest.mark.parametrize("bad", [*(v for v in BAD_NUMBERS if v is not None), 1e10], ids=repr)
-def test_filled_takes_a_number_that_the_samples_can_be(bad: object) -> None:
+def test_filled_requires_a_representable_value(bad: object) -> None:
     half = Volume(np.array([[np.nan, 1]], np.float16))
     with pytest.raises(OptionError, match="value must be"):
         half.filled(bad)  # type: ignore[arg-type]
@@ -167,10 +167,10 @@ def test_it_is_frozen() -> None:
         VOLUME.data[0] = 9
     mine = np.zeros((2, 2))
     Volume(mine)
-    mine[0, 0] = 1  # the caller's array stays his
+    mine[0, 0] = 1  # the caller's array stays writable
 
 
-def test_masked_arrays_without_a_masked_element_are_taken() -> None:
+def test_masked_arrays_without_masked_elements_are_accepted() -> None:
     assert Volume(np.ma.array([[1, 2]])).data.tolist() == [[1, 2]]
     masked = np.ma.array([[1, 2]], mask=[[False, True]])
     with pytest.raises(DataError, match=r"filled\(value\)"):
@@ -178,7 +178,7 @@ def test_masked_arrays_without_a_masked_element_are_taken() -> None:
     assert Volume(masked.filled(0)).data.tolist() == [[1, 0]]
 
 
-def test_simpleitk_image_brings_its_geometry() -> None:
+def test_simpleitk_images_have_their_geometry() -> None:
     sitk = pytest.importorskip("SimpleITK")
     image = sitk.GetImageFromArray(DATA)
     image.SetSpacing((0.5, 1.5, 2.0))
@@ -192,7 +192,7 @@ def test_simpleitk_image_brings_its_geometry() -> None:
         Volume(sitk.GetImageFromArray(np.zeros((2, 2, 2, 3)), isVector=True))
 
 
-def test_nibabel_image_is_brought_into_lps() -> None:
+def test_nibabel_images_are_converted_to_lps() -> None:
     nibabel = pytest.importorskip("nibabel")
     affine = np.eye(4)
     affine[:3, :3] = OBLIQUE * [0.5, 1.5, 2.0]
@@ -204,7 +204,7 @@ def test_nibabel_image_is_brought_into_lps() -> None:
     np.testing.assert_allclose(volume.index_to_world([5, 1, 3]), ras[:3] * [-1, -1, 1], rtol=1e-6)
 
 
-def test_simpleitk_image_is_in_mm_and_drops_trailing_axes_of_one_sample() -> None:
+def test_simpleitk_images_are_in_mm_without_trailing_axes_of_one_sample() -> None:
     sitk = pytest.importorskip("SimpleITK")
     image = sitk.GetImageFromArray(DATA[None], isVector=False)
     image.SetSpacing((0.5, 1.5, 2.0, 9.0))
@@ -231,7 +231,7 @@ def test_numpy_reads_the_samples() -> None:
 
 
 class OldLibrary:
-    """One that knows no read-only memory."""
+    """A library that does not support read-only memory."""
 
     def __init__(self, volume: Volume) -> None:
         self.volume = volume
@@ -253,11 +253,11 @@ def test_dlpack_shares_the_samples_or_copies_them() -> None:
 
 
 @pytest.mark.skipif(np.lib.NumpyVersion(np.__version__) < "2.1.0", reason="older ones cannot export read-only memory")
-def test_dlpack_of_today_shares() -> None:
+def test_current_dlpack_shares_memory() -> None:
     assert np.shares_memory(np.from_dlpack(VOLUME), DATA)
 
 
-def test_images_of_other_libraries_come_back() -> None:
+def test_images_of_other_libraries_round_trip() -> None:
     sitk, nibabel = pytest.importorskip("SimpleITK"), pytest.importorskip("nibabel")
     for volume in (VOLUME, Volume(DATA[0], (2, 3), (4, 5), [[0, -1], [1, 0]], "mm"), Volume(DATA > 0, units="mm")):
         image, other = volume.to_sitk(), volume.to_nibabel()
@@ -280,7 +280,7 @@ def test_images_of_other_libraries_come_back() -> None:
             Volume(DATA.astype(np.longdouble)).to_nibabel()
 
 
-def test_xarray_has_coordinates_where_the_axes_run_along_the_worlds() -> None:
+def test_xarray_has_coordinates_where_axes_are_aligned_with_the_world() -> None:
     pytest.importorskip("xarray")
     straight = Volume(DATA, (1, 2, 3), (4, 5, 6), np.diag([1, -1, 1]), "um", name="cells", clim=(0, 9), space="image")
     array = straight.to_xarray()
@@ -299,7 +299,7 @@ def test_xarray_has_coordinates_where_the_axes_run_along_the_worlds() -> None:
             assert getattr(again, name) == getattr(volume, name)
 
 
-def test_parts_of_arrays_of_xarray_are_where_they_were() -> None:
+def test_parts_of_xarray_arrays_keep_their_positions() -> None:
     pytest.importorskip("xarray")
     volume = Volume(DATA, (1, 2, 3), (4, 5, 6), np.diag([1, -1, 1]))
     part = Volume(volume.to_xarray()[1:3, ::-2, 2:])
@@ -342,12 +342,12 @@ BAD: list[tuple[dict[str, Any], type[ClvolError]]] = [
 
 
 @pytest.mark.parametrize(("change", "error"), BAD, ids=[str(c)[:50] for c, _ in BAD])
-def test_bad_input_is_refused(change: dict[str, Any], error: type[ClvolError]) -> None:
+def test_bad_input_is_rejected(change: dict[str, Any], error: type[ClvolError]) -> None:
     with pytest.raises(error):
         Volume(**{"data": np.ones((2, 2)), **change})
 
 
-def test_bad_points_are_refused() -> None:
+def test_bad_points_are_rejected() -> None:
     for points in (3.0, [1.0, 2.0], [[1.0] * 4]):
         with pytest.raises(OptionError, match="must have shape"):
             VOLUME.world_to_index(points)
@@ -356,7 +356,7 @@ def test_bad_points_are_refused() -> None:
             VOLUME.world_to_index(bad)
 
 
-def test_a_library_that_another_thread_is_importing_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Until its import is done, a module is there without what it holds."""
+def test_a_library_being_imported_by_another_thread_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until the import completes, the module exists without its contents."""
     monkeypatch.setitem(sys.modules, "torch", ModuleType("torch"))
     assert Volume(DATA.tolist()).shape == DATA.shape

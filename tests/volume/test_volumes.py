@@ -1,4 +1,4 @@
-"""Several volumes on one grid: which they are, and as other libraries have them."""
+"""Several volumes on one grid: selection, and conversion to other libraries."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ def test_grids_are_compared_in_voxels_and_units() -> None:
         Volumes([fine, replace(fine, spacing=(2e-9,) * 3)])
     with pytest.raises(GeometryError, match="one grid"):
         Volumes([Volume(data, units="mm"), Volume(data, units="um")])
-    assert len(Volumes([fine, replace(fine, origin=(1e-14, 0.0, 0.0))])) == 2  # as rounding leaves it
+    assert len(Volumes([fine, replace(fine, origin=(1e-14, 0.0, 0.0))])) == 2  # with rounding
     with pytest.raises(DataError, match="got none"):
         Volumes([])
 
 
-def test_a_color_that_all_volumes_have_is_kept() -> None:
+def test_a_colour_shared_by_all_volumes_is_kept() -> None:
     red = Volume(np.zeros((2, 2, 2)), color=np.array([1.0, 0, 0]), clim=np.array([0.0, 1]))  # type: ignore[arg-type]
     assert Volumes([red])[0].color == (1.0, 0.0, 0.0)
     assert Volumes([red, red])[1].clim == (0.0, 1.0)
@@ -111,7 +111,7 @@ def test_simpleitk() -> None:
     assert again.axes == ("volume", "channel")
     np.testing.assert_array_equal(again, DATA)
     assert (again[0].spacing, again[0].origin, again[0].units, again[0].space) == ((1, 2, 3), (4, 5, 6), "mm", "LPS")
-    flat = Volumes(DATA[:, 0, 0], spacing=(1, 2))  # images one after another are no volume
+    flat = Volumes(DATA[:, 0, 0], spacing=(1, 2))  # a sequence of images is not a volume
     assert flat.to_sitk().GetSize() == (6, 5, 1, 3)
     np.testing.assert_array_equal(Volumes(flat.to_sitk())[:][2].data[0], DATA[2, 0, 0])
     one = Volumes(sitk.GetImageFromArray(DATA[0, 0]))

@@ -1,4 +1,4 @@
-"""The server before a real browser: what a page gets from it, and what pages of others do not."""
+"""The server in a real browser: what its page gets, and what pages of other origins do not."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def opened(browser: Browser, server: Serving) -> np.ndarray:
 
 
 def settled(browser: Browser, other_than: np.ndarray | None = None) -> np.ndarray:
-    """The last picture, when it changes no more, and is not the one given.
+    """The last picture, once it no longer changes and differs from the given one.
 
-    That it stays for a while is not enough: on a machine that is busy a coarse one may, before the last one comes.
+    A pause is not enough: on a busy machine a coarse picture may rest before the last one arrives.
     """
     last: list[np.ndarray] = []
 
@@ -59,7 +59,7 @@ def settled(browser: Browser, other_than: np.ndarray | None = None) -> np.ndarra
     return last[-1]
 
 
-def test_the_page_shows_what_gestures_ask_for_and_asks_no_other_machine(browser: Browser, served: Serving) -> None:
+def test_the_page_responds_to_gestures_and_contacts_no_other_machine(browser: Browser, served: Serving) -> None:
     first = opened(browser, served)
     assert browser.js("return location.search") == ""  # the token has left the address
     assert "a sphere" in browser.js("return document.body.innerText + document.title")
@@ -81,7 +81,7 @@ def test_the_page_shows_what_gestures_ask_for_and_asks_no_other_machine(browser:
 
 
 class Plain(http.server.BaseHTTPRequestHandler):
-    """A page of another server on this machine, with no policy of its own."""
+    """A page of another server on this machine, without a policy."""
 
     def do_GET(self) -> None:
         self.send_response(200)
@@ -93,7 +93,7 @@ class Plain(http.server.BaseHTTPRequestHandler):
 
 
 def test_another_page_in_the_same_browser_gets_nothing(browser: Browser, served: Serving) -> None:
-    """Browsers send the cookie to all ports of a machine: it is the origin that is refused."""
+    """Browsers send the cookie to all ports of a machine: the origin is rejected."""
     opened(browser, served)
     base = served.url.partition("?")[0]
     ask = """
@@ -128,12 +128,12 @@ def test_another_page_in_the_same_browser_gets_nothing(browser: Browser, served:
     browser.wait(lambda: served.clients == 0)
 
 
-def test_a_page_without_the_token_says_what_to_do(browser: Browser, served: Serving) -> None:
+def test_a_page_without_the_token_explains_what_to_do(browser: Browser, served: Serving) -> None:
     browser.open(served.url.partition("?")[0])
     assert "open the address that was printed" in browser.js("return document.body.innerText")
 
 
-def test_two_pages_show_views_of_their_own(browser: Browser, served: Serving) -> None:
+def test_two_pages_have_independent_views(browser: Browser, served: Serving) -> None:
     first = opened(browser, served)
     browser.js("window.open(location.href)")
     browser.driver.switch_to.window(browser.driver.window_handles[1])
@@ -144,7 +144,7 @@ def test_two_pages_show_views_of_their_own(browser: Browser, served: Serving) ->
     np.testing.assert_array_equal(settled(browser), first)
 
 
-def test_what_goes_wrong_is_said_in_the_page(browser: Browser) -> None:
+def test_errors_are_shown_in_the_page(browser: Browser) -> None:
     def broken() -> Any:
         raise clvol.FormatError("broken.nii must begin with a header")
 

@@ -1,4 +1,4 @@
-"""Windows: canvases of rendercanvas show sessions, offscreen and by Qt without a screen; and what hosts in this process share."""
+"""Windows: rendercanvas canvases show sessions, offscreen and with Qt without a display; and code shared by local hosts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SIDE = 16
 
 
 def box() -> clvol.Volume:
-    """Turned, it looks different."""
+    """It looks different when rotated."""
     data = np.zeros((SIDE,) * 3, np.float32)
     data[3:13, 5:9, 2:14] = 1
     data[10:13] *= 0.5
@@ -44,13 +44,13 @@ def until(what: Callable[[], Any], seconds: float = 60) -> Any:
 
 
 class Settling:
-    """Takes pictures until they rest."""
+    """Collects pictures until they settle."""
 
     def __init__(self, client: LocalClient) -> None:
         self.client = client
 
     def picture(self, before: Any = None) -> Any:
-        """The still one; if one from before is given, the first other than that."""
+        """The still picture; if a previous one is given, the first that differs."""
 
         def found() -> Any:
             picture = self.client.take()
@@ -63,7 +63,7 @@ class Settling:
 # -- a client in this process ----------------------------------------------------------------------------------------
 
 
-def test_a_picture_rests_at_what_render_draws(device: Device) -> None:
+def test_the_final_picture_is_that_of_render(device: Device) -> None:
     view = view_of(device)
     client = LocalClient(view, lambda: None)
     try:
@@ -80,7 +80,7 @@ def test_a_picture_rests_at_what_render_draws(device: Device) -> None:
     assert client.session.closed
 
 
-def test_drags_and_keys_turn_it_and_undo_takes_them_back(device: Device) -> None:
+def test_drags_and_keys_rotate_it_and_undo_reverts_them(device: Device) -> None:
     client = LocalClient(view_of(device), lambda: None)
     try:
         client.resize(64, 64)
@@ -138,7 +138,7 @@ def test_pictures_are_scaled_by_the_linear_filter() -> None:
     assert_array_equal(scaled(ramp, (20, 6)), ramp)
 
 
-def test_frames_are_over_black() -> None:
+def test_frames_are_blended_over_black() -> None:
     from clvol.view.drawing import png
 
     pixels = np.full((4, 5, 4), 200, np.uint8)
@@ -233,7 +233,7 @@ def test_a_window_of_qt(device: Device, tmp_path: Any) -> None:  # noqa: ARG001 
     assert "bar" in done.stdout
 
 
-def test_no_display_is_said_before_qt_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_display_is_reported_before_qt_aborts(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")

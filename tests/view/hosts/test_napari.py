@@ -1,4 +1,4 @@
-"""The dock widget and layer action of napari: driven without a window; skipped where napari is not installed."""
+"""napari's dock widget and layer action, driven without a window; skipped where napari is not installed."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ print(json.dumps(told))
 """
 
 
-def test_the_manifest_is_where_the_entry_point_says() -> None:
+def test_the_manifest_is_at_its_entry_point() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     package, _, name = project["entry-points"]["napari.manifest"]["clvol"].partition(":")
     assert (ROOT / "src" / package / name).is_file()

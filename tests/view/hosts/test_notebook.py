@@ -1,4 +1,4 @@
-"""Views in notebooks: the widget, alone and in a kernel, and the module's side of it in a browser."""
+"""Notebook views: the widget, alone and in a kernel, and its JavaScript module in a browser."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def small() -> View:
 
 
 class Sent(Widget):
-    """A widget whose messages are kept."""
+    """A widget that records its messages."""
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
@@ -60,7 +60,7 @@ def widget(device: Device) -> Iterator[Sent]:  # noqa: ARG001  # views use the d
 
 
 class _Comm:
-    """What a frontend's end of a widget is to ipywidgets."""
+    """The frontend's end of a widget, for ipywidgets."""
 
     comm_id = "test"
 
@@ -69,7 +69,7 @@ class _Comm:
     def close(self, *_: Any, **__: Any) -> None: ...
 
 
-def test_each_place_that_shows_it_has_a_session(widget: Sent) -> None:
+def test_each_display_has_its_own_session(widget: Sent) -> None:
     for client in ("a", "b"):
         widget._receive(widget, {"type": "open", "client": client}, [])
         widget._receive(widget, {**RESIZE, "client": client}, [])
@@ -95,7 +95,7 @@ def test_closing_it_ends_its_sessions(widget: Sent) -> None:
     assert session.closed
 
 
-def test_places_that_said_no_farewell_are_forgotten(widget: Sent) -> None:
+def test_displays_that_vanished_are_removed(widget: Sent) -> None:
     before = sessions()
     for i in range(20):
         widget._receive(widget, {"type": "open", "client": str(i)}, [])
@@ -114,7 +114,7 @@ def test_places_that_said_no_farewell_are_forgotten(widget: Sent) -> None:
         {"type": "set", "client": "no"},
     ],
 )
-def test_what_is_no_message_is_passed_over(widget: Sent, message: Any) -> None:
+def test_invalid_messages_are_ignored(widget: Sent, message: Any) -> None:
     widget._receive(widget, message, [])
     assert widget._sessions == {}
     assert widget.messages == []
@@ -136,7 +136,7 @@ def test_without_anywidget_there_is_a_still_picture(device: Device, monkeypatch:
     assert "pip install clvol[view]" in shown["text/plain"]
 
 
-def test_outside_of_a_notebook_show_says_what_to_do() -> None:
+def test_outside_a_notebook_show_explains_what_to_do() -> None:
     with pytest.raises(OptionError, match="no notebook here"):
         show(small())
 
@@ -144,7 +144,7 @@ def test_outside_of_a_notebook_show_says_what_to_do() -> None:
 # -- in a kernel ---------------------------------------------------------------------------------------------
 
 
-def test_a_kernel_shows_the_widget_and_draws_in_it(device: Device) -> None:  # noqa: ARG001  # the kernel uses the default one
+def test_a_kernel_shows_the_widget_and_renders_in_it(device: Device) -> None:  # noqa: ARG001  # the kernel uses the default one
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
     pytest.importorskip("ipykernel")
     messages: list[tuple[dict[str, Any], list[Any]]] = []
@@ -192,8 +192,8 @@ print(sum(thread.name == "clvol view" for thread in threading.enumerate()))
 
 
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
-def test_the_module_shows_what_a_model_brings_and_says_farewell(widget: Sent, browser: Browser) -> None:
-    """`render` of the module, its messages carried by the test between a model in the page and the widget."""
+def test_the_module_shows_a_models_messages_and_says_goodbye(widget: Sent, browser: Browser) -> None:
+    """The module's `render`, with messages relayed by the test between a model in the page and the widget."""
     pytest.importorskip("aiohttp", reason="needs aiohttp")
     from clvol.view.hosts.server import serve
 

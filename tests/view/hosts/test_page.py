@@ -1,4 +1,4 @@
-"""The page of `clvol view` in a real browser, before a real session: gestures, the panel, keys, addresses, sizes."""
+"""The page of `clvol view` in a real browser with a real session: gestures, panel, keys, URLs, sizes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Watched(View):
 
 
 def head() -> clvol.Volume:
-    """Air, a shell of bone, and inside it something to one side."""
+    """Air, a shell of bone, and an off-centre object inside."""
     z, y, x = (np.mgrid[:24, :24, :24] - 11.5) / 11.5
     r = np.sqrt(x**2 + 1.2 * y**2 + 0.8 * z**2)
     data = np.where(r < 0.85, 40, -1000) + np.where((r > 0.6) & (r < 0.75), 800, 0)
@@ -70,7 +70,7 @@ class Page:
         self.wait(f"{SHOWN} && {FINAL}", 60)
 
     def choose(self, label: str, value: str) -> None:
-        """In a list of the panel."""
+        """Choose in a list of the panel."""
         code = """const row = [...document.querySelectorAll('.clvol-row')].find((r) => r.firstChild.textContent === arguments[0]);
             const list = row.querySelector('select');
             list.value = arguments[1];
@@ -78,7 +78,7 @@ class Page:
         self.js(code, label, value)
 
     def type(self, label: str, value: str) -> None:
-        """Into the number beside a slider."""
+        """Type into the number beside a slider."""
         code = """const number = document.querySelector(`input[aria-label="${arguments[0]}, as a number"]`);
             number.value = arguments[1];
             number.dispatchEvent(new Event('change'));"""
@@ -102,7 +102,7 @@ class Page:
         self.wait(lambda: what(self.state), 20, "the state")
 
     def presses(self, text: str, what: Any) -> None:
-        """A button, until the state is so."""
+        """Press a button until the state matches."""
 
         def pressed() -> bool:
             if what(self.state):
@@ -119,7 +119,7 @@ class Page:
             raise
 
     def let_go(self) -> State:
-        """The state when no pointer is down: a gesture's last events are on their way when the browser has done with them."""
+        """The state after all pointers are up: the last events of a gesture may still be on their way."""
         self.wait(lambda: self.view.last._control.inputs.drag is None, 20, "the drag's end")
         return self.state
 
@@ -141,7 +141,7 @@ def page(shared: tuple[Browser, Serving, Watched], device: Device) -> Page:  # n
 # -- pictures and gestures -----------------------------------------------------------------------------------
 
 
-def test_the_still_picture_is_that_of_the_library(page: Page) -> None:
+def test_the_still_picture_matches_the_library(page: Page) -> None:
     shown = page.picture()
     height, width = shown.shape[:2]
     from clvol.show.picture import to_bytes
@@ -150,7 +150,7 @@ def test_the_still_picture_is_that_of_the_library(page: Page) -> None:
     np.testing.assert_array_equal(shown[..., :3], expected)
 
 
-def test_drag_turns_wheel_zooms_and_undo_goes_back(page: Page) -> None:
+def test_drag_rotates_wheel_zooms_and_undo_reverts(page: Page) -> None:
     first, before = page.state, page.picture()
     page.browser.drag((120, 40), PANE)
     page.becomes(lambda state: state.camera.direction != first.camera.direction)
@@ -211,7 +211,7 @@ def test_mode_filter_and_option_are_set(page: Page) -> None:
 
 
 def test_keys_move_a_slider_however_late_the_session_answers(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An answer to the first key comes between the second and the third: the slider must not go back to what it says."""
+    """The answer to the first key arrives between the second and the third: the slider must not jump back."""
     hear = Session._set
 
     def slow(session: Session, message: Any) -> None:
@@ -266,7 +266,7 @@ def test_points_are_added_coloured_and_deleted(page: Page) -> None:
 
 
 def test_the_isovalue_is_dragged_in_the_histogram(page: Page) -> None:
-    """By its line, as one step; by keys; and what is copied draws it."""
+    """By its line, as one undo step; by keys; and the copied program includes it."""
     grip = "[aria-label='isovalue in the histogram']"
     assert page.js("return document.querySelector(arguments[0]).getClientRects().length", grip) == 0  # only where there is one
     page.choose("Mode", "isosurface")
@@ -292,7 +292,7 @@ def test_the_isovalue_is_dragged_in_the_histogram(page: Page) -> None:
         page.becomes(lambda state, expected=expected: state.options.get("isovalue") == (expected and pytest.approx(expected)))
 
 
-def test_a_clip_plane_is_dragged_by_its_dot(page: Page) -> None:
+def test_a_clip_plane_is_dragged_by_its_handle(page: Page) -> None:
     page.choose("Mode", "isosurface")
     page.tick("Crop to a box")
     page.wait(f"document.querySelectorAll('.clvol-face').length && {FINAL}")
@@ -342,7 +342,7 @@ def test_a_crop_box_a_light_and_the_heat_map_are_set(page: Page) -> None:
     page.becomes(lambda state: state.heat)
 
 
-def test_what_is_wrong_is_told_and_nothing_changes(page: Page) -> None:
+def test_errors_are_reported_and_nothing_changes(page: Page) -> None:
     before = page.state
     page.type("Step", "-1")
     page.wait(lambda: "step must be" in page.told(), 20, "the error")
@@ -355,7 +355,7 @@ def test_what_is_wrong_is_told_and_nothing_changes(page: Page) -> None:
 # -- out of it -----------------------------------------------------------------------------------------------
 
 
-def test_the_copied_address_shows_the_same_elsewhere(page: Page) -> None:
+def test_the_copied_url_shows_the_same_elsewhere(page: Page) -> None:
     page.js("navigator.clipboard.writeText = async (text) => { window.copied = text; }")
     page.choose("Mode", "mip")
     page.browser.drag((60, 30), PANE)
@@ -382,8 +382,8 @@ def test_the_saved_picture_is_the_still_one(page: Page) -> None:
 
 
 @pytest.mark.parametrize(("kind", "head"), [("gif", b"GIF8"), ("mp4", b"ftyp"), ("webm", b"\x1aE\xdf\xa3")])
-def test_a_movie_is_saved_as_what_is_chosen(page: Page, kind: str, head: bytes) -> None:
-    """Without what packs videos the page says how to get it."""
+def test_a_movie_is_saved_in_the_chosen_format(page: Page, kind: str, head: bytes) -> None:
+    """Without the video package the page says how to install it."""
     page.js(
         """URL.createObjectURL = (b) => { b.arrayBuffer().then((a) => { window.saved = [...new Uint8Array(a)].slice(0, 12); });
             window.kind = b.type; return 'data:,'; };
@@ -400,7 +400,7 @@ def test_a_movie_is_saved_as_what_is_chosen(page: Page, kind: str, head: bytes) 
     assert page.js("return window.kind") == ("image/gif" if kind == "gif" else f"video/{kind}")
 
 
-def test_copied_python_is_shown_where_the_clipboard_is_closed(page: Page) -> None:
+def test_copied_python_is_shown_if_the_clipboard_is_blocked(page: Page) -> None:
     page.js("navigator.clipboard.writeText = async () => { throw new Error('no'); }; document.execCommand = () => false")
     page.press("Python")
     text = page.wait("document.querySelector('.clvol-text:not([hidden])')?.value")
@@ -408,12 +408,12 @@ def test_copied_python_is_shown_where_the_clipboard_is_closed(page: Page) -> Non
     assert "clvol.render(" in text
 
 
-def test_an_address_that_was_cut_is_told(page: Page) -> None:
+def test_a_truncated_url_is_reported(page: Page) -> None:
     page.open("#s=eyJ2")
     page.wait(lambda: "cannot be read" in page.told(), 20, "the error")
 
 
-def test_a_lost_connection_comes_back_with_what_was_shown(page: Page) -> None:
+def test_a_lost_connection_is_restored_with_its_state(page: Page) -> None:
     kept = "const W = WebSocket; window.WebSocket = class extends W { constructor(url) { super(url); window.socket = this; } };"
     added = page.browser.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": kept})
     try:
@@ -433,7 +433,7 @@ def test_a_lost_connection_comes_back_with_what_was_shown(page: Page) -> None:
 # -- for everybody -------------------------------------------------------------------------------------------
 
 
-def test_it_is_used_by_keys_alone(page: Page) -> None:
+def test_it_can_be_used_by_keyboard_alone(page: Page) -> None:
     first = page.state
     page.js("document.activeElement.blur()")
     page.browser.key("Tab")
@@ -461,7 +461,7 @@ def test_every_control_has_a_name(page: Page) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_texts_stand_out_from_what_is_behind_them(page: Page, scheme: str) -> None:
+def test_text_contrast_is_sufficient(page: Page, scheme: str) -> None:
     """WCAG AA: 4.5 to 1."""
     media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
     page.browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
@@ -491,7 +491,7 @@ def contrast(one: str, two: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def test_on_a_phone_the_panel_is_below_and_nothing_sticks_out(page: Page) -> None:
+def test_on_a_phone_the_panel_is_below_and_nothing_overflows(page: Page) -> None:
     metrics = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     page.browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     try:

@@ -1,4 +1,4 @@
-"""The panel's labels, channels and times in a real browser: by pointer and by keys, in light and dark, on a telephone."""
+"""The panel's labels, channels and times in a real browser: by pointer and keys, in light and dark themes, on a phone."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def many(browser: Browser, device: Device) -> Iterator[Watched]:  # noqa: ARG001
 
 @pytest.fixture
 def cells(browser: Browser, device: Device) -> Iterator[Watched]:  # noqa: ARG001
-    """A ball that wanders, in two channels."""
+    """A moving ball, in two channels."""
     z, y, x = np.mgrid[:16, :16, :24]
     frames = [
         [100 * (1 + 9 * c) * np.exp(-((x - 6 - t) ** 2 + (y - 8) ** 2 + (z - 8) ** 2) / 9) for c in range(2)] for t in range(9)
@@ -69,7 +69,7 @@ def shown(browser: Browser, view: Watched) -> Iterator[Watched]:
     with serve(view) as server:
         browser.open(server.url)
         browser.wait(FINAL, 60)
-        browser.console()  # what other tests left
+        browser.console()  # left by other tests
         yield view
         browser.open("about:blank")  # else the page goes on asking a server that has ended
     view.close()
@@ -87,7 +87,7 @@ def picture(browser: Browser) -> np.ndarray:
     return browser.canvas()[..., :3].astype(int)
 
 
-def test_labels_are_hidden_and_come_back(browser: Browser, organs: Watched) -> None:
+def test_labels_are_hidden_and_shown_again(browser: Browser, organs: Watched) -> None:
     assert browser.js(f"return {ROWS}.map((row) => row.querySelector('label').textContent)") == ["liver", "left kidney", "7"]
     colors = browser.js(f"return {ROWS}.map((row) => getComputedStyle(row.querySelector('.clvol-swatch')).backgroundColor)")
     assert len(set(colors)) == 3
@@ -115,7 +115,7 @@ def test_labels_are_hidden_and_come_back(browser: Browser, organs: Watched) -> N
 
 
 def test_labels_are_reached_by_keys(browser: Browser, organs: Watched) -> None:
-    """All of the section by Tab; Space hides and shows only."""
+    """The whole section by Tab; Space hides or isolates a label."""
     browser.js("[...document.querySelectorAll('summary')].find((s) => s.textContent === 'Labels').focus()")
     name = "e.getAttribute('aria-label') || e.closest('label')?.textContent || e.textContent"
     met = []
@@ -128,10 +128,10 @@ def test_labels_are_reached_by_keys(browser: Browser, organs: Watched) -> None:
     browser.js(f"{ROWS}[0].querySelector('input').focus()")
     browser.key(" ", windowsVirtualKeyCode=32, code="Space")
     browser.wait(lambda: labels_of(organs) == {"shown": [1, 7]})
-    assert browser.js("return document.activeElement.closest('label').textContent") == "liver"  # rows are not made anew
+    assert browser.js("return document.activeElement.closest('label').textContent") == "liver"  # rows are not recreated
 
 
-def test_of_many_labels_the_filter_finds_the_others(browser: Browser, many: Watched) -> None:
+def test_the_search_finds_labels_beyond_the_list(browser: Browser, many: Watched) -> None:
     assert browser.js(f"return {ROWS}.length") == 200
     assert browser.js(f"return {NOTE}") == "599 of 599 shown; the first 200 of them are listed"
     search = "document.querySelector('.clvol-panel input[type=search]')"
@@ -179,7 +179,7 @@ def test_channels_are_a_list_and_times_a_slider(browser: Browser, cells: Watched
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_on_a_telephone_rows_fit_and_can_be_read(browser: Browser, organs: Watched, *, dark: bool) -> None:  # noqa: ARG001
+def test_on_a_phone_rows_fit_and_are_readable(browser: Browser, organs: Watched, *, dark: bool) -> None:  # noqa: ARG001
     driver = browser.driver
     features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})

@@ -1,4 +1,4 @@
-"""The viewer's server alone, with sessions that only count: who is let in, and what a client may cost."""
+"""The viewer's server with counting sessions only: access control, and limits on the cost of clients."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Message = dict[str, Any]
 
 
 class Session:
-    """What a view makes for a client: it writes down what it gets, and answers what the tests ask."""
+    """What a view creates for a client: it records its input, and answers as the test sets."""
 
     def __init__(self, send: Callable[[Message, bytes | None], None]) -> None:
         self.send, self.got, self.closed = send, list[Message](), threading.Event()
@@ -159,7 +159,7 @@ def test_the_token_becomes_a_cookie_and_leaves_the_address() -> None:
 def test_a_ticket_lets_in_once(monkeypatch: pytest.MonkeyPatch) -> None:
     async def work(visitor: Visitor) -> None:
         assert await visitor.status(url=ticket) == 303
-        assert await visitor.status(url=ticket) == 303  # who has the cookie may come again
+        assert await visitor.status(url=ticket) == 303  # the cookie admits again
         async with aiohttp.ClientSession() as other:
             for url in (ticket, late):
                 async with other.get(url, allow_redirects=False) as answer:
@@ -184,8 +184,8 @@ def test_all_families_of_addresses_have_one_port() -> None:
     asyncio.run(main())
 
 
-def test_a_link_on_another_site_leads_in_too() -> None:
-    """Its navigation brings no strict cookie, so a redirect would not: the page goes on by itself."""
+def test_a_link_from_another_site_works() -> None:
+    """Its navigation carries no strict cookie, so a redirect would fail: the page continues by itself."""
 
     async def work(visitor: Visitor) -> None:
         crossing = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
@@ -217,8 +217,8 @@ def _cookie(visitor: Visitor) -> str:
     return f"clvol-{visitor.base.rstrip('/').rpartition(':')[2]}"
 
 
-def test_another_name_than_ours_is_refused_with_the_right_token() -> None:
-    """A name that is made to point to this machine: its pages would be of the same origin."""
+def test_another_host_name_is_rejected_with_the_right_token() -> None:
+    """A name that resolves to this machine: its pages would have the same origin."""
 
     async def work(visitor: Visitor) -> None:
         await visitor.enter()
@@ -243,7 +243,7 @@ def test_another_name_than_ours_is_refused_with_the_right_token() -> None:
         visit(server, work)
 
 
-def test_pages_of_other_origins_are_refused_with_the_right_cookie() -> None:
+def test_pages_of_other_origins_are_rejected_with_the_right_cookie() -> None:
     async def work(visitor: Visitor) -> None:
         await visitor.enter()
         port = int(visitor.base.rstrip("/").rpartition(":")[2])
@@ -271,7 +271,7 @@ def test_pages_of_other_origins_are_refused_with_the_right_cookie() -> None:
         visit(server, work)
 
 
-def test_what_every_answer_says_to_the_browser() -> None:
+def test_security_headers_of_every_response() -> None:
     async def work(visitor: Visitor) -> None:
         await visitor.enter()
         for path in ("", "clvol.js", "nothing"):
@@ -290,7 +290,7 @@ def test_what_every_answer_says_to_the_browser() -> None:
         visit(server, work)
 
 
-def test_no_path_of_a_request_is_opened(tmp_path: Path) -> None:
+def test_no_requested_path_is_opened(tmp_path: Path) -> None:
     (tmp_path / "secret.txt").write_text("secret")
 
     def raw(path: str, cookie: str, port: int) -> bytes:
@@ -323,7 +323,7 @@ def test_no_path_of_a_request_is_opened(tmp_path: Path) -> None:
         assert raw("/clvol.js", f"{name}={value}", port).startswith(b"HTTP/1.1 200")
 
 
-def test_only_reading_is_answered() -> None:
+def test_only_get_is_allowed() -> None:
     async def work(visitor: Visitor) -> None:
         await visitor.enter()
         for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE"):
@@ -337,7 +337,7 @@ def test_only_reading_is_answered() -> None:
 
 
 def test_behind_a_proxy() -> None:
-    """Its name is allowed, its path is passed on or not, and a cookie of https is for https."""
+    """Its name is allowed, its path is passed on or stripped, and an https cookie is secure."""
     names = {"names": ["hub.example.org"], "root_path": "user/ada/clvol/", "frame_ancestors": ["self", "https://hub.example.org"]}
 
     async def work(visitor: Visitor) -> None:
@@ -389,7 +389,7 @@ def test_messages_both_ways() -> None:
         visit(server, work)
 
 
-def test_what_is_no_message_is_answered_and_changes_nothing() -> None:
+def test_invalid_messages_get_an_error_and_change_nothing() -> None:
     view = View()
 
     async def work(visitor: Visitor) -> None:
@@ -426,15 +426,15 @@ def test_what_is_no_message_is_answered_and_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("frames", [1, 1000], ids=["at once", "in parts"])
-def test_a_message_of_a_gigabyte_is_refused_before_it_is_read(frames: int) -> None:
-    """By its announced length, or when its parts become too many."""
+def test_a_message_of_a_gigabyte_is_rejected_before_it_is_read(frames: int) -> None:
+    """By its announced length, or when its fragments exceed the limit."""
     size = (1 << 30) // frames
 
     async def work(visitor: Visitor) -> None:
         await visitor.enter()
         ws = await visitor.connect()
         await told(ws, "info")
-        reader, transport = ws._reader, ws._writer.transport  # a client that keeps to no rule
+        reader, transport = ws._reader, ws._writer.transport  # a client that ignores the rules
         assert reader is not None
         sent = 0
         chunk = bytes(1 << 20)
@@ -472,7 +472,7 @@ def test_a_message_of_a_gigabyte_is_refused_before_it_is_read(frames: int) -> No
 
 
 def flood(server: Serving, stop: threading.Event, ends: list[tuple[int | None, str]]) -> None:
-    """As many messages as fit, and no look at what comes back but how it ends."""
+    """Send messages as fast as possible, and read only how the connection ends."""
 
     async def work(visitor: Visitor) -> None:
         await visitor.enter()
@@ -492,7 +492,7 @@ def flood(server: Serving, stop: threading.Event, ends: list[tuple[int | None, s
     visit(server, work)
 
 
-def test_a_flood_of_one_does_not_stop_another() -> None:
+def test_a_flooding_client_does_not_block_another() -> None:
     view, stop, waits = View(), threading.Event(), list[float]()
     ends: list[tuple[int | None, str]] = []
 
@@ -519,7 +519,7 @@ def test_a_flood_of_one_does_not_stop_another() -> None:
 
 
 def test_a_client_that_does_not_read_costs_no_memory() -> None:
-    """Of 300 pictures of a megabyte the newest is what waits, and the session hears of those that were dropped."""
+    """Of 300 pictures of a megabyte only the newest is queued, and the session learns which were dropped."""
     view = View()
 
     async def work(visitor: Visitor) -> None:
@@ -546,7 +546,7 @@ def test_a_client_that_does_not_read_costs_no_memory() -> None:
         assert len(dropped) == len(set(dropped)) > 280
 
 
-def test_what_may_not_be_dropped_is_bounded() -> None:
+def test_undroppable_messages_are_bounded() -> None:
     async def main() -> None:
         outbox = Outbox(asyncio.get_running_loop(), Limits(waiting=10_000, messages=20))
         for number in range(100):
@@ -601,7 +601,7 @@ def test_no_more_pages_than_are_allowed() -> None:
         visit(server, work)
 
 
-def test_who_does_nothing_is_sent_away_and_its_view_freed() -> None:
+def test_an_idle_client_is_disconnected_and_its_view_freed() -> None:
     view = View()
 
     async def work(visitor: Visitor) -> None:
@@ -619,7 +619,7 @@ def test_who_does_nothing_is_sent_away_and_its_view_freed() -> None:
 
     async def silent_ack(ws: aiohttp.ClientWebSocketResponse) -> None:
         with contextlib.suppress(ConnectionError):
-            await ws.send_json({"type": "ack", "frame": 1})  # of pictures, which is the page's doing alone
+            await ws.send_json({"type": "ack", "frame": 1})  # of pictures, which only the page causes
 
     with serving(view, limits=Limits(idle=0.5)) as server:
         visit(server, work)
@@ -627,7 +627,7 @@ def test_who_does_nothing_is_sent_away_and_its_view_freed() -> None:
         assert len(view.sessions) == 2
 
 
-def test_a_client_that_vanishes_in_the_midst_of_a_picture() -> None:
+def test_a_client_that_vanishes_during_a_picture() -> None:
     view = View()
 
     async def work(visitor: Visitor) -> None:
@@ -646,10 +646,10 @@ def test_a_client_that_vanishes_in_the_midst_of_a_picture() -> None:
         wait_for(lambda: all(session.closed.is_set() for session in view.sessions))
         wait_for(lambda: server.clients == 0)
         for session in view.sessions:
-            session.send({"type": "frame", "number": 2, "pane": "3d"}, b"late")  # a thread that has not noticed
+            session.send({"type": "frame", "number": 2, "pane": "3d"}, b"late")  # a thread that has not noticed yet
 
 
-def test_a_client_that_is_gone_before_its_session_is_there() -> None:
+def test_a_client_that_leaves_before_its_session_starts() -> None:
     class Slow(View):
         def session(self, send: Callable[[Message, bytes | None], None]) -> Session:
             made = super().session(send)
@@ -673,7 +673,7 @@ def test_a_client_that_is_gone_before_its_session_is_there() -> None:
 # -- what goes wrong ------------------------------------------------------------------------------------------
 
 
-def test_a_view_that_cannot_be_made_is_told_to_the_page() -> None:
+def test_a_failed_view_is_reported_to_the_page() -> None:
     release = threading.Event()
 
     def make() -> Any:
@@ -695,7 +695,7 @@ def test_a_view_that_cannot_be_made_is_told_to_the_page() -> None:
         visit(server, work)
 
 
-def test_what_a_client_says_while_a_volume_is_read_is_not_lost() -> None:
+def test_messages_during_loading_are_not_lost() -> None:
     release, view = threading.Event(), View()
 
     def make() -> View:
@@ -737,7 +737,7 @@ def test_a_port_in_use_and_other_wrong_options() -> None:
         Limits(clients=0)
 
 
-def test_closing_sends_clients_away() -> None:
+def test_closing_disconnects_clients() -> None:
     view = View()
 
     async def work(visitor: Visitor) -> None:
@@ -781,7 +781,7 @@ def _has(program: str) -> bool:
     return shutil.which(program) is not None
 
 
-def test_who_listens_to_all_is_asked_by_numbers_or_its_own_name() -> None:
+def test_listening_on_all_interfaces_allows_ip_addresses_and_the_host_name() -> None:
     async def work(visitor: Visitor) -> None:
         for host, status in (
             (socket.gethostname(), 303),
@@ -803,7 +803,7 @@ def test_who_listens_to_all_is_asked_by_numbers_or_its_own_name() -> None:
 
 
 class Command:
-    """``clvol view`` in a process of its own, without a desktop."""
+    """``clvol view`` in its own process, without a desktop."""
 
     def __init__(self, *arguments: object, code: str = "") -> None:
         script = f"{code}\nfrom clvol.cli import main\nmain()"
@@ -814,7 +814,7 @@ class Command:
         self.url = self.process.stdout.readline().strip()
 
     def end(self, by: int = signal.SIGINT) -> tuple[int, str, float]:
-        """The code, what standard error holds, and the seconds that it took."""
+        """Exit code, standard error, and the seconds taken."""
         sent = time.monotonic()
         self.process.send_signal(by)
         _, said = self.process.communicate(timeout=30)
@@ -832,10 +832,10 @@ def visit_url(url: str, work: Callable[[Visitor], Coroutine[Any, Any, None]]) ->
     visit(SimpleNamespace(url=url), work)  # type: ignore[arg-type]  # its address is what is used
 
 
-SLACK = 1 + os.getloadavg()[0] / (os.cpu_count() or 1)  # of seconds on a machine that does something else too
+SLACK = 1 + os.getloadavg()[0] / (os.cpu_count() or 1)  # seconds, on a busy machine
 
 
-def test_the_command_draws_and_ctrl_c_ends_it(device: Device) -> None:
+def test_the_command_renders_and_ctrl_c_stops_it(device: Device) -> None:
     assert device is not None
     seen: list[Message] = []
 
@@ -855,7 +855,7 @@ def test_the_command_draws_and_ctrl_c_ends_it(device: Device) -> None:
             expected = clvol.render(clvol.phantoms.sphere(16), mode="mip", filter="linear", size=(64, 48), device=device)
             np.testing.assert_array_equal(picture[..., :3], clvol.show.picture.to_bytes(expected)[..., :3])
             code, said, took = await asyncio.to_thread(command.end)
-            assert (code, said.replace("1 error generated.\n", "")) == (0, "")  # of LLVM, which Ctrl-C hinders while it builds
+            assert (code, said.replace("1 error generated.\n", "")) == (0, "")  # from LLVM, disturbed by Ctrl-C during a build
             assert took < SLACK
             assert (await ended(ws))[0] == aiohttp.WSCloseCode.GOING_AWAY
 
@@ -865,7 +865,7 @@ def test_the_command_draws_and_ctrl_c_ends_it(device: Device) -> None:
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
-def test_the_command_ends_while_it_reads(by: int) -> None:
+def test_the_command_can_be_stopped_while_reading(by: int) -> None:
     slow = "import clvol, time; clvol.phantoms.by_name = lambda name: time.sleep(60)"
     with Command("phantom:sphere", "--serve", code=slow) as command:
         code, said, took = command.end(by)
@@ -873,7 +873,7 @@ def test_the_command_ends_while_it_reads(by: int) -> None:
     assert took < SLACK
 
 
-def test_a_file_that_cannot_be_read_is_told_in_terminal_and_page(tmp_path: Path) -> None:
+def test_an_unreadable_file_is_reported_in_terminal_and_page(tmp_path: Path) -> None:
     (tmp_path / "broken.nii").write_text("x")
     words = "broken.nii must begin with a NIfTI header of 348 bytes; found 1"
 
@@ -890,7 +890,7 @@ def test_a_file_that_cannot_be_read_is_told_in_terminal_and_page(tmp_path: Path)
     assert (code, said) == (1, f"clvol: {words}\n")
 
 
-def test_a_volume_too_large_for_memory_is_told_too() -> None:
+def test_a_volume_too_large_for_memory_is_reported() -> None:
     code = """
 import clvol
 def by_name(name):
@@ -924,7 +924,7 @@ clvol.phantoms.by_name = by_name
         (["phantom:sphere:8", "--root-path", "/a b"], "--root-path must be a path"),
     ],
 )
-def test_a_wrong_command_line_ends_at_once(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_invalid_command_line_exits_at_once(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         cli.main(["view", *arguments, "--serve"])
     assert end.value.code == 1
@@ -952,7 +952,7 @@ def test_without_aiohttp_its_extra_is_named() -> None:
     assert said == "clvol: the viewer's page needs aiohttp, which is not installed: pip install clvol[view]\n"
 
 
-def test_where_others_can_look_and_where_nobody_can_a_note_says_so() -> None:
+def test_a_note_warns_of_public_and_unreachable_addresses() -> None:
     with Command("phantom:sphere:8", "--host", "0.0.0.0") as command:
         assert command.url.startswith("http://127.0.0.1:")
         time.sleep(0.2)

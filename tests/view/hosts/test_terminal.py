@@ -1,4 +1,4 @@
-"""Views in a terminal: a pseudo-terminal is one, and what is written to it is read as a picture again."""
+"""Terminal views: output to a pseudo-terminal is decoded to a picture."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def view_of(device: Device) -> View:
 
 
 def seen(text: str, columns: int, rows: int) -> tuple[NDArray[Any], list[str]]:
-    """The picture that a terminal shows, and its lines as text: a terminal of the sequences that are allowed, no others."""
+    """The picture that a terminal shows, and its lines of text; only allowed escape sequences are accepted."""
     pixels, lines = np.zeros((2 * rows, columns, 3), int), [[" "] * columns for _ in range(rows)]
     x = y = at = 0
     front, back = (255, 255, 255), (0, 0, 0)
@@ -60,13 +60,13 @@ def seen(text: str, columns: int, rows: int) -> tuple[NDArray[Any], list[str]]:
     return pixels, ["".join(line) for line in lines]
 
 
-def test_half_blocks_hold_two_pixels_each() -> None:
+def test_half_blocks_encode_two_pixels() -> None:
     picture = np.random.default_rng(0).integers(0, 256, (6, 5, 3), np.uint8)
     picture[2:4, 1:4] = 7
     text = ansi(picture)
     assert_array_equal(seen(text, 5, 3)[0], picture)
     assert text.count("▀") == 15
-    assert ansi(np.zeros((2, 300, 3), np.uint8)).count("\x1b") == 3  # a colour is said once
+    assert ansi(np.zeros((2, 300, 3), np.uint8)).count("\x1b") == 3  # each colour is set once
     assert_array_equal(seen(ansi(picture[:5]), 5, 3)[0][:5], picture[:5])
 
 
@@ -87,7 +87,7 @@ def test_a_key_that_comes_in_pieces_is_one() -> None:
     os.close(writer)
 
 
-def test_what_a_file_is_called_is_no_command() -> None:
+def test_file_names_cannot_inject_escape_sequences() -> None:
     assert _printable("a\x1b[2J\x07\x9bb\u202ec") == "a [2J  b c"
 
 
@@ -96,7 +96,7 @@ def test_keys() -> None:
     assert list(keys_of("\x1b")) == ["Escape"]
 
 
-def test_one_still_picture_where_nobody_types(device: Device) -> None:
+def test_a_single_still_picture_without_a_tty(device: Device) -> None:
     view, out = view_of(device), io.StringIO()
     show_in_terminal(view, io.StringIO(), out, (40, 12))
     pixels = to_bytes(view.picture((80, 44))).astype(int)
@@ -106,7 +106,7 @@ def test_one_still_picture_where_nobody_types(device: Device) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals of POSIX")
-def test_arrows_turn_it_and_q_ends_it(device: Device) -> None:
+def test_arrows_rotate_it_and_q_quits(device: Device) -> None:
     import pty
     import termios
 

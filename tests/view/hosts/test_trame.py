@@ -1,4 +1,4 @@
-"""The example of trame: its page shows a picture and turns it. Skipped where trame or Chromium is not installed."""
+"""The trame example: its page shows a picture and rotates it. Skipped where trame or Chromium is not installed."""
 
 from __future__ import annotations
 
