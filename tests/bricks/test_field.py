@@ -18,6 +18,7 @@ import pytest
 import clvol
 from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.bricks.field import BrickedField, _needs
+from clvol.bricks.source import known_of
 from clvol.filter.boundary import boundaries
 from tests.bricks.test_source import Broken, Counted
 
@@ -427,7 +428,7 @@ def test_all_metadata_of_a_volume_are_kept() -> None:
     assert set(SAID) == {one.name for one in dataclasses.fields(clvol.Volume)} - {"data"}, "say here what the new field may be"
     volume, plain = clvol.Volume(data, **SAID), clvol.Volume(data)
     with BrickedField(volume, "nearest") as field:
-        for grid in (field.volume.grid, field.volume._known(), pickle.loads(pickle.dumps(field.volume)).grid):
+        for grid in (field.volume.grid, known_of(field.volume), pickle.loads(pickle.dumps(field.volume)).grid):
             for name in SAID:
                 assert not np.array_equal(getattr(volume, name), getattr(plain, name))
                 np.testing.assert_equal(getattr(grid, name), getattr(volume, name))

@@ -74,10 +74,10 @@ def test_margins_end_at_the_samples(grid: BrickGrid) -> None:
 @given(GRIDS)
 def test_runs_are_a_bricks_samples_within_the_volume(grid: BrickGrid) -> None:
     for brick in grid:
-        for axis, (runs, n) in enumerate(zip(grid.runs(brick), grid.size, strict=True)):
-            read = np.concatenate([np.arange(run.start, run.stop) for run in runs])
+        for axis, (runs, n) in enumerate(zip(grid.runs(brick)[::-1], grid.size, strict=True)):
+            read = np.concatenate([np.arange(*run) for run in runs])
             np.testing.assert_array_equal(read, np.arange(brick.first[axis], brick.last[axis]) % n)
-            assert all(0 <= run.start < run.stop <= n for run in runs)
+            assert all(0 <= start < stop <= n for start, stop in runs)
         assert brick.samples == math.prod(brick.size)
 
 

@@ -16,6 +16,7 @@ import clvol
 from clvol import LazyVolume
 from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.sliced import MappedFile
+from clvol.bricks.source import known_of
 from clvol.device import Device
 
 
@@ -80,7 +81,7 @@ def test_limits_are_given_or_computed() -> None:
     data = noise(20, 20, 20)
     assert LazyVolume(data).limits == (data.min(), data.max())
     assert LazyVolume(data, limits=(-1, 2)).limits == (-1.0, 2.0)
-    assert LazyVolume(data, limits=(-1, 2))._known().value_range == (-1.0, 2.0)
+    assert known_of(LazyVolume(data, limits=(-1, 2))).value_range == (-1.0, 2.0)
     for wrong in ((1, 0), (0, np.nan), 3, "ab", (1, 2, 3)):
         with pytest.raises(OptionError, match="limits must be the smallest and the largest sample"):
             LazyVolume(data, limits=wrong)  # type: ignore[arg-type]

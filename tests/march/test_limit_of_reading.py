@@ -15,6 +15,7 @@ import pytest
 
 import clvol
 from clvol.base.errors import OptionError
+from clvol.bricks.chunks import stored_in_one
 from tests.bricks.test_source import Counted
 
 MIB = 1 << 20
@@ -191,7 +192,7 @@ def test_uncompressed_chunks_are_read_in_parts(tmp_path: Path, monkeypatch: pyte
         assert file["v"].id.get_access_plist().get_chunk_cache()[1] == 1000
     for path in sorted(tmp_path.iterdir()):
         volume = clvol.open(path, trusted=True, spacing=(1, 1, 1))
-        assert (volume.chunks, volume._stored_in_one) == (None, 0), path.name
+        assert (volume.chunks, stored_in_one(volume.data)) == (None, 0), path.name
         for _ in range(8):
             low = [int(rng.integers(0, n)) for n in volume.size]
             high = [int(rng.integers(a + 1, n + 1)) for a, n in zip(low, volume.size, strict=True)]

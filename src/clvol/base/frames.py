@@ -10,11 +10,18 @@ from numpy.typing import NDArray
 from clvol.base.checks import one_of
 from clvol.base.errors import GeometryError, OptionError
 
-__all__ = ["FRAMES", "Placement", "affine_parts", "flipped", "from_ras", "in_frame", "ras_affine"]
+__all__ = ["FRAMES", "SPACES", "Placement", "affine_parts", "flipped", "from_ras", "in_frame", "ras_affine"]
 
 FRAMES = ("LPS", "RAS")
 """Frames of a patient's points: LPS as in ITK and DICOM; RAS as in nibabel and NIfTI, where x points right and y points to
 the front. A world without a patient has one frame, which is called "LPS" as well, the default."""
+
+SPACES = {
+    "LPS": "a patient: x points to the left, y to the back, z to the head",
+    "image": "a stack of images: y points down, and z away from the viewer, as in microscopy programs",
+    "": "unspecified: z points up",
+}
+"""Kinds of world. They set the orientation of pictures, and change no number."""
 
 Placement: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """Spacing, origin and direction (columns) of index axes in the world."""

@@ -92,13 +92,8 @@ class Chunks:
         together: int | None = None,
         source: object = None,
     ) -> None:
-        self._read, self._lines, self.dtype, self.most, self.room = (
-            read,
-            _several(lines, np.dtype(dtype)),
-            np.dtype(dtype),
-            most,
-            room,
-        )
+        self._read, self.dtype, self.most, self.room = read, np.dtype(dtype), most, room
+        self._lines = _several(lines, self.dtype)
         self._one, self.source = one, source
         self.shape = tuple(int(line[-1]) for line in self._lines)
         self.chunksize = tuple(int(np.diff(line).max()) for line in self._lines)
@@ -217,10 +212,7 @@ class Chunks:
                 whole = self._read(self._slices(part))  # type: ignore[arg-type]  # three
                 for one in [one for one in own if all(k in span for k, span in zip(one.place, part, strict=True))]:
                     inside = self._slices(tuple(range(k, k + 1) for k in one.place))
-                    local = tuple(
-                        slice(a.start - b.start, a.stop - b.start) for a, b in zip(inside, self._slices(part), strict=True)
-                    )
-                    one.samples = np.ascontiguousarray(whole[local])
+                    one.samples = np.ascontiguousarray(whole[_from(inside, self._slices(part))])
                     coming.remove(one)
                     one.done.set()
                 del whole

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.bricks.source import LazyVolume
+from clvol.bricks.source import LazyVolume, known_of
 from clvol.filter.make import bspline
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.grids import beyond
@@ -201,7 +201,7 @@ class ByBricks:
         volume, rule, matrix, offset = self._volume, self._boundary, target.matrix, target.offset
         kind = wide_enough(np.float32, ends_of(volume), self._filter, rule)
         if target.anti_aliasing == "least-squares":
-            return nearest_sums(volume._known(), self._filter, rule, kind, matrix, offset, target.shape)
+            return nearest_sums(known_of(volume), self._filter, rule, kind, matrix, offset, target.shape)
         continues = rule.period is not None and rule.outside in ("rule", "clamp")
         if not (no_shear(matrix, target.shape) and continues and self._filter.magnified_by is None and settled):
             return None

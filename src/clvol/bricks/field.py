@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +27,7 @@ from clvol.bricks.evaluate import ByBricks, ends_of
 from clvol.bricks.grid import NEIGHBOURS, BrickGrid
 from clvol.bricks.reduced import Reduced
 from clvol.bricks.residents import Account
-from clvol.bricks.source import LazyVolume, memory_for
+from clvol.bricks.source import LazyVolume, known_of, memory_for, stored_lines
 from clvol.bricks.store import Store, require_distinct_labels
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
@@ -122,6 +122,7 @@ class BrickedField(ContinuousFunction):
     that have none are the same to the last bit. All is computed in single precision.
     """
 
+    in_parts: ClassVar[bool] = True
     store: Store
 
     def __init__(
@@ -147,7 +148,7 @@ class BrickedField(ContinuousFunction):
         self._asked = row = filter_for(volume.part(), None, DEFAULT_FILTER) if chosen is None else as_filter(chosen)
         known = row.settled and (row.magnified_by is None or row.magnified_by.settled)
         self.filter = row = settled(row, volume.grid if known else volume.part())
-        require_distinct_labels(row, volume, volume._known)
+        require_distinct_labels(row, volume, partial(known_of, volume))
         self.boundary = rule = as_boundary(boundary)
         self.device, self.missing = as_device(device), as_missing("error")
         account: Account = Account(own) if beside is None else beside.store.account
@@ -198,7 +199,7 @@ class BrickedField(ContinuousFunction):
     @cached_property
     def coefficients(self) -> Whole:
         """Metadata of the whole volume's coefficients, for pictures."""
-        return Whole(self.volume._known(), self.filter, self._extent, self.device, self.stored)
+        return Whole(known_of(self.volume), self.filter, self._extent, self.device, self.stored)
 
     def drop(self) -> None:
         """Evict all bricks that nobody uses; they are read again when they are needed."""
@@ -263,7 +264,7 @@ def _needs(volume: LazyVolume, row: Filter, rule: Boundary) -> Needs:
     """What bricks of a volume need of memory."""
     support = -(-(row.support + 1) // 2 // row.scale)  # half of the taps lie to either side
     coarse = row.magnified_by.support if row.magnified_by else 0
-    lines = volume._lines
+    lines = stored_lines(volume)
     return Needs(
         volume.size,
         volume.dtype.itemsize,

@@ -15,6 +15,7 @@ from clvol.spline.minmax import BLOCK
 
 if TYPE_CHECKING:
     from clvol.bricks.source import Index
+    from clvol.spline.levels import Runs
 
 __all__ = ["ALIGNED", "NEIGHBOURS", "Brick", "BrickGrid"]
 
@@ -124,9 +125,9 @@ class BrickGrid:
         """The numbers along an axis (0 for x) of the bricks that own positions there."""
         return np.clip(np.floor((positions - self.offset) / self.edge), 0, self.counts[axis] - 1).astype(np.int64)
 
-    def runs(self, brick: Brick) -> list[list[slice]]:
-        """The samples of a brick along x, y and z as runs of indices within the volume."""
-        return [_runs(a, b, n) for a, b, n in zip(brick.first, brick.last, self.size, strict=True)]
+    def runs(self, brick: Brick) -> list[Runs]:
+        """The samples of a brick along z, y and x as runs within the volume, from the first to before the second."""
+        return [_runs(a, b, n) for a, b, n in zip(brick.first, brick.last, self.size, strict=True)][::-1]
 
     def cells(self, brick: Brick) -> tuple[Index, Index]:
         """The cells that a brick owns, from the first to before the second, numbered as their first taps in the whole volume."""
@@ -159,12 +160,12 @@ class BrickGrid:
         return (x[0], y[0], z[0]), (x[1], y[1], z[1])
 
 
-def _runs(first: int, last: int, n: int) -> list[slice]:
+def _runs(first: int, last: int, n: int) -> Runs:
     """Indices from `first` to before `last` of an axis that repeats with period `n`, as runs within it."""
     runs = []
     while first < last:
         begin = first % n
         some = min(last - first, n - begin)
-        runs.append(slice(begin, begin + some))
+        runs.append((begin, begin + some))
         first += some
-    return runs
+    return tuple(runs)

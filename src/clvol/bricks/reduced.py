@@ -15,7 +15,7 @@ from clvol.spline.levels import GAP, Rows, gathered
 from clvol.spline.reduce import order_of, sum_along
 
 if TYPE_CHECKING:
-    from clvol.bricks.source import Index, LazyVolume
+    from clvol.bricks.source import Box, LazyVolume
     from clvol.device import Device
     from clvol.spline.reduce import Sums
 
@@ -40,8 +40,8 @@ class Reduced:
     device : Device
     outside : float
         The value of samples where a boundary rule has none.
-    read : callable, optional
-        Reads the volume, instead of `LazyVolume.read`.
+    read : callable
+        Reads the volume, as `LazyVolume.at` does.
     beside : int
         Bytes that reading takes, beside the samples.
 
@@ -58,11 +58,11 @@ class Reduced:
         kind: type[np.generic],
         device: Device,
         outside: float,
-        read: Callable[[Index, Index], NDArray[Any]] | None = None,
-        beside: int = 0,
+        read: Callable[[Box], NDArray[Any]],
+        beside: int,
     ) -> None:
         self._volume, self._sums, self._device, self._outside = volume, dict(sums), device, outside
-        self._order, self._read_volume, self._beside = order_of(sums), read or volume.read, beside
+        self._order, self._read, self._beside = order_of(sums), read, beside
         self._counted: dict[int, list[int]] = {}
         self.shape = tuple(len(sums[axis].places) if axis in sums else n for axis, n in enumerate(volume.shape))
         self.dtype = np.dtype(kind)
@@ -95,10 +95,6 @@ class Reduced:
 
     def _rows(self, index: Sequence[slice]) -> list[Rows]:
         return [Rows.of(self._sums.get(axis), part.start, part.stop) for axis, part in enumerate(index)]
-
-    def _read(self, part: tuple[slice, slice, slice]) -> NDArray[Any]:
-        z, y, x = part
-        return self._read_volume((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
 
     def blocks(self, budget: int, beside: int = 0) -> Iterator[tuple[tuple[slice, ...], int, float]]:
         """All of it in blocks, each with the bytes that it takes and the fraction done after it.

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -21,16 +21,31 @@ from clvol.base.checks import number, whole
 from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
-from clvol.volume.pictured import Pictured
+from clvol.volume.gridded import Gridded
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from clvol.noise import Noise
 
-__all__ = ["BUDGET", "Bounds", "LazyVolume", "Sliced", "by_bricks", "memory_for", "needed_by", "too_large"]
+__all__ = [
+    "BUDGET",
+    "Bounds",
+    "LazyVolume",
+    "Sliced",
+    "by_bricks",
+    "known_of",
+    "may_be_read_ahead",
+    "memory_for",
+    "needed_by",
+    "stored_lines",
+    "too_large",
+]
 
 Index: TypeAlias = tuple[int, int, int]
 """Along x, y and z."""
+
+Box: TypeAlias = tuple[slice, slice, slice]
+"""Of an array, [z, y, x]."""
 
 BUDGET = 2 << 30
 """Bytes that work by parts may take where nothing is said."""
@@ -76,7 +91,7 @@ class Bounds(Protocol):
         """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these."""
 
 
-class LazyVolume(Pictured):
+class LazyVolume(Gridded):
     """A volume whose samples are read part by part, when they are needed.
 
     It takes the place of a `Volume` for `clvol.render`, `Renderer` and `BrickedField`, which read it by bricks,
@@ -118,6 +133,9 @@ class LazyVolume(Pictured):
         As of `Volume`.
     """
 
+    in_parts: ClassVar[bool] = True
+    grid: Volume
+
     def __init__(
         self,
         data: Sliced,
@@ -136,18 +154,7 @@ class LazyVolume(Pictured):
         missing: float | None = None,
         bounds: Bounds | None = None,
     ) -> None:
-        with _reading("shape and dtype of data"):
-            if not isinstance(data, Sliced):
-                raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
-            shape, dtype = tuple(data.shape), np.dtype(data.dtype).newbyteorder("=")
-        if len(shape) != 3 or any(n != n // 1 for n in shape):  # dask does not know all sizes: nan
-            raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}")
-        if dtype.kind not in "biuf":
-            raise DataError(f"data must be boolean, integer or floating; got dtype {dtype}")
-        if 0 in shape:
-            raise DataError(f"every axis of data must hold at least one sample; got shape {shape}")
-        if math.prod(map(int, shape)) * dtype.itemsize > sys.maxsize:  # of an array of NumPy, as `grid` has one
-            raise DataError(f"data must take less than 2⁶³ bytes; got shape {shape} of {dtype}")
+        shape, dtype = _described(data)
         self.data = data
         self.missing = None if missing is None else number("missing", missing)
         self.bounds = bounds
@@ -171,14 +178,7 @@ class LazyVolume(Pictured):
             clim=clim,
             labels=labels,
         )
-        self._require_smaller()
-
-    def _require_smaller(self) -> None:
-        for finer, coarser in itertools.pairwise((self, *self.levels)):
-            if not isinstance(coarser, type(self)):
-                raise DataError(f"levels must be LazyVolumes; got {type(coarser).__name__}")
-            if any(a < b for a, b in zip(finer.shape, coarser.shape, strict=True)):
-                raise DataError(f"levels must become smaller; got shapes {finer.shape} and then {coarser.shape}")
+        _require_smaller((self, *self.levels))
 
     def with_levels(self, levels: Sequence[LazyVolume]) -> LazyVolume:
         """The same with other lower resolutions, finer ones first.
@@ -191,7 +191,7 @@ class LazyVolume(Pictured):
         made = object.__new__(LazyVolume)
         made.__dict__.update(self.__dict__)
         made.levels, made._lock, made._preview = tuple(levels), threading.RLock(), None
-        made._require_smaller()
+        _require_smaller((made, *made.levels))
         return made
 
     def reopened_by(self, again: Callable[[], LazyVolume]) -> LazyVolume:
@@ -218,23 +218,10 @@ class LazyVolume(Pictured):
         DataError
             The array holds futures (`dask.persist`), which only the cluster can give.
         """
-        if _is_of_dask(self.data):
-            from distributed import futures_of
-
-            if futures_of(self.data):  # type: ignore[no-untyped-call]  # as distributed has it
-                raise DataError(
-                    f"samples must be computed where a cluster's tasks read them; got {self.name or 'a volume'}, an array of dask "
-                    "that holds futures of a cluster: give it as it was before persist(), or store it (to_zarr) and clvol.open that"
-                )
+        _require_no_futures(self)
         made = self.with_levels([level.for_tasks() for level in self.levels])
         made._for_tasks = True
         return made
-
-    @property
-    def _ahead(self) -> bool:
-        """Whether threads may read it ahead: in a cluster only what is known not to ask that, which must be done by the task."""
-        known = self._again is not None or isinstance(self.data, np.ndarray) or _is_of_dask(self.data)
-        return known or not self._for_tasks or type(self.data).__module__.partition(".")[0] in _ALONE
 
     @property
     def in_memory(self) -> bool:
@@ -261,22 +248,10 @@ class LazyVolume(Pictured):
         self._lock, self._preview, self._part = threading.RLock(), None, None
         self.grid = replace(self.grid, data=np.broadcast_to(np.zeros((), self.grid.data.dtype), tuple(self.data.shape)))
 
-    # -- where they lie ------------------------------------------------------------------------------------------------
-
     @property
     def shape(self) -> tuple[int, ...]:
         """Samples along z, y and x."""
         return self.grid.shape
-
-    @property
-    def size(self) -> tuple[int, ...]:
-        """Samples along x, y and z."""
-        return self.grid.size
-
-    @property
-    def ndim(self) -> int:
-        """3."""
-        return 3
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -306,24 +281,12 @@ class LazyVolume(Pictured):
     @property
     def chunks(self) -> Index | None:
         """Samples along x, y and z that are stored together; None where any part is read as fast."""
-        with _reading(f"the chunks of {self._title}"):
+        with _reading(f"the chunks of {_title(self)}"):
             stored = getattr(self.data, "chunksize", None) or getattr(self.data, "chunks", None)
         if stored is None or len(stored) != 3 or not all(isinstance(n, (int, np.integer)) and n > 0 for n in stored):
             return None
         x, y, z = (int(n) for n in stored[::-1])
         return x, y, z
-
-    @property
-    def _stored_in_one(self) -> int:
-        """Bytes of the largest chunk of all sizes, which is unpacked as a whole; 0 where any part is read by itself."""
-        with _reading(f"the chunks of {self._title}"):
-            return max(stored_in_one(one.data) for one in (self, *self.levels))
-
-    @property
-    def _lines(self) -> tuple[NDArray[np.int64], ...] | None:
-        """Where chunks begin along z, y and x, and where the last one ends; None if there are none, or all is in memory."""
-        with _reading(f"the chunks of {self._title}"):
-            return None if isinstance(self.data, np.ndarray) else lines_of(self.data)
 
     # -- samples ---------------------------------------------------------------------------------------------------------
 
@@ -337,44 +300,28 @@ class LazyVolume(Pictured):
         DataError
             Some are NaN or infinite, and nothing stands for `missing` ones.
         """
-        index = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
         if not all(0 <= a < b <= n for a, b, n in zip(low, high, self.size, strict=True)):
             raise OptionError(f"read needs 0 <= low < high <= {self.size} along x, y, z; got {low} to {high}")
-        memory.require(math.prod(b - a for a, b in zip(low, high, strict=True)) * self.dtype.itemsize, f"{self._words(low, high)}")
-        with _reading(self._words(low, high)):
-            found = self.data[index]
+        z, y, x = (slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+        return self.at((z, y, x))
+
+    def at(self, place: Box) -> NDArray[Any]:
+        """As `read`, the samples at three slices within the volume, [z, y, x]."""
+        z, y, x = place
+        words = f"samples [{z.start}:{z.stop}, {y.start}:{y.stop}, {x.start}:{x.stop}] of {_title(self)}"
+        expected = tuple(one.stop - one.start for one in place)
+        memory.require(math.prod(expected) * self.dtype.itemsize, words)
+        with _reading(words):
+            found = self.data[place]
             if self._for_tasks and _is_of_dask(found):
                 found = found.compute(scheduler="synchronous")
             part = np.asarray(found)
             part = part.astype(part.dtype.newbyteorder("="), copy=False)
-        expected = tuple(s.stop - s.start for s in index)
         if part.shape != expected or part.dtype != self.dtype:
             raise FormatError(
-                f"cannot read {self._words(low, high)}: they must be {self.dtype} of shape {expected}; "
-                f"got {part.dtype} of shape {part.shape}"
+                f"cannot read {words}: they must be {self.dtype} of shape {expected}; got {part.dtype} of shape {part.shape}"
             )
-        return self._finite(part, low, high)
-
-    def _finite(self, part: NDArray[Any], low: Index, high: Index) -> NDArray[Any]:
-        if part.dtype.kind != "f" or (np.isfinite(part.min()) and np.isfinite(part.max())):
-            return part
-        if self.missing is None:
-            bad = ~np.isfinite(part)
-            at = np.unravel_index(int(np.argmax(bad)), part.shape)
-            first = [int(i) + a for i, a in zip(at, low[::-1], strict=True)]
-            raise DataError(
-                f"samples must be finite; got {int(bad.sum())} NaN or infinite of {self._words(low, high)}, the first at index "
-                f"{first}: LazyVolume(..., missing=value) replaces them"
-            )
-        return np.where(np.isfinite(part), part, part.dtype.type(self.missing))
-
-    def _words(self, low: Index, high: Index) -> str:
-        z, y, x = (f"{a}:{b}" for a, b in zip(low[::-1], high[::-1], strict=True))
-        return f"samples [{z}, {y}, {x}] of {self._title}"
-
-    @property
-    def _title(self) -> str:
-        return self.name or "the volume"
+        return _finite(part, self.missing, words, place)
 
     # -- what is known of them -------------------------------------------------------------------------------------------
 
@@ -387,7 +334,7 @@ class LazyVolume(Pictured):
             if self._preview is None:
                 small = next((one for one in (self, *self.levels) if math.prod(one.shape) <= 2 * _PREVIEWED), None)
                 coarse = small or (self, *self.levels)[-1]
-                self._preview = coarse._thinned() if small is None else small._piecewise((0, 0, 0), small.size)
+                self._preview = _thinned(coarse) if small is None else _piecewise(small, (0, 0, 0), small.size)
             return self._preview
 
     def whole(self) -> Volume:
@@ -398,59 +345,7 @@ class LazyVolume(Pictured):
         OutOfMemoryError
             There is no room for them.
         """
-        return replace(self.grid, data=self.read((0, 0, 0), (self.size[0], self.size[1], self.size[2])))
-
-    def _pieces(self, low: Sequence[int], high: Sequence[int]) -> Iterator[tuple[tuple[slice, ...], NDArray[Any]]]:
-        """Samples, few at a time, and where in the part they belong: by chunks, or by planes."""
-
-        def read(at: tuple[slice, ...]) -> NDArray[Any]:
-            z, y, x = at
-            return self.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
-
-        lines: Sequence[NDArray[np.int64]] | None = lines_of(self.data)
-        if lines is None:  # rows, or as many planes as are one piece
-            row = (high[0] - low[0]) * self.dtype.itemsize
-            rows = max(1, min(_PIECE // row, high[1] - low[1]))
-            planes = max(1, _PIECE // (row * (high[1] - low[1])))
-            steps = (high[0], rows, planes)
-            lines = [np.append(np.arange(a, b, step), b) for a, b, step in zip(low, high, steps, strict=True)][::-1]
-        part = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
-        for box in Chunks(read, lines, self.dtype, 0, together=_PIECE).parts(part):
-            yield tuple(slice(one.start - a, one.stop - a) for one, a in zip(box, low[::-1], strict=True)), read(box)
-
-    def _piecewise(self, low: Sequence[int], high: Sequence[int]) -> Volume:
-        """The samples of a part, read few at a time."""
-        data = np.empty([b - a for a, b in zip(low[::-1], high[::-1], strict=True)], self.dtype)
-        for place, samples in self._pieces(low, high):
-            data[place] = samples
-        return replace(self.grid, data=data)
-
-    def _thinned(self) -> Volume:
-        """Samples at about equal distances, of a few chunks."""
-        edge = (_PREVIEWED / math.prod(self.shape)) ** (1 / 3)
-        runs, steps = [], []
-        for n, chunk in zip(self.size, self.chunks or (self.size[0], 1, 1), strict=True):
-            wanted = max(1, min(n, round(n * edge)))
-            several = min(-(-n // chunk), _CHUNKS_LOOKED_INTO if self.chunks else wanted)
-            firsts = [int((k + 0.5) * -(-n // chunk) / several) * chunk for k in range(several)]
-            each = max(1, wanted // several)
-            step = -(-min(chunk, n) // each)
-            runs.append([range(first, min(first + chunk, n), step) for first in firsts])
-            steps.append(n / sum(map(len, runs[-1])))
-        rows = []
-        for z in runs[2]:
-            columns = []
-            for y in runs[1]:
-                parts = [
-                    self.read((x[0], y[0], z[0]), (x[-1] + 1, y[-1] + 1, z[-1] + 1))[:: z.step, :: y.step, :: x.step].copy()
-                    for x in runs[0]
-                ]
-                columns.append(np.concatenate(parts, axis=2))
-            rows.append(np.concatenate(columns, axis=1))
-        data = np.concatenate(rows, axis=0)
-        spacing = tuple(s * step for s, step in zip(self.spacing, steps, strict=True))
-        first = self.grid.index_to_world([(step - 1) / 2 for step in steps])  # of the same domain
-        return replace(self.grid, data=data, spacing=spacing, origin=tuple(map(float, first)))
+        return replace(self.grid, data=self.at((slice(0, self.shape[0]), slice(0, self.shape[1]), slice(0, self.shape[2]))))
 
     def part(self) -> Volume:
         """Neighbouring samples from the middle, from which is told how much noise there is, and whether they are labels."""
@@ -458,28 +353,15 @@ class LazyVolume(Pictured):
             if self._part is None:
                 low = [max(0, (n - _PART) // 2) for n in self.size]
                 high = [min(n, a + _PART) for a, n in zip(low, self.size, strict=True)]
-                self._part = self._piecewise(low, high)
+                self._part = _piecewise(self, low, high)
             return self._part
-
-    def _known(self) -> Volume:
-        """The grid, with what is known of the samples, which are none: their limits, whether they are labels."""
-        low, high = self.limits
-        volume = replace(self.grid, labels=self.is_labels if self.grid.labels is None else self.grid.labels)
-        vars(volume).update(limits=(low, high), value_range=(low, high))  # in place of what its own samples would give
-        return volume
 
     @property
     def limits(self) -> tuple[float, float]:
         """The smallest and the largest sample: as given, else of the bounds, else of those that were looked at."""
         with self._lock:
             if self._limits is None:
-                if self.bounds is not None:
-                    self._limits = self.bounds.value_range
-                elif self._few:
-                    ends = [(float(part.min()), float(part.max())) for _, part in self._pieces((0, 0, 0), self.size)]
-                    self._limits = min(low for low, _ in ends), max(high for _, high in ends)
-                else:
-                    self._limits = self.preview().value_range
+                self._limits = _limits_of(self)
             return self._limits
 
     @property
@@ -490,13 +372,8 @@ class LazyVolume(Pictured):
     @property
     def estimated(self) -> bool:
         """Whether `limits` are those of the samples that were looked at: others may lie beyond."""
-        whole = math.prod(self.shape) <= 2 * _PREVIEWED or self._few
+        whole = math.prod(self.shape) <= 2 * _PREVIEWED or _few(self)
         return not (whole or self._given or self.bounds is not None)
-
-    @property
-    def _few(self) -> bool:
-        """Whether all samples are looked at for their range."""
-        return math.prod(self.shape) <= _SMALL and self.chunks is None
 
     @property
     def noise(self) -> Noise:
@@ -523,6 +400,146 @@ def _reading(what: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise FormatError(f"cannot read {what}: {str(error) or type(error).__name__}") from error
+
+
+def _title(volume: LazyVolume) -> str:
+    return volume.name or "the volume"
+
+
+def _described(data: Sliced) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and dtype of what a volume is to be read from; an error if it can be none."""
+    with _reading("shape and dtype of data"):
+        if not isinstance(data, Sliced):
+            raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
+        shape, dtype = tuple(data.shape), np.dtype(data.dtype).newbyteorder("=")
+    if len(shape) != 3 or any(n != n // 1 for n in shape):  # dask does not know all sizes: nan
+        raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}")
+    if dtype.kind not in "biuf":
+        raise DataError(f"data must be boolean, integer or floating; got dtype {dtype}")
+    if 0 in shape:
+        raise DataError(f"every axis of data must hold at least one sample; got shape {shape}")
+    if math.prod(map(int, shape)) * dtype.itemsize > sys.maxsize:  # of an array of NumPy, as `grid` has one
+        raise DataError(f"data must take less than 2⁶³ bytes; got shape {shape} of {dtype}")
+    return shape, dtype
+
+
+def _require_smaller(sizes: Sequence[LazyVolume]) -> None:
+    """Raise `DataError` unless each is a LazyVolume no larger than that before."""
+    for finer, coarser in itertools.pairwise(sizes):
+        if not isinstance(coarser, type(finer)):
+            raise DataError(f"levels must be LazyVolumes; got {type(coarser).__name__}")
+        if any(a < b for a, b in zip(finer.shape, coarser.shape, strict=True)):
+            raise DataError(f"levels must become smaller; got shapes {finer.shape} and then {coarser.shape}")
+
+
+def _require_no_futures(volume: LazyVolume) -> None:
+    if not _is_of_dask(volume.data):
+        return
+    from distributed import futures_of
+
+    if futures_of(volume.data):  # type: ignore[no-untyped-call]  # as distributed has it
+        raise DataError(
+            f"samples must be computed where a cluster's tasks read them; got {volume.name or 'a volume'}, an array of dask "
+            "that holds futures of a cluster: give it as it was before persist(), or store it (to_zarr) and clvol.open that"
+        )
+
+
+def _finite(part: NDArray[Any], missing: float | None, words: str, place: Box) -> NDArray[Any]:
+    """The samples at a place, with `missing` in place of those that are not finite."""
+    if part.dtype.kind != "f" or (np.isfinite(part.min()) and np.isfinite(part.max())):
+        return part
+    if missing is None:
+        bad = ~np.isfinite(part)
+        at = np.unravel_index(int(np.argmax(bad)), part.shape)
+        first = [int(i) + one.start for i, one in zip(at, place, strict=True)]
+        raise DataError(
+            f"samples must be finite; got {int(bad.sum())} NaN or infinite of {words}, the first at index "
+            f"{first}: LazyVolume(..., missing=value) replaces them"
+        )
+    return np.where(np.isfinite(part), part, part.dtype.type(missing))
+
+
+def _pieces(volume: LazyVolume, low: Sequence[int], high: Sequence[int]) -> Iterator[tuple[tuple[slice, ...], NDArray[Any]]]:
+    """Samples, few at a time, and where in the part they belong: by chunks, or by planes."""
+    itemsize = volume.dtype.itemsize
+    lines: Sequence[NDArray[np.int64]] | None = lines_of(volume.data)
+    if lines is None:  # rows, or as many planes as are one piece
+        row = (high[0] - low[0]) * itemsize
+        rows = max(1, min(_PIECE // row, high[1] - low[1]))
+        planes = max(1, _PIECE // (row * (high[1] - low[1])))
+        steps = (high[0], rows, planes)
+        lines = [np.append(np.arange(a, b, step), b) for a, b, step in zip(low, high, steps, strict=True)][::-1]
+    part = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+    for box in Chunks(volume.at, lines, volume.dtype, 0, together=_PIECE).parts(part):
+        yield tuple(slice(one.start - a, one.stop - a) for one, a in zip(box, low[::-1], strict=True)), volume.at(box)  # type: ignore[arg-type]  # three
+
+
+def _piecewise(volume: LazyVolume, low: Sequence[int], high: Sequence[int]) -> Volume:
+    """The samples of a part, read few at a time."""
+    data = np.empty([b - a for a, b in zip(low[::-1], high[::-1], strict=True)], volume.dtype)
+    for place, samples in _pieces(volume, low, high):
+        data[place] = samples
+    return replace(volume.grid, data=data)
+
+
+def _thinned(volume: LazyVolume) -> Volume:
+    """Samples at about equal distances, of a few chunks."""
+    edge = (_PREVIEWED / math.prod(volume.shape)) ** (1 / 3)
+    runs, steps = [], []
+    for n, chunk in zip(volume.size, volume.chunks or (volume.size[0], 1, 1), strict=True):
+        wanted = max(1, min(n, round(n * edge)))
+        several = min(-(-n // chunk), _CHUNKS_LOOKED_INTO if volume.chunks else wanted)
+        firsts = [int((k + 0.5) * -(-n // chunk) / several) * chunk for k in range(several)]
+        each = max(1, wanted // several)
+        step = -(-min(chunk, n) // each)
+        runs.append([range(first, min(first + chunk, n), step) for first in firsts])
+        steps.append(n / sum(map(len, runs[-1])))
+
+    def read(x: range, y: range, z: range) -> NDArray[Any]:
+        part = volume.read((x[0], y[0], z[0]), (x[-1] + 1, y[-1] + 1, z[-1] + 1))
+        return part[:: z.step, :: y.step, :: x.step].copy()
+
+    data = np.concatenate(
+        [np.concatenate([np.concatenate([read(x, y, z) for x in runs[0]], axis=2) for y in runs[1]], axis=1) for z in runs[2]]
+    )
+    spacing = tuple(s * step for s, step in zip(volume.spacing, steps, strict=True))
+    first = volume.index_to_world([(step - 1) / 2 for step in steps])  # of the same domain
+    return replace(volume.grid, data=data, spacing=spacing, origin=tuple(map(float, first)))
+
+
+def _few(volume: LazyVolume) -> bool:
+    """Whether all samples are looked at for their range."""
+    return math.prod(volume.shape) <= _SMALL and volume.chunks is None
+
+
+def known_of(volume: LazyVolume) -> Volume:
+    """The grid, with what is known of the samples, which are none: their limits, whether they are labels."""
+    low, high = volume.limits
+    known = replace(volume.grid, labels=volume.is_labels if volume.grid.labels is None else volume.grid.labels)
+    vars(known).update(limits=(low, high), value_range=(low, high))  # in place of what its own samples would give
+    return known
+
+
+def may_be_read_ahead(volume: LazyVolume) -> bool:
+    """Whether threads may read ahead: in a cluster only what is known not to ask that, which must be done by the task."""
+    known = volume._again is not None or isinstance(volume.data, np.ndarray) or _is_of_dask(volume.data)
+    return known or not volume._for_tasks or type(volume.data).__module__.partition(".")[0] in _ALONE
+
+
+def _limits_of(volume: LazyVolume) -> tuple[float, float]:
+    """The smallest and the largest sample: of the bounds, else of those that are looked at."""
+    if volume.bounds is not None:
+        return volume.bounds.value_range
+    if not _few(volume):
+        return volume.preview().value_range
+    ends = [(float(part.min()), float(part.max())) for _, part in _pieces(volume, (0, 0, 0), volume.size)]
+    return min(low for low, _ in ends), max(high for _, high in ends)
+
+
+def stored_lines(volume: LazyVolume) -> tuple[NDArray[np.int64], ...] | None:
+    """Where chunks begin along z, y and x, and where the last one ends; None if there are none, or all is in memory."""
+    with _reading(f"the chunks of {_title(volume)}"):
+        return None if isinstance(volume.data, np.ndarray) else lines_of(volume.data)
 
 
 def _is_of_dask(data: Any) -> bool:
@@ -559,7 +576,8 @@ def memory_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
     OptionError
         Chunks cannot be unpacked in so many; nothing has been read.
     """
-    one = volume._stored_in_one
+    with _reading(f"the chunks of {_title(volume)}"):  # the largest of all sizes is unpacked as a whole
+        one = max(stored_in_one(size.data) for size in (volume, *volume.levels))
     least = (UNPACKING + 1) * one  # what looks at it takes it as a whole
     if given is None:
         room = memory.available() // sharing
@@ -570,7 +588,7 @@ def memory_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
         budget = whole("memory", given, 1)
     if least > max(budget, _PIECE):  # less does not count beside a brick
         raise OptionError(
-            f"memory must be at least {least} bytes, which a chunk of {volume.name or 'the volume'} takes that is unpacked as a "
+            f"memory must be at least {least} bytes, which a chunk of {_title(volume)} takes that is unpacked as a "
             f"whole, to {one} bytes; got {budget}: clvol.pyramid, given that much once, makes a store of small chunks"
         )
     return budget

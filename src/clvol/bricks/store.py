@@ -16,8 +16,10 @@ from clvol.base.errors import DataError, OutOfMemoryError
 from clvol.bricks.chunks import Chunks
 from clvol.bricks.reduced import Reduced
 from clvol.bricks.residents import Reads, Resident, Residents
+from clvol.bricks.source import known_of, may_be_read_ahead
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.spline.coefficients import Coefficients, bytes_of
+from clvol.spline.levels import gathered
 from clvol.spline.minmax import bytes_beside
 from clvol.spline.resample import filled
 from clvol.volume.stored import RENUMBER, names_beyond
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from clvol.bricks.budget import Needs
     from clvol.bricks.grid import Brick, BrickGrid
     from clvol.bricks.residents import Account
-    from clvol.bricks.source import Index, LazyVolume
+    from clvol.bricks.source import Box, LazyVolume
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
@@ -109,7 +111,7 @@ class Store:
 
     def read_ahead(self, brick: Brick) -> None:
         """Read the samples of a brick in another thread, if it is not resident and there is room for them."""
-        if self._volume._ahead:
+        if may_be_read_ahead(self._volume):
             nbytes = brick.samples * self._volume.dtype.itemsize + self._unpacking(brick)
             self._residents.read_ahead(brick.at, nbytes, partial(self._samples, brick))
 
@@ -145,37 +147,22 @@ class Store:
             As by `LazyVolume.read`.
         """
         self._count(brick.samples)
-        samples = self._gathered(*self._grid.runs(brick))
-        require_distinct_labels(self._filter, self._volume, lambda: replace(self._volume._known(), data=samples))
+        samples = gathered(self._read, self._grid.runs(brick))
+        require_distinct_labels(self._filter, self._volume, lambda: replace(known_of(self._volume), data=samples))
         return samples
 
-    def _read(self, low: Index, high: Index) -> NDArray[Any]:
-        """As `LazyVolume.read`, by way of the chunks that are kept."""
-        if self._chunks is None:
-            return self._volume.read(low, high)
-        return self._chunks[tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))]  # type: ignore[index]  # three
-
-    def _gathered(self, x: list[slice], y: list[slice], z: list[slice]) -> NDArray[Any]:
-        """The samples at some runs along each axis, put together."""
-        rows = [
-            np.concatenate(
-                [np.concatenate([self._read((i.start, j.start, k.start), (i.stop, j.stop, k.stop)) for i in x], axis=2) for j in y],
-                axis=1,
-            )
-            if len(x) * len(y) > 1
-            else self._read((x[0].start, y[0].start, k.start), (x[0].stop, y[0].stop, k.stop))
-            for k in z
-        ]
-        return rows[0] if len(rows) == 1 else np.concatenate(rows, axis=0)
+    def _read(self, place: Box) -> NDArray[Any]:
+        """As `LazyVolume.at`, by way of the chunks that are kept."""
+        return self._volume.at(place) if self._chunks is None else self._chunks[place]
 
     def _count(self, samples: int) -> None:
         with self._residents.lock:
             self.reads.samples += samples
 
-    def _counted(self, low: Index, high: Index) -> NDArray[Any]:
+    def _counted(self, place: Box) -> NDArray[Any]:
         """As `_read`, and counted."""
-        self._count(math.prod(b - a for a, b in zip(low, high, strict=True)))
-        return self._read(low, high)
+        self._count(math.prod(one.stop - one.start for one in place))
+        return self._read(place)
 
     def _unpacking(self, brick: Brick) -> int:
         """Bytes that reading a brick takes beside its samples: whole chunks, and what samples are computed from."""
@@ -215,13 +202,8 @@ class Store:
 
 def _chunks_of(volume: LazyVolume, needs: Needs, edge: int, account: Account) -> Chunks:
     """Unpacked chunks, kept for other bricks that reach into them."""
-
-    def read(at: tuple[slice, slice, slice]) -> NDArray[Any]:
-        z, y, x = at
-        return volume.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
-
     assert needs.lines is not None
-    return Chunks(read, needs.lines, volume.dtype, needs.chunks_kept(edge, account.budget), account, one=needs.chunk)
+    return Chunks(volume.at, needs.lines, volume.dtype, needs.chunks_kept(edge, account.budget), account, one=needs.chunk)
 
 
 def require_distinct_labels(filter: Filter, volume: LazyVolume, known: Callable[[], Volume]) -> None:

@@ -14,6 +14,7 @@ import clvol
 from clvol.base import html
 from clvol.base.errors import ClvolWarning, DataError, OptionError
 from clvol.base.files import require_suffix
+from clvol.base.frames import SPACES
 from clvol.base.progress import Progress
 from clvol.bricks.source import too_large
 from clvol.cli.options import (
@@ -34,7 +35,6 @@ from clvol.cli.speech import print_json, progress, range_text, require_writable,
 from clvol.formats import WRITTEN, series_of
 from clvol.volume.histogram import isovalue_of
 from clvol.volume.smoothing import choose
-from clvol.volume.volume import SPACES
 from clvol.volume.volumes import Leading
 
 __all__ = ["convert", "info", "pyramid", "resample"]

@@ -20,6 +20,7 @@ from functools import cached_property, lru_cache
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.arrays import reals
@@ -128,10 +129,9 @@ class Filter(Shown):
         flag("prefilter", self.prefilter)
         if (self.smoothing != 0 or self.length is not None) and not self.prefilter:
             raise OptionError(f"smoothing takes a filter with a prefilter; {self.name!r} has none")
-        if self.prefilter:
-            axes = len(self.smoothing) if isinstance(self.smoothing, tuple) else 1
-            for axis in range(axes if self.settled else 0):
-                self.along(axis)._require_invertible()
+        if self.prefilter and self.settled:
+            for row in self.along_axes:
+                _require_invertible(row)
 
     def _facts(self) -> Facts:
         """Facts for notebooks: the properties of the filter beside its kernel."""
@@ -147,16 +147,9 @@ class Filter(Shown):
             "order": str(self.order),
             "interpolates": "no" if not self.interpolates else "yes" if direct else "prefiltered",
             "sums to one": "yes" if self.sums_to_one else "nearly",
-            "poles": (self.magnified_by or self)._poles_in_words(),
+            "poles": _poles_in_words(self.magnified_by or self),
             "also called": " ".join(also_called(self.name)),
         }
-
-    def _poles_in_words(self) -> str:
-        if not self.settled:
-            return "the volume's"
-        if isinstance(self.smoothing, tuple):
-            return "; ".join(self.along(axis)._poles_in_words() for axis in range(len(self.smoothing)))
-        return " ".join(f"{p:.4f}" for p in self.poles) or "-"
 
     # -- derived from the matrix -----------------------------------------------------------
 
@@ -201,11 +194,11 @@ class Filter(Shown):
     def continuity(self) -> int:
         """k, where the reconstructed function is Cᵏ; -1 if it jumps."""
         for k in range(self.degree + 1):
-            rows = self._derivative(k)
+            rows = _derivatives(self.taps, k)
             # across a knot, tap i replaces tap i - 1
             starts = [0, *(_evaluate(row, 0) for row in rows)]
             ends = [*(_evaluate(row, 1) for row in rows), 0]
-            if any(not _near(a, b, self._slack(k)) for a, b in zip(starts, ends, strict=True)):
+            if any(not _near(a, b, _slack(self, k)) for a, b in zip(starts, ends, strict=True)):
                 return k - 1
         return self.degree  # a single polynomial: only the zero kernel
 
@@ -219,9 +212,8 @@ class Filter(Shown):
         first = self.magnified_by.order if self.magnified_by else None
         for m in range(self.degree + 2):
             moment = _moment(self.taps, m)
-            constant = all(_near(c, 0, self._slack(0)) for c in moment[1:])
-            wanted = int(m == 0)
-            if not constant or not (self.prefilter or _near(moment[0], wanted, self._slack(0))):
+            constant = all(_near(c, 0, _slack(self, 0)) for c in moment[1:])
+            if not constant or not (self.prefilter or _near(moment[0], int(m == 0), _slack(self, 0))):
                 return m if first is None else min(m, first)
         return self.degree + 2
 
@@ -285,6 +277,11 @@ class Filter(Shown):
             raise OptionError(f"{self.name!r} has smoothing for {len(self.smoothing)} axes; got axis {axis} (x is 0)")
         return smoothed(self, self.smoothing[axis])
 
+    @property
+    def along_axes(self) -> tuple[Filter, ...]:
+        """The filters along the axes, x first; a single one if all are the same."""
+        return tuple(map(self.along, range(len(self.smoothing) if isinstance(self.smoothing, tuple) else 1)))
+
     @cached_property
     def undone(self) -> Array:
         """The filter that the prefilter inverts, at distances 0, 1, 2, ...: `samples` + λ · penalty; 1 without a prefilter.
@@ -334,10 +331,8 @@ class Filter(Shown):
 
     def weights(self, t: ArrayLike, derivative: int = 0) -> Array:
         """Tap weights, or their derivatives, at fractional positions `t`; shape (TAPS, ...)."""
-        rows = self.matrix
-        for _ in range(min(whole("derivative", derivative, 0), self.degree + 1)):
-            rows = rows[:, 1:] * np.arange(1, rows.shape[1]) if rows.shape[1] > 1 else np.zeros((self.support, 1))
-        return np.asarray(np.polynomial.polynomial.polyval(reals("t", t), rows.T))
+        rows = polynomial.polyder(self.matrix, min(whole("derivative", derivative, 0), self.degree + 1), axis=1)
+        return np.asarray(polynomial.polyval(reals("t", t), rows.T))
 
     def cell(self, x: ArrayLike) -> tuple[Array, Array]:
         """The index rule: the first tap's coefficient and the fraction for positions `x` in samples.
@@ -371,35 +366,10 @@ class Filter(Shown):
         x = np.linspace(-half, half, self.support * (points - 1) + 1)
         return x, self(x)
 
-    # -- inner ---------------------------------------------------------------------------------
-
     @cached_property
     def _roots(self) -> NDArray[np.complex128]:
         b = self.undone
         return np.roots(np.concatenate([b[:0:-1], b])).astype(np.complex128) if b.size > 1 else np.empty(0, complex)
-
-    def _require_invertible(self) -> None:
-        roots = self._roots
-        inside = roots[np.abs(roots) < 1]
-        at = np.arange(self.support)
-        if np.abs(self(at) - self(-at)).max() > _ROUNDING * max(1.0, float(np.abs(self.samples).max())):
-            raise OptionError(f"{self.name!r} cannot interpolate: its kernel is not even at the samples")
-        if abs(self.samples[0]) < _ROUNDING and self.samples.size == 1:
-            raise OptionError(f"{self.name!r} cannot interpolate: its kernel is zero at the samples")
-        if 2 * inside.size != roots.size or np.any(np.abs(np.abs(roots) - 1) < 1e-3):
-            raise OptionError(f"{self.name!r} cannot interpolate: its prefilter has poles on the unit circle")
-
-    def _derivative(self, order: int) -> list[Polynomial]:
-        rows = list(self.taps)
-        for _ in range(order):
-            rows = [tuple(k * c for k, c in enumerate(row))[1:] or (0,) for row in rows]
-        return rows
-
-    def _slack(self, derivative: int) -> float:
-        """Tolerance of an identity: 0 for exact rows."""
-        if self.exact:
-            return 0.0
-        return max(_ROUNDING, 10 * self.fit_error) * max(1.0, float(self.degree) ** (2 * derivative))
 
 
 def as_polynomials(what: str, rows: object) -> tuple[Polynomial, ...]:
@@ -411,6 +381,34 @@ def as_polynomials(what: str, rows: object) -> tuple[Polynomial, ...]:
     for c in (c for row in polynomials for c in row):
         number(f"each of the {what}", c)
     return polynomials
+
+
+def _require_invertible(row: Filter) -> None:
+    inside = np.abs(row._roots) < 1
+    at = np.arange(row.support)
+    if np.abs(row(at) - row(-at)).max() > _ROUNDING * max(1.0, float(np.abs(row.samples).max())):
+        raise OptionError(f"{row.name!r} cannot interpolate: its kernel is not even at the samples")
+    if abs(row.samples[0]) < _ROUNDING and row.samples.size == 1:
+        raise OptionError(f"{row.name!r} cannot interpolate: its kernel is zero at the samples")
+    if 2 * inside.sum() != row._roots.size or np.any(np.abs(np.abs(row._roots) - 1) < 1e-3):
+        raise OptionError(f"{row.name!r} cannot interpolate: its prefilter has poles on the unit circle")
+
+
+def _poles_in_words(row: Filter) -> str:
+    if not row.settled:
+        return "the volume's"
+    return "; ".join(" ".join(f"{p:.4f}" for p in along.poles) or "-" for along in row.along_axes)
+
+
+def _slack(row: Filter, derivative: int) -> float:
+    """Tolerance of an identity: 0 for exact rows."""
+    return 0.0 if row.exact else max(_ROUNDING, 10 * row.fit_error) * max(1.0, float(row.degree) ** (2 * derivative))
+
+
+def _derivatives(rows: Sequence[Polynomial], order: int) -> Sequence[Polynomial]:
+    for _ in range(order):
+        rows = [tuple(k * c for k, c in enumerate(row))[1:] or (0,) for row in rows]
+    return rows
 
 
 def _evaluate(row: Polynomial, t: int) -> Number:

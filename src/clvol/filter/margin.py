@@ -53,8 +53,7 @@ def reach_within(filter: str | Filter, left_out: float) -> int:
     row = as_filter(filter)
     row = row.magnified_by or row
     require_settled(row)
-    axes = len(row.smoothing) if isinstance(row.smoothing, tuple) else 1
-    return max(_reach(row.along(axis), left_out) for axis in range(axes))
+    return max(_reach(along, left_out) for along in row.along_axes)
 
 
 def require_settled(row: Filter) -> None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol.base.arrays import as_array
 from clvol.base.errors import DataError
@@ -20,18 +19,8 @@ from clvol.interop.xarray_images import LABELLED, OWN
 __all__ = ["is_image", "read_array", "read_grid", "read_several"]
 
 _KINDS = (SIMPLEITK, NIBABEL, OWN, VTK, ITK, NAPARI, LABELLED)
+_GRIDDED = ("spacing", "origin", "direction", "units", "data")  # of a `Volume`, whose class imports this module
 _VOLUME = ("spacing", "origin", "direction", "units", "space", "name", "color", "clim", "labels", "header")
-
-
-@runtime_checkable
-class _Gridded(Protocol):
-    """What a `clvol.Volume` has; the class itself imports this module."""
-
-    data: NDArray[Any]
-    spacing: tuple[float, ...]
-    origin: tuple[float, ...]
-    direction: NDArray[np.float64]
-    units: str
 
 
 def _kind_of(source: Any) -> Kind | None:
@@ -88,7 +77,7 @@ def read_several(source: Any) -> Content:
 
 def _read_other(source: Any) -> Content:
     """Samples of a volume or of an array."""
-    if not isinstance(source, np.ndarray) and isinstance(source, _Gridded):  # `data` of an array of dates raises
+    if not isinstance(source, np.ndarray) and all(hasattr(source, name) for name in _GRIDDED):  # `data` of an array of dates raises
         return as_array(source.data), {name: getattr(source, name) for name in _VOLUME if hasattr(source, name)}
     return as_array(source), {}
 

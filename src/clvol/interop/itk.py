@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,11 @@ from clvol.base import memory
 from clvol.base.arrays import as_array
 from clvol.base.errors import DataError, MissingDependencyError
 from clvol.base.units import millimetres
-from clvol.interop.kinds import Content, Kind, Metadata, Several, channels_and_frames, held_as, interleaved, leading_counts
+from clvol.interop.kinds import Content, Kind, channels_and_frames, held_as, interleaved, leading_counts
+
+if TYPE_CHECKING:
+    from clvol.volume.volume import Volume
+    from clvol.volume.volumes import Leading
 
 __all__ = ["ITK", "SIMPLEITK", "describe_simpleitk", "from_simpleitk", "simpleitk", "to_simpleitk"]
 
@@ -89,7 +93,7 @@ SIMPLEITK = Kind(
 )
 
 
-def to_simpleitk(data: NDArray[Any], grid: Metadata, leading: Several | None = None) -> Any:
+def to_simpleitk(data: NDArray[Any], grid: Volume, leading: Leading | None = None) -> Any:
     """A SimpleITK image of samples [..., z, y, x]: channels become values per voxel, another leading axis the fourth axis.
 
     Raises

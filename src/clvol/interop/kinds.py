@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +11,10 @@ from numpy.typing import NDArray
 from clvol.base.axes import AXES, meaning
 from clvol.base.errors import DataError
 
-__all__ = [
-    "Content",
-    "Kind",
-    "Metadata",
-    "Several",
-    "channels_and_frames",
-    "held_as",
-    "interleaved",
-    "leading_axes",
-    "leading_counts",
-]
+if TYPE_CHECKING:
+    from clvol.volume.volumes import Leading
+
+__all__ = ["Content", "Kind", "channels_and_frames", "held_as", "interleaved", "leading_axes", "leading_counts"]
 
 Content: TypeAlias = tuple[NDArray[Any], dict[str, Any]]
 """Samples [z, y, x], and those keyword arguments of `Volume` that their source knows: spacing, origin, direction, units, ...
@@ -47,44 +40,6 @@ class Kind(NamedTuple):
     describe: Callable[[Any], dict[str, Any]]
     shape: Callable[[Any], tuple[int, ...]]
     samples: Callable[[Any], NDArray[Any]]
-
-
-class Metadata(Protocol):
-    """What a `clvol.Volume` says of its samples; the class itself imports this package."""
-
-    @property
-    def spacing(self) -> tuple[float, ...]: ...
-    @property
-    def origin(self) -> tuple[float, ...]: ...
-    @property
-    def direction(self) -> NDArray[np.float64]: ...
-    @property
-    def units(self) -> str: ...
-    @property
-    def space(self) -> str: ...
-    @property
-    def name(self) -> str: ...
-    @property
-    def clim(self) -> tuple[float, float] | None: ...
-    @property
-    def labels(self) -> bool | Mapping[int, str] | None: ...
-    @property
-    def header(self) -> Mapping[str, Any]: ...
-
-
-class Several(Protocol):
-    """What a `clvol.volume.volumes.Leading` says of the axes before z, y and x; the class itself imports this package."""
-
-    @property
-    def axes(self) -> tuple[str, ...]: ...
-    @property
-    def counts(self) -> tuple[int, ...]: ...
-    @property
-    def names(self) -> Mapping[str, tuple[str, ...]]: ...
-    @property
-    def vector(self) -> bool: ...
-    @property
-    def rgb(self) -> bool: ...
 
 
 _WIDER = {"bool": "uint8", "float16": "float32"}  # the next type that holds every value
@@ -130,7 +85,7 @@ def leading_axes(names: Sequence[str], counts: Sequence[int], what: str) -> tupl
     return axes, tuple(int(n) for n in counts)
 
 
-def channels_and_frames(leading: Several | None, what: str) -> tuple[int | None, int | None]:
+def channels_and_frames(leading: Leading | None, what: str) -> tuple[int | None, int | None]:
     """Which of the leading axes is that of channels, and which is the other one.
 
     Raises

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 from clvol.base.errors import DataError, GeometryError, MissingDependencyError
 from clvol.base.frames import Placement, affine_parts, from_ras, ras_affine
 from clvol.base.units import millimetres
-from clvol.interop.kinds import Content, Kind, Metadata, Several, channels_and_frames, held_as, leading_counts
+from clvol.interop.kinds import Content, Kind, channels_and_frames, held_as, leading_counts
+
+if TYPE_CHECKING:
+    from clvol.volume.volume import Volume
+    from clvol.volume.volumes import Leading
 
 __all__ = ["NIBABEL", "NIFTI_MILLIMETRES", "describe_nibabel", "describe_nifti", "nibabel", "same_place", "to_nibabel"]
 
@@ -170,7 +174,7 @@ def describe_nifti(header: Any, shape: Sequence[int], channels: int = 0) -> dict
     return about
 
 
-def to_nibabel(data: NDArray[Any], grid: Metadata, leading: Several | None = None) -> Any:
+def to_nibabel(data: NDArray[Any], grid: Volume, leading: Leading | None = None) -> Any:
     """A nibabel image of NIfTI of samples [..., z, y, x], in RAS and mm: times are its fourth axis and channels the fifth.
 
     Three or four channels of bytes that are colours become RGB(A). What `grid` keeps of a NIfTI header is written: the codes of
@@ -214,7 +218,7 @@ def to_nibabel(data: NDArray[Any], grid: Metadata, leading: Several | None = Non
     return image
 
 
-def _write_header(image: Any, affine: NDArray[np.float64], grid: Metadata, frames: int | None, leading: Several | None) -> None:
+def _write_header(image: Any, affine: NDArray[np.float64], grid: Volume, frames: int | None, leading: Leading | None) -> None:
     """Write what `describe_nifti` reads into the header of a nibabel image."""
     header, kept = image.header, grid.header
     codes = [kept.get(name, 1) for name in ("sform_code", "qform_code")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 from clvol.base.arrays import as_array
 from clvol.base.errors import GeometryError, MissingDependencyError
 from clvol.base.units import axes_unit
-from clvol.interop.kinds import Kind, Metadata, Several, leading_axes
+from clvol.interop.kinds import Kind, leading_axes
+
+if TYPE_CHECKING:
+    from clvol.volume.volume import Volume
+    from clvol.volume.volumes import Leading
 
 __all__ = ["LABELLED", "OWN", "to_xarray"]
 
@@ -20,7 +24,7 @@ _PLACE = {"size", "spacing", "origin", "direction"}  # attributes of a DataArray
 _UNIFORM = 1e-3  # of a step, by which coordinates may be off: float32 ones are off by less
 
 
-def to_xarray(data: NDArray[Any], grid: Metadata, leading: Several | None = None) -> Any:
+def to_xarray(data: NDArray[Any], grid: Volume, leading: Leading | None = None) -> Any:
     """A DataArray of samples [..., z, y, x], with coordinates in world units where the axes run along the world's.
 
     The attributes hold the geometry in any case, x first, and what else the volume says of itself.

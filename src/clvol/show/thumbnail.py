@@ -1,30 +1,38 @@
-"""The middle slices of a volume as thumbnails, and pictures embedded in HTML."""
+"""The middle slices of a volume as thumbnails, pictures embedded in HTML, and volumes as notebooks show them."""
 
 from __future__ import annotations
 
 import base64
-import html
 import itertools
 from collections.abc import Sequence
-from typing import Any
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol.base import html
+from clvol.base.errors import DataError
+from clvol.base.frames import SPACES
 from clvol.show.picture import to_png
 
-__all__ = ["image", "normalized", "slices"]
+if TYPE_CHECKING:
+    from clvol.volume.volume import Volume
+    from clvol.volume.volumes import Volumes
+
+__all__ = ["html_of_volume", "html_of_volumes", "image", "normalized", "slices"]
 
 _SIDE = 160  # Pixels of a thumbnail's longer side.
 _TAILS = (0.5, 99.5)  # Percentiles that become black and white where no `clim` is known.
 _PLANES = {"LPS": ("axial", "coronal", "sagittal"), "": ("xy", "xz", "yz")}
+_SHOWN = 4  # volumes of several with a slice
 _DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # sign of y, and of z, down the rows of a picture
 
 
 def image(picture: ArrayLike, caption: str = "") -> str:
     """A picture with a caption, as HTML."""
     data = base64.b64encode(to_png(picture)).decode("ascii")
-    words = html.escape(caption)
+    words = escape(caption)
     return (
         f'<figure style="margin:0"><img src="data:image/png;base64,{data}" alt="{words}">'
         f'<figcaption style="text-align:center;font-size:smaller">{words}</figcaption></figure>'
@@ -105,3 +113,65 @@ def _sized(picture: NDArray[np.uint8], sides: Sequence[float], blended: bool) ->
     size = max(1, round(width * scale)), max(1, round(height * scale))
     method = Image.Resampling.BICUBIC if blended else Image.Resampling.NEAREST
     return np.asarray(Image.fromarray(np.ascontiguousarray(picture)).resize(size, method))
+
+
+# -- for notebooks; no device is used ----------------------------------------------------------------------
+
+
+def html_of_volume(volume: Volume) -> str:
+    """Three middle slices, facts and the histogram."""
+    try:
+        low, high = volume.value_range
+        values = f"{low:.6g} to {high:.6g}" + ("" if np.isfinite(volume.limits).all() else ", some not finite")
+        counts = html.histogram(volume.data, low, high)
+    except DataError:
+        values, counts = "none is finite", ""
+    known = {
+        "name": volume.name,
+        "samples": _samples(volume) + (", labels" if _are_labels(volume) else ""),
+        "spacing": _spacing(volume),
+        "origin": html.numbers(volume.origin, ", ") if any(volume.origin) else "",
+        "space": _space(volume),
+        "values": values,
+        "clim": html.numbers(volume.clim, " to ") if volume.clim else "",
+    }
+    pictures = (image(picture, plane) for plane, picture in _slices(volume))
+    return html.beside(*pictures, html.facts("Volume" if volume.ndim == 3 else "Image", known), counts)
+
+
+def html_of_volumes(volumes: Volumes) -> str:
+    """The middle slices of the first few volumes, and facts about all."""
+    first = volumes.grid
+    known = {
+        "volumes": str(volumes.leading),
+        "samples of each": _samples(first),
+        "spacing": _spacing(first),
+        "space": _space(first),
+    }
+    pictures = [
+        image(_slices(volume, all_planes=False)[0][1], f"{number} {volume.name}".strip())
+        for number, volume in enumerate(volumes[:_SHOWN])
+    ]
+    return html.beside(*pictures, html.facts("Volumes", known))
+
+
+def _samples(volume: Volume) -> str:
+    return f"{html.numbers(volume.shape)} {volume.data.dtype}"
+
+
+def _spacing(volume: Volume) -> str:
+    return f"{html.numbers(volume.spacing)} {volume.units}"
+
+
+def _space(volume: Volume) -> str:
+    return f"{volume.space}: {SPACES[volume.space]}" if volume.space else ""
+
+
+def _are_labels(volume: Volume) -> bool:
+    """Whether it says so: nothing is computed to find out."""
+    return volume.labels not in (None, False)
+
+
+def _slices(volume: Volume, *, all_planes: bool = True) -> list[tuple[str, NDArray[Any]]]:
+    about: dict[str, Any] = {"space": volume.space, "clim": volume.clim, "color": volume.color, "blended": not _are_labels(volume)}
+    return slices(volume.data, volume.spacing, volume.direction, **about, all_planes=all_planes)

@@ -132,8 +132,7 @@ def _gain_exponent(filter: Filter) -> int:
     """Exponent of a power of two that bounds all values between samples within ±1 and coefficients, along three axes."""
     if not filter.prefilter:
         return 0
-    rows = [filter.along(axis) for axis in range(len(filter.smoothing) if isinstance(filter.smoothing, tuple) else 1)]
-    gains = [math.log2(abs(row.undone[-1])) + 2 * float(np.log2(1 - np.abs(row.poles)).sum()) for row in rows]
+    gains = [math.log2(abs(row.undone[-1])) + 2 * float(np.log2(1 - np.abs(row.poles)).sum()) for row in filter.along_axes]
     return math.ceil(-3 * min(gains))
 
 

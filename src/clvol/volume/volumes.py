@@ -20,7 +20,8 @@ from clvol.interop.images import is_image, read_grid, read_several
 from clvol.interop.itk import to_simpleitk
 from clvol.interop.nibabel import to_nibabel
 from clvol.interop.xarray_images import to_xarray
-from clvol.volume.volume import SPACES, Volume, array_of, as_volume, clim_of
+from clvol.volume.samples import array_of
+from clvol.volume.volume import Volume, as_volume, clim_of
 
 __all__ = ["COMPUTED", "Leading", "Volumes", "as_grid"]
 
@@ -28,7 +29,6 @@ COMPUTED = ("magnitude", "luminance")
 """Channels computed from all others: of vectors, and of red, green and blue."""
 
 _DIGITS = 18  # longest number given as text
-_SHOWN = 4  # volumes with a slice in notebooks
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _COLORS = (("red", (1.0, 0.0, 0.0)), ("green", (0.0, 1.0, 0.0)), ("blue", (0.0, 0.0, 1.0)), ("alpha", None))
 _ABOUT = ("spacing", "origin", "direction", "units", "space", "color", "clim", "labels", "header")
@@ -384,30 +384,9 @@ class Volumes(Sequence[Volume]):
 
     def _repr_html_(self) -> str:
         """For notebooks: the middle slices of the first few volumes, and facts about all."""
-        from clvol.base import html
-        from clvol.show import thumbnail
+        from clvol.show.thumbnail import html_of_volumes
 
-        first = self.grid
-        known = {
-            "volumes": str(self.leading),
-            "samples of each": f"{html.numbers(first.shape)} {first.data.dtype}",
-            "spacing": f"{html.numbers(first.spacing)} {first.units}",
-            "space": f"{first.space}: {SPACES[first.space]}" if first.space else "",
-        }
-        pictures = []
-        for number, volume in enumerate(self[:_SHOWN]):
-            ((_, picture),) = thumbnail.slices(
-                volume.data,
-                volume.spacing,
-                volume.direction,
-                space=volume.space,
-                clim=volume.clim,
-                color=volume.color,
-                blended=volume.labels in (None, False),
-                all_planes=False,
-            )
-            pictures.append(thumbnail.image(picture, f"{number} {volume.name}".strip()))
-        return html.beside(*pictures, html.facts("Volumes", known))
+        return html_of_volumes(self)
 
     def _about(self, number: int) -> dict[str, Any]:
         return self.leading.about([int(i) for i in np.unravel_index(number, self.leading.counts)])

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from clvol.base.errors import FormatError
+from clvol.base.frames import SPACES
 from clvol.formats._bounds import KEY
 from clvol.formats._layout import Layout, lay_out, place
-from clvol.volume.volume import SPACES
 from clvol.volume.volumes import Leading
 
 __all__ = ["described", "labels_of", "metadata_of", "placed"]
