@@ -5,7 +5,6 @@ Source: DICOM PS3.3, A.51 and C.8.20 (segmentations).
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,6 +26,25 @@ from clvol.volume.volumes import Leading
 __all__ = ["SUFFIXES", "is_file", "is_folder", "read", "series_of"]
 
 _SEGMENTATION = ROOT + "5.1.4.1.1.66.4"
+_LISTED = (
+    "SOPClassUID",
+    "SeriesInstanceUID",
+    "SeriesNumber",
+    "Modality",
+    "SeriesDescription",
+    "SpecificCharacterSet",
+    "Rows",
+    "Columns",
+)
+    "SOPClassUID",
+    "SeriesInstanceUID",
+    "SeriesNumber",
+    "Modality",
+    "SeriesDescription",
+    "SpecificCharacterSet",
+    "Rows",
+    "Columns",
+)
 _STACKED = ("CT", "MR", "PT")  # modalities whose slices make volumes
 
 
@@ -51,62 +69,65 @@ def series_of(path: Path) -> tuple[Series, ...]:
     if not path.is_dir():
         return ()
     with foreign_errors(f"read {path}"), leniently(path):
-        return _listed(_found(path))
+        return tuple(_found(path))
 
 
 def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
     """The slices of one series, ordered by where they lie in the patient and not by their names; or those of one file."""
     with foreign_errors(f"read {path}"), leniently(path):
         if path.is_dir():
-            headers = _series(path, series)
-            return _volumes(path, headers, choose, alone=len(headers) == 1)
+            files = _series(path, series)
+            return _volumes(path, files, choose, alone=len(files) == 1)
         if series is not None:
             raise OptionError(f"series is for a folder of DICOM files; {path.name} is one file")
-        return _volumes(path, [(path, read_header(path))], choose)
+        return _volumes(path, [path], choose)
 
 
-def _found(path: Path) -> dict[str, list[tuple[Path, Any]]]:
+def _found(path: Path) -> dict[Series, list[Path]]:
     """The files of each series in a folder, the series by their numbers."""
-    found: dict[str, list[tuple[Path, Any]]] = defaultdict(list)
+    files: dict[str, list[Path]] = defaultdict(list)
+    firsts: dict[str, Any] = {}
     for file in _files(path):
         if file.suffix.lower() in SUFFIXES or is_file(file):
-            header = read_header(file)
+            header = read_header(file, *_LISTED)
             if has_pictures(header):
                 if "Rows" not in header or "Columns" not in header:
                     raise FormatError(f"{path} must hold sound DICOM files; {file.name} is damaged or cut short")
-                found[str(header.get("SeriesInstanceUID") or "")].append((file, header))
-    if not found:
+                uid = str(header.get("SeriesInstanceUID") or "")
+                files[uid].append(file)
+                firsts.setdefault(uid, header)
+    if not files:
         raise FormatError(f"{path} must be a folder that holds DICOM files itself (not in folders below); found none with pictures")
-    return dict(sorted(found.items(), key=lambda item: (*finite(numbers_of(item[1][0][1], "SeriesNumber")[:1]), item[0])))
+    found = {}
+    for uid in sorted(files, key=lambda uid: (finite(numbers_of(firsts[uid], "SeriesNumber")[:1]), uid)):
+        count = len(files[uid])
+        text = ", ".join(filter(None, (*names_of(firsts[uid]), f"{count} file{'s' * (count > 1)}")))
+        found[Series(uid, text)] = files[uid]
+    return found
 
 
-def _series(path: Path, choice: int | str | None) -> list[tuple[Path, Any]]:
+def _series(path: Path, choice: int | str | None) -> list[Path]:
     """The files of the series that is chosen, by its number in the listing or its id."""
     found = _found(path)
-    chosen = list(found)[chosen_series(path.name, _listed(found), choice, what="series", first=False)]
-    if not chosen and len(found) > 1:
+    chosen = list(found)[chosen_series(path.name, list(found), choice, what="series", first=False)]
+    if not chosen.id and len(found) > 1:
         raise FormatError(f"{path} holds slices without a series id beside other series: part them into folders")
     return found[chosen]
 
 
-def _listed(found: dict[str, list[tuple[Path, Any]]]) -> tuple[Series, ...]:
-    return tuple(
-        Series(uid, ", ".join(filter(None, (*names_of(files[0][1]), f"{len(files)} file{'s' * (len(files) > 1)}"))))
-        for uid, files in found.items()
-    )
-
-
-def _volumes(path: Path, headers: Sequence[tuple[Path, Any]], choose: Choice, alone: bool = False) -> Content:
+def _volumes(path: Path, files: Sequence[Path], choose: Choice, alone: bool = False) -> Content:
     """The volumes of a series; `alone`: a folder in which no other file lies beside one slice."""
-    frames = [frame for file, header in headers for frame in frames_of(file, header)]
+    first = read_header(files[0])
+    frames = [frame for n, file in enumerate(files) for frame in frames_of(file, read_header(file) if n else first)]
     require_alike(path, frames)
-    first = headers[0][1]
     if first.get("SOPClassUID") == _SEGMENTATION:
-        return _segments(path, headers, frames, choose)
+        return _segments(path, files, first, frames, choose)
     placed = all(frame.position for frame in frames)
-    film = _film(first) if len(headers) == 1 and len(frames) > 1 and not placed else None
+    film = _film(first) if len(files) == 1 and len(frames) > 1 and not placed else None
     leading, guessed = Leading(), ""
     about: dict[str, Any] = {"header": {"modality": names_of(first)[0]}}
+    if "SegmentSequence" in first:
+        about["labels"] = _segment_names(first)
     if first.get("PhotometricInterpretation") == "MONOCHROME1":  # shown inverted
         about["header"]["photometric"] = "MONOCHROME1"
     if film is not None:
@@ -119,11 +140,9 @@ def _volumes(path: Path, headers: Sequence[tuple[Path, Any]], choose: Choice, al
         about["header"] |= more
     else:
         order = np.lexsort(([frame.index for frame in frames], finite([frame.number for frame in frames])))[None]
-        if len(headers) > 1 and len(frames) > len(headers):
-            raise FormatError(
-                f"{path} holds {len(headers)} files of several frames, which do not say where these lie: read one file"
-            )
-        if len(headers) == 1 and len(frames) > 1:
+        if len(files) > 1 and len(frames) > len(files):
+            raise FormatError(f"{path} holds {len(files)} files of several frames, which do not say where these lie: read one file")
+        if len(files) == 1 and len(frames) > 1:
             guessed = f"it does not say where its {len(frames)} frames lie, they were taken for slices"
         elif len({frame.number for frame in frames}) < len(frames):
             guessed = (
@@ -138,7 +157,7 @@ def _volumes(path: Path, headers: Sequence[tuple[Path, Any]], choose: Choice, al
     about |= geometry_of(path, [frames[int(n)] for n in order[0]], film is not None)
     pick = choose(path.name, leading, guessed)
     wanted = order[pick.index[0]] if len(order) > 1 else order[0]
-    samples = samples_of([frames[int(n)] for n in np.ravel(wanted)], dict(headers))
+    samples = samples_of([frames[int(n)] for n in np.ravel(wanted)])
     samples = samples.reshape(*wanted.shape, *samples.shape[1:])
     if channels > 1:
         lead = samples.ndim - 4
@@ -181,32 +200,38 @@ def _merged(geometry: dict[str, Any], pick: Pick) -> dict[str, Any]:
     return merged
 
 
-def _segments(path: Path, headers: Sequence[tuple[Path, Any]], frames: Sequence[Frame], choose: Choice) -> Content:
+def _segments(path: Path, files: Sequence[Path], header: Any, frames: Sequence[Frame], choose: Choice) -> Content:
     """A segmentation: labels with names; or if segments overlap or are fractions, a channel for each.
 
     There are no frames where nothing of a segment lies.
     """
-    if len(headers) > 1:
-        raise FormatError(f"{path} holds {len(headers)} segmentations: read one file")
-    file, header = headers[0]
-    names = {int(numbers_of(one, "SegmentNumber")[0]): str(one.get("SegmentLabel") or "") for one in header.SegmentSequence}
-    numbers = list(names)
-    segments = [numbers.index(int((frame.keys.get("segment") or (numbers[0],))[0])) for frame in frames]
+    if len(files) > 1:
+        raise FormatError(f"{path} holds {len(files)} segmentations: read one file")
+    names = _segment_names(header)
+    numbers = [int((frame.keys.get("segment") or (next(iter(names)),))[0]) for frame in frames]
     stack, at = grid_of(frames)
     about = {"header": {"modality": "SEG"}} | _about(header, frames[0]) | geometry_of(path, stack)
-    shape = (len(stack), *frames[0].kind[:2])
-    announce(path.name, len(numbers) * math.prod(shape))
+    labels = empty((len(stack), *frames[0].kind[:2]), np.min_scalar_type(max(names)))
+    labels[...] = 0
     fractions = header.get("SegmentationType") == "FRACTIONAL"
-    parts = np.zeros((len(numbers), *shape), np.float32 if fractions else np.uint8)
+    apart = not fractions
+    for number, place, (stored, _) in zip(numbers, at, decoded(files[0], range(len(frames) * apart)), strict=False):
+        apart = apart and not labels[place][stored > 0].any()
+        labels[place][stored > 0] = number
+    if apart:
+        pick = choose(path.name, Leading())
+        return pick.finish(labels), _merged(about | {"labels": names}, pick)
     largest = (numbers_of(header, "MaximumFractionalValue") or (255.0,))[0] if fractions else 1
-    for segment, place, stored in zip(segments, at, decoded(file, range(len(frames))), strict=True):
-        parts[segment, place] = stored / largest if fractions else stored
-    if fractions or (parts.sum(axis=0, dtype=np.uint16) > 1).any():
-        pick = choose(path.name, Leading(("channel",), (len(numbers),), {"channel": tuple(names.values())}))
-        samples = empty(parts[pick.index[0]].shape, parts.dtype)
-        samples[...] = parts[pick.index[0]]
-        return pick.finish(samples), _merged(about, pick)
-    pick = choose(path.name, Leading())
-    labels = empty(shape, np.min_scalar_type(max(numbers)))
-    np.copyto(labels, np.tensordot(np.array(numbers, labels.dtype), parts.astype(labels.dtype, copy=False), 1), "unsafe")
-    return pick.finish(labels), _merged(about | {"labels": names}, pick)
+    pick = choose(path.name, Leading(("channel",), (len(names),), {"channel": tuple(names.values())}))
+    wanted = [*names][pick.index[0]] if isinstance(pick.index[0], slice) else [[*names][pick.index[0]]]
+    announce(path.name, len(wanted) * labels.size * (4 if fractions else 1))
+    parts = empty((len(wanted), *labels.shape), np.float32 if fractions else np.uint8)
+    parts[...] = 0
+    for number, place, (stored, _) in zip(numbers, at, decoded(files[0], range(len(frames))), strict=True):
+        if number in wanted:
+            parts[wanted.index(number), place] = stored / largest if fractions else stored
+    return pick.finish(parts if isinstance(pick.index[0], slice) else parts[0]), _merged(about, pick)
+
+
+def _segment_names(header: Any) -> dict[int, str]:
+    return {int(numbers_of(one, "SegmentNumber")[0]): str(one.get("SegmentLabel") or "") for one in header.SegmentSequence}

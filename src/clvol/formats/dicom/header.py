@@ -29,6 +29,7 @@ __all__ = [
     "Frame",
     "Value",
     "frames_of",
+    "has_palette",
     "has_pictures",
     "leniently",
     "moved",
@@ -158,13 +159,13 @@ def leniently(path: Path) -> Iterator[None]:
         warn(text if ours else f"{path.name}: {' '.join(text.split())}")
 
 
-def read_header(path: Path) -> Any:
-    """The elements before the samples."""
+def read_header(path: Path, *elements: str) -> Any:
+    """The elements before the samples, or only some of them."""
     with foreign_errors(f"read {path}: {path.name} is damaged or cut short"), opened(path) as stream:
         whole = stream[128:132] == b"DICM"
         if not whole and path.suffix.lower() not in SUFFIXES:
             raise FormatError(f"cannot read {path}: it is no DICOM file, or it is damaged or cut short")
-        header = pydicom().dcmread(stream, stop_before_pixels=True, force=True)
+        header = pydicom().dcmread(stream, stop_before_pixels=True, force=True, specific_tags=list(elements) or None)
         if whole and "TransferSyntaxUID" not in header.file_meta:
             raise FormatError(f"{path.name} is damaged or cut short: it must say how its samples are encoded, in (0002,0010)")
         if not whole:
@@ -176,6 +177,11 @@ def has_pictures(header: Any) -> bool:
     """Whether a file should hold pictures, by its SOP class."""
     kind = str(header.get("SOPClassUID") or header.file_meta.get("MediaStorageSOPClassUID") or "").removeprefix(ROOT)
     return kind.startswith(_PICTURES) or not kind.startswith(_NO_PICTURES)
+
+
+def has_palette(header: Any) -> bool:
+    """Whether samples are indices of colours; labels stay labels."""
+    return header.get("PhotometricInterpretation") == "PALETTE COLOR" and "SegmentSequence" not in header
 
 
 def names_of(header: Any) -> tuple[str, str]:
@@ -249,9 +255,7 @@ def frames_of(path: Path, header: Any) -> list[Frame]:
             f"cannot read {path}: it must say how many rows, columns, bits and frames it has; it is damaged or cut short"
         )
     rows, columns, bits = (int(size[0]) for size in sizes)
-    channels = (
-        3 if header.get("PhotometricInterpretation") == "PALETTE COLOR" else int((numbers_of(header, "SamplesPerPixel") or (1,))[0])
-    )
+    channels = 3 if has_palette(header) else int((numbers_of(header, "SamplesPerPixel") or (1,))[0])
     announce(path.name, int(counts[0]) * rows * columns * channels * max(bits, 8) // 8)
     offsets = _offsets(header, int(counts[0]))
     frames = []
@@ -303,12 +307,7 @@ def _scale(path: Path, groups: _Groups) -> tuple[float, float] | None:
 
 def _dtype(header: Any, bits: int, scale: tuple[float, float] | None) -> np.dtype[Any] | None:
     """The smallest dtype for all values that stored bits can stand for; float64 where the scale is no whole number."""
-    if (
-        scale is None
-        or header.get("PhotometricInterpretation") == "PALETTE COLOR"
-        or "FloatPixelData" in header
-        or "DoubleFloatPixelData" in header
-    ):
+    if scale is None or has_palette(header) or "FloatPixelData" in header or "DoubleFloatPixelData" in header:
         return None
     if any(number != int(number) for number in scale):
         return np.dtype(np.float64)

@@ -18,7 +18,7 @@ from clvol.base.errors import FormatError
 from clvol.formats import _itk
 from clvol.formats._errors import foreign_errors
 from clvol.formats._files import scaled
-from clvol.formats.dicom.header import ROOT, Frame, opened, pydicom
+from clvol.formats.dicom.header import ROOT, Frame, has_palette, opened, pydicom
 from clvol.formats.guarded.messages import empty
 from clvol.interop.itk import simpleitk
 
@@ -27,7 +27,7 @@ __all__ = ["decoded", "samples_of"]
 _UNDEFINED = 0xFFFFFFFF  # length of what a mark ends
 
 
-def samples_of(frames: Sequence[Frame], headers: dict[Path, Any]) -> NDArray[Any]:
+def samples_of(frames: Sequence[Frame]) -> NDArray[Any]:
     """The values of frames, [frame, y, x] or [frame, y, x, channel], each by its own scale, in a dtype that holds all."""
     dtype = None if any(frame.dtype is None for frame in frames) else np.result_type(*{frame.dtype for frame in frames})
     result = empty((0,), np.uint8)
@@ -36,17 +36,17 @@ def samples_of(frames: Sequence[Frame], headers: dict[Path, Any]) -> NDArray[Any
         at[frame.path, frame.index].append(n)
     for path in dict.fromkeys(frame.path for frame in frames):
         indices = sorted(index for one, index in at if one == path)
-        for index, stored in zip(indices, decoded(path, indices), strict=True):
+        for index, (stored, header) in zip(indices, decoded(path, indices), strict=True):
             for n in at[path, index]:
-                values = _values(frames[n], stored[frames[n].tile], headers[path])
+                values = _values(frames[n], stored[frames[n].tile], header)
                 if not len(result):
                     result = empty((len(frames), *values.shape), dtype or values.dtype)
                 result[n] = values
     return result
 
 
-def decoded(path: Path, indices: Sequence[int]) -> Iterator[NDArray[Any]]:
-    """Stored samples of frames of a file, in ascending order."""
+def decoded(path: Path, indices: Sequence[int]) -> Iterator[tuple[NDArray[Any], Any]]:
+    """Stored samples of frames of a file, in ascending order, each with all elements of the file."""
     with foreign_errors(f"read {path}: {path.name} is damaged or cut short", _itk.reason), opened(path) as stream:
         whole = pydicom().dcmread(stream, force=True)
         for raw in whole.values():
@@ -59,13 +59,14 @@ def decoded(path: Path, indices: Sequence[int]) -> Iterator[NDArray[Any]]:
             whole.file_meta.TransferSyntaxUID = ROOT + ("1.2" if implicit else "1.2.1" if little else "1.2.2")
         frames = pydicom().pixels.iter_pixels(whole, indices=list(indices))
         try:
-            yield next(frames)
+            yield next(frames), whole
         except (RuntimeError, NotImplementedError):  # none of pydicom's decoders reads it
             if not whole.file_meta.TransferSyntaxUID.is_encapsulated:
                 raise
             every = _by_gdcm(whole)
             frames = (every[index] for index in indices)
-        yield from frames
+        for frame in frames:
+            yield frame, whole
 
 
 def _by_gdcm(whole: Any) -> NDArray[Any]:
@@ -86,7 +87,7 @@ def _by_gdcm(whole: Any) -> NDArray[Any]:
 def _values(frame: Frame, stored: NDArray[Any], header: Any) -> NDArray[Any]:
     """What stored samples stand for: rescaled, or from the lookup table of the modality or of the colours."""
     pixels = pydicom().pixels
-    if header.get("PhotometricInterpretation") == "PALETTE COLOR":
+    if has_palette(header):
         return np.asarray(pixels.apply_color_lut(stored, header))[..., :3]
     if frame.scale is None:
         return np.asarray(pixels.apply_modality_lut(stored, header))

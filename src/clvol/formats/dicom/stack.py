@@ -133,8 +133,9 @@ def _placed(frames: Sequence[Frame]) -> NDArray[np.intp]:
     onwards = np.cross(turn[:3], turn[3:]) if turn and frames[0].path != frames[-1].path else away[-1]
     along = away @ axis * (1 if onwards @ axis >= 0 else -1)
     order = np.argsort(along, kind="stable")
+    apart = np.fmin(far.max() / len(positions), frames[0].between) / 10  # frames nearer than that lie in the same place
     places = np.empty(len(positions), np.intp)
-    places[order] = np.concatenate([[0], np.cumsum(np.diff(along[order]) > far.max() / (10 * len(positions)))])
+    places[order] = np.concatenate([[0], np.cumsum(np.diff(along[order]) > apart)])
     return places
 
 
