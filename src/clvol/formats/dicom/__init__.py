@@ -36,15 +36,6 @@ _LISTED = (
     "Rows",
     "Columns",
 )
-    "SOPClassUID",
-    "SeriesInstanceUID",
-    "SeriesNumber",
-    "Modality",
-    "SeriesDescription",
-    "SpecificCharacterSet",
-    "Rows",
-    "Columns",
-)
 _STACKED = ("CT", "MR", "PT")  # modalities whose slices make volumes
 
 
