@@ -357,6 +357,19 @@ def test_images_of_one_place_are_told_apart(tmp_path: Path, element: str, values
 
 
 @pytest.mark.filterwarnings("error::clvol.ClvolWarning")
+def test_gradients_keep_the_order_in_which_they_were_taken(tmp_path: Path) -> None:
+    turns = ([0, 0, 1], [1, 0, 0], [0, 1, 0])
+
+    def each(k: int) -> dict[str, Any]:
+        image, place = divmod(k, 2)
+        about = {"DiffusionBValue": 800.0 if image else 0.0, "DiffusionGradientOrientation": turns[image]}
+        return {"ImagePositionPatient": [0, 0, 2 * place], "InstanceNumber": k} | about
+
+    data = stack(tmp_path, 6, each, kind=MR)
+    np.testing.assert_array_equal(read_all(tmp_path), data.reshape(3, 2, *SHAPE))
+
+
+@pytest.mark.filterwarnings("error::clvol.ClvolWarning")
 def test_dimension_indices_come_before_instance_numbers(tmp_path: Path) -> None:
     data = np.arange(72, dtype=np.uint16).reshape(6, *SHAPE)
     order = [(0, 1), (1, 0), (0, 0), (2, 1), (1, 1), (2, 0)]  # place and dimension of each frame
@@ -410,6 +423,13 @@ def test_segments_become_labels(tmp_path: Path) -> None:
     assert volume.data[:, :, 0].tolist() == [[1, 2, 0], [0, 0, 0], [0, 0, 0], [0, 0, 1]]
 
 
+def test_sparse_segments_keep_their_slices(tmp_path: Path) -> None:
+    """Slices that touch beside a wide gap are two slices, not one (as in highdicom's own test file)."""
+    masks = np.ones((3, *SHAPE), np.uint8)
+    volume = read(segmentation(tmp_path / "v.dcm", masks, [0, 2, 200], [1, 2, 1]))
+    assert volume.data[:, 0, 0].tolist() == [1, 2, *[0] * 98, 1]
+
+
 def test_segments_that_overlap_and_fractions_are_channels(tmp_path: Path) -> None:
     masks = np.ones((2, *SHAPE), np.uint8)
     both = read_all(segmentation(tmp_path / "v.dcm", masks, [0, 0], [1, 2]))
@@ -424,8 +444,10 @@ def test_segments_that_overlap_and_fractions_are_channels(tmp_path: Path) -> Non
 def test_harmless_faults_are_read_with_a_warning(tmp_path: Path) -> None:
     data = np.arange(12, dtype=np.int16).reshape(SHAPE)
     whole = save(tmp_path / "v.dcm", data).read_bytes()
-    (tmp_path / "v.dcm").write_bytes(whole + bytes(100))
-    np.testing.assert_array_equal(read(tmp_path / "v.dcm").data[0], data)
+    for padding in (bytes(100), b" " * 33):
+        (tmp_path / "v.dcm").write_bytes(whole + padding)
+        with pytest.warns(ClvolWarning, match="padding after its samples"):
+            np.testing.assert_array_equal(read(tmp_path / "v.dcm").data[0], data)
     (tmp_path / "v.dcm").write_bytes(whole[132:])
     with pytest.warns(ClvolWarning, match="no preamble"):
         np.testing.assert_array_equal(read(tmp_path / "v.dcm").data[0], data)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.checks import warn
 from clvol.base.errors import FormatError
 from clvol.formats import _itk
 from clvol.formats._errors import foreign_errors
@@ -25,6 +26,7 @@ from clvol.interop.itk import simpleitk
 __all__ = ["decoded", "samples_of"]
 
 _UNDEFINED = 0xFFFFFFFF  # length of what a mark ends
+_PIXELS = 0x7FE0  # group of the samples
 
 
 def samples_of(frames: Sequence[Frame]) -> NDArray[Any]:
@@ -49,11 +51,7 @@ def decoded(path: Path, indices: Sequence[int]) -> Iterator[tuple[NDArray[Any], 
     """Stored samples of frames of a file, in ascending order, each with all elements of the file."""
     with foreign_errors(f"read {path}: {path.name} is damaged or cut short", _itk.reason), opened(path) as stream:
         whole = pydicom().dcmread(stream, force=True)
-        for raw in whole.values():
-            if raw.is_raw and raw.length != _UNDEFINED and len(raw.value or b"") < raw.length:
-                raise FormatError(
-                    f"{path.name} is damaged or cut short: {raw.tag} has {raw.length} bytes, {len(raw.value or b'')} are there"
-                )
+        _require_whole(path, list(whole.values()), stream)
         if "TransferSyntaxUID" not in whole.file_meta:
             implicit, little = whole.original_encoding
             whole.file_meta.TransferSyntaxUID = ROOT + ("1.2" if implicit else "1.2.1" if little else "1.2.2")
@@ -67,6 +65,21 @@ def decoded(path: Path, indices: Sequence[int]) -> Iterator[tuple[NDArray[Any], 
             frames = (every[index] for index in indices)
         for frame in frames:
             yield frame, whole
+
+
+def _require_whole(path: Path, elements: Sequence[Any], content: Any) -> None:
+    """Raise if an element up to the samples is cut short, or if what follows them is neither elements nor padding."""
+    behind = next((n + 1 for n, raw in enumerate(elements) if raw.tag.group == _PIXELS), len(elements))
+    for raw in elements[:behind]:
+        if raw.is_raw and raw.length != _UNDEFINED and len(raw.value or b"") < raw.length:
+            found = len(raw.value or b"")
+            raise FormatError(f"{path.name} is damaged or cut short: {raw.tag} has {raw.length} bytes, of which {found} are there")
+    if any(raw.tag.group < _PIXELS for raw in elements[behind:]):
+        pixels = elements[behind - 1]
+        padding = set(content[pixels.value_tell + pixels.length :]) if pixels.length != _UNDEFINED else ()
+        if len(padding) != 1:
+            raise FormatError(f"{path.name} is damaged: what follows its samples is neither elements nor padding")
+        warn(f"{path.name} has padding after its samples, which was ignored")
 
 
 def _by_gdcm(whole: Any) -> NDArray[Any]:

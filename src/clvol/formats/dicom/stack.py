@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -90,9 +91,15 @@ def order_of(path: Path, frames: Sequence[Frame]) -> tuple[NDArray[np.intp], Lea
         trial = [(*old, frame.keys.get(name, ())) for old, frame in zip(tuples, frames, strict=True)]
         if len({tuples[n] for n in rows[0]}) < len(rows[0]) and all(len({trial[n] for n in row}) == len(row) for row in rows):
             tuples, used = trial, [*used, name]
-    order = np.array(
-        [sorted(row, key=lambda n: (_sortable(tuples[n]), finite([frames[n].number]), frames[n].index)) for row in rows]
-    ).T
+    numbers: dict[tuple[Value, ...], list[float]] = defaultdict(list)
+    for key, frame in zip(tuples, frames, strict=True):
+        numbers[key].extend(finite([frame.number]))
+    meant = [tuple(value for name, value in zip(used, key, strict=True) if name != "gradient") for key in tuples]  # it has no order
+
+    def place_of(n: int) -> tuple[Any, ...]:
+        return _sortable(meant[n]), np.mean(numbers[tuples[n]]), finite([frames[n].number]), frames[n].index
+
+    order = np.array([sorted(row, key=place_of) for row in rows]).T
     if len({tuples[n] for n in rows[0]}) < len(rows[0]):
         guess = f"the {counts[0]} images of each place were taken for volumes, by their numbers"
         return order, Leading(("volume",), (int(counts[0]),)), guess, {}
