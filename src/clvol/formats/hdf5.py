@@ -20,13 +20,25 @@ from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
-__all__ = ["lazily", "loaded", "member", "opened", "part_of", "read", "series"]
+__all__ = ["is_file", "lazily", "loaded", "member", "opened", "part_of", "read", "series"]
 
 _CACHED = 1 << 20  # bytes of HDF5's chunk cache, by default 1 MiB, from 2.0 on 8. Larger chunks are not read as a whole
-_NETCDF_3 = b"CDF"
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"  # at the start, or behind a block of the user's of 512, 1024, ... bytes
 _INSTEAD = "clvol.LazyVolume(dataset) takes what h5py makes of it, if you trust it"
 _LISTED = 5  # links in a message
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file has the signature of HDF5."""
+    size, at = path.stat().st_size, 0
+    with path.open("rb") as stream:
+        while at < size:
+            stream.seek(at)
+            if stream.read(len(_SIGNATURE)) == _SIGNATURE:
+                return True
+            at = 2 * at or 512
+    return False
 
 
 def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
@@ -82,9 +94,6 @@ def opened(path: Path) -> Any:
         import h5py
     except ImportError as error:
         raise MissingDependencyError("HDF5 files need h5py: pip install clvol[hdf5]") from error
-    with path.open("rb") as stream:
-        if stream.read(3) == _NETCDF_3:
-            raise FormatError(f"{path.name} must be of netCDF-4, which is HDF5; it is of netCDF-3: nccopy -k nc4 makes it one")
     return h5py.File(path, "r", locking="best-effort", rdcc_nbytes=_CACHED)
 
 

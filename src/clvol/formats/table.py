@@ -11,7 +11,25 @@ from types import ModuleType
 from typing import Any
 
 from clvol.base.errors import FormatError, OptionError
-from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
+from clvol.formats import (
+    bioio,
+    dicom,
+    hdf5,
+    imaris,
+    metaimage,
+    mgz,
+    minc,
+    mrc,
+    netcdf,
+    nifti,
+    npy,
+    nrrd,
+    raw,
+    slices,
+    tiff,
+    vti,
+    zarr,
+)
 from clvol.formats._choice import Series
 from clvol.formats._errors import foreign_errors
 from clvol.formats._files import Reader, Writer
@@ -42,7 +60,7 @@ class Format:
     series : callable or None
         Lists the images of a file or folder, as a tuple of `Series`, if ``series=`` chooses one.
     file, folder : callable or None
-        Recognise a file of unknown suffix, or a folder, by its content.
+        Recognise a file by its content, where its suffix is unknown or that of another format too; or a folder.
     native : tuple of str
         Modules with native code that read it: in another process, which imports them, unless the file is trusted. Empty: Python
         and NumPy read it in this process.
@@ -87,10 +105,13 @@ FORMATS = (
     _of(nrrd, "NRRD", ".nrrd", ".nhdr", native=_ITK),
     _of(metaimage, "MetaImage", ".mha", ".mhd", native=_ITK),
     _of(mgz, "FreeSurfer MGH", ".mgh", ".mgz"),
+    _of(mrc, "MRC", *(f".{kind}{packed}" for kind in ("mrc", "mrcs", "map", "ccp4") for packed in ("", ".gz")), file=mrc.is_file),
     _of(zarr, "Zarr", ".zarr.zip", ".ozx", ".zip", folder=zarr.is_one, native=("zarr",)),
     _of(dicom, "DICOM", *dicom.SUFFIXES, series=dicom.series_of, file=dicom.is_file, folder=dicom.is_folder, native=_DICOM),
     _of(tiff, "TIFF stack", ".tif", ".tiff", native=("tifffile",)),
-    _of(hdf5, "HDF5", ".h5", ".hdf5", ".hdf", ".he5", ".nc", native=("h5py",)),
+    _of(minc, "MINC", ".mnc", file=minc.is_file, native=("h5py",)),
+    _of(hdf5, "HDF5", ".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", file=hdf5.is_file, native=("h5py",)),
+    _of(netcdf, "netCDF-3", ".nc", ".cdf", file=netcdf.is_file),
     _of(imaris, "Imaris", ".ims", native=("h5py",)),
     _of(vti, "VTK image data", ".vti", native=("vtkmodules.vtkIOCore",)),
     _of(bioio, "microscope makers' files", *bioio.SUFFIXES, native=("bioio",)),
@@ -118,10 +139,11 @@ def format_of(path: Path) -> Format:
             return found
         if not path.is_file():
             raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
-        if not path.name.lower().endswith(tuple(suffix for row in FORMATS for suffix in row.suffixes)):
-            for row in FORMATS:
-                if row.file is not None and row.file(path):
-                    return row
+        named = [row for row in FORMATS if path.name.lower().endswith(row.suffixes)]
+        if not named or by_suffix(path)[0].file is not None:  # what a file holds comes before what it is called
+            found = next((row for row in (*named, *FORMATS) if row.file is not None and row.file(path)), None)
+            if found is not None:
+                return found
         return by_suffix(path)[0]
 
 
@@ -131,7 +153,7 @@ def by_suffix(path: Path, written: bool = False) -> tuple[Format, str]:
     rows = [row for row in FORMATS if row.write or not written]
     found = [(suffix, row) for row in FORMATS for suffix in row.suffixes if name.endswith(suffix)]
     if not found:
-        known = " ".join(suffix for row in rows for suffix in row.suffixes)
+        known = " ".join(dict.fromkeys(suffix for row in rows for suffix in row.suffixes))
         rule = "write" if written else "read"
         also = "" if written else f"; a folder may hold {_FOLDERS}"
         raise FormatError(f"cannot {rule} {path}: its suffix must be one of {known}{also}")
