@@ -12,6 +12,7 @@ from typing import Any
 
 from clvol.base.errors import FormatError, OptionError
 from clvol.formats import (
+    analyze,
     bioio,
     dicom,
     hdf5,
@@ -102,6 +103,7 @@ FORMATS = (
     Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive),
     _of(nifti, "NIfTI", ".nii", ".nii.gz"),
     Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, lazily=nifti.lazily_pair),
+    _of(analyze, "Analyze 7.5", ".hdr", ".img", file=analyze.is_file, native=("nibabel", "scipy.io")),
     _of(nrrd, "NRRD", ".nrrd", ".nhdr", native=_ITK),
     _of(metaimage, "MetaImage", ".mha", ".mhd", native=_ITK),
     _of(mgz, "FreeSurfer MGH", ".mgh", ".mgz"),
@@ -140,7 +142,7 @@ def format_of(path: Path) -> Format:
         if not path.is_file():
             raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
         named = [row for row in FORMATS if path.name.lower().endswith(row.suffixes)]
-        if not named or by_suffix(path)[0].file is not None:  # what a file holds comes before what it is called
+        if not named or any(row.file for row in named):  # what a file holds comes before what it is called
             found = next((row for row in (*named, *FORMATS) if row.file is not None and row.file(path)), None)
             if found is not None:
                 return found
