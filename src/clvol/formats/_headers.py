@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from clvol.base.errors import FormatError
 from clvol.base.files import MAX_HEADER
 from clvol.formats.guarded.limits import is_trusted
 
-__all__ = ["data_path", "line", "numbers", "whole"]
+__all__ = ["data_path", "line", "numbers", "parsed", "whole"]
 
 _MAX_LINE = 1 << 16
 _LARGEST = 1e30
@@ -50,6 +54,17 @@ def whole(name: str, key: str, text: str, low: int, count: int = 1) -> tuple[int
     if min(values) < low:
         raise FormatError(f"{name} must give numbers of at least {low} for {key!r}; got {text[:80]!r}")
     return values
+
+
+def parsed(name: str, what: str, words: Sequence[str | bytes], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Samples that are given as text; `what` names them for an error."""
+    try:
+        integers = [int(word) for word in words] if dtype.kind in "iu" else []
+        if integers and not np.iinfo(dtype).min <= min(integers) <= max(integers) <= np.iinfo(dtype).max:
+            raise ValueError(f"they reach from {min(integers)} to {max(integers)}")
+        return np.array(integers or words).astype(dtype)
+    except ValueError as error:
+        raise FormatError(f"{name} must hold {what}, of {dtype}; {error}") from error
 
 
 def data_path(header: Path, text: str) -> Path:

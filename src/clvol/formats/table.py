@@ -29,6 +29,7 @@ from clvol.formats import (
     slices,
     tiff,
     vti,
+    vtk,
     zarr,
 )
 from clvol.formats._choice import Series
@@ -116,6 +117,7 @@ FORMATS = (
     _of(netcdf, "netCDF-3", ".nc", ".cdf", file=netcdf.is_file),
     _of(imaris, "Imaris", ".ims", native=("h5py",)),
     _of(vti, "VTK image data", ".vti", native=("vtkmodules.vtkIOCore",)),
+    _of(vtk, "VTK legacy", ".vtk", file=vtk.is_file),
     _of(bioio, "microscope makers' files", *bioio.SUFFIXES, native=("bioio",)),
     _of(slices, "image", *slices.SUFFIXES, native=_PILLOW),
     Format("folder of image slices", (), slices.read_folder, folder=slices.are_in, native=(*_PILLOW, "tifffile")),
