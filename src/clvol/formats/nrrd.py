@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import gzip
 import math
 import os
 import re
-from contextlib import nullcontext
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.base.errors import FormatError
 from clvol.base.units import one_unit
 from clvol.formats import _itk
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes
-from clvol.formats._headers import data_path, line, numbers, whole
+from clvol.formats._headers import data_files, line, numbers, parsed, samples_each, whole
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
@@ -47,7 +50,7 @@ _DOMAIN = ("domain", "space", "time", "???", "none")
 _PER_AXIS = ("spacings", "thicknesses", "axis mins", "axismins", "axis maxs", "axismaxs")
 _VECTORS = ("space directions", "space origin", "measurement frame")
 _PART = r"(?:none|\([^()]*\))"
-_ENCODINGS = ("raw", "gzip", "gz")
+_ENCODINGS = {"raw": "raw", "gzip": "gzip", "gz": "gzip", "ascii": "ascii", "text": "ascii", "txt": "ascii"}
 _MAX_FIELD = 500  # bytes; ITK's reader writes a field that it rejects into a buffer of 1024
 
 
@@ -73,13 +76,20 @@ def check(path: Path) -> _itk.Header:
     with path.open("rb") as stream:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
-        expected = math.prod(size) * np.dtype(dtype).itemsize
-        place = data_path(path, fields["data file"]) if "data file" in fields else path
-        stored = place.stat().st_size
-        with nullcontext(stream) if place is path else place.open("rb") as samples:
-            found = _samples(samples, fields, path.name, expected)
-    # -1: the samples end with the file, whatever precedes them
-    require_bytes(path.name, found, size[::-1], dtype, exact=fields.get("byte skip") != "-1")
+        kind = _order(path.name, fields, dtype)
+        expected = math.prod(size) * kind.itemsize
+        places = data_files(path, fields["data file"], stream, math.prod(size)) if "data file" in fields else [path]
+        begin = stream.tell() if places == [path] else 0
+        each = samples_each(path.name, size, len(places))
+        stored = sum(place.stat().st_size for place in places)
+        for place in places:
+            with place.open("rb") as samples:
+                samples.seek(begin)
+                found = _samples(samples, fields, place.name, each * kind.itemsize)
+            # -1: the samples end with the file, whatever precedes them
+            require_bytes(
+                place.name, found, (each,) if len(places) > 1 else size[::-1], kind, exact=fields.get("byte skip") != "-1"
+            )
     _check_numbers(fields, path.name, len(size))
     units = re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))
     kinds = [*fields.get("kinds", "").lower().split(), *["domain"] * len(size)][: len(size)]
@@ -90,10 +100,12 @@ def check(path: Path) -> _itk.Header:
     if "time" in spans[:-1]:  # ITK would treat it as an axis of space
         raise FormatError(f"{path.name} must have its axis of time last; its header says kinds: {fields['kinds'][:80]}")
     ranges = [axis for axis, kind in enumerate(kinds) if kind not in _DOMAIN]
-    flat = None
-    if fields["encoding"].lower() == "raw" and len(ranges) < 2:
-        order = _order(path.name, fields, dtype)
-        flat = _itk.Flat(place, stored - expected, order, size[::-1], len(size) - 1 - ranges[0] if ranges else None)
+    flat, encoding = None, _ENCODINGS[fields["encoding"].lower()]
+    if (encoding != "gzip" or len(places) > 1) and len(ranges) < 2:
+        load = None
+        if encoding == "ascii" or len(places) > 1:
+            load = partial(_loaded, places, begin, fields, size[::-1], kind)
+        flat = _itk.Flat(places[0], stored - expected, kind, size[::-1], len(size) - 1 - ranges[0] if ranges else None, load)
     values = next((_KINDS.get(kind, "channel") for kind in kinds if kind not in _DOMAIN), "")
     return _itk.Header(
         size,
@@ -108,9 +120,10 @@ def check(path: Path) -> _itk.Header:
 
 
 def _order(name: str, fields: dict[str, str], dtype: str) -> np.dtype[np.generic]:
-    """The dtype in the header's byte order, which it must give for samples of several bytes."""
+    """The dtype in the header's byte order, which it must give for samples of several bytes, unless these are text."""
     kind = np.dtype(dtype)
-    order = fields.get("endian", "little" if kind.itemsize == 1 else "").lower()
+    needless = kind.itemsize == 1 or _ENCODINGS[fields["encoding"].lower()] == "ascii"
+    order = fields.get("endian", "little" if needless else "").lower()
     if order not in ("little", "big"):
         raise FormatError(f"{name} must say whether its samples are of endian little or big; got {order[:80]!r}")
     return kind.newbyteorder("<" if order == "little" else ">")
@@ -186,16 +199,45 @@ def _vector(name: str, key: str, text: str) -> tuple[float, ...]:
 
 def _samples(stream: IO[bytes], fields: dict[str, str], name: str, expected: int) -> int:
     """Bytes of samples that follow in `stream`, unpacked."""
+    skip = _skipped(stream, fields, name)
+    encoding = _ENCODINGS[fields["encoding"].lower()]
+    if encoding == "gzip":
+        return gunzipped_size(stream, expected)
+    if encoding == "ascii":  # counted when it is parsed
+        return expected
+    start = stream.tell()
+    end = stream.seek(0, 2)
+    return end - start if skip == -1 else end - start - skip
+
+
+def _skipped(stream: IO[bytes], fields: dict[str, str], name: str) -> int:
+    """Skip lines; the bytes that are to be skipped behind them."""
     (lines,) = whole(name, "line skip", fields.get("line skip", "0"), 0)
     (skip,) = whole(name, "byte skip", fields.get("byte skip", "0"), -1)
-    if fields["encoding"].lower() != "raw":
-        if lines or skip:
-            raise FormatError(f"{name} must not skip lines or bytes before compressed samples")
-        return gunzipped_size(stream, expected)
+    if _ENCODINGS[fields["encoding"].lower()] != "raw" and (lines or skip):
+        raise FormatError(f"{name} must not skip lines or bytes before samples that are not raw")
     for done in range(lines):
         while not (part := stream.readline(1 << 20)).endswith(b"\n"):
             if not part:
                 raise FormatError(f"{name} must have {lines} lines to skip before its samples; found {done}")
-    start = stream.tell()
-    end = stream.seek(0, 2)
-    return end - start if skip == -1 else end - start - skip
+    return skip
+
+
+def _loaded(
+    places: Sequence[Path], begin: int, fields: dict[str, str], shape: tuple[int, ...], kind: np.dtype[Any]
+) -> NDArray[Any]:
+    """All samples, of several files or of text, whose lengths were checked."""
+    encoding, each = _ENCODINGS[fields["encoding"].lower()], math.prod(shape) // len(places)
+    data = np.empty(math.prod(shape), kind)
+    for number, place in enumerate(places):
+        with place.open("rb") as stream:
+            stream.seek(begin)
+            if encoding == "ascii":
+                part = parsed(place.name, "its text", stream.read().replace(b",", b" "), np.dtype(kind.type), each)
+            elif encoding == "gzip":
+                part = np.frombuffer(gzip.decompress(stream.read()), kind)
+            else:
+                stream.seek(-each * kind.itemsize, os.SEEK_END)
+                part = np.frombuffer(stream.read(), kind)
+        data[number * each : (number + 1) * each] = part
+    return data.reshape(shape)

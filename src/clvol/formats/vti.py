@@ -231,10 +231,7 @@ def _samples(file: _File, array: _Array) -> NDArray[Any]:
 def _values(file: _File, element: ET.Element, count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     """The `count` samples of an element."""
     if element.get("format") == "ascii":
-        values = parsed(file.name, f"numbers of {element.get('Name')!r}", (element.text or "").split(), dtype)
-        if len(values) != count:
-            raise FormatError(f"{file.name} must hold {count} samples in {element.get('Name')!r}; found {len(values)}")
-        return values
+        return parsed(file.name, repr(element.get("Name")), element.text or "", dtype, count)
     raw = b"".join(_blocks(file, element, count * dtype.itemsize))
     if len(raw) != count * dtype.itemsize:
         raise FormatError(f"{file.name} must hold {count * dtype.itemsize} bytes of {element.get('Name')!r}; found {len(raw)}")

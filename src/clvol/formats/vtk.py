@@ -25,8 +25,7 @@ from clvol.interop.kinds import Content
 __all__ = ["is_file", "lazily", "read", "series"]
 
 _MAGIC = b"# vtk DataFile"
-_LINE, _AT_ONCE = 1 << 12, 1 << 20  # bytes of a line between arrays, and of numbers
-_TEXT = 60  # bytes of memory for each byte of text
+_LINE, _AT_ONCE = 1 << 12, 1 << 26  # bytes of a line between arrays, and of numbers
 _SIZES = {"i1": "char signed_char", "i2": "short", "i4": "int vtkIdType", "i8": "long vtktypeint64", "f4": "float", "f8": "double"}
 _SIZES |= {"u1": "unsigned_char", "u2": "unsigned_short", "u4": "unsigned_int", "u8": "unsigned_long vtktypeuint64"}
 _DTYPES = {name.lower(): np.dtype(kind) for kind, names in _SIZES.items() for name in names.split()}
@@ -216,10 +215,10 @@ class _File:
         if self._binary:
             stream.seek(start + count * dtype.itemsize)
             return start
-        announce(name, min(_TEXT * (self._end - start), 2 * _TEXT * count))
-        words: list[bytes] = []
-        while len(words) < count and (text := stream.readline(_AT_ONCE)):
-            words += text.split()
-        if len(words) != count:
-            raise FormatError(f"{name} must hold {count} numbers of an array in lines of their own; found {len(words)}")
-        return parsed(name, "numbers", words, dtype)
+        announce(name, count * (dtype.itemsize + 8))
+        lines: list[bytes] = []
+        found = 0
+        while found < count and (text := stream.readline(_AT_ONCE)):
+            lines.append(text)
+            found += len(text.split())
+        return parsed(name, "the lines of an array", b"".join(lines), dtype, count)
