@@ -89,3 +89,11 @@ def test_damaged_files_raise(tmp_path: Path) -> None:
         (tmp_path / "v.hdr").write_bytes(damaged)
         with pytest.raises(FormatError):
             clvol.read(tmp_path / "v.hdr")
+
+
+def test_other_files_beside_a_header(tmp_path: Path) -> None:
+    """They are not its samples."""
+    nibabel.AnalyzeImage(DATA.astype("i2"), None).to_filename(tmp_path / "v.hdr")
+    (tmp_path / "v.old").write_bytes(b"1 2 3")
+    with pytest.raises(FormatError, match="suffix must be one of"):
+        clvol.read(tmp_path / "v.old")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import struct
+import warnings
 import tarfile
 import tracemalloc
 from dataclasses import replace
@@ -160,6 +161,12 @@ def test_nifti_of_colours(tmp_path: Path, letters: str, frames: tuple[int, ...])
     assert every.pick(channel="red", **frame).color == (1, 0, 0)
     red, green, blue = np.moveaxis(values[..., 2, :] if frames else values, -1, 0)[:3].astype(float)
     grey = every.pick(channel="luminance", **frame)
+    with pytest.warns(
+        ClvolWarning, match=r"of its colours the luminance was read: choose by channel=, or read all by clvol\.read_all"
+    ):
+        np.testing.assert_array_equal(read(path, **frame).data, grey.data)
+    with warnings.catch_warnings(action="error"):
+        read(path, channel="luminance", **frame)
     np.testing.assert_array_equal(grey.data, np.rint(0.2126 * red + 0.7152 * green + 0.0722 * blue).T)  # Rec. 709
     write(every, tmp_path / "again.nii")
     again = nibabel.load(tmp_path / "again.nii")

@@ -87,6 +87,13 @@ def test_labels_stay_whole(tmp_path: Path) -> None:
     require_nibabels(path)
 
 
+@pytest.mark.parametrize("name", ["v.h5", "v", "v.mnc.old"])
+def test_under_any_name(tmp_path: Path, name: str) -> None:
+    """As HDF5 it would lose its geometry."""
+    written(tmp_path / "v.mnc", DATA, ("zspace", "yspace", "xspace")).rename(tmp_path / name)
+    assert clvol.read(tmp_path / name).spacing == (0.5, 3, 2)
+
+
 def test_others_are_rejected(tmp_path: Path) -> None:
     axes = ("zspace", "yspace", "xspace")
     path = written(tmp_path / "v.mnc", DATA, axes)

@@ -104,3 +104,27 @@ def test_meshes_are_rejected_with_a_route(tmp_path: Path) -> None:
     sampled = pv.ImageData(dimensions=(5, 5, 5), spacing=(0.1,) * 3).sample(pv.read(tmp_path / "w.vtk"))
     sampled.set_active_scalars("r")
     assert clvol.Volume(sampled).shape == (5, 5, 5)
+
+
+@pytest.mark.parametrize("suffix", [".vtkhdf", ".hdf"])
+def test_image_data_in_hdf5(tmp_path: Path, suffix: str) -> None:
+    """With its geometry, which would be lost if it were any HDF5."""
+    pytest.importorskip("h5py")
+    from vtkmodules.vtkIOHDF import vtkHDFWriter
+
+    grid = image()
+    grid.direction_matrix = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    writer = vtkHDFWriter()
+    writer.SetFileName(str(tmp_path / f"v{suffix}"))
+    writer.SetInputData(grid)
+    assert writer.Write()
+    truth = pv.read(tmp_path / f"v{suffix}")
+    for name, series in (("heat", "VTKHDF/PointData/heat"), ("count", "VTKHDF/CellData/count")):
+        truth.set_active_scalars(name)
+        expected, volume = clvol.Volume(truth), clvol.read(tmp_path / f"v{suffix}", series=series)
+        np.testing.assert_array_equal(volume.data, expected.data)
+        assert (volume.spacing, volume.name) == (expected.spacing, name)
+        np.testing.assert_allclose(volume.origin, expected.origin)
+        np.testing.assert_allclose(volume.direction, expected.direction)
+    colours = clvol.read_all(tmp_path / f"v{suffix}", series="VTKHDF/PointData/colour")
+    np.testing.assert_array_equal(colours, np.moveaxis(truth["colour"].reshape(4, 5, 6, 3), -1, 0))

@@ -26,7 +26,7 @@ def is_file(path: Path) -> bool:
     """Whether a file, or the ``.hdr`` beside it, is a header of Analyze and not of NIfTI."""
     names = (path, *(path.with_suffix(suffix) for suffix in (".hdr", ".HDR")))
     header = next((name for name in names if name.suffix.lower() == ".hdr" and name.is_file()), None)
-    if header is None:
+    if header is None or path.suffix.lower() not in (".hdr", ".img"):
         return False
     with header.open("rb") as stream:
         head = stream.read(_LENGTH)

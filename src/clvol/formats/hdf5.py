@@ -1,4 +1,4 @@
-"""Arrays in HDF5 files (simulations, netCDF-4, ilastik, Fiji), and ITK's images in HDF5, by h5py."""
+"""Arrays in HDF5 files (simulations, netCDF-4, ilastik, Fiji), and images of ITK and VTK in HDF5, by h5py."""
 
 from __future__ import annotations
 
@@ -66,6 +66,8 @@ def _content(path: Path, file: Any, choose: Choice, series: int | str | None, lo
     array = arrays[chosen_series(path.name, listed, series, what="arrays", main=deep or None, first=False)]
     if _is_of_itk(array):
         return _itk(path.name, array, choose, load)
+    if _is_of_vtk(array):
+        return _vtk(path.name, array, choose, load)
     words, lines, units = _axes(array)
     data, known = by_names(
         path.name,
@@ -261,3 +263,22 @@ def _itk(source: str, array: Any, choose: Choice, load: Callable[..., Any]) -> C
     data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
     known = {"spacing": about["Spacing"], "origin": about["Origin"], "direction": about["Directions"].T, "space": "LPS"}
     return data, known | chosen
+
+
+def _is_of_vtk(array: Any) -> bool:
+    grid = array.parent.parent
+    return grid.name == "/VTKHDF" and _text(grid.attrs.get("Type")) == "ImageData"
+
+
+def _vtk(source: str, array: Any, choose: Choice, load: Callable[..., Any]) -> Content:
+    """VTK's image data: an array at the points or in the cells; components are the last axis."""
+    about = array.parent.parent.attrs
+    spacing, origin = (np.asarray(about.get(name, default), np.float64) for name, default in (("Spacing", 1.0), ("Origin", 0.0)))
+    direction = np.reshape(about.get("Direction", np.eye(3)), (3, 3)).astype(np.float64)
+    low, high = np.reshape(about["WholeExtent"], (3, 2)).T
+    first = low + (0.5 * (high > low) if array.parent.name.endswith("CellData") else 0.0)
+    layout: Layout = lay_out(source, [*"zyx", *("channel",) * (array.ndim - 3)], array.shape)
+    leading = layout.channels_of(array.dtype)
+    data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
+    geometry = {"spacing": spacing, "origin": origin + direction @ (first * spacing), "direction": direction}
+    return data, geometry | {"name": array.name.rpartition("/")[2]} | chosen

@@ -7,6 +7,7 @@ import math
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import IO, Any
@@ -20,9 +21,10 @@ from clvol.formats import _itk
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes
 from clvol.formats._headers import data_files, line, numbers, parsed, samples_each, whole
+from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
-from clvol.volume.volumes import Volumes
+from clvol.volume.volumes import Leading, Volumes
 
 __all__ = ["check", "lazily", "read", "write"]
 
@@ -55,13 +57,40 @@ _MAX_FIELD = 500  # bytes; ITK's reader writes a field that it rejects into a bu
 
 
 def read(path: Path, choose: Choice) -> Content:
-    """Samples and geometry, converted to ITK's LPS frame from the header's."""
-    return _itk.read_image(path, _IO, check(path), choose)
+    """Samples and geometry, converted to ITK's LPS frame from the header's.
+
+    Segmentations of 3D Slicer are labels with names and colours, or if segments overlap, in several layers, a channel for each.
+    """
+    header, segments = _checked(path)
+    if not segments:
+        return _itk.read_image(path, _IO, header, choose)
+    data, about = _itk.read_image(path, _IO, replace(header, values="volume"), Choice(whole=True))
+    about |= _described(segments)
+    if about.pop("leading", None) is None:
+        if any(segment.layer for segment in segments):
+            raise FormatError(f"{path.name} must have a layer for each of its segments' layers; it has one")
+        pick = choose(path.name, Leading())
+        return pick.finish(data), about | pick.about
+    del about["labels"]
+    if max(segment.layer for segment in segments) >= len(data):
+        raise FormatError(f"{path.name} must have a layer for each of its segments' layers; it has {len(data)}")
+    names, colors = tuple(one.name for one in segments), tuple(one.color for one in segments)
+    pick = choose(path.name, Leading(("channel",), (len(segments),), {"channel": names}, colors))
+    which = np.arange(len(segments))[pick.index[0]]
+    announce(path.name, np.size(which) * data[0].size)
+    parts = [data[segments[i].layer] == segments[i].label for i in np.ravel(which)]
+    masks = np.stack(parts).astype(np.uint8).reshape(*np.shape(which), *data.shape[1:])
+    return pick.finish(masks), about | pick.about
 
 
 def lazily(path: Path, choose: Choice) -> list[Content]:
-    """As `read`, but samples are read on demand; empty if they are compressed."""
-    return _itk.open_image(path, _IO, check(path), choose)
+    """As `read`, but samples are read on demand; empty if they are compressed, or segments overlap."""
+    header, segments = _checked(path)
+    if not segments:
+        return _itk.open_image(path, _IO, header, choose)
+    several = any(segment.layer for segment in segments)
+    contents = [] if several else _itk.open_image(path, _IO, header, choose)
+    return [(data, about | _described(segments)) for data, about in contents]
 
 
 def write(volume: Volume | Volumes, path: Path) -> None:
@@ -71,6 +100,47 @@ def write(volume: Volume | Volumes, path: Path) -> None:
 
 def check(path: Path) -> _itk.Header:
     """Read the header and count the samples."""
+    return _checked(path)[0]
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """A segment of a segmentation of 3D Slicer."""
+
+    id: str
+    name: str
+    label: int
+    layer: int
+    color: tuple[float, float, float] | None
+
+
+def _segments(name: str, fields: dict[str, str]) -> list[_Segment]:
+    """The segments in the order of the header; those of old files, without labels, are layers."""
+    found: list[_Segment] = []
+    while f"Segment{len(found)}_ID:=" in fields:
+        n = len(found)
+        about = {key: fields.get(f"Segment{n}_{key}:=") for key in ("ID", "Name", "LabelValue", "Layer", "Color")}
+        (label,) = whole(name, f"Segment{n}_LabelValue", about["LabelValue"] or "1", 0)
+        (layer,) = whole(name, f"Segment{n}_Layer", about["Layer"] or str(0 if about["LabelValue"] else n), 0)
+        color = None
+        if about["Color"]:
+            r, g, b = (min(max(0.0, part), 1.0) for part in numbers(name, f"Segment{n}_Color", about["Color"], 3))
+            color = r, g, b
+        found.append(_Segment(about["ID"] or "", about["Name"] or "", label, layer, color))
+    return found
+
+
+def _described(segments: list[_Segment]) -> dict[str, Any]:
+    """Arguments of `Volume` for labels."""
+    colors = {str(one.label): one.color for one in segments if one.color is not None}
+    return {
+        "labels": {one.label: one.name for one in segments},
+        "header": {"segments": [asdict(one) for one in segments], "label_colors": colors},
+    }
+
+
+def _checked(path: Path) -> tuple[_itk.Header, list[_Segment]]:
+    """The header, and the segments of a segmentation; the samples are counted."""
     if len(os.fsencode(path)) > _MAX_FIELD:
         raise FormatError(f"the path of a NRRD file must have up to {_MAX_FIELD} bytes; got {path}")
     with path.open("rb") as stream:
@@ -107,7 +177,7 @@ def check(path: Path) -> _itk.Header:
             load = partial(_loaded, places, begin, fields, size[::-1], kind)
         flat = _itk.Flat(places[0], stored - expected, kind, size[::-1], len(size) - 1 - ranges[0] if ranges else None, load)
     values = next((_KINDS.get(kind, "channel") for kind in kinds if kind not in _DOMAIN), "")
-    return _itk.Header(
+    header = _itk.Header(
         size,
         one_unit(path.name, units) or "mm",
         known,
@@ -117,6 +187,7 @@ def check(path: Path) -> _itk.Header:
         stored=stored,
         flat=flat,
     )
+    return header, _segments(path.name, fields)
 
 
 def _order(name: str, fields: dict[str, str], dtype: str) -> np.dtype[np.generic]:
@@ -130,13 +201,16 @@ def _order(name: str, fields: dict[str, str], dtype: str) -> np.dtype[np.generic
 
 
 def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
-    """``field: value`` lines up to the empty line or the end of the file; ``key:=value`` lines are free text."""
+    """``field: value`` lines up to the empty line or the end of the file, and ``key:=value`` lines by "key:="."""
     magic = line(stream, name)
     if magic is None or not re.fullmatch(r"NRRD000[1-5]", magic):
         raise FormatError(f"{name} must begin with NRRD0001 to NRRD0005; found {(magic or '')[:80]!r}")
     fields: dict[str, str] = {}
     while text := line(stream, name):
-        if text.startswith("#") or re.match(r"[^:]*:=", text):
+        if text.startswith("#"):
+            continue
+        if free := re.match(r"[^:]*:=", text):
+            fields[free[0]] = re.sub(r"\\([n\\])", lambda found: "\n" if found[1] == "n" else "\\", text[free.end() :])
             continue
         key, colon, value = text.partition(": ")
         key = {"datafile": "data file", "lineskip": "line skip", "byteskip": "byte skip"}.get(key.lower(), key.lower())
@@ -154,7 +228,9 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
     """Samples along x, y(, z), and their dtype."""
     for key in ("dimension", "sizes", "type", "encoding"):
         if key not in fields:
-            raise FormatError(f"{name} must have a NRRD header with the field {key!r}; it has {list(fields)}")
+            raise FormatError(
+                f"{name} must have a NRRD header with the field {key!r}; it has {[one for one in fields if not one.endswith(':=')]}"
+            )
     (rank,) = whole(name, "dimension", fields["dimension"], 0)
     if rank not in (2, 3, 4, 5):
         raise FormatError(f"{name} must have 2 to 5 axes; its header says dimension: {rank}")

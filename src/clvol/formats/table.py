@@ -113,7 +113,7 @@ FORMATS = (
     _of(dicom, "DICOM", *dicom.SUFFIXES, series=dicom.series_of, file=dicom.is_file, folder=dicom.is_folder, native=_DICOM),
     _of(tiff, "TIFF stack", ".tif", ".tiff", native=("tifffile",)),
     _of(minc, "MINC", ".mnc", file=minc.is_file, native=("h5py",)),
-    _of(hdf5, "HDF5", ".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", file=hdf5.is_file, native=("h5py",)),
+    _of(hdf5, "HDF5", ".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".vtkhdf", file=hdf5.is_file, native=("h5py",)),
     _of(netcdf, "netCDF-3", ".nc", ".cdf", file=netcdf.is_file),
     _of(imaris, "Imaris", ".ims", native=("h5py",)),
     _of(vti, "VTK image data", ".vti", native=("vtkmodules.vtkIOCore",)),
@@ -125,6 +125,16 @@ FORMATS = (
 )
 
 _FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
+_SAMPLED = "clvol.Volume(pyvista.ImageData(...).sample(pyvista.read(path)))"
+_ROUTES = {
+    "clvol.Volume(nibabel.load(path))": ".par .rec .head .brik .brik.gz .nii.bz2 .nii.zst .img.gz .hdr.gz .img.bz2 .mnc.gz .mgh.gz",
+    "clvol.Volume(SimpleITK.ReadImage(path))": ".gipl .gipl.gz",
+    "clvol.Volume(pyvista.read(path))": ".pvti .slc",
+    _SAMPLED: ".vtr .vts .vtu .vtp .pvtr .pvts .pvtu .pvtp .ply .stl",
+    "clvol.Volume(xarray.open_dataset(path)[name])": ".grib .grb .grib2 .grb2",
+}
+"""Files that other libraries read, and how their images become volumes."""
+
 _LISTED = 5  # kinds of files that a message lists
 
 WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
@@ -145,7 +155,7 @@ def format_of(path: Path) -> Format:
             raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
         named = [row for row in FORMATS if path.name.lower().endswith(row.suffixes)]
         if not named or any(row.file for row in named):  # what a file holds comes before what it is called
-            found = next((row for row in (*named, *FORMATS) if row.file is not None and row.file(path)), None)
+            found = next((row for row in FORMATS if row.file is not None and row.file(path)), None)
             if found is not None:
                 return found
         return by_suffix(path)[0]
@@ -160,6 +170,8 @@ def by_suffix(path: Path, written: bool = False) -> tuple[Format, str]:
         known = " ".join(dict.fromkeys(suffix for row in rows for suffix in row.suffixes))
         rule = "write" if written else "read"
         also = "" if written else f"; a folder may hold {_FOLDERS}"
+        if not written and (way := next((way for way, ends in _ROUTES.items() if name.endswith(tuple(ends.split()))), "")):
+            also = f": {way} reads this one"
         raise FormatError(f"cannot {rule} {path}: its suffix must be one of {known}{also}")
     suffix, row = max(found, key=lambda pair: len(pair[0]))
     return row, suffix
