@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,6 +112,16 @@ def _listed(array: Variable) -> Series:
     return Series(array.name, array.dtype.name, array.shape)
 
 
+class _Bounded(io.FileIO):
+    """A file of which no more is read than there is: a length in a damaged header would be allocated."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """The next bytes."""
+        if size is None or not 0 <= size <= os.fstat(self.fileno()).st_size:
+            raise FormatError(f"a header must give lengths within its file; one is {size}")
+        return super().read(size) or b""
+
+
 def variables_of(path: Path) -> dict[str, Variable]:
     """All arrays of a file, from its header."""
     from scipy.io import netcdf_file
@@ -121,7 +133,7 @@ def variables_of(path: Path) -> dict[str, Variable]:
             f"{path.name} must be of netCDF-3 with offsets of 32 or 64 bits (CDF-1, CDF-2); it begins with {magic!r}: "
             "nccopy -k nc4 makes HDF5 of it"
         )
-    with netcdf_file(path, "r", mmap=True, maskandscale=False) as file:
+    with _Bounded(path) as whole, netcdf_file(whole, "r", mmap=True, maskandscale=False) as file:
         return {name: _variable(path, name, variable) for name, variable in file.variables.items()}
 
 
