@@ -205,7 +205,10 @@ class _File:
 
     def _dtype(self, name: str, text: str) -> np.dtype[Any]:
         if text.lower() not in _DTYPES:
-            raise FormatError(f"{self.path.name} must hold arrays of {', '.join(_DTYPES)}; {name} is of {text[:80]!r}")
+            raise FormatError(
+                f"{self.path.name} must hold arrays of {', '.join(_DTYPES)}; {name} is of {text[:80]!r}: "
+                "clvol.Volume(pyvista.read(path)) reads the others"
+            )
         return _DTYPES[text.lower()]
 
     def _numbers(self, stream: IO[bytes], count: int, dtype: np.dtype[Any]) -> NDArray[Any] | int:
