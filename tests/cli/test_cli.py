@@ -148,6 +148,14 @@ def test_options_of_modes_that_are_words(clvol_command: Command) -> None:
     assert "method must be one of exact, stepped; got 'fast'" in wrong.err
 
 
+def test_levels_in_standard_deviations(clvol_command: Command) -> None:
+    data = clvol.phantoms.sphere(8).data.astype(np.float64)
+    for text, level in (("1sigma", data.mean() + data.std()), ("-0.5σ", data.mean() - 0.5 * data.std())):
+        assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--mode", "isosurface", f"--isovalue={text}").code == 0
+        drawn = clvol.render(clvol.phantoms.sphere(8), mode="isosurface", isovalue=level, size=(16, 12))
+        np.testing.assert_array_equal(iio.imread("a.png"), clvol.show.picture.to_bytes(drawn)[..., :3])
+
+
 def test_render_reports_and_draws_the_samples_evaluated(clvol_command: Command) -> None:
     options = (*SMALL, "--mode", "isosurface", "--isovalue", "-0.25")
     told = clvol_command("render", SPHERE, "-o", "a.png", *options, "--heat-map", "heat.png", "--verbose", "--json").json

@@ -7,6 +7,7 @@ import shutil
 import struct
 import tarfile
 import tracemalloc
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,10 @@ def test_nifti_of_colours(tmp_path: Path, letters: str, frames: tuple[int, ...])
     assert every.pick(channel="red", **frame).color == (1, 0, 0)
     red, green, blue = np.moveaxis(values[..., 2, :] if frames else values, -1, 0)[:3].astype(float)
     grey = every.pick(channel="luminance", **frame)
+    with pytest.warns(ClvolWarning, match="of its colours the luminance was read: choose by channel="):
+        np.testing.assert_array_equal(read(path, **frame).data, grey.data)
+    with warnings.catch_warnings(action="error"):
+        read(path, channel="luminance", **frame)
     np.testing.assert_array_equal(grey.data, np.rint(0.2126 * red + 0.7152 * green + 0.0722 * blue).T)  # Rec. 709
     write(every, tmp_path / "again.nii")
     again = nibabel.load(tmp_path / "again.nii")

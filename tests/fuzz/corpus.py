@@ -433,6 +433,72 @@ def _czi() -> Iterator[Sample]:
         yield Sample(_written(lambda path, options=options: save(path, options), "v.czi"), "v.czi")
 
 
+def _mrc() -> Iterator[Sample]:
+    """Byte orders, axes in another order, an extended header."""
+    for order, kind, mode, axes, extended in (
+        ("<", "i1", 0, (1, 2, 3), 0),
+        (">", "f4", 2, (3, 1, 2), 8),
+        ("<", "u2", 6, (2, 1, 3), 0),
+    ):
+        head = bytearray(1024)
+        counts = (5, 4, 3, mode, 1, 2, 3, 5, 4, 3)
+        head[:40] = struct.pack(f"{order}10i", *counts)
+        head[40:64] = struct.pack(f"{order}6f", 2.5, 3, 7.5, 90, 90, 90 if mode else 100)
+        head[64:76], head[92:96] = struct.pack(f"{order}3i", *axes), struct.pack(f"{order}i", extended)
+        head[208:216] = b"MAP " + (b"DD" if order == "<" else b"\x11\x11") + bytes(2)
+        yield one("v.mrc", bytes(head) + bytes(extended) + data(f"{order}{kind}").tobytes())
+
+
+def _netcdf_3() -> Iterator[Sample]:
+    from scipy.io import netcdf_file
+
+    def save(path: Path, records: bool) -> None:
+        with netcdf_file(path, "w") as file:
+            for name, n, step in (("z", 3, 2.0), ("y", 4, 0.5), ("x", 5, 0.25)):
+                file.createDimension(name, None if records and name == "z" else n)
+                file.createVariable(name, "f8", (name,))[:] = step * np.arange(n)
+            heat = file.createVariable("heat", "h", ("z", "y", "x"))
+            heat[:] = data("int16")
+            heat.scale_factor, heat.units = 2.0, "K"
+
+    for records in (False, True):
+        yield Sample(_written(lambda path, records=records: save(path, records), "v.nc"), "v.nc")
+
+
+def _minc() -> Iterator[Sample]:
+    import h5py
+
+    stream = io.BytesIO()
+    with h5py.File(stream, "w") as file:
+        image = file.create_dataset("minc-2.0/image/0/image", data=data("int16"))
+        image.attrs.update({"dimorder": np.bytes_("zspace,yspace,xspace"), "valid_range": (0.0, 500.0)})
+        for end in ("min", "max"):
+            file[f"minc-2.0/image/0/image-{end}"] = np.arange(3.0) + 9 * (end == "max")
+        for axis, step in (("zspace", 2.0), ("yspace", -1.0), ("xspace", 0.5)):
+            file.create_dataset(f"minc-2.0/dimensions/{axis}", data=0).attrs.update({"step": step, "start": 1.0})
+    yield one("v.mnc", stream.getvalue())
+
+
+def _analyze() -> Iterator[Sample]:
+    import nibabel
+
+    for kind, order in (("int16", "<"), ("float32", ">")):
+        image = nibabel.Spm99AnalyzeImage(data(kind).T, None, nibabel.Spm99AnalyzeHeader(endianness=order))
+        image.set_data_dtype(kind)
+        image.header["pixdim"][1:4] = SPACING
+        files = _written(lambda path, image=image: image.to_filename(path), "v.img")
+        yield Sample({name: content for name, content in files.items() if not name.endswith(".mat")}, "v.hdr")
+
+
+def _vtk() -> Iterator[Sample]:
+    head = (
+        "# vtk DataFile Version 3.0\nby hand\n{}\nDATASET STRUCTURED_POINTS\nDIMENSIONS 5 4 3\nSPACING 0.5 0.75 2.5\n"
+        "ORIGIN 10 -20 30\nPOINT_DATA 60\nSCALARS heat {} 1\nLOOKUP_TABLE default\n"
+    )
+    yield one("v.vtk", head.format("BINARY", "float").encode() + data(">f4").tobytes() + b"\n")
+    yield one("v.vtk", (head.format("ASCII", "short") + " ".join(map(str, data("int16").ravel())) + "\n").encode())
+
+
 def _raw() -> Iterator[Sample]:
     yield one("v.raw", data("uint16").tobytes(), shape=(3, 4, 5), dtype="uint16", byte_order="little")
     yield one("v.raw", b"head" + data(">f4", (4, 5)).tobytes(), shape=(4, 5), dtype=">f4", offset=4)
@@ -465,5 +531,10 @@ CORPORA: Mapping[str, Callable[[], Iterator[Sample]]] = {
     "zarr.zip": _zarr_zip,
     "czi": _czi,
     "raw": _raw,
+    "mrc": _mrc,
+    "nc3": _netcdf_3,
+    "mnc": _minc,
+    "img": _analyze,
+    "vtk": _vtk,
 }
 """How the corpus of each format is made; it raises `ImportError` where a library is missing."""

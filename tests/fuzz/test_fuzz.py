@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FEW = 20  # mutants of a format that a child process reads, or whose reader is slow
 MANY = 150  # of the others
 CALLS = 1500
-QUICK = ("npy", "npz", "nii", "nii.gz", "hdr", "mgh", "mgz", "raw")
+QUICK = ("npy", "npz", "nii", "nii.gz", "hdr", "mgh", "mgz", "raw", "mrc", "vtk", "nc3")
 OTHERS = (
     "nrrd",
     "nhdr",
@@ -39,6 +39,8 @@ OTHERS = (
     "vti",
     "zarr",
     "zarr.zip",
+    "mnc",
+    "img",
 )
 
 forks = pytest.mark.skipif(not hasattr(os, "fork") or sys.platform == "darwin", reason="limits are set, and kept, as Linux does it")

@@ -19,6 +19,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -135,8 +136,9 @@ def _nibabel(files: Files, entry: str, _: object) -> Held:
     large = 540 in size
     try:
         if entry.endswith(".hdr"):
-            kind = nibabel.Nifti2Pair if large else nibabel.Nifti1Pair
-            holders = {"header": content, "image": files[entry.replace(".hdr", ".img")]}
+            of_analyze = nibabel.Spm2AnalyzeImage.header_class.may_contain_header(content)
+            kind = nibabel.Spm2AnalyzeImage if of_analyze else nibabel.Nifti2Pair if large else nibabel.Nifti1Pair
+            holders = {"header": content, "image": files[entry.replace(".hdr", ".img")], "mat": b""}
             image = kind.from_file_map({name: FileHolder(fileobj=io.BytesIO(part)) for name, part in holders.items()})
         else:
             image = (nibabel.Nifti2Image if large else nibabel.Nifti1Image).from_bytes(content)
@@ -151,8 +153,27 @@ def _nibabel(files: Files, entry: str, _: object) -> Held:
     affine = image.affine
     spacing = tuple(float(n) for n in np.linalg.norm(affine[:3, :3], axis=0))
     # metres and micrometres are brought to millimetres; two axes have no third spacing
-    plain = image.header["xyzt_units"] & 7 in (0, 2) and image.ndim > 2
+    plain = "xyzt_units" not in image.header or image.header["xyzt_units"] & 7 in (0, 2)
+    plain = plain and image.ndim > 2
     return Held(data.T, spacing if plain else None, (-affine[0, 3], -affine[1, 3], affine[2, 3]) if plain else None)
+
+
+def _mrc(files: Files, entry: str, _: object) -> Held:
+    """By mrcfile, which is lenient about axes and does not place samples."""
+    import tempfile
+    import warnings
+
+    import mrcfile
+
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(action="ignore"):
+        path = Path(folder) / "v.mrc"
+        path.write_bytes(files[entry])
+        try:
+            with mrcfile.open(path, permissive=True) as file:
+                _need(file.data is not None, "samples")
+                return Held(np.array(file.data), loose=True)
+        except ValueError as error:
+            raise Damaged(f"mrcfile: {error}") from error
 
 
 def _mgh(files: Files, entry: str, _: object) -> Held:
@@ -860,5 +881,10 @@ TRUTHS: Mapping[str, Callable[[Files, str, Any], Held | None]] = {
     "zarr.zip": _zarr,
     "czi": lambda *_: None,
     "raw": _raw,
+    "mrc": _mrc,
+    "nc3": lambda *_: None,
+    "mnc": lambda *_: None,
+    "img": _nibabel,
+    "vtk": lambda *_: None,
 }
 """For each format of the corpus: who else says what a file holds."""

@@ -73,7 +73,13 @@ def test_options_of_other_modes_are_rejected_by_name() -> None:
 
 BAD: dict[str, tuple[str, dict[str, Any], str]] = {
     "isovalue NaN": ("isosurface", {"isovalue": float("nan")}, "isovalue must be a finite number; got nan"),
-    "isovalue text": ("isosurface", {"isovalue": "high"}, "isovalue must be a finite number; got 'high'"),
+    "isovalue text": (
+        "isosurface",
+        {"isovalue": "high"},
+        "isovalue must be a number, or standard deviations above the mean as '3sigma'; got 'high'",
+    ),
+    "isovalue number as text": ("isosurface", {"isovalue": "3"}, "as '3sigma'; got '3'"),
+    "isovalue of NaN": ("isosurface", {"isovalue": "nan sigma"}, "as '3sigma'; got 'nan sigma'"),
     "color": ("isosurface", {"color": "no colour"}, "color must be three numbers, or the name"),
     "two colours": ("isosurface", {"color": (1, 2)}, "color must be three numbers"),
     "tolerance": ("isosurface", {"tolerance": -1}, "tolerance must be a finite number, at least 0 and at most 1; got -1"),
@@ -103,6 +109,17 @@ def test_automatic_options_are_settled_for_a_volume() -> None:
     assert as_mode("isosurface").settled(volume) == Isosurface(isovalue_of(volume)[0])
     assert Isosurface(0.2).settled(volume) == Isosurface(0.2)
     assert Composite().settled(volume) == Composite()
+
+
+@pytest.mark.parametrize(("text", "sigmas"), [("3sigma", 3), (" -1.5 Sigma ", -1.5), (".5σ", 0.5), ("+2e0 sigma", 2)])
+def test_levels_in_standard_deviations(text: str, sigmas: float) -> None:
+    """Of all finite samples about their mean, whatever their type and size."""
+    data = np.random.default_rng(0).normal(5, 2, (9, 8, 7))
+    for samples in (data, (data * 100).astype(np.int16), data * 1e300, np.where(data > 8, np.nan, data).astype(np.float32)):
+        seen = np.asarray(samples, np.float64)[np.isfinite(samples)]
+        unit = max(1.0, float(np.abs(seen).max()))
+        expected = ((seen / unit).mean() + sigmas * (seen / unit).std()) * unit
+        assert as_mode("isosurface", {"isovalue": text}).settled(Volume(samples)).surface == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_default_look_of_each_mode() -> None:

@@ -46,7 +46,7 @@ def test_any_state_round_trips_through_its_text(seed: int) -> None:
         ({"camera": None}, "camera must be an object"),
         ({"mode": "iso"}, "mode must be one of"),
         ({"mode": "mip", "options.isovalue": 3}, "isovalue is no option of mip"),
-        ({"mode": "isosurface", "options.isovalue": "a"}, "isovalue must be a finite number"),
+        ({"mode": "isosurface", "options.isovalue": "a"}, "isovalue must be a number, or standard deviations"),
         ({"filter": "cubik"}, "filter must be one of"),
         ({"boundary": 3}, "boundary must be a name"),
         ({"step": 0}, "step must be a finite number"),

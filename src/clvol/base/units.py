@@ -9,11 +9,12 @@ from clvol.base.errors import FormatError, GeometryError
 
 __all__ = ["METRES", "axes_unit", "millimetres", "ome_unit", "one_unit", "scale", "unit_name"]
 
-METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}
+METRES = {"angstrom": 1e-10, "nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}
 """Metres per unit, by its name in `Volume.units`."""
 
 _SPELLINGS = {
     "um": ("µm", "μm", "micron", "microns", "micrometer", "micrometre", "\\u00b5m"),  # the micro sign and the Greek mu
+    "angstrom": ("å", "angstroms", "ångström", "ångströms"),
     "nm": ("nanometer", "nanometre"),
     "mm": ("millimeter", "millimetre"),
     "cm": ("centimeter", "centimetre"),

@@ -396,13 +396,15 @@ class ReportLook(SurfaceLook):
 
 _ALSO = {"isovalue": "--threshold"}
 """Common names of the options of modes."""
+_KINDS = {"isovalue": float | str}
+"""Types that a default does not show."""
 
 
 def _flag(name: str) -> tuple[str, Any, None]:
     """A flag for an option of modes, documented by their classes. Its default is the mode's."""
     having = [mode for mode in clvol.modes().values() if name in mode_options(mode)]
     defaults = [getattr(mode, name) for mode in having]
-    kind: Any = bool if isinstance(defaults[0], bool) else str if isinstance(defaults[0], (str, tuple)) else float
+    kind: Any = bool if isinstance(defaults[0], bool) else str if isinstance(defaults[0], (str, tuple)) else _KINDS.get(name, float)
     says = [f"{mode_options(mode)[name]} ({mode.name}{_default(getattr(mode, name))})" for mode in having]
     return name, Annotated[kind | None, Parameter(help=" ".join(says), alias=_ALSO.get(name))], None
 

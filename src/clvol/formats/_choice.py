@@ -78,6 +78,9 @@ class Choice:
                 index.append(slice(None))
             else:
                 index.append(0 if choice is None else leading.place(axis, choice, source))
+        if computed == "luminance" and "channel" not in self.given:  # colours are lost, where a magnitude is what it says
+            lost = "of its colours the luminance was read: choose by channel=, or read all by clvol.read_all"
+            guessed = f"{lost}; {guessed}" if guessed else lost
         left = [axis for axis, n in zip(leading.axes, leading.counts, strict=True) if n > 1 and axis not in places]
         self._warn(source, leading, [] if self.whole else left, index, guessed)
         taken = {axis: at for axis, at in zip(leading.axes, index, strict=True) if not isinstance(at, slice)}

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import re
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from clvol.base.errors import FormatError
 from clvol.base.files import MAX_HEADER
 from clvol.formats.guarded.limits import is_trusted
 
-__all__ = ["data_path", "line", "numbers", "whole"]
+__all__ = ["data_files", "line", "numbers", "parsed", "samples_each", "whole"]
 
 _MAX_LINE = 1 << 16
 _LARGEST = 1e30
+_PATTERN = re.compile(r"([^%]*)%(0?\d{0,2})[diu]([^%]*?)\s+(-?\d{1,9})\s+(-?\d{1,9})\s+(-?\d{1,9})(?:\s+\d+)?", re.ASCII)
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 
 
@@ -52,14 +59,70 @@ def whole(name: str, key: str, text: str, low: int, count: int = 1) -> tuple[int
     return values
 
 
-def data_path(header: Path, text: str) -> Path:
-    """The file with the samples of a detached header, which must lie in the folder of the header or below.
+def parsed(name: str, what: str, text: str | bytes, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+    """`count` samples that are given as text, between blanks; `what` names them for an error."""
+    try:
+        if dtype.kind in "iu":  # NumPy parses numbers of 64 bits modulo 2⁶⁴
+            values = np.array(list(map(int, text.split()))) if dtype.itemsize > 4 else _from_text(text, np.int64)
+            limits = np.iinfo(dtype)
+            if values.size and not limits.min <= int(values.min()) <= int(values.max()) <= limits.max:
+                raise ValueError(f"they reach from {values.min()} to {values.max()}")
+        else:
+            values = _from_text(text, np.float64)
+    except (ValueError, DeprecationWarning) as error:
+        raise FormatError(f"{name} must hold numbers of {dtype} in {what}; {error}") from error
+    if len(values) != count:
+        raise FormatError(f"{name} must hold {count} numbers in {what}; found {len(values)}")
+    return values.astype(dtype)
 
+
+def _from_text(text: str | bytes, kind: type[np.generic]) -> NDArray[Any]:
+    if not text.strip():
+        return np.empty(0, kind)
+    with warnings.catch_warnings(action="error"):  # of what is no number
+        return np.fromstring(text, kind, sep=" ")
+
+
+def samples_each(name: str, size: Sequence[int], files: int) -> int:
+    """Samples in each of several files, which hold as many as each other."""
+    each, rest = divmod(math.prod(size), files)
+    if rest:
+        raise FormatError(f"{name} must divide {' × '.join(map(str, size))} samples evenly among its files; it names {files}")
+    return each
+
+
+def data_files(header: Path, text: str, stream: IO[bytes], most: int) -> list[Path]:
+    """The files with the samples of a detached header, which must lie in its folder or below; up to `most`.
+
+    `text` names one, or a range of numbers in a printf pattern ("slice%03d.raw 1 20 1"), or says LIST: names follow in `stream`.
     Otherwise a hostile header could have any file of this machine read and shown. A trusted header may name any file.
     """
-    # ITK passes a pattern to sprintf, and reads "-" from the terminal.
-    if not text or text == "-" or "%" in text or text.split()[0].upper() == "LIST":
-        raise FormatError(f"{header.name} must name one file with all samples; got {text[:80]!r}")
+    if re.fullmatch(r"LIST(\s+\d+D?)?", text, re.IGNORECASE):
+        names = [name for one in iter(lambda: line(stream, header.name), None) if (name := one.strip())]
+    elif "%" in text:
+        names = _numbered(header.name, text, most)
+    else:
+        names = [text]
+    if not 0 < len(names) <= most:
+        raise FormatError(f"{header.name} must name one to {most} files for its samples; it names {len(names)}")
+    return [_data_file(header, name) for name in names]
+
+
+def _numbered(name: str, text: str, most: int) -> list[str]:
+    """The file names of a pattern with one whole number."""
+    match = _PATTERN.fullmatch(text)
+    first, last, step = (int(match[group]) for group in (4, 5, 6)) if match else (0, 0, 0)
+    numbers = range(first, last + (1 if step > 0 else -1), step) if step else range(0)
+    if match is None or not 0 < len(numbers) <= most:
+        raise FormatError(
+            f"{name} must name files for its samples as 'slice%03d.raw FIRST LAST STEP', up to {most} of them; got {text[:80]!r}"
+        )
+    return [f"{match[1]}{number:{match[2]}d}{match[3]}" for number in numbers]
+
+
+def _data_file(header: Path, text: str) -> Path:
+    if not text or text == "-":  # ITK reads "-" from the terminal
+        raise FormatError(f"{header.name} must name a file with its samples; got {text[:80]!r}")
     path = header.parent / text
     if not path.is_file():  # a pipe or a device would never end
         raise FormatError(f"{header.name} names the file {text[:80]!r} for its samples, which is not there")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, FormatError
 from clvol.bricks.sliced import FlatFile, Index, Window
@@ -34,13 +35,14 @@ _TOLERANCE = 1e-12  # relative, between the geometry to write and the one writte
 
 @dataclass(frozen=True)
 class Flat:
-    """Uncompressed samples, contiguous in a file; the last axis varies fastest."""
+    """Samples that ITK does not read; the last axis varies fastest. They are contiguous in a file, unless `load` returns them."""
 
     path: Path
     start: int  # offset of the first sample in bytes
     dtype: np.dtype[Any]  # as stored
     shape: tuple[int, ...]
     channels: int | None = None  # the axis of the values of a voxel
+    load: Callable[[], NDArray[Any]] | None = None  # of several files, or of text, which ITK reads beyond its end
 
 
 @dataclass(frozen=True)
@@ -88,8 +90,11 @@ def information(path: Path, image_io: str = "") -> Any:
 
 def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Content:
     """Samples and geometry of the chosen volumes of a file whose header was checked."""
-    sitk = simpleitk()
     announce(path.name, header.bytes, header.stored)
+    if header.flat is not None and header.flat.load is not None:
+        data, about = _open(path, image_io, header, header.flat, choose)
+        return data[...], about
+    sitk = simpleitk()
     with quiet(), foreign_errors(f"read {path}", reason):
         image = sitk.ReadImage(str(path), imageIO=image_io)
     data, geometry = from_simpleitk(image, header.units, copy=False)
@@ -101,10 +106,13 @@ def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Con
 
 
 def open_image(path: Path, image_io: str, header: Header, choose: Choice) -> list[Content]:
-    """As `read_image`, but samples are read on demand; ITK gives the geometry. Empty if the samples are compressed."""
+    """As `read_image`, but samples are read on demand. Empty if they are compressed, in several files, or text."""
     flat = header.flat
-    if flat is None:
-        return []
+    return [] if flat is None or flat.load is not None else [_open(path, image_io, header, flat, choose)]
+
+
+def _open(path: Path, image_io: str, header: Header, flat: Flat, choose: Choice) -> Content:
+    """Samples that ITK does not read, and the geometry that it gives."""
     sitk = simpleitk()
     with quiet(), foreign_errors(f"open {path}", reason):
         reader = information(path, image_io)
@@ -120,13 +128,15 @@ def open_image(path: Path, image_io: str, header: Header, choose: Choice) -> lis
         names[axis] = name
     if flat.channels is not None and flat.shape[flat.channels] > 1:
         names[flat.channels] = "channel" if "channel" in leading.axes else leading.axes[-1]
-    samples = FlatFile(flat.path, flat.shape, flat.dtype, flat.start)
+    load = flat.load
+    samples: Callable[[Index], NDArray[Any]]
+    samples = FlatFile(flat.path, flat.shape, flat.dtype, flat.start) if load is None else load().__getitem__
 
     def part(index: Index) -> Window:
         return scaled_part(Window(samples, flat.shape, flat.dtype, None, index), header.slope, header.offset)
 
     data, known = Layout(tuple(names), flat.shape, guessed).chosen(path.name, choose, part, leading)
-    return [(data, geometry | known)]
+    return data, geometry | known
 
 
 class _Information:

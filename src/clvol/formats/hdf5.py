@@ -1,4 +1,4 @@
-"""Arrays in HDF5 files (simulations, netCDF-4, ilastik, Fiji), and ITK's images in HDF5, by h5py."""
+"""Arrays in HDF5 files (simulations, netCDF-4, ilastik, Fiji), and images of ITK and VTK in HDF5, by h5py."""
 
 from __future__ import annotations
 
@@ -20,13 +20,25 @@ from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
-__all__ = ["lazily", "loaded", "member", "opened", "part_of", "read", "series"]
+__all__ = ["is_file", "lazily", "loaded", "member", "opened", "part_of", "read", "series"]
 
 _CACHED = 1 << 20  # bytes of HDF5's chunk cache, by default 1 MiB, from 2.0 on 8. Larger chunks are not read as a whole
-_NETCDF_3 = b"CDF"
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"  # at the start, or behind a block of the user's of 512, 1024, ... bytes
 _INSTEAD = "clvol.LazyVolume(dataset) takes what h5py makes of it, if you trust it"
 _LISTED = 5  # links in a message
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file has the signature of HDF5."""
+    size, at = path.stat().st_size, 0
+    with path.open("rb") as stream:
+        while at < size:
+            stream.seek(at)
+            if stream.read(len(_SIGNATURE)) == _SIGNATURE:
+                return True
+            at = 2 * at or 512
+    return False
 
 
 def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
@@ -54,6 +66,8 @@ def _content(path: Path, file: Any, choose: Choice, series: int | str | None, lo
     array = arrays[chosen_series(path.name, listed, series, what="arrays", main=deep or None, first=False)]
     if _is_of_itk(array):
         return _itk(path.name, array, choose, load)
+    if _is_of_vtk(array):
+        return _vtk(path.name, array, choose, load)
     words, lines, units = _axes(array)
     data, known = by_names(
         path.name,
@@ -82,9 +96,6 @@ def opened(path: Path) -> Any:
         import h5py
     except ImportError as error:
         raise MissingDependencyError("HDF5 files need h5py: pip install clvol[hdf5]") from error
-    with path.open("rb") as stream:
-        if stream.read(3) == _NETCDF_3:
-            raise FormatError(f"{path.name} must be of netCDF-4, which is HDF5; it is of netCDF-3: nccopy -k nc4 makes it one")
     return h5py.File(path, "r", locking="best-effort", rdcc_nbytes=_CACHED)
 
 
@@ -252,3 +263,22 @@ def _itk(source: str, array: Any, choose: Choice, load: Callable[..., Any]) -> C
     data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
     known = {"spacing": about["Spacing"], "origin": about["Origin"], "direction": about["Directions"].T, "space": "LPS"}
     return data, known | chosen
+
+
+def _is_of_vtk(array: Any) -> bool:
+    grid = array.parent.parent
+    return grid.name == "/VTKHDF" and _text(grid.attrs.get("Type")) == "ImageData"
+
+
+def _vtk(source: str, array: Any, choose: Choice, load: Callable[..., Any]) -> Content:
+    """VTK's image data: an array at the points or in the cells; components are the last axis."""
+    about = array.parent.parent.attrs
+    spacing, origin = (np.asarray(about.get(name, default), np.float64) for name, default in (("Spacing", 1.0), ("Origin", 0.0)))
+    direction = np.reshape(about.get("Direction", np.eye(3)), (3, 3)).astype(np.float64)
+    low, high = np.reshape(about["WholeExtent"], (3, 2)).T
+    first = low + (0.5 * (high > low) if array.parent.name.endswith("CellData") else 0.0)
+    layout: Layout = lay_out(source, [*"zyx", *("channel",) * (array.ndim - 3)], array.shape)
+    leading = layout.channels_of(array.dtype)
+    data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
+    geometry = {"spacing": spacing, "origin": origin + direction @ (first * spacing), "direction": direction}
+    return data, geometry | {"name": array.name.rpartition("/")[2]} | chosen

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from contextlib import nullcontext
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.base.errors import FormatError
 from clvol.formats import _itk
 from clvol.formats._choice import Choice
 from clvol.formats._files import inflated_size, require_bytes
-from clvol.formats._headers import data_path, line, numbers, whole
+from clvol.formats._headers import data_files, line, numbers, parsed, samples_each, whole
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
@@ -65,19 +67,30 @@ def check(path: Path) -> _itk.Header:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
         file = fields["ElementDataFile"]
+        local = file.upper() == "LOCAL"
+        places = [path] if local else data_files(path, file, stream, math.prod(size))
+        begin = stream.tell() if local else 0
+        each = samples_each(path.name, size, len(places))
         expected = math.prod(size) * np.dtype(dtype).itemsize
-        place = path if file.upper() == "LOCAL" else data_path(path, file)
-        stored = place.stat().st_size
-        with nullcontext(stream) if place is path else place.open("rb") as samples:
-            found = _samples(samples, fields, path, expected)
-    # -1: the samples end with the file, whatever precedes them
-    require_bytes(path.name, found, size[::-1], dtype, exact=fields.get("HeaderSize") != "-1")
+        stored = sum(place.stat().st_size for place in places)
+        for place in places:
+            with place.open("rb") as samples:
+                samples.seek(begin)
+                found = _samples(samples, fields, place, each * np.dtype(dtype).itemsize)
+            # -1: the samples end with the file, whatever precedes them
+            shape = size[::-1] if len(places) == 1 else (each,)
+            require_bytes(place.name, found, shape, dtype, exact=fields.get("HeaderSize") != "-1")
     slope, offset = _intensity(fields, path.name)
     orders = {_flag(fields, key, path.name) for key in _ORDERS if key in fields}
-    flat = None
+    flat, load = None, None
     if not _flag(fields, "CompressedData", path.name) and len(orders) < 2:  # samples end with the file
         kind = np.dtype(dtype).newbyteorder(">" if True in orders else "<")
-        flat = _itk.Flat(place, stored - expected, kind, (*size[-2::-1], size[-1]), len(size) - 1)
+        shape = (*size[-2::-1], size[-1])
+        if len(places) > 1 or not _binary(fields, path.name):
+            load = partial(_loaded, places, begin, _binary(fields, path.name), shape, kind)
+        flat = _itk.Flat(places[0], stored - expected, kind, shape, len(size) - 1, load)
+    elif len(places) > 1:
+        raise FormatError(f"{path.name} must hold samples in several files uncompressed, in one byte order")
     return _itk.Header(size, _unit(fields, path.name), slope=slope, offset=offset, bytes=expected, stored=stored, flat=flat)
 
 
@@ -111,8 +124,8 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
     if fields["ElementType"] not in _DTYPES:
         raise FormatError(f"{name} must have an ElementType of {', '.join(_DTYPES)}; got {fields['ElementType']!r}")
     channels = whole(name, "ElementNumberOfChannels", fields.get("ElementNumberOfChannels", "1"), 1)
-    if not _flag(fields, "BinaryData", name, "True"):
-        raise FormatError(f"{name} must hold its samples in binary; its header says BinaryData = False")
+    if not _binary(fields, name) and _flag(fields, "CompressedData", name):
+        raise FormatError(f"{name} must compress samples in binary; its header says BinaryData = False")
     for key, power in _NUMBERS.items():
         if key in fields:
             values = numbers(name, key, fields[key], rank**power)
@@ -123,8 +136,28 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
     return size + channels, _DTYPES[fields["ElementType"]]
 
 
+def _binary(fields: dict[str, str], name: str) -> bool:
+    """Whether samples are not text."""
+    return _flag(fields, "BinaryData", name, "True")
+
+
+def _loaded(places: Sequence[Path], begin: int, binary: bool, shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
+    """All samples, of several files or of text, whose lengths were checked."""
+    each = math.prod(shape) // len(places)
+    data = np.empty(math.prod(shape), kind)
+    for number, place in enumerate(places):
+        with place.open("rb") as stream:
+            stream.seek(begin if not binary else place.stat().st_size - each * kind.itemsize)
+            text = stream.read()
+        part = np.frombuffer(text, kind) if binary else parsed(place.name, "its text", text, np.dtype(kind.type), each)
+        data[number * each : (number + 1) * each] = part
+    return data.reshape(shape)
+
+
 def _samples(stream: IO[bytes], fields: dict[str, str], path: Path, expected: int) -> int:
     """Bytes of samples that follow in `stream`, unpacked."""
+    if not _binary(fields, path.name):  # counted when it is parsed
+        return expected
     (skip,) = whole(path.name, "HeaderSize", fields.get("HeaderSize", "0"), -1)
     start = stream.tell()
     end = stream.seek(0, 2)

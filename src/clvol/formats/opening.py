@@ -57,8 +57,8 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     Parameters
     ----------
     path : path-like or address
-        Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris; NIfTI, NRRD, MetaImage,
-        ``.npy`` and raw samples that are not packed. Or the
+        Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF, MINC and Imaris; NIfTI, Analyze, NRRD,
+        MetaImage, MRC, binary ``.vtk``, ``.npy`` and raw samples that are not packed. Or the
         address of a Zarr store: ``s3://...`` and ``https://...`` (extra ``s3``), ``memory://...`` and others that fsspec supports.
         The query of an HTTP address (after ``?``, such as a token) goes with every request.
     volume, time, channel, position, series, shape, dtype, byte_order, offset : optional

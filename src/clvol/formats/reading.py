@@ -53,16 +53,18 @@ def read(
     ----------
     path : path-like
         A file, recognised by its suffix in upper or lower case: ``.npy .npz``, ``.nii .nii.gz .hdr .img .nrrd .nhdr .mha .mhd
-        .mgh .mgz``, ``.dcm .dicom .ima`` (and any DICOM file without a suffix), ``.tif .tiff`` (OME, ImageJ, plain),
-        ``.png .jpg .bmp``, ``.h5 .hdf5 .nc``, ``.ims``, ``.vti``, ``.zarr.zip``, ``.raw .bin``, and ``.czi .lif .nd2`` and
-        others of microscope makers, for which bioio has plug-ins. Or a folder of DICOM files or of image slices (in the natural
+        .mgh .mgz .mnc``, ``.mrc .map .ccp4`` (also ``.gz``), ``.dcm .dicom .ima``, ``.tif .tiff`` (OME, ImageJ, plain),
+        ``.png .jpg .bmp``, ``.h5 .hdf5 .nc``, ``.ims``, ``.vti .vtk``, ``.zarr.zip``, ``.raw .bin``, and ``.czi .lif .nd2`` and
+        others of microscope makers, for which bioio has plug-ins; DICOM, HDF5, netCDF, MINC, MRC and VTK's legacy files by
+        their content under any other name. Or a folder of DICOM files or of image slices (in the natural
         order of their names), or a Zarr array or group (OME-Zarr).
     volume : int, optional
         Number among several volumes, in the order of the file, from 0.
     time, position : int, optional
         Index along such an axis.
     channel : int or str, optional
-        Number or name; "magnitude" of vectors, "luminance" of colours (the default for these).
+        Number or name; "magnitude" of vectors, "luminance" of colours (the default for these; a `ClvolWarning` says that colours
+        are lost).
     series : int or str, optional
         Image of a file or folder that holds several: a DICOM series, an image of a TIFF file, an array of HDF5 or Zarr;
         `clvol info` lists them.
@@ -79,9 +81,9 @@ def read(
     offset : int, optional
         Raw files only: bytes before the first sample.
     trusted : bool, optional
-        Files are treated as untrusted by default: libraries with native code (for all formats but NumPy's, NIfTI, MGH and raw)
-        read them in another process, within `limits`, so that a file that crashes or hangs them, or exhausts memory, is an error.
-        A trusted file is read in this process, without limits.
+        Files are treated as untrusted by default: libraries with native code (for all formats but NumPy's, NIfTI, MGH, MRC,
+        netCDF-3, VTK's legacy files and raw) read them in another process, within `limits`, so that a file that crashes or
+        hangs them, or exhausts memory, is an error. A trusted file is read in this process, without limits.
     limits : Limits, optional
         Time and memory that reading may take; see `clvol.formats.Limits` for the defaults.
 
@@ -90,8 +92,8 @@ def read(
     Volume
         Medical formats: in ITK's LPS frame, in mm (NRRD and MetaImage: in the unit of the header, if it has one). Samples that the
         header scales are float64. NIfTI is read as nibabel reads it: placed by the sform, else the qform, else the spacing
-        about the centre. Microscope files: in the unit of the file, first sample at 0, with names, colours and `clim` of
-        channels. Spacing is 1 if the file gives none.
+        about the centre. Maps of MRC are in Å. Microscope files: in the unit of the file, first sample at 0, with names,
+        colours and `clim` of channels. Spacing is 1 if the file gives none.
 
     Warns
     -----

@@ -11,7 +11,27 @@ from types import ModuleType
 from typing import Any
 
 from clvol.base.errors import FormatError, OptionError
-from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
+from clvol.formats import (
+    analyze,
+    bioio,
+    dicom,
+    hdf5,
+    imaris,
+    metaimage,
+    mgz,
+    minc,
+    mrc,
+    netcdf,
+    nifti,
+    npy,
+    nrrd,
+    raw,
+    slices,
+    tiff,
+    vti,
+    vtk,
+    zarr,
+)
 from clvol.formats._choice import Series
 from clvol.formats._errors import foreign_errors
 from clvol.formats._files import Reader, Writer
@@ -42,7 +62,7 @@ class Format:
     series : callable or None
         Lists the images of a file or folder, as a tuple of `Series`, if ``series=`` chooses one.
     file, folder : callable or None
-        Recognise a file of unknown suffix, or a folder, by its content.
+        Recognise a file by its content, where its suffix is unknown or that of another format too; or a folder.
     native : tuple of str
         Modules with native code that read it: in another process, which imports them, unless the file is trusted. Empty: Python
         and NumPy read it in this process.
@@ -84,15 +104,20 @@ FORMATS = (
     Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive),
     _of(nifti, "NIfTI", ".nii", ".nii.gz"),
     Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, lazily=nifti.lazily_pair),
+    _of(analyze, "Analyze 7.5", ".hdr", ".img", file=analyze.is_file, native=("nibabel", "scipy.io")),
     _of(nrrd, "NRRD", ".nrrd", ".nhdr", native=_ITK),
     _of(metaimage, "MetaImage", ".mha", ".mhd", native=_ITK),
     _of(mgz, "FreeSurfer MGH", ".mgh", ".mgz"),
+    _of(mrc, "MRC", *(f".{kind}{packed}" for kind in ("mrc", "mrcs", "map", "ccp4") for packed in ("", ".gz")), file=mrc.is_file),
     _of(zarr, "Zarr", ".zarr.zip", ".ozx", ".zip", folder=zarr.is_one, native=("zarr",)),
     _of(dicom, "DICOM", *dicom.SUFFIXES, series=dicom.series_of, file=dicom.is_file, folder=dicom.is_folder, native=_DICOM),
     _of(tiff, "TIFF stack", ".tif", ".tiff", native=("tifffile",)),
-    _of(hdf5, "HDF5", ".h5", ".hdf5", ".hdf", ".he5", ".nc", native=("h5py",)),
+    _of(minc, "MINC", ".mnc", file=minc.is_file, native=("h5py",)),
+    _of(hdf5, "HDF5", ".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".vtkhdf", file=hdf5.is_file, native=("h5py",)),
+    _of(netcdf, "netCDF-3", ".nc", ".cdf", file=netcdf.is_file),
     _of(imaris, "Imaris", ".ims", native=("h5py",)),
     _of(vti, "VTK image data", ".vti", native=("vtkmodules.vtkIOCore",)),
+    _of(vtk, "VTK legacy", ".vtk", file=vtk.is_file),
     _of(bioio, "microscope makers' files", *bioio.SUFFIXES, native=("bioio",)),
     _of(slices, "image", *slices.SUFFIXES, native=_PILLOW),
     Format("folder of image slices", (), slices.read_folder, folder=slices.are_in, native=(*_PILLOW, "tifffile")),
@@ -100,6 +125,16 @@ FORMATS = (
 )
 
 _FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
+_SAMPLED = "clvol.Volume(pyvista.ImageData(...).sample(pyvista.read(path)))"
+_ROUTES = {
+    "clvol.Volume(nibabel.load(path))": ".par .rec .head .brik .brik.gz .nii.bz2 .nii.zst .img.gz .hdr.gz .img.bz2 .mnc.gz .mgh.gz",
+    "clvol.Volume(SimpleITK.ReadImage(path))": ".gipl .gipl.gz",
+    "clvol.Volume(pyvista.read(path))": ".pvti .slc",
+    _SAMPLED: ".vtr .vts .vtu .vtp .pvtr .pvts .pvtu .pvtp .ply .stl",
+    "clvol.Volume(xarray.open_dataset(path)[name])": ".grib .grb .grib2 .grb2",
+}
+"""Files that other libraries read, and how their images become volumes."""
+
 _LISTED = 5  # kinds of files that a message lists
 
 WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
@@ -118,10 +153,11 @@ def format_of(path: Path) -> Format:
             return found
         if not path.is_file():
             raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
-        if not path.name.lower().endswith(tuple(suffix for row in FORMATS for suffix in row.suffixes)):
-            for row in FORMATS:
-                if row.file is not None and row.file(path):
-                    return row
+        named = [row for row in FORMATS if path.name.lower().endswith(row.suffixes)]
+        if not named or any(row.file for row in named):  # what a file holds comes before what it is called
+            found = next((row for row in FORMATS if row.file is not None and row.file(path)), None)
+            if found is not None:
+                return found
         return by_suffix(path)[0]
 
 
@@ -131,9 +167,11 @@ def by_suffix(path: Path, written: bool = False) -> tuple[Format, str]:
     rows = [row for row in FORMATS if row.write or not written]
     found = [(suffix, row) for row in FORMATS for suffix in row.suffixes if name.endswith(suffix)]
     if not found:
-        known = " ".join(suffix for row in rows for suffix in row.suffixes)
+        known = " ".join(dict.fromkeys(suffix for row in rows for suffix in row.suffixes))
         rule = "write" if written else "read"
         also = "" if written else f"; a folder may hold {_FOLDERS}"
+        if not written and (way := next((way for way, ends in _ROUTES.items() if name.endswith(tuple(ends.split()))), "")):
+            also = f": {way} reads this one"
         raise FormatError(f"cannot {rule} {path}: its suffix must be one of {known}{also}")
     suffix, row = max(found, key=lambda pair: len(pair[0]))
     return row, suffix

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import sample_count
-from clvol.formats._headers import numbers
+from clvol.formats._headers import numbers, parsed
 from clvol.formats._layout import lay_out
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
@@ -231,17 +231,7 @@ def _samples(file: _File, array: _Array) -> NDArray[Any]:
 def _values(file: _File, element: ET.Element, count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     """The `count` samples of an element."""
     if element.get("format") == "ascii":
-        words = (element.text or "").split()
-        try:
-            whole = [int(word) for word in words] if dtype.kind in "iu" else []
-            if whole and not np.iinfo(dtype).min <= min(whole) <= max(whole) <= np.iinfo(dtype).max:
-                raise ValueError(f"they reach from {min(whole)} to {max(whole)}")
-            values = np.array(whole or words).astype(dtype)
-        except ValueError as error:
-            raise FormatError(f"{file.name} must hold numbers of {dtype} in {element.get('Name')!r}; {error}") from error
-        if len(values) != count:
-            raise FormatError(f"{file.name} must hold {count} samples in {element.get('Name')!r}; found {len(values)}")
-        return values
+        return parsed(file.name, repr(element.get("Name")), element.text or "", dtype, count)
     raw = b"".join(_blocks(file, element, count * dtype.itemsize))
     if len(raw) != count * dtype.itemsize:
         raise FormatError(f"{file.name} must hold {count * dtype.itemsize} bytes of {element.get('Name')!r}; found {len(raw)}")

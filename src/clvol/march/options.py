@@ -107,7 +107,7 @@ class ModeOptions(TypedDict, total=False):
 
     shading: bool
     termination: float
-    isovalue: float | None
+    isovalue: float | str | None
     color: Sequence[float] | str
     method: Literal["exact", "stepped"]
     tolerance: float

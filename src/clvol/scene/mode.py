@@ -24,7 +24,7 @@ from clvol.base.uniform import FLOAT, Block, Values
 from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, as_filter
 from clvol.scene.preset import diverging
 from clvol.scene.transfer import TransferFunction
-from clvol.volume.histogram import Projection, clims_of, isovalue_of, matter_of
+from clvol.volume.histogram import Projection, clims_of, isovalue_of, matter_of, spread_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume
 
@@ -48,6 +48,7 @@ DEFAULT_MODE = "composite"
 _WORD = re.compile("[a-z][a-z0-9_]{0,63}")
 _FILE = re.compile(f"modes/{_WORD.pattern}[.]cl")
 _FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
+_SIGMAS = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?:sigma|σ)\s*", re.IGNORECASE | re.ASCII)
 _MOST_FIELDS = 64  # largest number of fields in a ray's state
 _SHOWN = ("matter", "surface", "max", "min", "mean")
 _SOUGHT = ("largest", "smallest", "any")
@@ -213,9 +214,11 @@ class Isosurface(Mode):
 
     Parameters
     ----------
-    isovalue : float, optional
+    isovalue : float or str, optional
         The value of the surface; by default Otsu's threshold of the histogram, but never within the step at the
-        edge of a mask.
+        edge of a mask. "3sigma" (or "3σ", "-1.5 sigma") is the mean of all finite samples plus 3 of their standard
+        deviations, as maps of electron microscopy and crystallography are shown; of a volume larger than memory, of those of
+        its `LazyVolume.preview`.
     color : three numbers or a name
         Colour of the surface: red, green and blue in 0..1, a name or a hex code.
     shading : bool
@@ -231,7 +234,7 @@ class Isosurface(Mode):
         around it, 0 to 1.
     """
 
-    isovalue: float | None = None
+    isovalue: float | str | None = None
     color: Sequence[float] | str = (0.93, 0.87, 0.76)
     shading: bool = True
     method: Literal["exact", "stepped"] = "exact"
@@ -246,7 +249,9 @@ class Isosurface(Mode):
     BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3))
 
     def __post_init__(self) -> None:
-        if self.isovalue is not None:
+        if isinstance(self.isovalue, str):
+            _sigmas(self.isovalue)
+        elif self.isovalue is not None:
             _set(self, isovalue=number("isovalue", self.isovalue))
         _set(self, color=color_of("color", self.color), shading=_switch("shading", self.shading))
         _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
@@ -265,10 +270,10 @@ class Isosurface(Mode):
 
     @property
     def surface(self) -> float | None:
-        return self.isovalue
+        return None if isinstance(self.isovalue, str) else self.isovalue
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
-        assert self.isovalue is not None  # settled
+        assert isinstance(self.isovalue, float)  # settled
         return low <= self.isovalue <= high
 
     def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002
@@ -279,10 +284,13 @@ class Isosurface(Mode):
         return "surfaces of method 'stepped' or between labels, which are between two samples" if between else ""
 
     def settled(self, volume: Volume) -> Self:
+        if isinstance(self.isovalue, str):
+            mean, deviation = spread_of(volume)
+            return replace(self, isovalue=mean + _sigmas(self.isovalue) * deviation)
         return self if self.isovalue is not None else replace(self, isovalue=isovalue_of(volume)[0])
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
-        assert self.isovalue is not None  # settled
+        assert isinstance(self.isovalue, float)  # settled
         return self.BLOCK(isovalue=stored(self.isovalue), tolerance=self.tolerance, color=self.color)
 
 
@@ -434,6 +442,14 @@ def _set(mode: Mode, **values: Any) -> None:
     """Set fields of a frozen mode."""
     for name, value in values.items():
         object.__setattr__(mode, name, value)
+
+
+def _sigmas(text: str) -> float:
+    """The number in "3sigma"."""
+    match = _SIGMAS.fullmatch(text)
+    if match is None:
+        raise OptionError(f"isovalue must be a number, or standard deviations above the mean as '3sigma'; got {text[:80]!r}")
+    return number("isovalue", float(match[1]))
 
 
 def _switch(what: str, value: object) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import one_of, warn
+from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.shown import Named
 from clvol.volume.histogram import Matter, label_numbers, matter_of, may_be_hounsfield
@@ -126,13 +127,15 @@ def of_labels(volume: Volume) -> tuple[Colors, Opacities]:
     for number in numbers.tolist():
         opacity = float(number != background)
         for end in (number - 0.5, number + 0.5):
-            colors.append((end, label_color(int(number)) if opacity else BLACK))
+            colors.append((end, label_color(int(number), volume) if opacity else BLACK))
             opacities.append((end, opacity))
     return tuple(colors), tuple(opacities)
 
 
-def label_color(number: int) -> Color:
-    """The colour of a label, from its number only; neighbouring numbers have distinct colours."""
+def label_color(number: int, volume: Volume | None = None) -> Color:
+    """The colour of a label: that of the volume's file, else one for its number; neighbouring numbers have distinct colours."""
+    if volume is not None and str(number) in (given := volume.header.get("label_colors", {})):
+        return color_of("a label's color", given[str(number)])
     return colorsys.hsv_to_rgb((0.02 + _GOLDEN * (number - 1)) % 1, *_TONES[number % len(_TONES)])
 
 

@@ -205,7 +205,7 @@ class Catalog:
         listing, words = self._listing(which), words.strip().casefold()
         found = listing.search(words) if words else range(listing.numbers.size)
         numbers = [int(listing.numbers[i]) for i in found[:_LISTED]]
-        return [[n, labels.name_of(volume, n), list(label_color(n))] for n in numbers], len(found)
+        return [[n, labels.name_of(volume, n), list(label_color(n, volume))] for n in numbers], len(found)
 
     def known(self, which: Which) -> bool:
         """Whether what takes long to compute of a volume was computed once: see `mark_known`."""

@@ -8,6 +8,7 @@ threshold (1979): the lower, unless nearly all samples on the volume's faces are
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base.scaling import exponent_of, scaled, unscaled
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["Matter", "Projection", "clims_of", "isovalue_of", "label_numbers", "matter_of", "may_be_hounsfield"]
+__all__ = ["Matter", "Projection", "clims_of", "isovalue_of", "label_numbers", "matter_of", "may_be_hounsfield", "spread_of"]
 
 Array = NDArray[np.float64]
 Made = TypeVar("Made")
@@ -142,6 +143,21 @@ def matter_of(volume: Volume) -> Matter:
     # signed distances fall, then rise: merge the two sorted parts
     away = np.sort(np.abs(values - origin), kind="stable") if signed else np.maximum(sign * (values - origin), 0)[::sign]
     return _parted(away, exponent, origin, ground, sign, signed=signed, span=float(scaled(high, exponent) - scaled(low, exponent)))
+
+
+@_remembered
+def spread_of(volume: Volume) -> tuple[float, float]:
+    """Mean and standard deviation of all finite samples."""
+    low, high = volume.limits
+    exponent = exponent_of(float(low), float(high)) if np.isfinite((low, high)).all() else 0
+
+    def mean(of: Callable[[Array], Array]) -> float:
+        parts = ((values := scaled(part, exponent))[np.isfinite(values)] for part in volume.data)
+        sums = [(float(of(part).sum()), part.size) for part in parts]
+        return math.fsum(total for total, _ in sums) / max(1, sum(count for _, count in sums))
+
+    middle = mean(lambda values: values)
+    return unscaled(middle, exponent), unscaled(math.sqrt(mean(lambda values: np.square(values - middle))), exponent)
 
 
 def isovalue_of(volume: Volume | ArrayLike) -> tuple[float, str]:

@@ -29,7 +29,7 @@ from clvol.volume.volumes import Leading, Volumes
 
 __all__ = ["lazily", "read", "series", "write"]
 
-_OME_NAMES = {"": "pixel", "um": "µm", "inch": "in"}
+_OME_NAMES = {"": "pixel", "angstrom": "Å", "um": "µm", "inch": "in"}
 _MEANINGS = {"T": "time", "C": "channel", "S": "channel", "Z": "z", "Y": "y", "X": "x", "R": "position"}  # of tifffile's letters
 _OTHERS = {"A": "angle", "P": "phase", "H": "lifetime", "E": "wavelength", "L": "exposure", "V": "event"}  # Q, I: unknown
 _IN_COLOUR = (2, 6)  # photometric interpretations: RGB, YCbCr

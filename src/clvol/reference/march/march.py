@@ -360,7 +360,7 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
 
 
 def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    assert mode.isovalue is not None  # it is settled
+    assert isinstance(mode.isovalue, float)  # it is settled
     if mode.method == "exact":
         depth = first_crossings(scene.value, scene.volume, scene.filter, rays, mode.isovalue)
     else:

@@ -1235,7 +1235,8 @@ class Panel {
     this.cmap.show(state.cmap);
     this.opacity.show(state.opacity ?? 1);
     this.opacity.element.hidden = Boolean(state.transfer);
-    this.transfer.show(state.transfer?.points ?? viewer.effective.transfer?.points, state.mode === "isosurface" ? (state.options.isovalue ?? viewer.effective.options?.isovalue) : null);
+    const isovalue = typeof state.options.isovalue === "number" ? state.options.isovalue : viewer.effective.options?.isovalue; // not "3sigma"
+    this.transfer.show(state.transfer?.points ?? viewer.effective.transfer?.points, state.mode === "isosurface" ? isovalue : null);
     this.filter.show(state.filter);
     this.boundary.show(state.boundary);
     this.step.show(state.step);
