@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.axes import AXES, meaning
 from clvol.base.errors import DataError
-from clvol.base.units import scale, unit_name
+from clvol.base.units import in_one_unit
 from clvol.bricks.sliced import Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
@@ -150,7 +150,7 @@ def by_names(
     named = any(words)
     words = words if named else unnamed(array.shape, array.dtype)
     layout = lay_out(source, words, array.shape, asked=choose.given)
-    placed = place(layout, *lines_of(layout))
+    placed = place(source, layout, *lines_of(layout))
     leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
     data, chosen = layout.chosen(source, choose, lambda index: decoded(load(source, array, index), dict(array.attrs)), leading)
     return data, placed | chosen
@@ -169,17 +169,13 @@ def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:
     return (float(values[0]), step) if even else None
 
 
-def place(layout: Layout, lines: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> dict[str, Any]:
+def place(source: str, layout: Layout, lines: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> dict[str, Any]:
     """Geometry of a grid from the first coordinate and the step along its axes, and their units.
 
     Without these, an axis begins at 0 with a step of 1. Lengths are converted to one unit.
     """
     axes = [axis for axis in "xyz" if axis in layout.axes]
-    names = {axis: unit_name(units.get(axis, "")) for axis in axes}
-    unit = next(filter(None, names.values()), "")
-    factors = {axis: scale(names[axis] or unit, unit) for axis in axes}
-    if any(map(math.isnan, factors.values())):  # degrees beside metres
-        unit, factors = "", dict.fromkeys(axes, 1.0)
+    unit, factors = in_one_unit(source, {axis: units.get(axis, "") for axis in axes})
     firsts, steps = zip(*(lines.get(axis, (0.0, 1.0)) for axis in axes), strict=True)
     about: dict[str, Any] = {
         "spacing": [abs(step) * factors[axis] for axis, step in zip(axes, steps, strict=True)],
@@ -207,23 +203,43 @@ def scaled_part(part: Window, slope: float, offset: float) -> Window:
 
 
 def decoded(data: Any, attributes: Mapping[str, Any]) -> Any:
-    """Samples by the conventions of netCDF: missing ones NaN, the others scaled and shifted.
+    """Samples by the conventions of netCDF: signed or not, missing and invalid ones NaN, the others scaled and shifted.
 
-    Those of a `Window` are floating if any could be missing.
+    Those of a `Window` are floating if any could be missing. As in netCDF4-python, valid values are those of stored samples, and
+    limits that the samples' type does not hold are ignored.
     """
+    stored = np.dtype(data.dtype)
+    sign = {"true": "u", "false": "i"}.get(str(np.ravel(np.asarray(attributes.get("_Unsigned", ""), str))[0]).lower())
+    dtype = np.dtype(f"{stored.byteorder}{sign}{stored.itemsize}") if sign and stored.kind in "iu" else stored
 
-    def given(name: str, default: float) -> float:
-        value = np.asarray(attributes.get(name, default))
-        return float(value.flat[0]) if value.size == 1 and value.dtype.kind in "iuf" else default
+    def given(name: str) -> list[float]:
+        value = np.ravel(attributes.get(name, ()))
+        if value.dtype.kind not in "iuf":
+            return []
+        alike = (value.dtype.kind, value.dtype.itemsize) == (stored.kind, stored.itemsize)
+        return list((value.astype(stored).view(dtype) if alike else value).tolist())
 
-    slope, offset, missing = given("scale_factor", 1.0), given("add_offset", 0.0), given("_FillValue", math.nan)
-    if isinstance(data, Window):
-        if math.isnan(missing) and slope == 1 and offset == 0:
-            return data
-        probe = np.full(1, 0 if math.isnan(missing) else missing).astype(data.dtype)
-        return data.mapped(lambda part: np.asarray(decoded(part, attributes)), decoded(probe, attributes).dtype)
-    gone = None if math.isnan(missing) else data == missing
-    if gone is not None and gone.any():
-        data = data.astype(np.result_type(data.dtype, np.float32), copy=True)
-        data[gone] = np.nan
-    return scaled(data, slope, offset)
+    slope, offset = (*given("scale_factor"), 1.0)[0], (*given("add_offset"), 0.0)[0]
+    missing = {value for name in ("_FillValue", "missing_value") for value in given(name) if not math.isnan(value)}
+    ends = given("valid_range") or [(*given("valid_min"), -math.inf)[0], (*given("valid_max"), math.inf)[0]]
+    held = len(ends) == 2 and (dtype.kind == "f" or all(math.isinf(end) or end == int(end) for end in ends))
+    low, high = ends if held else (-math.inf, math.inf)
+    least, most = (-math.inf, math.inf) if dtype.kind in "bf" else (np.iinfo(dtype).min, np.iinfo(dtype).max)
+    some = bool(missing) or least < low or high < most
+
+    def values(part: NDArray[Any], always: bool) -> NDArray[Any]:
+        part = part.view(dtype)
+        if some:
+            gone = (part < low) | (part > high)
+            for value in missing:
+                gone |= part == value
+            if always or gone.any():
+                part = part.astype(np.result_type(dtype, np.float32))
+                part[gone] = np.nan
+        return scaled(part, slope, offset)
+
+    if not isinstance(data, Window):
+        return values(data, False)
+    if not some and dtype == stored and slope == 1 and offset == 0:
+        return data
+    return data.mapped(lambda part: values(part, some), values(np.zeros(1, stored), some).dtype)
