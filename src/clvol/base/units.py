@@ -84,15 +84,15 @@ def scale(unit: str, to: str) -> float:
 def in_one_unit(source: str, units: Mapping[str, str]) -> tuple[str, dict[str, float]]:
     """One unit for the axes of `source`, from a unit for each, and the factors to it. Axes without a unit have that of the others.
 
-    Axes whose units cannot be converted, as degrees beside metres, have no unit, and factors of 1; a warning says so.
+    Axes whose units cannot be converted, as degrees or pixels beside metres, have no unit, and factors of 1; a warning says so.
     """
-    names = {axis: unit_name(unit) for axis, unit in units.items()}
+    names = {axis: unit_name(unit) or ("pixel" if unit else "") for axis, unit in units.items()}
     unit = next(filter(None, names.values()), "")
     factors = {axis: scale(name or unit, unit) for axis, name in names.items()}
     if not any(map(math.isnan, factors.values())):
-        return unit, factors
+        return unit_name(unit), factors
     if not METRES.keys().isdisjoint(names.values()):
-        listed = ", ".join(f"{axis} in {name or 'none'}" for axis, name in names.items())
+        listed = ", ".join(f"{axis} in {name}" for axis, name in names.items() if name)
         warn(f"{source} has axes of different units ({listed}), which were taken as they are: spacing= replaces them")
     return "", dict.fromkeys(names, 1.0)
 

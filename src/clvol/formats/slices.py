@@ -114,7 +114,7 @@ def _slice(path: Path) -> tuple[NDArray[Any], Leading, dict[str, Any]]:
         raise DataError(
             f"{path.parent} must hold one slice a file; {path.name} holds {leading} of shape {samples.shape}: read it by itself"
         )
-    return samples, leading, {key: geometry[key] for key in ("spacing", "units", "space")}
+    return samples, leading, {key: geometry[key] for key in ("spacing", "units", "space", "unplaced")}
 
 
 def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
