@@ -48,7 +48,7 @@ class Layout:
         return tuple(n for axis, n in zip(self.axes, self.shape, strict=True) if axis in AXES)
 
     def saying_where_spacing_is_missing(self, spacing: Mapping[str, float]) -> Layout:
-        """This layout, whose messages name the axes along which the spacing is NaN: it is missing there, and 1 is taken."""
+        """The layout, whose messages name the axes along which the spacing is NaN: it is missing there, and 1 is taken."""
         unknown = [axis for axis in "xyz" if axis in self.axes and math.isnan(spacing.get(axis, 1.0))]
         text = f"it gives no spacing along {' and '.join(unknown)}, where 1 was taken: spacing= replaces it" if unknown else ""
         return replace(self, guessed="; ".join(filter(None, (self.guessed, text))))
