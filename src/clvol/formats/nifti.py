@@ -195,7 +195,7 @@ def _read(path: Path, header: _Header, choose: Choice) -> Content:
 
 
 def write(what: Volume | Volumes, path: Path) -> None:
-    """Write samples exactly, and geometry in float32, as NIfTI stores it."""
+    """Write samples exactly, and geometry in float32, as NIfTI-1 stores it, or NIfTI-2 where that would move a sample."""
     grid = what.grid if isinstance(what, Volumes) else what
     if grid.units != "mm":
         require_default(grid, ["units"], "the format measures in mm; .npz")

@@ -29,7 +29,7 @@ _TIMES = ("sec", "msec", "usec")
 _LABELS, _VECTORS, _TIME_SERIES = 1002, (1006, 1007), 2001  # NIfTI's intent codes
 _SHAPES = {_LABELS, *_VECTORS, 1008, _TIME_SERIES, 2003, 2004}  # what samples show, and may have changed since
 _LONGEST = np.iinfo(np.int16).max  # axis of NIfTI-1
-_TOLERANCE = 1e-4  # relative; NIfTI keeps geometry in float32, and a larger error is no rounding
+_MOST_MOVED = 1e-3  # voxels, by the rounding of a header; NIfTI-1 keeps geometry in float32
 _DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 
 
@@ -177,15 +177,17 @@ def describe_nifti(header: Any, shape: Sequence[int], channels: int = 0) -> dict
 def to_nibabel(data: NDArray[Any], grid: Volume, leading: Leading | None = None) -> Any:
     """A nibabel image of NIfTI of samples [..., z, y, x], in RAS and mm: times are its fourth axis and channels the fifth.
 
-    Three or four channels of bytes that are colours become RGB(A). What `grid` keeps of a NIfTI header is written: the codes of
-    sform and qform, the intent with its parameters, texts and the time step. `clim` becomes cal_min and cal_max.
+    It is NIfTI-2 where NIfTI-1, whose geometry is in float32, would move a sample by more than a thousandth of a voxel, and for
+    axes of more than 32767 samples. Three or four channels of bytes that are colours become RGB(A). What `grid` keeps of a NIfTI
+    header is written: the codes of sform and qform, the intent with its parameters, texts and the time step. `clim` becomes
+    cal_min and cal_max.
 
     Raises
     ------
     DataError
         A dtype that NIfTI does not have, or more leading axes than channels and one other.
     GeometryError
-        Units that are no length; a geometry that float32 does not hold.
+        Units that are no length; a geometry that NIfTI does not hold.
     MissingDependencyError
         nibabel is not installed.
     """
@@ -205,17 +207,24 @@ def to_nibabel(data: NDArray[Any], grid: Volume, leading: Leading | None = None)
             array = array[0]
     mm = millimetres(grid.units)
     affine = ras_affine(np.multiply(grid.spacing, mm), np.multiply(grid.origin, mm), grid.direction)
-    kind = library.Nifti1Image if max(array.shape) <= _LONGEST else library.Nifti2Image
-    with np.errstate(over="ignore"):  # checked below
-        image = kind(array.T, affine, dtype=array.dtype)
-    _write_header(image, affine, grid, frames, leading)
-    with np.errstate(over="ignore", invalid="ignore"):
-        kept = image.header.get_best_affine()
-        if not np.abs(kept - affine).max() <= _TOLERANCE * np.abs(affine).max():
-            raise GeometryError(
-                f"NIfTI holds a geometry in float32, and cannot hold {affine.tolist()}, it would become {kept.tolist()}"
-            )
-    return image
+    for kind in (library.Nifti1Image, library.Nifti2Image)[max(array.shape) > _LONGEST :]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            image = kind(array.T, affine, dtype=array.dtype)
+            _write_header(image, affine, grid, frames, leading)
+            moved = _moved(image, affine)
+        if moved <= _MOST_MOVED:
+            return image
+        if not math.isfinite(moved):
+            break
+    kept = image.header.get_best_affine()
+    raise GeometryError(f"NIfTI holds a geometry in float32, and cannot hold {affine.tolist()}, it would become {kept.tolist()}")
+
+
+def _moved(image: Any, affine: NDArray[np.float64]) -> float:
+    """Voxels by which the header of an image moves a corner of the grid."""
+    last = np.array([*image.shape[:3], 1, 1])[:3] - 1
+    corners = np.array([[*np.multiply(corner, last), 1] for corner in np.ndindex(2, 2, 2)]).T
+    return float(np.abs(np.linalg.solve(affine, (image.header.get_best_affine() - affine) @ corners)).max())
 
 
 def _write_header(image: Any, affine: NDArray[np.float64], grid: Volume, frames: int | None, leading: Leading | None) -> None:
