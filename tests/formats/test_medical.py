@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import shutil
 import struct
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.base.errors import ClvolWarning, DataError, FormatError, OptionError
+from clvol.base.errors import ClvolWarning, DataError, FormatError, GeometryError, OptionError
 from clvol.formats import read, read_all, write
 from clvol.interop.itk import describe_simpleitk
 from clvol.interop.nibabel import describe_nibabel
@@ -193,6 +194,56 @@ def test_nifti_2_and_pairs(tmp_path: Path, order: str) -> None:
     write(long, tmp_path / "long.nii")
     assert isinstance(nibabel.load(tmp_path / "long.nii"), nibabel.Nifti2Image)
     np.testing.assert_array_equal(read(tmp_path / "long.nii").data, long.data)
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+@pytest.mark.parametrize("after", [4, 0])
+def test_a_vox_offset_of_0(tmp_path: Path, suffix: str, after: int) -> None:
+    """Samples end with the file; where they begin right after the header, ITK is the witness."""
+    data = np.arange(60, dtype=np.int16).reshape(3, 4, 5)
+    content = nibabel.Nifti1Image(data, np.diag([2, 3, 4, 1])).to_bytes()
+    content = content[:108] + bytes(4) + content[112:348] + bytes(after) + content[352:]
+    path = tmp_path / f"v{suffix}"
+    path.write_bytes(gzip.compress(content) if suffix == ".nii.gz" else content)
+    with pytest.warns(ClvolWarning, match=f"its vox_offset is 0, and its samples were taken to begin at byte {348 + after}"):
+        volume = clvol.read(path)
+    np.testing.assert_array_equal(volume.data, data.T)
+    if not after:
+        np.testing.assert_array_equal(volume.data, sitk.GetArrayFromImage(sitk.ReadImage(str(path))))
+    path.write_bytes(gzip.compress(content[:-1]) if suffix == ".nii.gz" else content[:-1])
+    with pytest.raises(FormatError, match="must hold 120 bytes"):
+        clvol.read(path)
+
+
+def test_cifti_is_named(tmp_path: Path) -> None:
+    cifti = nibabel.cifti2
+    voxels = cifti.BrainModelAxis.from_mask(np.ones((1, 2, 5)), name="thalamus_left", affine=np.eye(4))
+    image = cifti.Cifti2Image(np.zeros((4, 10), np.float32), header=(cifti.SeriesAxis(0, 1, 4), voxels))
+    image.to_filename(tmp_path / "v.dtseries.nii")
+    with pytest.raises(FormatError, match=r"v\.dtseries\.nii must hold a volume; it is CIFTI-2.*wb_command"):
+        clvol.read(tmp_path / "v.dtseries.nii")
+    with pytest.raises(DataError, match="must hold a volume; it is CIFTI-2"):
+        Volume(nibabel.load(tmp_path / "v.dtseries.nii"))
+
+
+@pytest.mark.parametrize(
+    ("codes", "at", "message"),
+    [
+        ((0, 1), 280, r"its sform \(srow\) must give each axis a finite length that is not 0; its header says \[0\.0, 0\.0"),
+        ((0, 0), 80, r"its pixdim must give each axis a finite length that is not 0; its header says \[1\.0, 0\.0"),
+        ((1, 0), 80, r"its pixdim must give each axis a finite length that is not 0; its header says \[1\.0, 0\.0"),
+    ],
+)
+def test_nifti_without_lengths(tmp_path: Path, codes: tuple[int, int], at: int, message: str) -> None:
+    content = bytearray(nibabel.Nifti1Image(np.zeros((3, 4, 5), np.uint8), np.eye(4)).to_bytes())
+    content[252:256] = struct.pack("<hh", *codes)
+    content[at : at + 4] = bytes(4)
+    (tmp_path / "v.nii").write_bytes(content)
+    for call in (clvol.read, clvol.open):
+        with pytest.raises(GeometryError, match=message):
+            call(tmp_path / "v.nii")
+        placed = call(tmp_path / "v.nii", spacing=(1, 2, 3), direction=np.eye(3))
+        assert placed.spacing == (1, 2, 3)
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,29 @@ if TYPE_CHECKING:
     from clvol.volume.volume import Volume
     from clvol.volume.volumes import Leading
 
-__all__ = ["NIBABEL", "NIFTI_MILLIMETRES", "describe_nibabel", "describe_nifti", "nibabel", "same_place", "to_nibabel"]
+__all__ = [
+    "CIFTI",
+    "NIBABEL",
+    "NIFTI_MILLIMETRES",
+    "NO_VOLUME",
+    "describe_nibabel",
+    "describe_nifti",
+    "nibabel",
+    "same_place",
+    "to_nibabel",
+]
 
 NIFTI_MILLIMETRES = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
 """Millimetres of the unit of length that NIfTI's ``xyzt_units & 7`` stands for: none, m, mm and µm."""
+
+CIFTI = range(3000, 3100)
+"""NIfTI's intent codes of CIFTI-2."""
+
+NO_VOLUME = (
+    "must hold a volume; it is CIFTI-2: values at vertices of a surface and at some voxels, with the axes of a matrix. nibabel "
+    "reads it, and `wb_command -cifti-separate FILE COLUMN -volume-all OUT.nii.gz` makes a volume of its voxels"
+)
+"""What messages say of CIFTI-2."""
 
 _TIME_UNITS = {0: "unknown", 8: "sec", 16: "msec", 24: "usec", 32: "hz", 40: "ppm", 48: "rads"}
 """nibabel's names of ``xyzt_units & 56``."""
@@ -57,7 +76,7 @@ def describe_nibabel(image: Any) -> dict[str, Any]:
     Raises
     ------
     DataError
-        Fewer than two axes.
+        Fewer than two axes; CIFTI-2.
     GeometryError
         The affine is singular or not finite; the unit of length is unknown; an image of two axes lies across the world's
         xy plane.
@@ -66,6 +85,8 @@ def describe_nibabel(image: Any) -> dict[str, Any]:
     d = min(len(shape), 3)
     if d < 2:
         raise DataError(f"data must have 2 or 3 axes; got a nibabel image of shape {shape}")
+    if not hasattr(image, "affine"):
+        raise DataError(f"the nibabel image {NO_VOLUME}")
     affine = np.asarray(image.affine, dtype=np.float64)
     if not np.isfinite(affine).all() or (np.linalg.norm(affine[:3, :3], axis=0) == 0).any():
         raise GeometryError(f"the image's affine must be finite and not singular; got {image.affine!r}")
@@ -96,7 +117,7 @@ def from_nibabel(image: Any) -> Content:
 
 
 NIBABEL = Kind(
-    lambda source: hasattr(source, "affine") and hasattr(source, "dataobj"),
+    lambda source: hasattr(source, "header") and hasattr(source, "dataobj"),
     describe_nibabel,
     lambda image: tuple(int(n) for n in image.shape[:3][::-1]),
     lambda image: from_nibabel(image)[0],
