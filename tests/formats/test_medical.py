@@ -196,6 +196,22 @@ def test_nifti_2_and_pairs(tmp_path: Path, order: str) -> None:
     np.testing.assert_array_equal(read(tmp_path / "long.nii").data, long.data)
 
 
+@pytest.mark.parametrize(("ndims", "surplus"), [(2, "ElementSpacing"), (2, "Offset"), (2, "Position"), (3, "ElementSpacing")])
+def test_metaimages_with_more_numbers_than_axes(tmp_path: Path, ndims: int, surplus: str) -> None:
+    """ITK reads the first; some programs write three spacings for two axes."""
+    fields = {"NDims": ndims, "DimSize": "4 3 2"[: 2 * ndims - 1], "ElementSpacing": "0.5 0.25 2 9", "ElementType": "MET_UCHAR"}
+    fields["ElementSpacing"] = " ".join(fields["ElementSpacing"].split()[: ndims + (surplus == "ElementSpacing")])
+    if surplus != "ElementSpacing":
+        fields[surplus] = "7 8 9"
+    text = "".join(f"{key} = {value}\n" for key, value in fields.items()) + "ElementDataFile = LOCAL\n"
+    (tmp_path / "foot.mha").write_bytes(text.encode() + bytes(range(12 * (ndims - 1))))
+    with pytest.warns(ClvolWarning, match=rf"foot\.mha gives {ndims + 1} numbers for {surplus} of {ndims} axes"):
+        volume = clvol.read(tmp_path / "foot.mha")
+    image = sitk.ReadImage(str(tmp_path / "foot.mha"))
+    np.testing.assert_array_equal(volume.data, sitk.GetArrayFromImage(image))
+    assert (volume.spacing, volume.origin) == (image.GetSpacing(), image.GetOrigin())
+
+
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
 @pytest.mark.parametrize("after", [4, 0])
 def test_a_vox_offset_of_0(tmp_path: Path, suffix: str, after: int) -> None:
