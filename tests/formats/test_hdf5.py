@@ -128,8 +128,38 @@ def test_dimension_scales(tmp_path: Path) -> None:
     np.testing.assert_allclose(volume.index_to_world([[0, 0, 0], [1, 2, 3]]), [[0, 50, 1], [20, 30, 4]])
     with h5py.File(tmp_path / "v.nc", "a") as file:
         file["level"][:] = [1, 2, 4, 8]
-    with pytest.raises(GeometryError, match="spacing="):
-        clvol.read(tmp_path / "v.nc", time=0)
+    expected = "coordinates along z must be evenly spaced.*they lie 1 to 4 apart, as 4 and 8 at indices 2 and 3 do; spacing="
+    for call in (clvol.read, clvol.open):
+        with pytest.raises(GeometryError, match=expected):
+            call(tmp_path / "v.nc", time=0)
+        assert call(tmp_path / "v.nc", time=0, spacing=(1, 2, 3)).spacing == (1, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ([1.0, 2, 2, 3], "they lie 0 to 1 apart, as 2 and 2 at indices 1 and 2 do"),
+        ([1.0, np.nan, 3, 4], "coordinates along z must be finite; that at index 1 is not"),
+        ([5, 5, 5, 5], "they lie 0 to 0 apart"),
+        (np.array([b"a", b"b", b"c", b"d"]), "coordinates along z must be numbers; they are"),
+    ],
+)
+def test_coordinates_that_give_no_spacing(tmp_path: Path, values: Any, message: str) -> None:
+    with h5py.File(tmp_path / "v.nc", "w") as file:
+        file["t"], file["z"] = DATA[0, 0, :, :, :][: len(values)], values
+        file["z"].make_scale("z")
+        file["t"].dims[0].attach_scale(file["z"])
+    with pytest.raises(GeometryError, match=message):
+        clvol.read(tmp_path / "v.nc")
+
+
+def test_one_coordinate_is_a_place(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "v.nc", "w") as file:
+        file["t"], file["z"] = DATA[0, 0, :1], [7.5]
+        file["z"].make_scale("z")
+        file["t"].dims[0].attach_scale(file["z"])
+    volume = clvol.read(tmp_path / "v.nc")
+    assert (volume.spacing, volume.origin) == ((1, 1, 1), (0, 0, 7.5))
 
 
 CODED: dict[str, tuple[str, dict[str, Any]]] = {

@@ -19,14 +19,17 @@ from clvol.formats._files import scaled
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
-__all__ = ["Layout", "by_names", "decoded", "lay_out", "place", "scaled_part", "shrunk", "uniform", "unnamed"]
+__all__ = ["Layout", "Line", "by_names", "decoded", "lay_out", "place", "scaled_part", "shrunk", "unnamed"]
 
 _UNNAMED = {1: ("volume",), 2: ("time", "channel"), 3: ("time", "position", "channel")}
 _OFF = 1e-3  # deviation of evenly spaced coordinates, in steps; float32 has that on long axes
 
 
-Lines: TypeAlias = tuple[dict[str, tuple[float, float]], dict[str, str]]
-"""First coordinate and step, and unit, of axes."""
+Line: TypeAlias = "tuple[float, float] | NDArray[Any]"
+"""First coordinate and step of an axis, or all coordinates."""
+
+Lines: TypeAlias = tuple[dict[str, Line], dict[str, str]]
+"""Coordinates, and units, of axes."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +154,7 @@ def by_names(
 ) -> Content:
     """The chosen volumes of an array of netCDF's kind, whose axes may have names, and attributes say how samples are decoded.
 
-    `load` returns its samples at an index, `lines_of` first coordinates, steps and units of axes, as `place` takes them.
+    `load` returns its samples at an index, `lines_of` coordinates and units of axes, as `place` takes them.
     """
     named = any(words)
     words = words if named else unnamed(array.shape, array.dtype)
@@ -162,35 +165,53 @@ def by_names(
     return data, placed | chosen
 
 
-def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:
-    """First value and step of coordinates; None if they are not evenly spaced."""
+def line_of(axis: str, coordinates: ArrayLike) -> tuple[float, float, str]:
+    """First value and step of coordinates along an axis; if they are not evenly spaced the step is NaN, and the text says why."""
     values = np.asarray(coordinates)
-    if values.ndim != 1 or values.dtype.kind not in "iuf" or len(values) < 2:
-        return None
+    what = f"its coordinates along {axis} must be"
+    if values.dtype.kind not in "iuf":
+        return 0.0, math.nan, f"{what} numbers; they are {values.dtype}"
+    if not np.isfinite(values).all():
+        return 0.0, math.nan, f"{what} finite; that at index {int(np.argmin(np.isfinite(values)))} is not"
     values = values.astype(np.float64)
+    if len(values) < 2:
+        return float(values[0]), 1.0, ""
     step = float(values[-1] - values[0]) / (len(values) - 1)
-    if not math.isfinite(step) or step == 0:
-        return None
-    even = bool(np.abs(values - values[0] - step * np.arange(len(values))).max() <= _OFF * abs(step))
-    return (float(values[0]), step) if even else None
+    if step and np.abs(values - values[0] - step * np.arange(len(values))).max() <= _OFF * abs(step):
+        return float(values[0]), step, ""
+    gaps = np.diff(values)
+    odd = int(np.argmax(np.abs(gaps - np.median(gaps))))
+    pair = f"{values[odd]:.9g} and {values[odd + 1]:.9g} at indices {odd} and {odd + 1}"
+    found = f"they lie {gaps.min():.9g} to {gaps.max():.9g} apart, as {pair} do"
+    return float(values[0]), math.nan, f"{what} evenly spaced, to within {_OFF:g} of a step; {found}"
 
 
-def place(source: str, layout: Layout, lines: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> dict[str, Any]:
-    """Geometry of a grid from the first coordinate and the step along its axes, and their units.
+def place(source: str, layout: Layout, lines: Mapping[str, Line], units: Mapping[str, str]) -> dict[str, Any]:
+    """Geometry of a grid from coordinates along its axes, or their first and their step, and units.
 
-    Without these, an axis begins at 0 with a step of 1. Lengths are converted to one unit.
+    Without these, an axis begins at 0 with a step of 1. Lengths are converted to one unit. What is wrong is under "unplaced".
     """
     axes = [axis for axis in "xyz" if axis in layout.axes]
     unit, factors = in_one_unit(source, {axis: units.get(axis, "") for axis in axes})
-    firsts, steps = zip(*(lines.get(axis, (0.0, 1.0)) for axis in axes), strict=True)
+    found = {axis: lines.get(axis, (0.0, 1.0)) for axis in axes}
+    firsts, steps, wrong = zip(*(_checked(axis, line) for axis, line in found.items()), strict=True)
     about: dict[str, Any] = {
         "spacing": [abs(step) * factors[axis] for axis, step in zip(axes, steps, strict=True)],
         "origin": [first * factors[axis] for axis, first in zip(axes, firsts, strict=True)],
         "units": unit,
     }
-    if min(steps) < 0:  # latitudes from north to south
+    if any(step < 0 for step in steps):  # latitudes from north to south
         about["direction"] = np.diag([math.copysign(1.0, step) for step in steps])
-    return about
+    return about | ({"unplaced": "; ".join(filter(None, wrong))} if any(wrong) else {})
+
+
+def _checked(axis: str, line: Line) -> tuple[float, float, str]:
+    """First coordinate, step, and what is wrong with them."""
+    if not isinstance(line, tuple):
+        return line_of(axis, line)
+    first, step = line
+    sound = math.isfinite(first) and math.isfinite(step)
+    return first, step, "" if sound else f"its origin and spacing along {axis} must be finite; found {first} and {step}"
 
 
 def shrunk(base: Content, content: Content) -> Content:

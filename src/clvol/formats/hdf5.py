@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.bricks.sliced import Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at, damaged_chunk, sample_count
-from clvol.formats._layout import Layout, by_names, lay_out, uniform
+from clvol.formats._layout import Layout, Line, by_names, lay_out
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
@@ -189,11 +188,11 @@ def _listed(array: Any) -> Series:
     return Series(array.name.lstrip("/"), array.dtype.name, tuple(array.shape))
 
 
-def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[int, str]]:
-    """Name of each axis or ""; first coordinate and step, and unit, of axes where they are known."""
+def _axes(array: Any) -> tuple[list[str], dict[int, Line], dict[int, str]]:
+    """Name of each axis or ""; coordinates and unit of axes where they are known."""
     attributes, count = array.attrs, array.ndim
     words = _texts(attributes.get("axes", ()), count) or [str(dimension.label) for dimension in array.dims]
-    lines: dict[int, tuple[float, float]] = {}
+    lines: dict[int, Line] = {}
     units: dict[int, str] = {}
     for i, dimension in enumerate(array.dims):
         scales = [scale for scale in dimension.values() if scale.shape == (array.shape[i],)]
@@ -201,7 +200,7 @@ def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[i
             continue
         words[i] = _text(scales[0].attrs.get("axis")) or words[i] or scales[0].name.rpartition("/")[2]
         if not _text(scales[0].attrs.get("NAME")).startswith(_NO_VARIABLE):
-            lines[i] = uniform(loaded(array.name, scales[0])) or (0.0, math.nan if array.shape[i] > 1 else 1.0)
+            lines[i] = loaded(array.name, scales[0])
             units[i] = _text(scales[0].attrs.get("units"))
     for i, tag in enumerate(_tags(attributes.get("axistags"), count)):
         words[i] = str(tag.get("key", ""))
