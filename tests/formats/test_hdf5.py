@@ -153,6 +153,21 @@ def test_coordinates_that_give_no_spacing(tmp_path: Path, values: Any, message: 
         clvol.read(tmp_path / "v.nc")
 
 
+def test_spacings_that_are_none(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        group = file.create_group("ITKImage/0")
+        group["VoxelData"], group["Origin"], group["Directions"] = DATA[0, 0], np.zeros(3), np.eye(3)
+        group["Spacing"] = [np.nan, 1, 1]
+    np.savez(tmp_path / "v.npz", data=DATA[0, 0], spacing=[1, 0, np.nan])
+    for name, said in (
+        ("v.h5", r"its Spacing must be .*; found \[nan, 1\.0"),
+        ("v.npz", r"member spacing must be .*; found \[1\.0, 0"),
+    ):
+        with pytest.raises(GeometryError, match=said):
+            clvol.read(tmp_path / name)
+        assert clvol.read(tmp_path / name, spacing=(1, 2, 3)).spacing == (1, 2, 3)
+
+
 def test_one_coordinate_is_a_place(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "v.nc", "w") as file:
         file["t"], file["z"] = DATA[0, 0, :1], [7.5]

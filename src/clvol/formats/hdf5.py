@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.bricks.sliced import Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_series
-from clvol.formats._files import bytes_at, damaged_chunk, sample_count
+from clvol.formats._files import bytes_at, damaged_chunk, sample_count, unplaced_by
 from clvol.formats._layout import Layout, Line, by_names, lay_out
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
@@ -250,4 +250,4 @@ def _itk(source: str, array: Any, choose: Choice, load: Callable[..., Any]) -> C
     leading = Leading(layout.leading, layout.counts, vector="channel" in layout.leading and array.dtype.kind == "f")
     data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
     known = {"spacing": about["Spacing"], "origin": about["Origin"], "direction": about["Directions"].T, "space": "LPS"}
-    return data, known | chosen
+    return data, known | unplaced_by("its Spacing", about["Spacing"]) | chosen
