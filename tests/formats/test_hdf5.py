@@ -168,6 +168,17 @@ def test_spacings_that_are_none(tmp_path: Path) -> None:
         assert clvol.read(tmp_path / name, spacing=(1, 2, 3)).spacing == (1, 2, 3)
 
 
+def test_packed_coordinates(tmp_path: Path) -> None:
+    """As by xarray, which decodes coordinates as it does samples."""
+    with h5py.File(tmp_path / "v.nc", "w") as file:
+        file["t"], file["z"] = DATA[0, 0], np.arange(DATA.shape[2], dtype=np.int16)
+        file["z"].make_scale("z")
+        file["z"].attrs.update({"scale_factor": 0.5, "add_offset": 10.0})
+        file["t"].dims[0].attach_scale(file["z"])
+    volume = clvol.read(tmp_path / "v.nc")
+    assert (volume.spacing, volume.origin) == ((1, 1, 0.5), (0, 0, 10))
+
+
 def test_one_coordinate_is_a_place(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "v.nc", "w") as file:
         file["t"], file["z"] = DATA[0, 0, :1], [7.5]

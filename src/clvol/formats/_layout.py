@@ -251,7 +251,7 @@ def decoded(data: Any, attributes: Mapping[str, Any]) -> Any:
     ends = given("valid_range") or [(*given("valid_min"), -math.inf)[0], (*given("valid_max"), math.inf)[0]]
     held = len(ends) == 2 and (dtype.kind == "f" or all(math.isinf(end) or end == int(end) for end in ends))
     low, high = ends if held else (-math.inf, math.inf)
-    least, most = (-math.inf, math.inf) if dtype.kind in "bf" else (np.iinfo(dtype).min, np.iinfo(dtype).max)
+    least, most = (np.iinfo(dtype).min, np.iinfo(dtype).max) if dtype.kind in "iu" else (-math.inf, math.inf)
     some = bool(missing) or least < low or high < most
 
     def values(part: NDArray[Any], always: bool) -> NDArray[Any]:

@@ -14,7 +14,7 @@ from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.bricks.sliced import Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at, damaged_chunk, sample_count, unplaced_by
-from clvol.formats._layout import Layout, Line, by_names, lay_out
+from clvol.formats._layout import Layout, Line, by_names, decoded, lay_out
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
@@ -200,7 +200,7 @@ def _axes(array: Any) -> tuple[list[str], dict[int, Line], dict[int, str]]:
             continue
         words[i] = _text(scales[0].attrs.get("axis")) or words[i] or scales[0].name.rpartition("/")[2]
         if not _text(scales[0].attrs.get("NAME")).startswith(_NO_VARIABLE):
-            lines[i] = loaded(array.name, scales[0])
+            lines[i] = decoded(loaded(array.name, scales[0]), dict(scales[0].attrs))
             units[i] = _text(scales[0].attrs.get("units"))
     for i, tag in enumerate(_tags(attributes.get("axistags"), count)):
         words[i] = str(tag.get("key", ""))
