@@ -262,6 +262,10 @@ def test_dimensions_have_any_order(dims: str, names: tuple[str, ...], device: De
     assert_array_equal(volume.direction, np.diag([1, -1, 1]))
     assert as_grid(turned).shape == SHAPE
     assert_allclose(clvol.sample(turned, [[11, 2, 3]], device=device), clvol.sample(expected, [[11, 2, 3]], device=device))
+    lazy = clvol.LazyVolume(turned)
+    assert_array_equal(lazy.read((0, 0, 0), (6, 5, 4)).data, samples())
+    assert_array_equal(lazy.grid.index_to_world_matrix, expected.index_to_world_matrix)
+    assert clvol.LazyVolume(turned, spacing=(1, 2, 3)).spacing == (1, 2, 3)
     several = turned.expand_dims(time=2, axis=3)
     assert_array_equal(np.asarray(clvol.Volumes(several)), np.stack([samples()] * 2))
     assert_array_equal(clvol.resize(turned, turned.shape), turned.values)  # of arrays, not of places

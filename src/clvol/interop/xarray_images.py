@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from clvol.volume.volume import Volume
     from clvol.volume.volumes import Leading
 
-__all__ = ["LABELLED", "OWN", "in_order", "to_xarray"]
+__all__ = ["LABELLED", "OWN", "in_order", "is_labelled", "to_xarray"]
 
 _PLACE = {"size", "spacing", "origin", "direction"}  # attributes of a DataArray that `to_xarray` made
 _UNIFORM = 1e-3  # of a step, by which coordinates may be off: float32 ones are off by less
@@ -142,7 +142,8 @@ def _shape(array: Any) -> tuple[int, ...]:
 OWN = Kind(_is_own, _describe_own, _shape, _samples)
 
 
-def _is_labelled(source: Any) -> bool:
+def is_labelled(source: Any) -> bool:
+    """Whether it is an array of xarray."""
     return all(hasattr(source, name) for name in ("dims", "coords", "attrs", "isel", "dtype"))
 
 
@@ -181,4 +182,4 @@ def _describe_labelled(array: Any) -> dict[str, Any]:
     return about
 
 
-LABELLED = Kind(_is_labelled, _describe_labelled, lambda array: tuple(int(n) for n in in_order(array).shape[-3:]), _samples)
+LABELLED = Kind(is_labelled, _describe_labelled, lambda array: tuple(int(n) for n in in_order(array).shape[-3:]), _samples)
