@@ -208,6 +208,7 @@ def test_signed_and_unsigned_slices(tmp_path: Path) -> None:
         ({"ImagePositionPatient": None}, r"where each slice lies; 2\.dcm does not"),
         ({"ImagePositionPatient": [0, 0, 2]}, r"several images of some places.*[12]\.dcm and [12]\.dcm"),
         ({"ImagePositionPatient": [0, 0, 7]}, r"evenly spaced.*2 to 5 mm apart"),
+        ({"ImagePositionPatient": [1.2, 0, 3.6]}, r"on a line; they lie 2 mm apart, but 1\.dcm lies 0\.632\d+ mm beside the line"),
     ],
 )
 def test_a_slice_that_does_not_belong_is_named(tmp_path: Path, odd: dict[str, Any], said: str) -> None:

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tarfile
 import textwrap
+import warnings
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -475,13 +476,25 @@ def test_tiff_of_ome_with_several_units(tmp_path: Path) -> None:
     assert read.units == "nm"
 
 
-def test_tiff_without_slice_distance(tmp_path: Path) -> None:
+@pytest.mark.parametrize("axes", ["ZYX", "YX"])
+@pytest.mark.parametrize("given", ["X", "XY", "Z", "YZ"])
+def test_tiff_of_ome_with_some_sizes(tmp_path: Path, axes: str, given: str) -> None:
+    """Each is optional: a missing one is 1, and a warning names its axis."""
     tifffile = pytest.importorskip("tifffile")
-    metadata = {"axes": "ZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5}
-    tifffile.imwrite(tmp_path / "v.ome.tif", samples("uint8"), photometric="minisblack", metadata=metadata)
-    with pytest.raises(GeometryError, match="spacing="):
-        formats.read(tmp_path / "v.ome.tif")
-    assert formats.read(tmp_path / "v.ome.tif", spacing=(1, 1, 2)).spacing == (1, 1, 2)
+    sizes = {f"PhysicalSize{axis}": {"X": 0.5, "Y": 0.25, "Z": 2.0}[axis] for axis in given}
+    data = samples("uint8") if axes == "ZYX" else samples("uint8")[0]
+    tifffile.imwrite(tmp_path / "v.ome.tif", data, photometric="minisblack", metadata={"axes": axes, **sizes})
+    with tifffile.TiffFile(tmp_path / "v.ome.tif") as file:
+        assert [f"PhysicalSize{axis}=" in file.ome_metadata for axis in "XYZ"] == [axis in given for axis in "XYZ"]
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        read = formats.read(tmp_path / "v.ome.tif")
+    assert read.spacing == tuple(sizes.get(f"PhysicalSize{axis}", 1.0) for axis in "XYZ"[: read.ndim])
+    assert read.units == "um"
+    missing = [axis.lower() for axis in "XYZ"[: read.ndim] if axis not in given]
+    expected = [f"v.ome.tif: it gives no spacing along {' and '.join(missing)}, where 1 was taken"] if missing else []
+    assert [str(one.message).partition(": spacing=")[0] for one in warned] == expected
+    assert formats.read(tmp_path / "v.ome.tif", spacing=(1, 1, 2)[: read.ndim]).spacing == (1, 1, 2)[: read.ndim]
 
 
 @pytest.mark.parametrize("compression", [None, "zlib", "lzw"])
@@ -1040,7 +1053,7 @@ def test_nrrd_units_are_read(tmp_path: Path) -> None:
 def test_nrrd_with_unknown_spacing(tmp_path: Path, line: str) -> None:
     need(".nrrd")
     (tmp_path / "v.nrrd").write_bytes(f"{NRRD}{line}\n\n".encode() + BYTES)
-    with pytest.raises(GeometryError, match="spacing="):
+    with pytest.raises(GeometryError, match=r"its header must say how far apart .*; it says nan or none; spacing="):
         formats.read(tmp_path / "v.nrrd")
     assert formats.read(tmp_path / "v.nrrd", spacing=(1, 1, 2)).spacing == (1, 1, 2)
 

@@ -128,8 +128,144 @@ def test_dimension_scales(tmp_path: Path) -> None:
     np.testing.assert_allclose(volume.index_to_world([[0, 0, 0], [1, 2, 3]]), [[0, 50, 1], [20, 30, 4]])
     with h5py.File(tmp_path / "v.nc", "a") as file:
         file["level"][:] = [1, 2, 4, 8]
-    with pytest.raises(GeometryError, match="spacing="):
-        clvol.read(tmp_path / "v.nc", time=0)
+    expected = "coordinates along z must be evenly spaced.*they lie 1 to 4 apart, as 4 and 8 at indices 2 and 3 do; spacing="
+    for call in (clvol.read, clvol.open):
+        with pytest.raises(GeometryError, match=expected):
+            call(tmp_path / "v.nc", time=0)
+        assert call(tmp_path / "v.nc", time=0, spacing=(1, 2, 3)).spacing == (1, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ([1.0, 2, 2, 3], "they lie 0 to 1 apart, as 2 and 2 at indices 1 and 2 do"),
+        ([1.0, np.nan, 3, 4], "coordinates along z must be finite; that at index 1 is not"),
+        ([5, 5, 5, 5], "they lie 0 to 0 apart"),
+        (np.array([b"a", b"b", b"c", b"d"]), "coordinates along z must be numbers; they are"),
+    ],
+)
+def test_coordinates_that_give_no_spacing(tmp_path: Path, values: Any, message: str) -> None:
+    with h5py.File(tmp_path / "v.nc", "w") as file:
+        file["t"], file["z"] = DATA[0, 0, :, :, :][: len(values)], values
+        file["z"].make_scale("z")
+        file["t"].dims[0].attach_scale(file["z"])
+    with pytest.raises(GeometryError, match=message):
+        clvol.read(tmp_path / "v.nc")
+
+
+def test_spacings_that_are_none(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        group = file.create_group("ITKImage/0")
+        group["VoxelData"], group["Origin"], group["Directions"] = DATA[0, 0], np.zeros(3), np.eye(3)
+        group["Spacing"] = [np.nan, 1, 1]
+    np.savez(tmp_path / "v.npz", data=DATA[0, 0], spacing=[1, 0, np.nan])
+    for name, said in (
+        ("v.h5", r"its Spacing must be .*; found \[nan, 1\.0"),
+        ("v.npz", r"member spacing must be .*; found \[1\.0, 0"),
+    ):
+        with pytest.raises(GeometryError, match=said):
+            clvol.read(tmp_path / name)
+        assert clvol.read(tmp_path / name, spacing=(1, 2, 3)).spacing == (1, 2, 3)
+
+
+def test_packed_coordinates(tmp_path: Path) -> None:
+    """As by xarray, which decodes coordinates as it does samples."""
+    with h5py.File(tmp_path / "v.nc", "w") as file:
+        file["t"], file["z"] = DATA[0, 0], np.arange(DATA.shape[2], dtype=np.int16)
+        file["z"].make_scale("z")
+        file["z"].attrs.update({"scale_factor": 0.5, "add_offset": 10.0})
+        file["t"].dims[0].attach_scale(file["z"])
+    volume = clvol.read(tmp_path / "v.nc")
+    assert (volume.spacing, volume.origin) == ((1, 1, 0.5), (0, 0, 10))
+
+
+def test_one_coordinate_is_a_place(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "v.nc", "w") as file:
+        file["t"], file["z"] = DATA[0, 0, :1], [7.5]
+        file["z"].make_scale("z")
+        file["t"].dims[0].attach_scale(file["z"])
+    volume = clvol.read(tmp_path / "v.nc")
+    assert (volume.spacing, volume.origin) == ((1, 1, 1), (0, 0, 7.5))
+
+
+CODED: dict[str, tuple[str, dict[str, Any]]] = {
+    "missing": ("i2", {"missing_value": np.int16(7)}),
+    "both": ("f4", {"missing_value": np.float32(7), "_FillValue": np.float32(9)}),
+    "two": ("i2", {"missing_value": np.array([7, 9], np.int16), "scale_factor": 0.5}),
+    "unsigned": ("i1", {"_Unsigned": "true"}),
+    "unsigned and missing": ("i1", {"_Unsigned": "true", "_FillValue": np.int8(-2), "add_offset": 100.0}),
+    "signed": ("u1", {"_Unsigned": "false", "_FillValue": np.uint8(254)}),
+}
+
+
+def coded(path: Path, dtype: str, attributes: dict[str, Any]) -> np.ndarray:
+    stored = (np.arange(120) - 60).astype(np.int8).astype(dtype).reshape(4, 5, 6)
+    with h5py.File(path, "w") as file:
+        file["t"] = stored
+        file["t"].attrs.update(attributes)
+    return stored
+
+
+def both_ways(path: Path) -> np.ndarray:
+    """The samples of a file, which `open` reads alike, but for the missing ones."""
+    data = np.asarray(clvol.read(path).data)
+    part = clvol.open(path, missing=-1e9).read((0, 0, 0), (6, 5, 4))
+    np.testing.assert_array_equal(part.data, np.nan_to_num(data, nan=-1e9))
+    return data
+
+
+@pytest.mark.filterwarnings("ignore:.*multiple fill values")
+@pytest.mark.parametrize("name", CODED)
+def test_codes_of_netcdf(tmp_path: Path, name: str) -> None:
+    """As xarray decodes them."""
+    xarray = pytest.importorskip("xarray")
+    stored = coded(tmp_path / "t.nc", *CODED[name])
+    expected = xarray.conventions.decode_cf_variable("t", xarray.Variable(("z", "y", "x"), stored, CODED[name][1])).values
+    np.testing.assert_array_equal(both_ways(tmp_path / "t.nc"), expected)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "low", "high"),
+    [
+        ({"valid_range": np.array([-20, 30], np.int16)}, -20, 30),
+        ({"valid_min": np.int16(-5)}, -5, 99),
+        ({"valid_max": np.int16(9)}, -99, 9),
+        ({"valid_range": [0.5, 3.5]}, -99, 99),
+    ],
+)
+def test_the_valid_range_of_netcdf(tmp_path: Path, attributes: dict[str, Any], low: int, high: int) -> None:
+    """As netCDF4-python has it: of stored values, and ignored if their type does not hold the limits."""
+    stored = coded(tmp_path / "t.nc", "i2", attributes)
+    expected = np.where((stored < low) | (stored > high), np.nan, stored)
+    np.testing.assert_array_equal(both_ways(tmp_path / "t.nc"), expected)
+
+
+@pytest.mark.parametrize(
+    ("units", "factor", "unit"),
+    [
+        (("m", "km"), 1e3, "m"),
+        (("micrometers", "nm"), 1e-3, "um"),
+        (("meters", "mm"), 1e-3, "m"),
+        (("nm", "Angstrom"), 0.1, "nm"),
+        (("degrees_east", "m"), 1, ""),
+    ],
+)
+def test_units_of_each_axis(tmp_path: Path, units: tuple[str, str], factor: float, unit: str) -> None:
+    """They are converted; of what cannot be, a warning says so."""
+    with h5py.File(tmp_path / "t.nc", "w") as file:
+        file["t"] = DATA[0, 0]
+        for axis, name in enumerate("zyx"):
+            file[name] = 3.0 + 2 * np.arange(DATA.shape[2 + axis])
+            file[name].make_scale(name)
+            file[name].attrs["units"] = units[name == "z"]
+            file["t"].dims[axis].attach_scale(file[name])
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        volume = clvol.read(tmp_path / "t.nc")
+    np.testing.assert_allclose(volume.spacing, (2, 2, 2 * factor))
+    np.testing.assert_allclose(volume.origin, (3, 3, 3 * factor))
+    assert volume.units == unit
+    assert ["t.nc has axes of different units (x in degrees_east" in str(one.message) for one in warned] == [True] * (not unit)
 
 
 def test_images_of_itk(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import shutil
 import struct
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.base.errors import ClvolWarning, DataError, FormatError, OptionError
+from clvol.base.errors import ClvolWarning, DataError, FormatError, GeometryError, OptionError
 from clvol.formats import read, read_all, write
 from clvol.interop.itk import describe_simpleitk
 from clvol.interop.nibabel import describe_nibabel
@@ -198,6 +199,95 @@ def test_nifti_2_and_pairs(tmp_path: Path, order: str) -> None:
     write(long, tmp_path / "long.nii")
     assert isinstance(nibabel.load(tmp_path / "long.nii"), nibabel.Nifti2Image)
     np.testing.assert_array_equal(read(tmp_path / "long.nii").data, long.data)
+
+
+@pytest.mark.parametrize(("ndims", "surplus"), [(2, "ElementSpacing"), (2, "Offset"), (2, "Position"), (3, "ElementSpacing")])
+def test_metaimages_with_more_numbers_than_axes(tmp_path: Path, ndims: int, surplus: str) -> None:
+    """ITK reads the first; some programs write three spacings for two axes."""
+    fields = {"NDims": ndims, "DimSize": "4 3 2"[: 2 * ndims - 1], "ElementSpacing": "0.5 0.25 2 9", "ElementType": "MET_UCHAR"}
+    fields["ElementSpacing"] = " ".join(fields["ElementSpacing"].split()[: ndims + (surplus == "ElementSpacing")])
+    if surplus != "ElementSpacing":
+        fields[surplus] = "7 8 9"
+    text = "".join(f"{key} = {value}\n" for key, value in fields.items()) + "ElementDataFile = LOCAL\n"
+    (tmp_path / "foot.mha").write_bytes(text.encode() + bytes(range(12 * (ndims - 1))))
+    with pytest.warns(ClvolWarning, match=rf"foot\.mha gives {ndims + 1} numbers for {surplus} of {ndims} axes"):
+        volume = clvol.read(tmp_path / "foot.mha")
+    image = sitk.ReadImage(str(tmp_path / "foot.mha"))
+    np.testing.assert_array_equal(volume.data, sitk.GetArrayFromImage(image))
+    assert (volume.spacing, volume.origin) == (image.GetSpacing(), image.GetOrigin())
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+@pytest.mark.parametrize("after", [4, 0])
+def test_a_vox_offset_of_0(tmp_path: Path, suffix: str, after: int) -> None:
+    """Samples end with the file; where they begin right after the header, ITK is the witness."""
+    data = np.arange(60, dtype=np.int16).reshape(3, 4, 5)
+    content = nibabel.Nifti1Image(data, np.diag([2, 3, 4, 1])).to_bytes()
+    content = content[:108] + bytes(4) + content[112:348] + bytes(after) + content[352:]
+    path = tmp_path / f"v{suffix}"
+    path.write_bytes(gzip.compress(content) if suffix == ".nii.gz" else content)
+    with pytest.warns(ClvolWarning, match=f"its vox_offset is 0, and its samples were taken to begin at byte {348 + after}"):
+        volume = clvol.read(path)
+    np.testing.assert_array_equal(volume.data, data.T)
+    if not after:
+        np.testing.assert_array_equal(volume.data, sitk.GetArrayFromImage(sitk.ReadImage(str(path))))
+    path.write_bytes(gzip.compress(content[:-1]) if suffix == ".nii.gz" else content[:-1])
+    with pytest.raises(FormatError, match="must hold 120 bytes"):
+        clvol.read(path)
+
+
+def test_cifti_is_named(tmp_path: Path) -> None:
+    cifti = nibabel.cifti2
+    voxels = cifti.BrainModelAxis.from_mask(np.ones((1, 2, 5)), name="thalamus_left", affine=np.eye(4))
+    image = cifti.Cifti2Image(np.zeros((4, 10), np.float32), header=(cifti.SeriesAxis(0, 1, 4), voxels))
+    image.to_filename(tmp_path / "v.dtseries.nii")
+    with pytest.raises(FormatError, match=r"v\.dtseries\.nii must hold a volume; it is CIFTI-2.*wb_command"):
+        clvol.read(tmp_path / "v.dtseries.nii")
+    with pytest.raises(DataError, match="must hold a volume; it is CIFTI-2"):
+        Volume(nibabel.load(tmp_path / "v.dtseries.nii"))
+
+
+@pytest.mark.parametrize(
+    ("codes", "at", "message"),
+    [
+        ((0, 1), 280, r"its sform \(srow\) must give each axis a finite length that is not 0; its header says \[0\.0, 0\.0"),
+        ((0, 0), 80, r"its pixdim must give each axis a finite length that is not 0; its header says \[1\.0, 0\.0"),
+        ((1, 0), 80, r"its pixdim must give each axis a finite length that is not 0; its header says \[1\.0, 0\.0"),
+    ],
+)
+def test_nifti_without_lengths(tmp_path: Path, codes: tuple[int, int], at: int, message: str) -> None:
+    content = bytearray(nibabel.Nifti1Image(np.zeros((3, 4, 5), np.uint8), np.eye(4)).to_bytes())
+    content[252:256] = struct.pack("<hh", *codes)
+    content[at : at + 4] = bytes(4)
+    (tmp_path / "v.nii").write_bytes(content)
+    for call in (clvol.read, clvol.open):
+        with pytest.raises(GeometryError, match=message):
+            call(tmp_path / "v.nii")
+        placed = call(tmp_path / "v.nii", spacing=(1, 2, 3), direction=np.eye(3))
+        assert placed.spacing == (1, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("origin", "spacing", "size", "version"),
+    [
+        ((123456.789, 2000.123456, -5.0), (1e-3, 1e-3, 1e-3), (4, 5, 6), 2),
+        ((100000.05, 0.0, 0.0), (0.1, 0.1, 0.1), (4, 5, 6), 2),
+        ((1e6, 0.0, 0.0), (1 / 3, 1.0, 1.0), (30000, 2, 2), 2),
+        ((1000.05, -90.123, 72.77), (0.1, 0.9, 1.1), (4, 5, 6), 1),
+    ],
+)
+def test_nifti_moves_no_sample(
+    tmp_path: Path, origin: tuple[float, ...], spacing: tuple[float, ...], size: tuple[int, ...], version: int
+) -> None:
+    """NIfTI-1 holds geometry in float32; where that is off by a thousandth of a voxel, the file is NIfTI-2. nibabel says where."""
+    volume = Volume(np.zeros(size[::-1], np.uint8), spacing, origin, direction=[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]])
+    clvol.write(volume, tmp_path / "v.nii")
+    image = nibabel.load(tmp_path / "v.nii")
+    assert type(image).__name__ == f"Nifti{version}Image"
+    for corner in np.ndindex(2, 2, 2):
+        index = np.multiply(corner, np.array(size) - 1)
+        there = (image.affine @ [*index, 1])[:3] * [-1, -1, 1]
+        np.testing.assert_allclose(volume.world_to_index(there), index, rtol=0, atol=1e-3)
 
 
 def test_nifti_preserves_its_header(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from PIL import Image
 
 import clvol
 from clvol import ClvolWarning, formats
@@ -44,6 +45,42 @@ def test_slices_of_tiff_keep_their_spacing(tmp_path: Path) -> None:
     assert (volume.spacing, volume.units) == ((0.25, 0.5, 1.0), "um")
     tifffile.imwrite(tmp_path / "1.tif", DATA, photometric="minisblack", metadata={"axes": "ZYX"})
     with pytest.raises(DataError, match=r"1\.tif.*12, 5, 7.*by itself"), warnings.catch_warnings(action="ignore"):
+        clvol.read(tmp_path)
+
+
+LABELS = np.random.default_rng(5).integers(0, 13, (3, 5, 7)).astype(np.uint8)
+
+
+def paletted(path: Path, indices: np.ndarray, seed: int = 0, count: int = 13) -> None:
+    """An image of indices, in colours without order."""
+    image = Image.frombytes("P", indices.shape[::-1], indices.tobytes())
+    image.putpalette(np.random.default_rng(seed).integers(0, 256, (count, 3)).astype(np.uint8).tobytes())
+    image.save(path)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp"])
+@pytest.mark.parametrize("count", [2, 13, 256])
+def test_palettes_give_indices(tmp_path: Path, suffix: str, count: int) -> None:
+    """As of a TIFF file with the same palette, read by tifffile: labels, whatever their colours. Of few colours, in fewer bits."""
+    tifffile = pytest.importorskip("tifffile")
+    indices = (LABELS[0].astype(int) * 19 % count).astype(np.uint8)
+    paletted(tmp_path / f"v{suffix}", indices, count=count)
+    paletted(tmp_path / "v.tif", indices, count=count)
+    volume = clvol.read(tmp_path / f"v{suffix}")
+    np.testing.assert_array_equal(volume.data, tifffile.imread(tmp_path / "v.tif"))
+    np.testing.assert_array_equal(volume.data, clvol.read(tmp_path / "v.tif").data)
+    np.testing.assert_array_equal(volume.data, indices)
+
+
+def test_folders_of_palettes(tmp_path: Path) -> None:
+    for i, indices in enumerate(LABELS):
+        paletted(tmp_path / f"{i}.png", indices, count=13 + i)  # more colours, in the same order
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        np.testing.assert_array_equal(clvol.read(tmp_path).data, LABELS)
+    assert not any("several palettes" in str(one.message) for one in warned)
+    paletted(tmp_path / "2.png", LABELS[2], seed=1)
+    with pytest.warns(ClvolWarning, match=r"several palettes, 0\.png and 2\.png"):
         clvol.read(tmp_path)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning, Volume, Volumes, formats
-from clvol.base.errors import DataError, FormatError, OptionError
+from clvol.base.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.volume.volumes import Leading
 
 tifffile = pytest.importorskip("tifffile")
@@ -95,6 +95,90 @@ def test_channels_of_imagej(tmp_path: Path) -> None:
     assert volumes.names == ("a", "b", "c")
     assert [v.color for v in volumes] == [(1, 0, 1), (0, 1, 0), None]  # the third is no ramp from black
     assert [v.clim for v in volumes] == [(0, 10), (5, 20), (7, 7.5)]
+
+
+@pytest.mark.parametrize(
+    ("text", "spacing", "units", "warned"),
+    [
+        ("unit=um\nyunit=um\nzunit=nm\nspacing=2000", (0.5, 0.25, 2), "um", False),
+        ("unit=\\u00B5m\nyunit=mm\nspacing=2", (0.5, 250, 2), "um", False),
+        ("unit=nm\nzunit=micron\nspacing=-2", (0.5, 0.25, 2000), "nm", False),
+        ("unit=pixel\nzunit=um\nspacing=3", (0.5, 0.25, 3), "", True),
+        ("zunit=um\nspacing=3", (0.5, 0.25, 3), "", True),
+        ("unit=um\nzunit=sec\nspacing=3", (0.5, 0.25, 3), "", True),
+        ("unit=um", (0.5, 0.25, 1), "um", False),
+    ],
+)
+def test_units_of_imagej(tmp_path: Path, text: str, spacing: tuple[float, ...], units: str, warned: bool) -> None:
+    """Each axis has a unit of its own, by default that of x; what cannot be converted is said."""
+    data = DATA[0, 0]
+    text = f"ImageJ=1.54f\nimages=4\nslices=4\n{text}\n"
+    about: dict[str, Any] = {"photometric": "minisblack", "resolution": (2, 4)}
+    tifffile.imwrite(tmp_path / "v.tif", data, description=text, metadata=None, **about)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        volume = clvol.read(tmp_path / "v.tif")
+    np.testing.assert_allclose(volume.spacing, spacing, rtol=1e-12)
+    assert volume.units == units
+    assert ["axes of different units" in str(one.message) for one in found] == [True] * warned
+
+
+def changed(path: Path, old: str, new: str) -> None:
+    content = path.read_bytes()
+    assert content.count(old.encode()) == 1
+    assert len(old) == len(new)
+    path.write_bytes(content.replace(old.encode(), new.encode()))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"XYZCT"', '"XYZC "', r"the OME-XML of cells\.ome\.tif must give a DimensionOrder of the letters XYZCT; found 'XYZC '"),
+        ('SizeX="6"', 'SizeX="f"', r"the OME-XML of cells\.ome\.tif must give a whole number of at least 1 for SizeX; found 'f'"),
+        ('SizeZ="4"', 'SizeZ="4<', r"the OME-XML of cells\.ome\.tif must be well.* column"),
+        (f'Color="{LIME}"', 'Color="0x00FF00"', "must give a whole number for Color of a Channel; found '0x00FF00'"),
+        ('SizeZ="4"', 'SizeQ="4"', r"the OME-XML of cells\.ome\.tif must give a whole number of at least 1 for SizeZ; found ''"),
+        ('PhysicalSizeX="0.25"', 'PhysicalSizeX="f.25"', "PhysicalSizeX must be a positive finite number; found 'f.25'; spacing="),
+        ('PhysicalSizeX="0.25"', 'PhysicalSizeX="0.00"', "PhysicalSizeX must be a positive finite number; found '0.00'; spacing="),
+    ],
+)
+def test_what_is_wrong_in_ome_is_named(ome: Path, old: str, new: str, message: str) -> None:
+    changed(ome, old, new)
+    with pytest.raises((FormatError, GeometryError), match=message):
+        clvol.read(ome, channel=0, time=0)
+    if "spacing=" in message:
+        assert clvol.read(ome, channel=0, time=0, spacing=(1, 2, 3)).spacing == (1, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("slices=4", "slices=f", r"ImageJ's text in v\.tif must give a whole number of at least 1 for slices; found 'f'"),
+        ("spacing=3.0", "spacing=f.0", r"spacing must be a positive finite number; found 'f\.0'; spacing="),
+        ("max=119.0", "max=f19.0", r"ImageJ's text in v\.tif must give a number for min and max; found 'f19\.0'"),
+    ],
+)
+def test_what_is_wrong_in_imagej_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    about: dict[str, Any] = {"axes": "ZYX", "spacing": 3.0, "unit": "um", "min": 0.0, "max": 119.0}
+    tifffile.imwrite(tmp_path / "v.tif", DATA[0, 0], imagej=True, resolution=(4.0, 2.0), metadata=about)
+    changed(tmp_path / "v.tif", old, new)
+    with pytest.raises((FormatError, GeometryError), match=message):
+        clvol.read(tmp_path / "v.tif")
+
+
+@pytest.mark.parametrize(("name", "about"), [("strip", {"rowsperstrip": 8}), ("tile", {"tile": (16, 16)})])
+def test_the_damaged_strip_or_tile_is_named(tmp_path: Path, name: str, about: dict[str, Any]) -> None:
+    data = np.random.default_rng(0).integers(0, 255, (3, 32, 32)).astype(np.uint8)
+    path = tmp_path / "v.tif"
+    tifffile.imwrite(path, data, photometric="minisblack", compression="zlib", **about)
+    with tifffile.TiffFile(path) as file:
+        at = file.pages[1].dataoffsets[2]
+    content = bytearray(path.read_bytes())
+    content[at + 20 : at + 60] = bytes(40)
+    path.write_bytes(content)
+    for read in (clvol.read, lambda path: clvol.open(path).read((0, 0, 0), (32, 32, 3))):
+        with pytest.raises(FormatError, match=rf"cannot read {name} 2 of page 1 of v\.tif: it is damaged, its codec says: "):
+            read(path)
 
 
 def test_signed_samples_of_imagej(tmp_path: Path) -> None:

@@ -134,6 +134,8 @@ def _nibabel(files: Files, entry: str, _: object) -> Held:
         content = _gunzip(content)
     size = {struct.unpack_from(order + "i", content)[0] for order in "<>"}
     large = 540 in size
+    if not entry.endswith(".hdr") and not any(content[168:176] if large else content[108:112]):
+        raise LookupError("of a vox_offset of 0, nibabel takes the header for samples")
     try:
         if entry.endswith(".hdr"):
             of_analyze = nibabel.Spm2AnalyzeImage.header_class.may_contain_header(content)
@@ -329,11 +331,11 @@ def _metaimage(files: Files, entry: str, _: object) -> Held:
         data = data * slope + offset
     spacing = None
     if "ElementSpacing" in fields and fields.get("DistanceUnits", "mm") in ("mm", "?"):
-        spacing = tuple(abs(n) for n in _reals(fields["ElementSpacing"]))
+        spacing = tuple(abs(n) for n in _reals(fields["ElementSpacing"])[: len(shape)])
     origin = None
     names = [name for name in ("Offset", "Position", "Origin") if name in fields]
     if len(names) == 1 and spacing is not None:
-        origin = tuple(_reals(fields[names[0]]))
+        origin = tuple(_reals(fields[names[0]])[: len(shape)])
     return Held(data, spacing if len(shape) <= 3 else None, origin if len(shape) <= 3 else None, loose=channels > 1)
 
 

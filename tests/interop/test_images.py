@@ -240,6 +240,37 @@ def test_units_and_missing_coordinates() -> None:
     assert times.spacing == (2, 1, 1)
 
 
+@pytest.mark.parametrize(
+    ("dims", "names"),
+    [
+        ("xyz", ("z", "y", "x")),
+        ("yzx", ("depth", "lat", "lon")),
+        ("xyz", ("height", "latitude", "longitude")),
+        ("zxy", ("z", "row", "column")),
+        ("yxz", ("sheet", "y", "x")),
+        ("xzy", ("sheet", "line", "x")),  # unknown names keep their order
+    ],
+)
+def test_dimensions_have_any_order(dims: str, names: tuple[str, ...], device: Device) -> None:
+    """Samples and places are those of xarray's own transposition, [z, y, x]."""
+    places = {"x": 10 + 0.5 * np.arange(6), "y": 4.0 - np.arange(5), "z": 3 * np.arange(4)}
+    array = labelled(**places).rename(dict(zip("zyx", names, strict=True)))
+    turned = array.transpose(*(dict(zip("zyx", names, strict=True))[axis] for axis in dims))
+    volume, expected = clvol.Volume(turned), clvol.Volume(labelled(**places))
+    assert_array_equal(volume.data, samples())
+    assert (volume.spacing, volume.origin) == (expected.spacing, expected.origin) == ((0.5, 1, 3), (10, 4, 0))
+    assert_array_equal(volume.direction, np.diag([1, -1, 1]))
+    assert as_grid(turned).shape == SHAPE
+    assert_allclose(clvol.sample(turned, [[11, 2, 3]], device=device), clvol.sample(expected, [[11, 2, 3]], device=device))
+    lazy = clvol.LazyVolume(turned)
+    assert_array_equal(lazy.read((0, 0, 0), (6, 5, 4)).data, samples())
+    assert_array_equal(lazy.grid.index_to_world_matrix, expected.index_to_world_matrix)
+    assert clvol.LazyVolume(turned, spacing=(1, 2, 3)).spacing == (1, 2, 3)
+    several = turned.expand_dims(time=2, axis=3)
+    assert_array_equal(np.asarray(clvol.Volumes(several)), np.stack([samples()] * 2))
+    assert_array_equal(clvol.resize(turned, turned.shape), turned.values)  # of arrays, not of places
+
+
 def test_uneven_coordinates_are_rejected_where_positions_matter() -> None:
     array = labelled(x=[0, 1, 2, 3, 5, 6])
     with pytest.raises(GeometryError, match=r"evenly spaced.*those of x are 1 to 2 apart"):

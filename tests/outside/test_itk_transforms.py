@@ -190,6 +190,7 @@ NAMES = ("affine", "B-spline", "affine, field, B-spline")
 FILES = [(name, suffix) for name in NAMES for suffix in (".tfm", ".txt", ".h5")] + [("affine", ".mat"), ("affine", ".xfm")]
 
 
+@pytest.mark.filterwarnings("ignore:.*was written by ITK")  # of .xfm
 @pytest.mark.parametrize(("name", "suffix"), FILES)
 def test_transform_files(tmp_path: Path, name: str, suffix: str) -> None:
     parts = CHAINS[name](3)

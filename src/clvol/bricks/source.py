@@ -21,6 +21,8 @@ from clvol.base.checks import number, whole
 from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
+from clvol.interop.images import read_grid
+from clvol.interop.xarray_images import in_order, is_labelled
 from clvol.volume.gridded import Gridded
 from clvol.volume.volume import Volume
 
@@ -101,7 +103,8 @@ class LazyVolume(Gridded):
     ----------
     data : array-like, shape (nz, ny, nx)
         Anything with a shape, a dtype and slices: an array of Zarr, HDF5 (h5py), dask, or a memory map of NumPy. It is not copied.
-        A pickle has the name of a mapped file, which whoever loads it reads.
+        An array of xarray gives its coordinates, as to `Volume`. A pickle has the name of a mapped file, which whoever loads it
+        reads.
     spacing, origin, direction, units, space, name, color, clim, labels : optional
         As of `Volume`.
     levels : sequence of LazyVolume, optional
@@ -154,6 +157,9 @@ class LazyVolume(Gridded):
         missing: float | None = None,
         bounds: Bounds | None = None,
     ) -> None:
+        known: dict[str, Any] = {}
+        if is_labelled(data):
+            data, known = in_order(data), read_grid(data)[1]
         shape, dtype = _described(data)
         self.data = data
         self.missing = None if missing is None else number("missing", missing)
@@ -166,18 +172,11 @@ class LazyVolume(Gridded):
         self._given = limits is not None
         self._preview: Volume | None = None
         self._part: Volume | None = None
-        self.grid = Volume(
-            np.broadcast_to(np.zeros((), dtype), shape),
-            tuple(spacing),
-            tuple(origin),
-            direction,  # type: ignore[arg-type]  # __post_init__ converts
-            units,
-            space,
-            name,
-            color=color,
-            clim=clim,
-            labels=labels,
-        )
+        given = {"spacing": tuple(spacing), "origin": tuple(origin), "units": units, "space": space, "name": name}
+        known |= {key: value for key, value in given.items() if value}
+        others = {"direction": direction, "color": color, "clim": clim, "labels": labels}
+        known |= {key: value for key, value in others.items() if value is not None}
+        self.grid = Volume(np.broadcast_to(np.zeros((), dtype), shape), **known)
         _require_smaller((self, *self.levels))
 
     def with_levels(self, levels: Sequence[LazyVolume]) -> LazyVolume:

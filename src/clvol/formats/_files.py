@@ -37,6 +37,7 @@ __all__ = [
     "spans",
     "storable",
     "unpacked",
+    "unplaced_by",
     "xz_size",
 ]
 
@@ -77,6 +78,14 @@ def require_default(volume: Volume, names: Sequence[str], instead: str) -> None:
     if lost:
         values = ", ".join(f"{name} {np.asarray(getattr(volume, name)).tolist()}" for name in lost)
         raise FormatError(f"the format cannot hold {values}; {instead} can")
+
+
+def unplaced_by(what: str, spacing: Any) -> dict[str, str]:
+    """What is said of a spacing that is not positive and finite, under the key that readers use; `what` is its name in the file."""
+    lengths = np.asarray(spacing, np.float64).ravel()
+    if bool(((lengths > 0) & (lengths < np.inf)).all()):
+        return {}
+    return {"unplaced": f"{what} must be positive and finite along each axis; found {lengths.tolist()}"}
 
 
 def sample_count(shape: Sequence[int]) -> int:

@@ -165,6 +165,7 @@ def _leading(geometry: dict[str, Any], header: Header) -> tuple[Leading, str]:
     """
     if not header.spacing_known:
         geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
+        geometry["unplaced"] = "its header must say how far apart the samples of each axis lie; it says nan or none"
     found = geometry.pop("leading", {})
     axes, counts, values = found.get("axes", ()), found.get("counts", ()), header.values
     if header.timed:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,21 +12,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.axes import AXES, meaning
 from clvol.base.errors import DataError
-from clvol.base.units import scale, unit_name
+from clvol.base.units import in_one_unit
 from clvol.bricks.sliced import Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
-__all__ = ["Layout", "by_names", "decoded", "lay_out", "place", "scaled_part", "shrunk", "uniform", "unnamed"]
+__all__ = ["Layout", "Line", "by_names", "decoded", "lay_out", "place", "scaled_part", "shrunk", "unnamed"]
 
 _UNNAMED = {1: ("volume",), 2: ("time", "channel"), 3: ("time", "position", "channel")}
 _OFF = 1e-3  # deviation of evenly spaced coordinates, in steps; float32 has that on long axes
 
 
-Lines: TypeAlias = tuple[dict[str, tuple[float, float]], dict[str, str]]
-"""First coordinate and step, and unit, of axes."""
+Line: TypeAlias = "tuple[float, float] | NDArray[Any]"
+"""First coordinate and step of an axis, or all coordinates."""
+
+Lines: TypeAlias = tuple[dict[str, Line], dict[str, str]]
+"""Coordinates, and units, of axes."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,12 @@ class Layout:
     def counts(self) -> tuple[int, ...]:
         """Volumes along each of `leading`."""
         return tuple(n for axis, n in zip(self.axes, self.shape, strict=True) if axis in AXES)
+
+    def saying_where_spacing_is_missing(self, spacing: Mapping[str, float]) -> Layout:
+        """The layout, whose messages name the axes along which the spacing is NaN: it is missing there, and 1 is taken."""
+        unknown = [axis for axis in "xyz" if axis in self.axes and math.isnan(spacing.get(axis, 1.0))]
+        text = f"it gives no spacing along {' and '.join(unknown)}, where 1 was taken: spacing= replaces it" if unknown else ""
+        return replace(self, guessed="; ".join(filter(None, (self.guessed, text))))
 
     @property
     def in_colour(self) -> Leading:
@@ -145,50 +154,64 @@ def by_names(
 ) -> Content:
     """The chosen volumes of an array of netCDF's kind, whose axes may have names, and attributes say how samples are decoded.
 
-    `load` returns its samples at an index, `lines_of` first coordinates, steps and units of axes, as `place` takes them.
+    `load` returns its samples at an index, `lines_of` coordinates and units of axes, as `place` takes them.
     """
     named = any(words)
     words = words if named else unnamed(array.shape, array.dtype)
     layout = lay_out(source, words, array.shape, asked=choose.given)
-    placed = place(layout, *lines_of(layout))
+    placed = place(source, layout, *lines_of(layout))
     leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
     data, chosen = layout.chosen(source, choose, lambda index: decoded(load(source, array, index), dict(array.attrs)), leading)
     return data, placed | chosen
 
 
-def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:
-    """First value and step of coordinates; None if they are not evenly spaced."""
+def line_of(axis: str, coordinates: ArrayLike) -> tuple[float, float, str]:
+    """First value and step of coordinates along an axis; if they are not evenly spaced the step is NaN, and the text says why."""
     values = np.asarray(coordinates)
-    if values.ndim != 1 or values.dtype.kind not in "iuf" or len(values) < 2:
-        return None
+    what = f"its coordinates along {axis} must be"
+    if values.dtype.kind not in "iuf":
+        return 0.0, math.nan, f"{what} numbers; they are {values.dtype}"
+    if not np.isfinite(values).all():
+        return 0.0, math.nan, f"{what} finite; that at index {int(np.argmin(np.isfinite(values)))} is not"
     values = values.astype(np.float64)
+    if len(values) < 2:
+        return float(values[0]), 1.0, ""
     step = float(values[-1] - values[0]) / (len(values) - 1)
-    if not math.isfinite(step) or step == 0:
-        return None
-    even = bool(np.abs(values - values[0] - step * np.arange(len(values))).max() <= _OFF * abs(step))
-    return (float(values[0]), step) if even else None
+    if step and np.abs(values - values[0] - step * np.arange(len(values))).max() <= _OFF * abs(step):
+        return float(values[0]), step, ""
+    gaps = np.diff(values)
+    odd = int(np.argmax(np.abs(gaps - np.median(gaps))))
+    pair = f"{values[odd]:.9g} and {values[odd + 1]:.9g} at indices {odd} and {odd + 1}"
+    found = f"they lie {gaps.min():.9g} to {gaps.max():.9g} apart, as {pair} do"
+    return float(values[0]), math.nan, f"{what} evenly spaced, to within {_OFF:g} of a step; {found}"
 
 
-def place(layout: Layout, lines: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> dict[str, Any]:
-    """Geometry of a grid from the first coordinate and the step along its axes, and their units.
+def place(source: str, layout: Layout, lines: Mapping[str, Line], units: Mapping[str, str]) -> dict[str, Any]:
+    """Geometry of a grid from coordinates along its axes, or their first and their step, and units.
 
-    Without these, an axis begins at 0 with a step of 1. Lengths are converted to one unit.
+    Without these, an axis begins at 0 with a step of 1. Lengths are converted to one unit. What is wrong is under "unplaced".
     """
     axes = [axis for axis in "xyz" if axis in layout.axes]
-    names = {axis: unit_name(units.get(axis, "")) for axis in axes}
-    unit = next(filter(None, names.values()), "")
-    factors = {axis: scale(names[axis] or unit, unit) for axis in axes}
-    if any(map(math.isnan, factors.values())):  # degrees beside metres
-        unit, factors = "", dict.fromkeys(axes, 1.0)
-    firsts, steps = zip(*(lines.get(axis, (0.0, 1.0)) for axis in axes), strict=True)
+    unit, factors = in_one_unit(source, {axis: units.get(axis, "") for axis in axes})
+    found = {axis: lines.get(axis, (0.0, 1.0)) for axis in axes}
+    firsts, steps, wrong = zip(*(_checked(axis, line) for axis, line in found.items()), strict=True)
     about: dict[str, Any] = {
         "spacing": [abs(step) * factors[axis] for axis, step in zip(axes, steps, strict=True)],
         "origin": [first * factors[axis] for axis, first in zip(axes, firsts, strict=True)],
         "units": unit,
     }
-    if min(steps) < 0:  # latitudes from north to south
+    if any(step < 0 for step in steps):  # latitudes from north to south
         about["direction"] = np.diag([math.copysign(1.0, step) for step in steps])
-    return about
+    return about | ({"unplaced": "; ".join(filter(None, wrong))} if any(wrong) else {})
+
+
+def _checked(axis: str, line: Line) -> tuple[float, float, str]:
+    """First coordinate, step, and what is wrong with them."""
+    if not isinstance(line, tuple):
+        return line_of(axis, line)
+    first, step = line
+    sound = math.isfinite(first) and math.isfinite(step)
+    return first, step, "" if sound else f"its origin and spacing along {axis} must be finite; found {first} and {step}"
 
 
 def shrunk(base: Content, content: Content) -> Content:
@@ -207,23 +230,43 @@ def scaled_part(part: Window, slope: float, offset: float) -> Window:
 
 
 def decoded(data: Any, attributes: Mapping[str, Any]) -> Any:
-    """Samples by the conventions of netCDF: missing ones NaN, the others scaled and shifted.
+    """Samples by the conventions of netCDF: signed or not, missing and invalid ones NaN, the others scaled and shifted.
 
-    Those of a `Window` are floating if any could be missing.
+    Those of a `Window` are floating if any could be missing. As in netCDF4-python, valid values are those of stored samples, and
+    limits that the samples' type does not hold are ignored.
     """
+    stored = np.dtype(data.dtype)
+    sign = {"true": "u", "false": "i"}.get(str(np.ravel(np.asarray(attributes.get("_Unsigned", ""), str))[0]).lower())
+    dtype = np.dtype(f"{stored.byteorder}{sign}{stored.itemsize}") if sign and stored.kind in "iu" else stored
 
-    def given(name: str, default: float) -> float:
-        value = np.asarray(attributes.get(name, default))
-        return float(value.flat[0]) if value.size == 1 and value.dtype.kind in "iuf" else default
+    def given(name: str) -> list[float]:
+        value = np.ravel(attributes.get(name, ()))
+        if value.dtype.kind not in "iuf":
+            return []
+        alike = (value.dtype.kind, value.dtype.itemsize) == (stored.kind, stored.itemsize)
+        return list((value.astype(stored).view(dtype) if alike else value).tolist())
 
-    slope, offset, missing = given("scale_factor", 1.0), given("add_offset", 0.0), given("_FillValue", math.nan)
-    if isinstance(data, Window):
-        if math.isnan(missing) and slope == 1 and offset == 0:
-            return data
-        probe = np.full(1, 0 if math.isnan(missing) else missing).astype(data.dtype)
-        return data.mapped(lambda part: np.asarray(decoded(part, attributes)), decoded(probe, attributes).dtype)
-    gone = None if math.isnan(missing) else data == missing
-    if gone is not None and gone.any():
-        data = data.astype(np.result_type(data.dtype, np.float32), copy=True)
-        data[gone] = np.nan
-    return scaled(data, slope, offset)
+    slope, offset = (*given("scale_factor"), 1.0)[0], (*given("add_offset"), 0.0)[0]
+    missing = {value for name in ("_FillValue", "missing_value") for value in given(name) if not math.isnan(value)}
+    ends = given("valid_range") or [(*given("valid_min"), -math.inf)[0], (*given("valid_max"), math.inf)[0]]
+    held = len(ends) == 2 and (dtype.kind == "f" or all(math.isinf(end) or end == int(end) for end in ends))
+    low, high = ends if held else (-math.inf, math.inf)
+    least, most = (np.iinfo(dtype).min, np.iinfo(dtype).max) if dtype.kind in "iu" else (-math.inf, math.inf)
+    some = bool(missing) or least < low or high < most
+
+    def values(part: NDArray[Any], always: bool) -> NDArray[Any]:
+        part = part.view(dtype)
+        if some:
+            gone = (part < low) | (part > high)
+            for value in missing:
+                gone |= part == value
+            if always or gone.any():
+                part = part.astype(np.result_type(dtype, np.float32))
+                part[gone] = np.nan
+        return scaled(part, slope, offset)
+
+    if not isinstance(data, Window):
+        return values(data, False)
+    if not some and dtype == stored and slope == 1 and offset == 0:
+        return data
+    return data.mapped(lambda part: values(part, some), values(np.zeros(1, stored), some).dtype)

@@ -59,7 +59,9 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
     order, shape = image.dims.order, tuple(image.shape)
     names = tuple(str(name or "") for name in image.channel_names or ())
     words = ["" if axis == "C" and "S" in order and n == 1 else axis for axis, n in zip(order, shape, strict=True)]
-    layout = lay_out(path.name, words, shape, ("channel",) if any(names) else ())
+    sizes_um = {axis: getattr(image.physical_pixel_sizes, axis.upper()) for axis in "xyz"}
+    spacing = {axis: float(size or math.nan) for axis, size in sizes_um.items()} if any(sizes_um.values()) else {}
+    layout = lay_out(path.name, words, shape, ("channel",) if any(names) else ()).saying_where_spacing_is_missing(spacing)
     channels = layout.shape[layout.axes.index("channel")] if "channel" in layout.axes else 0
     leading = Leading(layout.leading, layout.counts, {"channel": names} if any(names) and len(names) == channels else {})
     if "S" in order and channels in (3, 4):
@@ -74,11 +76,9 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         return np.asarray((samples[..., ::-1] if path.suffix.lower() in _BLUE_FIRST else samples)[index])
 
     data, chosen = layout.chosen(path.name, choose, load, leading)
-    sizes_um = {axis: getattr(image.physical_pixel_sizes, axis.upper()) for axis in "xyz"}
     known: dict[str, Any] = {"space": "image", "name": listed[number].id if len(listed) > 1 else ""}
-    if any(sizes_um.values()):
-        spacing = {axis: float(size) if size else math.nan for axis, size in sizes_um.items()}
-        known |= {"spacing": layout.of(spacing), "units": "um"}
+    if spacing:
+        known |= {"spacing": layout.of({axis: 1.0 if math.isnan(size) else size for axis, size in spacing.items()}), "units": "um"}
     return data, known | chosen
 
 

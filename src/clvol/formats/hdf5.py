@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,8 @@ from numpy.typing import NDArray
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.bricks.sliced import Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_series
-from clvol.formats._files import bytes_at, damaged_chunk, sample_count
-from clvol.formats._layout import Layout, by_names, lay_out, uniform
+from clvol.formats._files import bytes_at, damaged_chunk, sample_count, unplaced_by
+from clvol.formats._layout import Layout, Line, by_names, decoded, lay_out
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
@@ -200,11 +199,11 @@ def _listed(array: Any) -> Series:
     return Series(array.name.lstrip("/"), array.dtype.name, tuple(array.shape))
 
 
-def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[int, str]]:
-    """Name of each axis or ""; first coordinate and step, and unit, of axes where they are known."""
+def _axes(array: Any) -> tuple[list[str], dict[int, Line], dict[int, str]]:
+    """Name of each axis or ""; coordinates and unit of axes where they are known."""
     attributes, count = array.attrs, array.ndim
     words = _texts(attributes.get("axes", ()), count) or [str(dimension.label) for dimension in array.dims]
-    lines: dict[int, tuple[float, float]] = {}
+    lines: dict[int, Line] = {}
     units: dict[int, str] = {}
     for i, dimension in enumerate(array.dims):
         scales = [scale for scale in dimension.values() if scale.shape == (array.shape[i],)]
@@ -212,7 +211,7 @@ def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[i
             continue
         words[i] = _text(scales[0].attrs.get("axis")) or words[i] or scales[0].name.rpartition("/")[2]
         if not _text(scales[0].attrs.get("NAME")).startswith(_NO_VARIABLE):
-            lines[i] = uniform(loaded(array.name, scales[0])) or (0.0, math.nan if array.shape[i] > 1 else 1.0)
+            lines[i] = decoded(loaded(array.name, scales[0]), dict(scales[0].attrs))
             units[i] = _text(scales[0].attrs.get("units"))
     for i, tag in enumerate(_tags(attributes.get("axistags"), count)):
         words[i] = str(tag.get("key", ""))
@@ -262,7 +261,7 @@ def _itk(source: str, array: Any, choose: Choice, load: Callable[..., Any]) -> C
     leading = Leading(layout.leading, layout.counts, vector="channel" in layout.leading and array.dtype.kind == "f")
     data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
     known = {"spacing": about["Spacing"], "origin": about["Origin"], "direction": about["Directions"].T, "space": "LPS"}
-    return data, known | chosen
+    return data, known | unplaced_by("its Spacing", about["Spacing"]) | chosen
 
 
 def _is_of_vtk(array: Any) -> bool:
@@ -281,4 +280,4 @@ def _vtk(source: str, array: Any, choose: Choice, load: Callable[..., Any]) -> C
     leading = layout.channels_of(array.dtype)
     data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
     geometry = {"spacing": spacing, "origin": origin + direction @ (first * spacing), "direction": direction}
-    return data, geometry | {"name": array.name.rpartition("/")[2]} | chosen
+    return data, geometry | unplaced_by("its Spacing", spacing) | {"name": array.name.rpartition("/")[2]} | chosen

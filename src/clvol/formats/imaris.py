@@ -14,6 +14,7 @@ from clvol.base.errors import FormatError
 from clvol.base.units import unit_name
 from clvol.bricks.sliced import Index, Window
 from clvol.formats._choice import Choice, chosen_level
+from clvol.formats._files import unplaced_by
 from clvol.formats._layout import Layout
 from clvol.formats.hdf5 import loaded, member, opened, part_of
 from clvol.interop.kinds import Content
@@ -59,7 +60,8 @@ def _content(path: Path, file: Any, choose: Choice, level: int, load: Callable[.
     low, high = (np.array([float(_text(about, f"Ext{end}{i}")) for i in range(3)]) for end in ("Min", "Max"))
     unit = unit_name(_text(about, "Unit", "um"))
     spacing = (high - low) / size[::-1]  # from edge to edge
-    return data, {"spacing": spacing, "origin": low + spacing / 2, "units": unit, "space": "image"} | chosen
+    known = {"spacing": spacing, "origin": low + spacing / 2, "units": unit, "space": "image"}
+    return data, known | unplaced_by("ExtMax less ExtMin, of an image's extent,", high - low) | chosen
 
 
 def _numbered(group: Any, word: str) -> list[Any]:

@@ -12,6 +12,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.checks import warn
 from clvol.base.errors import FormatError
 from clvol.formats import _itk
 from clvol.formats._choice import Choice
@@ -128,7 +129,10 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
         raise FormatError(f"{name} must compress samples in binary; its header says BinaryData = False")
     for key, power in _NUMBERS.items():
         if key in fields:
-            values = numbers(name, key, fields[key], rank**power)
+            count = max(rank, len(fields[key].split())) if power == 1 else rank**power
+            values = numbers(name, key, fields[key], count)
+            if power == 1 and count > rank:
+                warn(f"{name} gives {count} numbers for {key} of {rank} axes; the first {rank} were read, as by ITK")
             if power == 2 and max(map(abs, values)) > _STEEPEST:  # ITK never returns from a matrix of 1e308
                 raise FormatError(f"{name} must give direction cosines for {key!r}; got {fields[key][:80]!r}")
     for key in _ORDERS:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clvol.base.errors import FormatError
+from clvol.base.errors import FormatError, GeometryError
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, packed, require_bytes, sample_count, unpacked
 from clvol.formats.guarded.limits import announce
@@ -29,7 +29,10 @@ def read(path: Path, choose: Choice) -> Content:
     with unpacked(path) as stream:
         with np.errstate(all="ignore"):  # `Volume` refuses a geometry that is not finite
             image = library.freesurfer.MGHImage.from_stream(stream)
-            about = describe_nibabel(image)
+            try:
+                about = describe_nibabel(image)
+            except GeometryError as error:
+                raise GeometryError(f"{path}: {error}, from its delta and its direction cosines") from error
         pick = choose(path.name, Leading(**about.pop("leading", {})))
         shape = tuple(int(n) for n in image.shape[:3])
         data = np.asanyarray(image.dataobj[(..., *pick.index)] if pick.index else image.dataobj).reshape(*shape, -1, order="F").T

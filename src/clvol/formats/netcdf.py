@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from clvol.base.errors import DataError, FormatError
 from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at
-from clvol.formats._layout import Layout, Lines, by_names, uniform
+from clvol.formats._layout import Layout, Lines, by_names, decoded
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 
@@ -95,7 +94,7 @@ def _content(path: Path, choose: Choice, series: int | str | None, load: Any) ->
         lines = {}
         for axis, scale in zip(layout.axes, scales, strict=True):
             if scale is not None:
-                lines[axis] = uniform(scale.loaded()) or (0.0, math.nan if scale.shape[0] > 1 else 1.0)
+                lines[axis] = decoded(scale.loaded(), scale.attrs)
         return lines, {axis: units[i] for i, axis in enumerate(layout.axes) if scales[i]}
 
     data, known = by_names(path.name, words, array, choose, lambda _, array, index: load(array, index), lines_of)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,7 +23,7 @@ from clvol.formats._files import gunzipped_size, packed, require_bytes, require_
 from clvol.formats._layout import Layout, scaled_part
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
-from clvol.interop.nibabel import NIFTI_MILLIMETRES, describe_nifti, same_place
+from clvol.interop.nibabel import CIFTI, NIFTI_MILLIMETRES, NO_VOLUME, describe_nifti, same_place
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
@@ -94,6 +94,7 @@ class _Header:
     Colours have interleaved `parts`.
     """
 
+    length: int  # of the header in bytes
     size: tuple[int, ...]
     volumes: int
     parts: int
@@ -141,7 +142,28 @@ def lazily_pair(path: Path, choose: Choice) -> list[Content]:
 
 def _header(path: Path, pair: bool = False) -> _Header:
     with _beside(path, ".hdr").open("rb") if pair else unpacked(path) as stream:
-        return _parse(stream, path.name, pair)
+        header = _parse(stream, path.name, pair)
+    return header if header.start or pair else _begun(path, header)
+
+
+def _begun(path: Path, header: _Header) -> _Header:
+    """The header of one file whose vox_offset is 0: samples end with the file, and begin after the header and its extension flag.
+
+    nifti_clib, which ITK and FSL use, takes them to begin right after the header, where some programs put them.
+    """
+    ends = [replace(header, start=start) for start in (header.length + _AFTER, header.length)]
+    found = _stored(path, max(one.end for one in ends))
+    chosen = next((one for one in ends if one.end == found), ends[0])
+    text = f"its vox_offset is 0, and its samples were taken to begin at byte {chosen.start}"
+    return replace(chosen, guessed="; ".join(filter(None, (header.guessed, text))))
+
+
+def _stored(path: Path, limit: int) -> int:
+    """Bytes of a file, unpacked."""
+    if not packed(path):
+        return path.stat().st_size
+    with path.open("rb") as file:
+        return gunzipped_size(file, limit)
 
 
 def _lazily(path: Path, header: _Header, choose: Choice) -> Content:
@@ -195,7 +217,7 @@ def _read(path: Path, header: _Header, choose: Choice) -> Content:
 
 
 def write(what: Volume | Volumes, path: Path) -> None:
-    """Write samples exactly, and geometry in float32, as NIfTI stores it."""
+    """Write samples exactly, and geometry in float32, as NIfTI-1 stores it, or NIfTI-2 where that would move a sample."""
     grid = what.grid if isinstance(what, Volumes) else what
     if grid.units != "mm":
         require_default(grid, ["units"], "the format measures in mm; .npz")
@@ -210,11 +232,7 @@ def write(what: Volume | Volumes, path: Path) -> None:
 
 
 def _count(path: Path, header: _Header) -> None:
-    if packed(path):
-        with path.open("rb") as file:
-            found = gunzipped_size(file, header.end)
-    else:
-        found = path.stat().st_size
+    found = _stored(path, header.end)
     shape = (header.volumes, header.parts, *header.size[::-1])
     require_bytes(path.name, max(0, found - header.start), shape, header.dtype, exact=True)
 
@@ -254,7 +272,7 @@ def _parse(stream: IO[bytes], name: str, pair: bool = False) -> _Header:
     if code not in _DTYPES and code not in _COLORS:
         raise FormatError(f"{name} must hold real numbers or colours of bytes; its header says datatype {code}")
     first = 0 if pair else length + _AFTER
-    if not (math.isfinite(start) and start == int(start) and start >= first):
+    if not (math.isfinite(start) and start == int(start) and (start >= first or start == 0)):
         raise FormatError(f"{name} must say where its samples begin, at byte {first} or later; its header says {start:g}")
     if slope == 0 or not math.isfinite(slope):  # the format's way of saying: no scale, and no offset
         slope, offset = 1.0, 0.0
@@ -264,14 +282,20 @@ def _parse(stream: IO[bytes], name: str, pair: bool = False) -> _Header:
     unit = int(fields["xyzt_units"]) & 7
     if unit not in NIFTI_MILLIMETRES:
         raise FormatError(f"{name} must measure in m, mm or µm (xyzt_units 1, 2 or 3, or 0 for none); its header says {unit}")
+    if int(fields["intent_code"]) in CIFTI:
+        raise FormatError(f"{name} {NO_VOLUME}")
     placed, alike = _placed(name, fields, size)
     about = from_ras(placed, len(size), NIFTI_MILLIMETRES[unit]) | describe_nifti(fields, counts[:rank], parts if parts > 1 else 0)
+    if not (placed[0][: len(size)] > 0).all():  # `spacing=` may replace it
+        by = "srow" if int(fields["sform_code"]) in _PLACED else "pixdim"
+        what = f"its {'sform (srow)' if by == 'srow' else by} must give each axis a finite length that is not 0"
+        about["unplaced"] = f"{what}; its header says {np.array(fields[by]).tolist()}"
     if not alike:
         about["header"]["qform_code"] = int(fields["sform_code"])
     dtype = np.dtype(_DTYPES.get(code, "uint8")).newbyteorder(lengths[length])  # type: ignore[arg-type]
     leading = Leading(**about.pop("leading", {}))
     guessed = f"its axes 4 to {rank} were taken for one, of volumes" if math.prod(counts[5:rank]) > 1 else ""
-    return _Header(size, math.prod(counts[3:rank]), parts, dtype, int(start), slope, offset, leading, about, guessed)
+    return _Header(length, size, math.prod(counts[3:rank]), parts, dtype, int(start), slope, offset, leading, about, guessed)
 
 
 # -- spacing, origin and direction in the RAS world, by the first of three methods that the header provides -----------------------

@@ -17,7 +17,7 @@ from clvol.base.errors import DataError, FormatError
 from clvol.base.files import MAX_HEADER
 from clvol.bricks.sliced import FlatFile, Window
 from clvol.formats._choice import Choice
-from clvol.formats._files import require_bytes, require_default, require_members
+from clvol.formats._files import require_bytes, require_default, require_members, unplaced_by
 from clvol.formats._layout import lay_out, unnamed
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
@@ -70,6 +70,7 @@ def read_archive(path: Path, choose: Choice) -> Content:
         if "data" not in members and len(samples) != 1:
             raise FormatError(f"an archive must hold one array, or one named data; {path.name} holds {samples}")
         geometry: dict[str, Any] = {name: array(name) for name in ("spacing", "origin", "direction") if name in members}
+        geometry |= unplaced_by("its member spacing", geometry.get("spacing", 1.0))
         if "units" in members:
             geometry["units"] = str(array("units", "U"))
         if "about" in members:

@@ -19,7 +19,7 @@ from clvol.bricks.source import LazyVolume
 from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, options_of, zarr
 from clvol.formats._choice import Choice, Pick
 from clvol.formats._errors import foreign_errors
-from clvol.formats.reading import sorted_out
+from clvol.formats.reading import misplaced, sorted_out
 from clvol.formats.zarr.addresses import said, shown
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
@@ -198,11 +198,12 @@ class _Once(Choice):
 
 def opened(name: str, contents: Sequence[Content], replaced: dict[str, Any], missing: float | None) -> LazyVolume:
     """A lazy volume from the contents of its levels."""
+    unplaced = ""
     try:
         volumes: list[LazyVolume] = []
         for number, (data, about) in enumerate(contents):
             known = {key: value for key, value in about.items() if key != "header"}
-            bound = known.pop("bounds", None)
+            bound, unplaced = known.pop("bounds", None), known.pop("unplaced", "")
             if len(data.shape) == 2:
                 raise DataError(f"{name} holds an image of shape {data.shape}: clvol.read reads images")
             own = replaced
@@ -216,7 +217,7 @@ def opened(name: str, contents: Sequence[Content], replaced: dict[str, Any], mis
     except DataError as error:
         raise DataError(f"{name}: {error}") from error
     except GeometryError as error:
-        raise GeometryError(f"{name}: {error}; spacing=, origin= or direction= replace what the file says") from error
+        raise misplaced(name, error, "" if "spacing" in replaced else unplaced) from error
 
 
 def _moved(base: Mapping[str, Any], about: Mapping[str, Any], moved: Volume) -> dict[str, Any]:

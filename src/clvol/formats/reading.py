@@ -22,7 +22,7 @@ from clvol.formats.table import format_of, options_of
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
-__all__ = ["allowed", "begin_to_read", "called", "leading_of", "read", "read_all", "series_of", "sorted_out"]
+__all__ = ["allowed", "begin_to_read", "called", "leading_of", "misplaced", "read", "read_all", "series_of", "sorted_out"]
 
 _CHOICES = ("volume", "time", "position", "channel")
 _GEOMETRY = ("spacing", "origin", "direction")
@@ -258,6 +258,11 @@ def sorted_out(arguments: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, 
     return choices, options | {"offset": given.get("offset") or None}, replaced
 
 
+def misplaced(source: object, error: GeometryError, unplaced: str) -> GeometryError:
+    """The error of a geometry that no `Volume` has: `unplaced` is the reason, if the format knows it."""
+    return GeometryError(f"{source}: {unplaced or error}; spacing=, origin= or direction= replace what the file says")
+
+
 def _read(arguments: Mapping[str, Any], whole: bool = False) -> Volume | Volumes:
     path = as_path(arguments["path"])
     choices, given, replaced = sorted_out(arguments)
@@ -271,14 +276,14 @@ def _read(arguments: Mapping[str, Any], whole: bool = False) -> Volume | Volumes
         if not chosen.several:
             pick = choice(path.name, Leading())  # refuses a choice among one
             geometry = geometry | pick.about
+        unplaced = geometry.pop("unplaced", "")
         geometry |= replaced
         try:
             return Volumes(data, **geometry) if "leading" in geometry else Volume(data, **geometry)
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
         except GeometryError as error:
-            mend = "spacing=, origin= or direction= replace what the file says"
-            raise GeometryError(f"{path}: {error}; {mend}") from error
+            raise misplaced(path, error, "" if "spacing" in replaced else unplaced) from error
 
 
 def _counted(reader: Reader, path: Path, **options: Any) -> Leading:

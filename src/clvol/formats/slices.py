@@ -1,4 +1,7 @@
-"""Single images (PNG, JPEG, BMP), and folders of slices, which may be TIFF files too."""
+"""Single images (PNG, JPEG, BMP), and folders of slices, which may be TIFF files too.
+
+Those with a palette hold its indices, which are labels or grey values: no colour is computed. So do TIFF files.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.checks import warn
 from clvol.base.errors import DataError, FormatError
 from clvol.formats import tiff
 from clvol.formats._choice import Choice
@@ -81,12 +85,17 @@ def read_folder(path: Path, choose: Choice) -> Content:
     taken = first[pick.index]
     announce(path.name, len(files) * taken.nbytes)
     data = empty((*taken.shape[:-2], len(files), *taken.shape[-2:]), first.dtype)
+    palette = _palette(files[0])
     for i, file in enumerate(files):
         samples = _slice(file)[0] if i else first
         if samples.shape != first.shape or samples.dtype != first.dtype:
             got = [f"{f.name}: {s.shape} of {s.dtype}" for f, s in ((files[0], first), (file, samples))]
             raise DataError(f"{path} must hold slices of one shape and dtype; got {' and '.join(got)}")
         data[..., i, :, :] = samples[pick.index]
+        used = 3 * (1 + int(min(first.max(), samples.max()))) if palette else 0
+        if palette and palette[:used] != _palette(file)[:used]:
+            warn(f"{path} holds slices of several palettes, {files[0].name} and {file.name}: their indices may differ in meaning")
+            palette = b""
     geometry["spacing"] = (*geometry.get("spacing", (1.0, 1.0)), 1.0)
     return pick.finish(data), geometry | pick.about
 
@@ -114,11 +123,11 @@ def _slice(path: Path) -> tuple[NDArray[Any], Leading, dict[str, Any]]:
         raise DataError(
             f"{path.parent} must hold one slice a file; {path.name} holds {leading} of shape {samples.shape}: read it by itself"
         )
-    return samples, leading, {key: geometry[key] for key in ("spacing", "units", "space")}
+    return samples, leading, {key: geometry[key] for key in ("spacing", "units", "space", "unplaced")}
 
 
 def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
-    """Samples [y, x] or [channel, y, x], read by imageio; other colour models are converted to RGB."""
+    """Samples [y, x] or [channel, y, x], read by imageio: indices of a palette as they are, other colour models as RGB."""
     import imageio.v3 as iio
 
     if path.suffix.lower() == ".png":
@@ -133,13 +142,23 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
             about = file.properties(index=0)
             announce(path.name, sample_count(about.shape) * about.dtype.itemsize)
             mode = file.metadata(index=0)["mode"]
-            samples = np.asarray(file.read(index=0, **({} if mode in (*_MODES, "P") else {"mode": "RGB"})))
+            samples = np.asarray(file.read(index=0, **({} if mode in _MODES else {"mode": "P" if mode == "P" else "RGB"})))
     except (OSError, SyntaxError, ValueError) as error:  # imageio's message is about plug-ins
         raise FormatError(f"cannot read {path}: it is damaged, or no image that imageio reads") from error
     if samples.ndim == 2:
         return samples, Leading()
     channels = samples.shape[-1]
     return np.moveaxis(samples, -1, 0), _GREY if channels == 2 else Leading.of_rgb(channels)
+
+
+def _palette(path: Path) -> bytes:
+    """Red, green and blue of each index of a PNG or BMP image with a palette; else nothing."""
+    from PIL import Image
+
+    if path.suffix.lower() not in (".png", ".bmp"):
+        return b""
+    with Image.open(path) as image:
+        return bytes(image.getpalette() or ())
 
 
 def _check_png(path: Path) -> None:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
-from clvol.formats._files import sample_count
+from clvol.formats._files import sample_count, unplaced_by
 from clvol.formats._headers import numbers, parsed
 from clvol.formats._layout import lay_out
 from clvol.formats.guarded.limits import announce
@@ -97,7 +97,8 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
     low = np.array(file.extent[::2])
     first = low + (0.5 * (np.array(file.extent[1::2]) > low) if array.kind == "Cell" else 0.0)
     origin = file.origin + file.direction @ (first * file.spacing)
-    return data, {"spacing": file.spacing, "origin": origin, "direction": file.direction, "name": array.name} | chosen
+    known = {"spacing": file.spacing, "origin": origin, "direction": file.direction, "name": array.name}
+    return data, known | unplaced_by("its Spacing", file.spacing) | chosen
 
 
 def series(path: Path) -> tuple[Series, ...]:

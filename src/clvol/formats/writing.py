@@ -29,8 +29,9 @@ def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) ->
         What to write.
     path : path-like
         ``.npz``: everything, exactly. ``.nrrd .nhdr .mha .mhd``: samples and geometry, in mm. ``.nii .nii.gz``: the same, with
-        geometry in float32, and `clim`, time step and other fields of `Volume.header`. ``.tif .tiff`` (OME): spacing and
-        units, times, and channels with names and colours. ``.npy``: samples only.
+        geometry in float32 (NIfTI-2, in float64, where that would move a sample by more than a thousandth of a voxel), and
+        `clim`, time step and other fields of `Volume.header`. ``.tif .tiff`` (OME): spacing and units, times, and channels with
+        names and colours. ``.npy``: samples only.
         ``.nhdr`` and ``.mhd`` put the samples beside the header, into a ``.raw`` file.
 
     Raises

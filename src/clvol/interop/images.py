@@ -14,7 +14,7 @@ from clvol.interop.kinds import Content, Kind
 from clvol.interop.napari import NAPARI
 from clvol.interop.nibabel import NIBABEL
 from clvol.interop.vtk import VTK
-from clvol.interop.xarray_images import LABELLED, OWN
+from clvol.interop.xarray_images import LABELLED, OWN, in_order
 
 __all__ = ["is_image", "read_array", "read_grid", "read_several"]
 
@@ -41,7 +41,7 @@ def read_array(source: Any, *, placed: bool = True) -> Content:
     ----------
     source : object
     placed : bool
-        Whether the geometry is wanted; if not, coordinates of xarray are not read.
+        Whether the geometry is wanted; if not, dimensions of xarray keep their order, and coordinates are not read.
 
     Raises
     ------
@@ -57,19 +57,21 @@ def read_array(source: Any, *, placed: bool = True) -> Content:
     if (leading := getattr(source, "leading", None)) is not None:
         raise DataError(f"data must be one volume; got Volumes of {leading}: take one, as volumes[0], or each of them in turn")
     kind = _kind_of(source)
-    about = {} if kind is None or (kind is LABELLED and not placed) else kind.describe(source)
+    if kind is None or (kind in (LABELLED, OWN) and not placed):
+        return _read_other(source)
+    about = kind.describe(source)
     if "leading" in about:
         counts = " × ".join(f"{n} {axis}s" for axis, n in zip(about["leading"]["axes"], about["leading"]["counts"], strict=True))
         raise DataError(f"data must be one volume; got an image of {counts}: take one as clvol.Volumes(image)[k]")
-    if kind is None:
-        return _read_other(source)
     return kind.samples(source), about
 
 
 def read_several(source: Any) -> Content:
     """As `read_array`, and images that hold several volumes; those have the arguments of `Leading` under the key "leading"."""
     kind = _kind_of(source)
-    if kind is None or (kind is LABELLED and source.ndim < 4):  # the first of three dimensions may count volumes
+    if kind is LABELLED and source.ndim < 4:  # the first of three dimensions may count volumes
+        return _read_other(in_order(source))
+    if kind is None:
         return _read_other(source)
     about = kind.describe(source)
     return kind.samples(source), about

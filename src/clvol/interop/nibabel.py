@@ -18,10 +18,29 @@ if TYPE_CHECKING:
     from clvol.volume.volume import Volume
     from clvol.volume.volumes import Leading
 
-__all__ = ["NIBABEL", "NIFTI_MILLIMETRES", "describe_nibabel", "describe_nifti", "nibabel", "same_place", "to_nibabel"]
+__all__ = [
+    "CIFTI",
+    "NIBABEL",
+    "NIFTI_MILLIMETRES",
+    "NO_VOLUME",
+    "describe_nibabel",
+    "describe_nifti",
+    "nibabel",
+    "same_place",
+    "to_nibabel",
+]
 
 NIFTI_MILLIMETRES = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
 """Millimetres of the unit of length that NIfTI's ``xyzt_units & 7`` stands for: none, m, mm and µm."""
+
+CIFTI = range(3000, 3100)
+"""NIfTI's intent codes of CIFTI-2."""
+
+NO_VOLUME = (
+    "must hold a volume; it is CIFTI-2: values at vertices of a surface and at some voxels, with the axes of a matrix. nibabel "
+    "reads it, and `wb_command -cifti-separate FILE COLUMN -volume-all OUT.nii.gz` makes a volume of its voxels"
+)
+"""What messages say of CIFTI-2."""
 
 _TIME_UNITS = {0: "unknown", 8: "sec", 16: "msec", 24: "usec", 32: "hz", 40: "ppm", 48: "rads"}
 """nibabel's names of ``xyzt_units & 56``."""
@@ -29,7 +48,7 @@ _TIMES = ("sec", "msec", "usec")
 _LABELS, _VECTORS, _TIME_SERIES = 1002, (1006, 1007), 2001  # NIfTI's intent codes
 _SHAPES = {_LABELS, *_VECTORS, 1008, _TIME_SERIES, 2003, 2004}  # what samples show, and may have changed since
 _LONGEST = np.iinfo(np.int16).max  # axis of NIfTI-1
-_TOLERANCE = 1e-4  # relative; NIfTI keeps geometry in float32, and a larger error is no rounding
+_MOST_MOVED = 1e-3  # voxels, by the rounding of a header; NIfTI-1 keeps geometry in float32
 _DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 
 
@@ -57,7 +76,7 @@ def describe_nibabel(image: Any) -> dict[str, Any]:
     Raises
     ------
     DataError
-        Fewer than two axes.
+        Fewer than two axes; CIFTI-2.
     GeometryError
         The affine is singular or not finite; the unit of length is unknown; an image of two axes lies across the world's
         xy plane.
@@ -66,6 +85,8 @@ def describe_nibabel(image: Any) -> dict[str, Any]:
     d = min(len(shape), 3)
     if d < 2:
         raise DataError(f"data must have 2 or 3 axes; got a nibabel image of shape {shape}")
+    if not hasattr(image, "affine"):
+        raise DataError(f"the nibabel image {NO_VOLUME}")
     affine = np.asarray(image.affine, dtype=np.float64)
     if not np.isfinite(affine).all() or (np.linalg.norm(affine[:3, :3], axis=0) == 0).any():
         raise GeometryError(f"the image's affine must be finite and not singular; got {image.affine!r}")
@@ -96,7 +117,7 @@ def from_nibabel(image: Any) -> Content:
 
 
 NIBABEL = Kind(
-    lambda source: hasattr(source, "affine") and hasattr(source, "dataobj"),
+    lambda source: hasattr(source, "header") and hasattr(source, "dataobj"),
     describe_nibabel,
     lambda image: tuple(int(n) for n in image.shape[:3][::-1]),
     lambda image: from_nibabel(image)[0],
@@ -177,15 +198,17 @@ def describe_nifti(header: Any, shape: Sequence[int], channels: int = 0) -> dict
 def to_nibabel(data: NDArray[Any], grid: Volume, leading: Leading | None = None) -> Any:
     """A nibabel image of NIfTI of samples [..., z, y, x], in RAS and mm: times are its fourth axis and channels the fifth.
 
-    Three or four channels of bytes that are colours become RGB(A). What `grid` keeps of a NIfTI header is written: the codes of
-    sform and qform, the intent with its parameters, texts and the time step. `clim` becomes cal_min and cal_max.
+    It is NIfTI-2 where NIfTI-1, whose geometry is in float32, would move a sample by more than a thousandth of a voxel, and for
+    axes of more than 32767 samples. Three or four channels of bytes that are colours become RGB(A). What `grid` keeps of a NIfTI
+    header is written: the codes of sform and qform, the intent with its parameters, texts and the time step. `clim` becomes
+    cal_min and cal_max.
 
     Raises
     ------
     DataError
         A dtype that NIfTI does not have, or more leading axes than channels and one other.
     GeometryError
-        Units that are no length; a geometry that float32 does not hold.
+        Units that are no length; a geometry that NIfTI does not hold.
     MissingDependencyError
         nibabel is not installed.
     """
@@ -205,17 +228,24 @@ def to_nibabel(data: NDArray[Any], grid: Volume, leading: Leading | None = None)
             array = array[0]
     mm = millimetres(grid.units)
     affine = ras_affine(np.multiply(grid.spacing, mm), np.multiply(grid.origin, mm), grid.direction)
-    kind = library.Nifti1Image if max(array.shape) <= _LONGEST else library.Nifti2Image
-    with np.errstate(over="ignore"):  # checked below
-        image = kind(array.T, affine, dtype=array.dtype)
-    _write_header(image, affine, grid, frames, leading)
-    with np.errstate(over="ignore", invalid="ignore"):
-        kept = image.header.get_best_affine()
-        if not np.abs(kept - affine).max() <= _TOLERANCE * np.abs(affine).max():
-            raise GeometryError(
-                f"NIfTI holds a geometry in float32, and cannot hold {affine.tolist()}, it would become {kept.tolist()}"
-            )
-    return image
+    for kind in (library.Nifti1Image, library.Nifti2Image)[max(array.shape) > _LONGEST :]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            image = kind(array.T, affine, dtype=array.dtype)
+            _write_header(image, affine, grid, frames, leading)
+            moved = _moved(image, affine)
+        if moved <= _MOST_MOVED:
+            return image
+        if not math.isfinite(moved):
+            break
+    kept = image.header.get_best_affine()
+    raise GeometryError(f"NIfTI holds a geometry in float32, and cannot hold {affine.tolist()}, it would become {kept.tolist()}")
+
+
+def _moved(image: Any, affine: NDArray[np.float64]) -> float:
+    """Voxels by which the header of an image moves a corner of the grid."""
+    last = np.array([*image.shape[:3], 1, 1])[:3] - 1
+    corners = np.array([[*np.multiply(corner, last), 1] for corner in np.ndindex(2, 2, 2)]).T
+    return float(np.abs(np.linalg.solve(affine, (image.header.get_best_affine() - affine) @ corners)).max())
 
 
 def _write_header(image: Any, affine: NDArray[np.float64], grid: Volume, frames: int | None, leading: Leading | None) -> None:

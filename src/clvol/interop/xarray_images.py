@@ -1,4 +1,4 @@
-"""Arrays of xarray: those that `to_xarray` makes, and others whose dimensions are [..., z, y, x]."""
+"""Arrays of xarray: those that `to_xarray` makes, and others; dimensions that are named as axes may have any order."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.arrays import as_array
+from clvol.base.axes import meaning
 from clvol.base.errors import GeometryError, MissingDependencyError
 from clvol.base.units import axes_unit
 from clvol.interop.kinds import Kind, leading_axes
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from clvol.volume.volume import Volume
     from clvol.volume.volumes import Leading
 
-__all__ = ["LABELLED", "OWN", "to_xarray"]
+__all__ = ["LABELLED", "OWN", "in_order", "is_labelled", "to_xarray"]
 
 _PLACE = {"size", "spacing", "origin", "direction"}  # attributes of a DataArray that `to_xarray` made
 _UNIFORM = 1e-3  # of a step, by which coordinates may be off: float32 ones are off by less
@@ -59,10 +60,33 @@ def to_xarray(data: NDArray[Any], grid: Volume, leading: Leading | None = None) 
     return xarray.DataArray(data, coords, dims, name=(grid.name or None) if leading is None else None, attrs=attrs)
 
 
+def in_order(array: Any) -> Any:
+    """The array with its dimensions in the order [..., z, y, x], by their names; the unknown are the missing axes, last first.
+
+    An array with two names for one axis is returned as it is.
+    """
+    axes = [meaning(str(dim)) for dim in array.dims]
+    if axes.count("y") > 1 and "z" not in axes:  # beside latitudes, a height lies along z
+        axes = ["z" if str(dim).lower() == "height" else axis for dim, axis in zip(array.dims, axes, strict=True)]
+    if any(axes.count(axis) > 1 for axis in "xyz"):
+        return array
+    unknown = [n for n, axis in enumerate(axes) if not axis]
+    for axis in "xyz":
+        if axis not in axes and unknown:
+            axes[unknown.pop()] = axis
+    rank = {"z": 1, "y": 2, "x": 3}
+    order = sorted(range(len(axes)), key=lambda n: rank.get(axes[n], 0))
+    return array if order == sorted(order) else array.transpose(*(array.dims[n] for n in order))
+
+
+def _samples(array: Any) -> NDArray[Any]:
+    return as_array(in_order(array))
+
+
 def _is_own(array: Any) -> bool:
-    """Whether `to_xarray` made it, or what it was computed from, and its last dimensions are y and x."""
+    """Whether `to_xarray` made it, or what it was computed from, and it has the dimensions y and x."""
     attrs = getattr(array, "attrs", None)
-    return isinstance(attrs, Mapping) and attrs.keys() >= _PLACE and getattr(array, "dims", ())[-2:] == ("y", "x")
+    return isinstance(attrs, Mapping) and attrs.keys() >= _PLACE and {"x", "y"} <= set(getattr(array, "dims", ()))
 
 
 def _describe_own(array: Any) -> dict[str, Any]:
@@ -73,6 +97,7 @@ def _describe_own(array: Any) -> dict[str, Any]:
     GeometryError
         Coordinates that are not evenly spaced; or a slice without coordinates, whose place is not known.
     """
+    array = in_order(array)
     d = 3 if array.dims[-3:] == ("z", "y", "x") else 2
     attrs = array.attrs
     spacing, origin, direction = (np.array(attrs[name], np.float64) for name in ("spacing", "origin", "direction"))
@@ -111,22 +136,20 @@ def _describe_own(array: Any) -> dict[str, Any]:
 
 
 def _shape(array: Any) -> tuple[int, ...]:
-    return tuple(int(n) for n in array.shape[-3 if array.dims[-3:] == ("z", "y", "x") else -2 :])
+    return tuple(int(n) for n in in_order(array).shape[-3 if "z" in array.dims else -2 :])
 
 
-OWN = Kind(_is_own, _describe_own, _shape, as_array)
+OWN = Kind(_is_own, _describe_own, _shape, _samples)
 
 
-def _is_labelled(source: Any) -> bool:
-    """Whether it is an array of xarray whose dimensions are [..., z, y, x]; of transposed ones only the samples are read."""
-    if not all(hasattr(source, name) for name in ("dims", "coords", "attrs", "isel", "dtype")):
-        return False
-    named = [dim for dim in source.dims if dim in ("x", "y", "z")]
-    return named == sorted(named, reverse=True)
+def is_labelled(source: Any) -> bool:
+    """Whether it is an array of xarray."""
+    return all(hasattr(source, name) for name in ("dims", "coords", "attrs", "isel", "dtype"))
 
 
 def _describe_labelled(array: Any) -> dict[str, Any]:
     """Coordinates of the last two or three dimensions are places if they are numbers; other dimensions count from 0."""
+    array = in_order(array)
     d = min(array.ndim, 3)
     spacing, origin, direction, units = np.ones(d), np.zeros(d), np.eye(d), []
     for axis, dim in enumerate(array.dims[: -1 - d : -1]):
@@ -159,4 +182,4 @@ def _describe_labelled(array: Any) -> dict[str, Any]:
     return about
 
 
-LABELLED = Kind(_is_labelled, _describe_labelled, lambda array: tuple(int(n) for n in array.shape[-3:]), as_array)
+LABELLED = Kind(is_labelled, _describe_labelled, lambda array: tuple(int(n) for n in in_order(array).shape[-3:]), _samples)

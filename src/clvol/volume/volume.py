@@ -61,8 +61,8 @@ class Volume(Gridded):
         in mm, and what else a NIfTI header says: see `clim`, `labels` and `header`. So do images of ITK, image data of VTK and
         PyVista (the active scalars; those of cells lie in their middles), and Image and Labels layers of napari, with their
         units, contrast limits and colour; of several sizes the first. Arrays of xarray give what their coordinates say, which
-        must be evenly spaced. Arrays of Zarr and dask are read whole, if there is memory for them, and say nothing of geometry:
-        that of OME-Zarr stands with its group, `clvol.read`.
+        must be evenly spaced; dimensions named as axes (x or lon, ...) may have any order. Arrays of Zarr and dask are read whole,
+        if there is memory for them, and say nothing of geometry: that of OME-Zarr stands with its group, `clvol.read`.
     spacing : sequence of float, optional
         Distance between neighbouring samples along x, y(, z) in world units; default 1.
     origin : sequence of float, optional

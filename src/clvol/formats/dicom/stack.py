@@ -176,6 +176,12 @@ def geometry_of(path: Path, stack: Sequence[Frame], film: bool = False) -> dict[
         shift = np.linalg.norm(positions - positions[0] - np.arange(len(stack))[:, None] * step, axis=1)
         if shift.max() > _LARGEST_SHIFT * distance:
             gaps = np.linalg.norm(steps, axis=1)
+            if np.ptp(gaps) <= _LARGEST_SHIFT * distance:
+                off = int(np.argmax(shift))
+                raise FormatError(
+                    f"{path} must hold one stack of slices on a line; they lie {gaps.mean():g} mm apart, but "
+                    f"{_called(stack[off])} lies {shift[off]:g} mm beside the line from {_called(stack[0])} to {_called(stack[-1])}"
+                )
             wide = int(np.argmax(np.abs(gaps - np.median(gaps))))
             raise FormatError(
                 f"{path} must hold one stack of evenly spaced slices; they lie {gaps.min():g} to {gaps.max():g} mm apart, "
@@ -183,6 +189,8 @@ def geometry_of(path: Path, stack: Sequence[Frame], film: bool = False) -> dict[
                 "or were taken at uneven distances"
             )
         direction[:, 2] = step / distance
+    if not np.isfinite(distance):
+        about["unplaced"] = "its slices must say where they lie, or how far apart; they do not"
     return about | {"spacing": (columns, rows, distance), "direction": direction, "origin": tuple(positions[0])}
 
 

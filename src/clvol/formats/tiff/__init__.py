@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
-from clvol.base.units import METRES, unit_name
+from clvol.base.units import METRES, in_one_unit, unit_name
 from clvol.bricks.sliced import FlatFile, Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import damaged_chunk, require_default, sample_count, scaled, storable
 from clvol.formats._layout import Layout, lay_out, scaled_part
 from clvol.formats.guarded.messages import as_stored, empty
 from clvol.formats.tiff.about import DTYPES, WHITE, About, imagej, ome, ome_color
-from clvol.formats.tiff.file import check_order, check_samples, opened, strict, tifffile
+from clvol.formats.tiff.file import check_order, check_samples, decoding, opened, strict, tifffile
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
@@ -104,9 +104,9 @@ def _content(path: Path, file: Any, number: int, level: int, choose: Choice, loa
     image = levels[level]
     kind = file.series[number].kind.lower()  # as tifffile found it: what the file declares may not fit its pages
     about = (
-        ome(file.ome_metadata, number, len(file.series), image.dtype)
+        ome(path.name, file.ome_metadata, number, len(file.series), image.dtype)
         if kind == "ome"
-        else imagej(file)
+        else imagej(path.name, file)
         if kind == "imagej"
         else About()
     )
@@ -118,17 +118,21 @@ def _content(path: Path, file: Any, number: int, level: int, choose: Choice, loa
     shrunk = {axis: n / m for (axis, m), (_, n) in zip(_axes(image), _axes(levels[0]), strict=True)}
     name = file.series[number].name if len(file.series) > 1 else ""
     shrunk = {axis: shrunk.get(axis.upper(), 1.0) for axis in "xyz"}
-    spacing = {axis: about.spacing.get(axis, 1.0) for axis in "xyz"}
+    axes = [axis for axis in "xyz" if axis in layout.axes]
+    units, factors = in_one_unit(path.name, {axis: about.units.get(axis, "") for axis in axes})
+    stated = {axis: about.spacing.get(axis, math.nan) for axis in axes}
+    spacing = {axis: 1.0 if math.isnan(size) else size * factors[axis] for axis, size in stated.items()}
     geometry: dict[str, Any] = {
-        "spacing": layout.of({axis: spacing[axis] * shrunk[axis] for axis in "xyz"}),
-        "units": about.units,
+        "spacing": layout.of({axis: spacing[axis] * shrunk[axis] for axis in axes}),
+        "units": units,
         "space": "image",
         "name": name,
+        "unplaced": "; ".join(text for axis, text in about.wrong.items() if axis in axes),
     }
     if "channel" not in layout.axes and len(about.clims) == 1:
         geometry["clim"] = about.clims[0]
     if level:  # the first sample of a level lies at the centre of those it replaces
-        geometry["origin"] = layout.of({axis: (shrunk[axis] - 1) / 2 * spacing[axis] for axis in "xyz"})
+        geometry["origin"] = layout.of({axis: (shrunk[axis] - 1) / 2 * spacing[axis] for axis in axes})
     values: Any = scaled_part if isinstance(data, Window) else scaled
     return values(data, about.slope, about.offset), geometry | known
 
@@ -172,6 +176,7 @@ def _laid_out(name: str, image: Any, about: About, choose: Choice) -> tuple[Layo
         far = "" if "z" in about.spacing else ", 1 apart: spacing= replaces it"
         text = f"it does not say what its {unnamed[0][0]} pages are; they were taken for slices{far}"
         layout = Layout(layout.axes, layout.shape, text)
+    layout = layout.saying_where_spacing_is_missing(about.spacing)
     if "channel" not in layout.axes:
         return layout, Leading(layout.leading, layout.counts)
     at = layout.axes.index("channel")
@@ -196,12 +201,14 @@ def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> N
         if file.byteorder == _NATIVE and (mapped := _mapped(file, image, shape)) is not None:
             return as_stored(mapped[index])
         into = empty((len(keys), image.keyframe.size), image.dtype)
-        samples = file.asarray(key=keys, series=image, out=into).reshape(np.shape(numbers) + tuple(shape[split:]))
+        with decoding(name, [image[key] for key in keys]):
+            samples = file.asarray(key=keys, series=image, out=into).reshape(np.shape(numbers) + tuple(shape[split:]))
         return np.asarray(samples[(slice(None),) * np.ndim(numbers) + index[split:]])
     check_samples(name, list(image), image.keyframe, sample_count(shape))
     if (mapped := _mapped(file, image, shape)) is not None:
         return as_stored(mapped[index])
-    return np.asarray(image.asarray(out=empty(shape, image.dtype)).reshape(shape)[index])
+    with decoding(name, list(image)):
+        return np.asarray(image.asarray(out=empty(shape, image.dtype)).reshape(shape)[index])
 
 
 def _mapped(file: Any, image: Any, shape: tuple[int, ...]) -> NDArray[Any] | None:
@@ -237,13 +244,13 @@ def _part_of(name: str, file: Any, image: Any, index: Index) -> Window:
         assert not file.filehandle.closed  # this closure keeps it open
         with lock:
             try:
-                with strict():
+                with strict(name):
                     return as_stored(np.asarray(array[index]))
             except MemoryError:
                 raise
             except Exception as error:
                 raise FormatError(
-                    f"cannot read {_damaged(name, array, image, index)}: {str(error) or type(error).__name__}"
+                    f"cannot read {_damaged(name, array, image, index)}: it is damaged, its codec says: {error}"
                 ) from error
 
     return Window(Watched(path, name, read), shape, array.dtype, array.chunks, index)
@@ -271,7 +278,7 @@ def _is_whole(page: Any, size: int) -> bool:
 
 def _damaged(name: str, array: Any, image: Any, index: Index) -> str:
     """The first strip or tile at an index that cannot be read, with its page and file."""
-    with strict():
+    with strict(name):
         at = damaged_chunk(array, index, array.chunks)
     if at is None:
         return f"strips or tiles of {name}"

@@ -13,18 +13,20 @@ import re
 import struct
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
-from clvol.base.errors import FormatError, MissingDependencyError
+from clvol.base.errors import ClvolError, ClvolWarning, FormatError, MissingDependencyError
 from clvol.formats._files import inflated_size, xz_size
 from clvol.formats.guarded.limits import announce
+from clvol.formats.tiff.about import check
 
-__all__ = ["check_order", "check_samples", "opened", "strict", "tifffile"]
+__all__ = ["check_order", "check_samples", "decoding", "explained", "opened", "strict", "tifffile"]
 
 _DECLARED = re.compile(r"<!(DOCTYPE|ENTITY)")
 _NAMED = re.compile(r"""FileName\s*=\s*(?:"([^"]*)"|'([^']*)')""")
@@ -44,11 +46,33 @@ def opened(path: Path, stay: bool = False) -> Iterator[Any]:
     """The file, opened by tifffile once its directories are checked; warnings that tifffile logs are raised. It may `stay` open."""
     library = tifffile()
     _directories_of(path)
-    with strict():
-        file = library.TiffFile(path)
+    with strict(path.name):
+        with explained(f"{path.name} must have directories and fields that tifffile reads"):
+            file = library.TiffFile(path)
         with nullcontext() if stay else file:
             _require_own_files(path, file)
-            yield file
+            with explained(f"{path.name} must describe its images as its pages are", partial(check, path.name, file)):
+                _ = file.series
+            with explained(f"{path.name} must be a sound TIFF file"):
+                yield file
+
+
+@contextmanager
+def explained(rule: str, cause: Callable[[], None] | None = None) -> Iterator[None]:
+    """Turn what tifffile and its codecs raise, or log, into a `FormatError` of the rule, unless `cause` raises a better one."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except (ClvolError, ClvolWarning):
+        if cause is not None:
+            cause()
+        raise
+    except Exception as error:
+        if cause is not None:
+            cause()
+        said = f"says: {error}" if isinstance(error, ValueError) else f"stops with a {type(error).__name__}"
+        raise FormatError(f"{rule}; tifffile {said}") from error
 
 
 def _require_own_files(path: Path, file: Any) -> None:
@@ -76,8 +100,9 @@ class _Overheard:
         if heard is None:
             super().handle(record)  # type: ignore[misc]
         elif record.levelno >= logging.WARNING:
+            text = re.sub(r"^<tifffile\.TiffFile '.*?'> ", "", record.getMessage())
             error = FormatError(
-                f"the file is damaged or unusual: {record.getMessage()}; "
+                f"{_listening.name} is damaged or unusual, says tifffile: {text}; "
                 "if you trust what tifffile makes of it, give its array to clvol.Volume"
             )
             heard.append(error)
@@ -85,18 +110,18 @@ class _Overheard:
 
 
 @contextmanager
-def strict() -> Iterator[None]:
-    """Raise warnings that tifffile logs: it continues after damage, and omits slices or zeroes them."""
+def strict(name: str) -> Iterator[None]:
+    """Raise warnings that tifffile logs of the file `name`: it continues after damage, and omits slices or zeroes them."""
     logger = logging.getLogger("tifffile")
     if not isinstance(logger, _Overheard):  # permanently: other threads may be listening
         logger.__class__ = type("Overheard", (_Overheard, type(logger)), {})
-    before = getattr(_listening, "heard", None)
+    before = getattr(_listening, "heard", None), getattr(_listening, "name", "")
     heard: list[FormatError] = []
-    _listening.heard = heard
+    _listening.heard, _listening.name = heard, name
     try:
         yield
     finally:
-        _listening.heard = before
+        _listening.heard, _listening.name = before
     if heard:  # tifffile caught it
         raise heard[0]
 
@@ -125,8 +150,11 @@ _DEFAULTS: dict[int, tuple[int, ...]] = {  # how samples are stored, by default
     _DEPTH: (1,),
     _TILE_DEPTH: (1,),
 }
+_SINGLE = (_WIDTH, _LENGTH, _COMPRESSION, _COLOR, _SAMPLES, _PLANES, 317, _ROWS, _TILE_WIDTH, _TILE_LENGTH)
 _READ = {*_DEFAULTS, _CHILDREN}
 _BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}  # of a type
+_PLACES = (273, 279, 324, 325)  # offsets and lengths of strips and of tiles
+_NOT_WHOLE = (2, 5, 7, 10, 11, 12)  # text, fractions, bytes, floating numbers
 _WHOLE = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
 _MAX_VALUES = 1 << 16  # of a field that says how samples are stored
 
@@ -169,6 +197,12 @@ def _directories(stream: IO[bytes], size: int, name: str) -> dict[int, Directory
             length = count * _BYTES.get(kind, 0)
             if length > room and pointer.unpack(value)[0] + length > size:
                 raise FormatError(f"{name} must hold the values of every field; {count} of tag {tag} end past its end, {size}")
+            if tag in _PLACES and kind in _NOT_WHOLE:
+                raise FormatError(
+                    f"{name} must give whole numbers for tag {tag}, of strips or tiles; it has numbers of type {kind}"
+                )
+            if tag in _SINGLE and count != 1:
+                raise FormatError(f"{name} must give one number for tag {tag}; it has {count}")
             if tag not in _READ:
                 continue
             if kind not in _WHOLE or count > _MAX_VALUES:
@@ -251,10 +285,34 @@ def check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int, re
         raise FormatError(f"{name} must hold {count} samples of {keyframe.dtype}; it has {stored} bytes")
     announce(name, (count if read is None else read) * keyframe.dtype.itemsize, stored)
     if sizes is not None and keyframe.compression in _LOSSLESS:
-        _check_unpacked(name, keyframe, sizes)
+        with decoding(name, [keyframe]):
+            _check_unpacked(name, keyframe, sizes)
     if sizes is not None and keyframe.compression in _LZMA:
         for page in pages:
             _check_ends(name, page, sizes)
+
+
+@contextmanager
+def decoding(name: str, pages: Sequence[Any]) -> Iterator[None]:
+    """Turn what codecs raise into a `FormatError` that names the first strip or tile that is damaged."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            yield
+    except (ClvolError, ClvolWarning, MemoryError):
+        raise
+    except Exception as error:
+        raise FormatError(f"cannot read {_first_damaged(pages)} of {name}: it is damaged, its codec says: {error}") from error
+
+
+def _first_damaged(pages: Sequence[Any]) -> str:
+    for page in pages:
+        number = 0
+        try:
+            for number, _ in enumerate(page.segments(maxworkers=1), 1):  # noqa: B007
+                pass
+        except Exception:
+            return f"{'tile' if page.keyframe.is_tiled else 'strip'} {number} of page {page.index}"
+    return "the samples"
 
 
 def check_order(name: str, image: Any) -> None:

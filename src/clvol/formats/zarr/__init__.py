@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._bounds import KEY, bounds_of
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
-from clvol.formats._layout import Layout, Lines, by_names, shrunk, uniform
+from clvol.formats._layout import Layout, Line, Lines, by_names, decoded, shrunk
 from clvol.formats.zarr import ome
 from clvol.formats.zarr.addresses import shown
 from clvol.formats.zarr.array import loaded, part_of, require_chunks
@@ -186,11 +186,12 @@ def _plain(source: str, image: _Image, choose: Choice, load: Load) -> Content:
     words = _dimensions(image.node)
 
     def lines_of(layout: Layout) -> Lines:
-        lines, units = {}, {}
+        lines: dict[str, Line] = {}
+        units: dict[str, str] = {}
         for axis, word, n in zip(layout.axes, words, layout.shape, strict=True):
             values = _beside(image, word) if axis in ("x", "y", "z") and word else None
             if values is not None and values.shape == (n,):
-                lines[axis] = uniform(loaded(source, values)) or (0.0, float("nan") if n > 1 else 1.0)
+                lines[axis] = decoded(loaded(source, values), dict(values.attrs))
                 units[axis] = str(values.attrs.get("units", ""))
         return lines, units
 

@@ -47,7 +47,7 @@ def described(
     factors, shifts = placed(source, multiscales, level, len(shape))
     lines = {axis: (shift, factor) for axis, factor, shift in zip(layout.axes, factors, shifts, strict=True)}
     units = {axis: str(one.get("unit") or "") for axis, one in zip(layout.axes, axes, strict=True)}
-    known: dict[str, Any] = {"space": "image"} | place(layout, lines, units)
+    known: dict[str, Any] = {"space": "image"} | place(source, layout, lines, units)
     if len(channels) == 1 and "channel" not in layout.axes:
         known |= _leading(Layout(("channel",), (1,)), channels).about([0])
     if attributes.get(KEY) and layout.axes == ("z", "y", "x"):  # clvol.pyramid wrote it
