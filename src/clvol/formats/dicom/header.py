@@ -123,7 +123,7 @@ def pydicom() -> Any:
     """The pydicom module; its import is slow and waits until it is needed."""
     try:
         import pydicom as module
-        import pydicom.pixels
+        import pydicom.pixels.utils
     except ImportError as error:
         raise MissingDependencyError("DICOM files need pydicom: pip install clvol[medical]") from error
     return module
@@ -297,8 +297,8 @@ def _scale(path: Path, groups: _Groups) -> tuple[float, float] | None:
         return None
     found = []
     for names, default in ((("RescaleSlope", "DoseGridScaling"), 1.0), (("RescaleIntercept",), 0.0)):
-        name = next((name for name in names if groups.numbers(name)), "")
-        value = groups.numbers(name)[0] if name else default
+        name = next((name for name in names if groups.item(name) is not None), "")
+        value = next(iter(groups.numbers(name)), np.nan) if name else default
         if not np.isfinite(value) or (value == 0 and default):
             raise FormatError(f"{path.name} must have a finite {name}, and no slope of 0; it says {groups.value(name)}")
         found.append(value)

@@ -55,6 +55,12 @@ def decoded(path: Path, indices: Sequence[int]) -> Iterator[tuple[NDArray[Any], 
         if "TransferSyntaxUID" not in whole.file_meta:
             implicit, little = whole.original_encoding
             whole.file_meta.TransferSyntaxUID = ROOT + ("1.2" if implicit else "1.2.1" if little else "1.2.2")
+        if not whole.file_meta.TransferSyntaxUID.is_encapsulated and "PixelData" in whole:
+            needed, found = pydicom().pixels.utils.get_expected_length(whole), len(whole.PixelData)
+            if found >= needed + max(2, needed // max(1, int(whole.get("NumberOfFrames") or 1))):
+                raise FormatError(
+                    f"{path.name} is damaged: its frames take {needed} bytes, it holds {found}, one frame more or several"
+                )
         frames = pydicom().pixels.iter_pixels(whole, indices=list(indices))
         try:
             yield next(frames), whole
