@@ -64,6 +64,26 @@ def cubic_derivatives(data: Array, at: Array, orders: tuple[int, int, int]) -> A
 # -- values ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("offset", [PRESSURE, -1e12, 1e15], ids=str)
+@pytest.mark.parametrize("name", ["linear", "bspline3", "bspline5"])
+def test_double_precision_far_from_zero(device: Device, name: str, offset: float) -> None:
+    """Values to the last digit that float64 has there; gradients, which have no offset, to the last but few."""
+    if not device.has_double:
+        pytest.skip("the device has no float64")
+    data, at, options = small() + offset, inside(), {"device": device, "precision": "double"}
+    exact = data - offset  # no rounding
+    got = clvol.sample(data, at, name, **options) - offset
+    assert_allclose(got, scipy_values(exact, at, ORDERS[name]), rtol=0, atol=np.spacing(abs(offset)) / 2 + 1e-13)
+    with clvol.Field(data, name, **options) as far, clvol.Field(exact, name, **options) as near:
+        assert_allclose(far.gradient(at), near.gradient(at), rtol=0, atol=1e-12)
+    assert_allclose(
+        clvol.prefilter(data, name, **options) - offset,
+        clvol.prefilter(exact, name, **options),
+        rtol=0,
+        atol=np.spacing(abs(offset)) / 2 + 1e-11,
+    )
+
+
 @pytest.mark.parametrize("offset", [PRESSURE, -PRESSURE, 273.15, 1e8, 1e12], ids=str)
 @pytest.mark.parametrize("name", ORDERS)
 def test_values_match_scipy(device: Device, name: str, offset: float) -> None:

@@ -276,7 +276,7 @@ class Coefficients:
     @property
     def _beyond(self) -> float:
         """The coefficient outside, in stored units, for rules that use a constant."""
-        return float(self.stored(self.boundary.cval)) if self.boundary.outside == "grid-constant" else 0.0
+        return float(self.stored(self.boundary.cval, self.kind)) if self.boundary.outside == "grid-constant" else 0.0
 
     def _build(self, samples: str) -> Program:
         return self.device.build(
