@@ -152,13 +152,13 @@ class Field(ContinuousFunction):
     A Field is a context manager: on exit it frees the device's memory, as `close` does. Several threads may share one.
 
     Single precision computes in float32: values err by about 10⁻⁶ of the largest magnitude. Samples further than 8 times their
-    range from zero (a pressure of 101,325 ± 3) are stored minus an offset, and samples outside 2⁻⁹⁰ to 2⁹⁰ are scaled by a power
-    of two, whatever their type; values then err by about 10⁻⁶ of the *range*. If samples are stored unchanged, as most are,
-    results are float32. Otherwise values are float64; derivatives are float64 only with a power of two, since an offset does not
-    change them. No offset is used if the filter's weights do not sum to one (`lanczos3`, `sinc`), nor with the boundary rules
-    "zero" and "grid-constant". Double precision does the same in float64, with a power of two for samples outside 2⁻⁹⁴⁰ to 2⁹⁴⁰.
-    A single sample near zero in data that are otherwise far from zero also prevents the offset. Integers with a range of more
-    than 2²⁴ are rounded to 2⁻²⁴ of it. See `clvol.volume.stored`.
+    range from zero (a pressure of 101,325 ± 3) are stored minus an offset, and samples outside 2⁻⁹⁰ to 2⁹⁰ are scaled by a
+    power of two, whatever their type; values then err by about 10⁻⁶ of the *range*. If samples are stored unchanged, as most
+    are, results are float32. Otherwise values are float64; derivatives are float64 only with a power of two, since an offset
+    does not change them. No offset is used if the filter's weights do not sum to one (`lanczos3`, `sinc`). Double precision
+    does the same in float64, with a power of two for samples outside 2⁻⁹⁴⁰ to 2⁹⁴⁰. A single sample near zero in data that are
+    otherwise far from zero also prevents the offset. Integers with a range of more than 2²⁴ are rounded to 2⁻²⁴ of it. See
+    `clvol.volume.stored`.
 
     Examples
     --------

@@ -32,6 +32,7 @@ Floats: TypeAlias = NDArray[np.float32]
 
 _RUN = 512  # points for each work-item of a CPU, a multiple of LANES
 _MIN_LAUNCH = 1 << 10  # points
+_CONSTANT = 4  # roundings that the sum of equal coefficients, each times its weight, differs by from them
 _POINT_TAPS = 16  # cost of a point besides its taps, in taps
 
 
@@ -68,6 +69,10 @@ class Given:
         if not stored.alters(derivative):
             return results
         final = stored.derivatives(results) if derivative else stored.values(results)
+        beyond = coefficients.boundary.beyond
+        if beyond is not None and derivative == 0 and stored.offset:  # a constant outside, to the rounding of its weights' sum
+            constant = stored(beyond, results.dtype.type)
+            final[np.abs(results - constant) <= _CONSTANT * np.finfo(results.dtype).eps * abs(constant)] = beyond
         for value, mark in ((self.fill, math.inf), (coefficients.boundary.cval, -math.inf)):
             if value is not None:
                 final[results == mark] = value

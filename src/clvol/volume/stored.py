@@ -20,6 +20,7 @@ from clvol.volume.volume import Volume
 __all__ = ["AS_THEY_ARE", "RENUMBER", "Stored", "differences", "names_beyond", "wide_enough"]
 
 _FAR = 8  # distance from zero, in ranges of the samples, that needs an offset: the float32 error is then 1e-6 of the range
+_ROUNDING = 1e-12
 _PROBES = 8  # samples inspected along each axis, at least
 
 RENUMBER = "renumber them, as numpy.unique(data, return_inverse=True) does"
@@ -31,12 +32,13 @@ Reals = NDArray[np.float32] | NDArray[np.float64]
 class _Limits:
     """What a type can store."""
 
+    digits: int
     exponents: int  # samples of 2**-this to 2**this are unscaled: their digits stay above the subnormals, and sums finite
     room: int  # exponents that a prefilter may use; the rest is for filters and derivatives
     largest: float  # about the largest number
 
 
-_LIMITS: dict[type[np.generic], _Limits] = {np.float32: _Limits(90, 120, 3e38), np.float64: _Limits(940, 1016, 1.7e308)}
+_LIMITS: dict[type[np.generic], _Limits] = {np.float32: _Limits(24, 90, 120, 3e38), np.float64: _Limits(53, 940, 1016, 1.7e308)}
 
 
 @dataclass(frozen=True)
@@ -59,23 +61,33 @@ class Stored:
         """The map for a volume of finite samples, stored as numbers of `kind`.
 
         Samples further from zero than 8 times their range get an offset near the middle of the range, if
-        the filter's weights sum to one and the boundary rule has no constant outside. Equal samples that `kind` can hold
-        need none. If the largest magnitude is then outside 2**-90..2**90 (2**-940..2**940 in float64), or the gain of the
-        prefilter would overflow, an exponent scales it to 1/2..1.
+        the filter's weights sum to one. Equal samples that `kind` can hold need none. If the largest magnitude is then outside
+        2**-90..2**90 (2**-940..2**940 in float64), or the gain of the prefilter would overflow, an exponent scales it to 1/2..1.
+        A constant outside is moved with the samples, by an offset that keeps it exact.
         """
-        movable = filter.sums_to_one and boundary.period is not None and boundary.outside != "grid-constant"
+        beyond, base = boundary.beyond, filter.magnified_by or filter
+        # a constant outside is that of coefficients, which is moved as values are if the kernel's samples sum to one
+        movable = filter.sums_to_one and (
+            beyond is None or (math.isfinite(beyond) and abs(base.weights(0.0).sum() - 1) < _ROUNDING)
+        )
         if volume.data.dtype.kind in "biu":
             # the type bounds their magnitude, so inspect the samples only if they may need an offset
             if not movable or not _may_be_far(volume.data):
                 return AS_THEY_ARE
             least, most = (int(v) for v in volume.limits)
-            offset = _whole_offset(least, most, kind)
-            return cls(float(offset)) if offset else AS_THEY_ARE
+            offset = float(_whole_offset(least, most, kind))
+            if offset and beyond is not None:
+                offset = _with_exact(beyond, offset, kind)
+            return cls(offset) if offset and offset.is_integer() else AS_THEY_ARE
         low, high = (float(v) for v in volume.limits)
         start = _offset(low, high, kind) if movable else 0.0
-        exponent = math.frexp(max(abs(low - start), abs(high - start)))[1]
+        ends = [low - start, high - start]
+        if start and beyond is not None:
+            start = _with_exact(beyond, start, kind)
+            ends = [low - start, high - start, beyond - start]
+        exponent = math.frexp(max(map(abs, ends)))[1]
         limits = _LIMITS[kind]
-        within = -limits.exponents <= exponent <= min(limits.exponents, limits.room - _gain_exponent(filter.magnified_by or filter))
+        within = -limits.exponents <= exponent <= min(limits.exponents, limits.room - _gain_exponent(base))
         return cls(start, 0 if within else exponent)
 
     @property
@@ -179,6 +191,13 @@ def _offset(low: float, high: float, kind: type[np.generic]) -> float:
         return low
     quantum = math.frexp(span)[1] - 1
     return math.ldexp(round(math.ldexp(low + span / 2, -quantum)), quantum)
+
+
+def _with_exact(beyond: float, offset: float, kind: type[np.generic]) -> float:
+    """The offset next to `offset` with which numbers of `kind` hold the constant outside exactly."""
+    apart = beyond - offset
+    last = math.frexp(apart)[1] - _LIMITS[kind].digits
+    return beyond - math.ldexp(round(math.ldexp(apart, -last)), last)
 
 
 # -- whether float32 is enough -----------------------------------------------------------------------------------------
