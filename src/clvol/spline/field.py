@@ -113,7 +113,8 @@ class Field(ContinuousFunction):
         See `as_device`; None is the default device.
     precision : {"single", "double"}, optional
         Precision of coefficients and results: float32, or float64 on devices that support it. Default "single", but "double" for
-        labels that float32 cannot hold.
+        labels that float32 cannot hold. Windowed sinc is a fit by polynomials, in double precision too: `Filter.fit_error` is
+        5e-9 for `lanczos3n`, 3e-8 for `sinc4n`, and below 1e-11 for those that are not normalised.
     nan : {"error", "propagate", "local"} or Missing
         How samples that are NaN or infinite are treated: see `clvol.Missing`, which also takes a mask of missing samples.
 
