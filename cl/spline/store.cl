@@ -1,7 +1,7 @@
 // Kernel: copies results to an array of any type and layout.
 //
 // Set by the host: RESULT, the type of the array; WHOLE: 0 for floating point; 1 for integers, with halves rounded away from zero; 2
-// for booleans, by truncation. scipy.ndimage does the same.
+// for booleans, whether the magnitude is at least 1. scipy.ndimage does the same.
 
 #include "base/platform.cl"
 
@@ -9,6 +9,8 @@ INLINE RESULT stored(scalar value, const scalar low, const scalar high)
 {
 #if WHOLE == 1
     value += value > 0 ? (scalar)0.5f : (scalar)-0.5f;
+#elif WHOLE == 2
+    value = value < 0 ? -value : value;
 #endif
 #if WHOLE
     value = value > low ? value < high ? value : high : low;   // NaN becomes `low`

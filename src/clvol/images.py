@@ -216,7 +216,7 @@ def _wide_integers(
     """Resample a channel of 32- or 64-bit integers, minus an integer offset that is added back to the rounded result."""
     image = Volume(plane)
     low, high = (int(v) for v in image.limits)
-    offset = int(Stored.of(image, filter, boundary).offset)
+    offset = 0 if boundary.period is None else int(Stored.of(image, filter, boundary).offset)  # "zero" has no value to move
     if max(high - offset, offset - low) > _FLOAT32_INTEGERS and filter.sums_to_one and boundary.period is not None:
         offset = low + (high - low + 1) // 2  # float64 cannot hold all of them; differences from here fit into int64
     moved = differences(plane, offset) if offset else plane

@@ -540,3 +540,14 @@ def test_bad_input(volume: clvol.Volume) -> None:
             Renderer(field, "linear")
     with pytest.raises(OptionError, match="the field was closed"):
         Renderer(field)
+
+
+def test_bricks_that_are_just_transparent_are_so_in_the_whole_picture(device: clvol.device.Device) -> None:
+    """Opacity begins at 0.41, a point between two samples of a table, where rounding gave it 1e-16, and the values before some."""
+    look = clvol.TransferFunction(((0.0, "black"), (1.0, "white")), ((0.0, 0.0), (0.41, 0.0), (1.0, 1.0)))
+    data = np.full((9, 9, 9), 0.4097, np.float32)
+    options: dict[str, Any] = {"transfer": look, "size": (9, 9), "rays": 1, "background": None}
+    with clvol.Renderer(clvol.BrickedField(data, "linear", device=device, edge=8)) as renderer:
+        for skipping in (False, True, True):  # the bounds of bricks are known from the second picture on
+            assert not np.any(renderer.render(mode="composite", skipping=skipping, **options))
+    assert not np.any(clvol.render(data, mode="composite", filter="linear", device=device, **options))

@@ -220,6 +220,31 @@ def test_halves_are_rounded_away_from_zero_and_clipped(device: Device, dtype: st
     np.testing.assert_array_equal(ndimage.map_coordinates(data, at, dtype, order=1, precision=precision, device=device), exact)
 
 
+@pytest.mark.parametrize("mode", ["constant", "grid-constant"])
+@pytest.mark.parametrize("cval", [-300.0, -1.0, -0.6, 0.6, 1.5])
+@pytest.mark.parametrize("dtype", [np.bool_, np.int16, np.float64])
+def test_results_of_bool_are_those_of_scipy(device: Device, dtype: type[np.generic], cval: float, mode: str) -> None:
+    """Negative results and constants, too: anything that does not round towards zero to 0."""
+    data = np.array([0, 1, -3, 0, 4, -1, -1]).astype(dtype)
+    at = [[0.0, 1, 2, 2.5, 4.5, 5.5, 1.6, -5, 20]]
+    for order in (0, 1):
+        exact = scipy_ndimage.map_coordinates(data, at, np.bool_, order, mode, cval)
+        np.testing.assert_array_equal(ndimage.map_coordinates(data, at, np.bool_, order, mode, cval, device=device), exact)
+    shifted = scipy_ndimage.shift(data, 2.3, np.bool_, 1, mode, cval)
+    np.testing.assert_array_equal(ndimage.shift(data, 2.3, np.bool_, 1, mode, cval, device=device), shifted)
+
+
+@pytest.mark.parametrize(("dtype", "cval"), [(np.uint8, -1.0), (np.uint16, -300.0), (np.int16, 0.6), (np.bool_, 3.0)])
+def test_a_constant_that_the_input_cannot_hold(device: Device, dtype: type[np.generic], cval: float) -> None:
+    """SciPy wraps it to the input's dtype where it prefilters; ours is SciPy's result for the same samples in float64."""
+    data, at = np.random.default_rng(0).integers(0, 200, 30).astype(dtype), [np.linspace(-4, 34, 77)]
+    for order in (1, 3):
+        exact = scipy_ndimage.map_coordinates(data.astype(float), at, np.float64, order, "grid-constant", cval)
+        got = ndimage.map_coordinates(data, at, np.float64, order, "grid-constant", cval, precision="double", device=device)
+        np.testing.assert_allclose(got, exact, rtol=0, atol=1e-10)
+    assert np.abs(scipy_ndimage.map_coordinates(data, at, np.float64, 3, "grid-constant", cval) - exact).max() > 0.1
+
+
 @pytest.mark.one_in(24)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])

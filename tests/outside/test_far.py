@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import clvol
-from clvol import Camera, Volume
+from clvol import Camera, DisplacementField, Volume
 from clvol.base.errors import GeometryError
 from clvol.device import Device
 from clvol.scene.camera import Viewpoint
@@ -194,3 +195,60 @@ def test_samples_are_exact_on_axes_that_pictures_reject(device: Device, axis: in
     points[:, axis] = n - 60 + 50 * points[:, axis]
     bound = 1e-4 if device.has_double else 1.0  # rounded to float32, positions err by up to an eighth of a voxel
     assert np.abs(clvol.sample(data, points, "linear", device=device) - (points[:, axis] - (n - 64))).max() < bound
+
+
+# -- devices without float64 ---------------------------------------------------------------------------------------------
+
+DISTANT = (1e6, -2e6, 3e6)
+
+
+@pytest.fixture
+def single(device: Device, monkeypatch: pytest.MonkeyPatch) -> Device:
+    """The device as one without float64."""
+    monkeypatch.setattr(type(device), "has_double", property(lambda _: False))
+    return device
+
+
+def distant(origin: tuple[float, float, float]) -> Volume:
+    return Volume(np.random.default_rng(0).normal(size=(13, 15, 17)), (0.1, 0.2, 0.15), origin)
+
+
+@pytest.mark.parametrize("sorting", [False, True])
+def test_points_far_from_the_origin_without_double_precision(single: Device, sorting: bool) -> None:
+    """Against SciPy at the indices that the positions were made of."""
+    volume = distant(DISTANT)
+    at = np.random.default_rng(1).uniform(2, 10, (300, 3))
+    points = volume.index_to_world(at)
+    expected = ndimage.map_coordinates(volume.data, at[:, ::-1].T, order=3, mode="mirror")
+    field, near = clvol.Field(volume, device=single), clvol.Field(volume.data, device=single)
+    with single.limited(sorting=sorting), field, near:
+        np.testing.assert_allclose(field(points), expected, rtol=0, atol=1e-5 * np.ptp(volume.data))
+        np.testing.assert_allclose(field.gradient(points), near.gradient(at) / volume.spacing, rtol=0, atol=1e-3)
+        # float32 points are already rounded: what they say is what is sampled
+        coarse = ((points * 2).round() / 2).astype(np.float32)
+        np.testing.assert_allclose(field(coarse), field(coarse.astype(np.float64)), rtol=0, atol=1e-5 * np.ptp(volume.data))
+
+
+def test_scattering_far_from_the_origin_without_double_precision(single: Device) -> None:
+    """The sums at distant points are those at the same indices near the origin."""
+    volume, dice = distant(DISTANT), np.random.default_rng(2)
+    at, values = dice.uniform(2, 10, (50, 3)), dice.normal(size=50)
+    far = clvol.adjoint(values, volume.index_to_world(at), volume, device=single)
+    near = clvol.adjoint(values, at, volume.data.shape, device=single)
+    np.testing.assert_allclose(far, near, rtol=0, atol=1e-5 * np.abs(near).max())
+
+
+def test_transforms_far_from_the_origin_without_double_precision(single: Device) -> None:
+    """Displacements and an affine map about the volume's centre change nothing but the place, wherever that is."""
+    pictures = []
+    for origin in ((0.0, 0.0, 0.0), DISTANT):
+        volume = distant(origin)
+        shifts = 0.2 * np.random.default_rng(3).normal(size=(4, 4, 4, 3))
+        bend = DisplacementField(shifts, spacing=(0.5, 0.9, 0.6), origin=origin)
+        turn = clvol.AffineTransform(np.eye(3) + 0.05, np.zeros(3), volume.center)
+        result = clvol.warp(volume, volume, [turn, bend, turn, bend], derivative=1, jacobian=True, device=single)
+        assert result.gradient is not None
+        assert result.jacobian is not None
+        pictures.append((result.values.data, result.gradient, result.jacobian.data))
+    for near, far in zip(*pictures, strict=True):
+        np.testing.assert_allclose(far, near, rtol=0, atol=1e-4 * np.abs(near).max())

@@ -90,6 +90,33 @@ def test_a_power_of_two_changes_no_digit(device: Device, exponent: int) -> None:
     assert_array_equal(np.ldexp(clvol.images.rotate(np.ldexp(some()[0], exponent), 30, device=device), -exponent), picture)
 
 
+@pytest.mark.parametrize("exponent", [-1000, 950, 1022])
+def test_a_power_of_two_changes_no_digit_in_double_precision(device: Device, exponent: int) -> None:
+    """Up to the limits of float64, where the gain of a prefilter overflows."""
+    if not device.has_double:
+        pytest.skip("the device has no float64")
+    at, options = inside(50), {"device": device, "precision": "double"}
+    for name in ("bspline3", "hybrid"):
+        with clvol.Field(some(), name, **options) as plain, clvol.Field(np.ldexp(some(), exponent), name, **options) as scaled:
+            assert_array_equal(np.ldexp(scaled(at), -exponent), plain(at))
+            assert_array_equal(np.ldexp(scaled.gradient(at), -exponent), plain.gradient(at))
+            assert_array_equal(scaled([[-9.0, 0, 0]], fill=0.125), [0.125])
+    coefficients = clvol.prefilter(some(), "bspline3", **options)  # up to 27 times the samples
+    less = exponent - 5
+    assert_array_equal(np.ldexp(clvol.prefilter(np.ldexp(some(), less), "bspline3", **options), -less), coefficients)
+
+
+def test_a_large_constant_outside_in_double_precision(device: Device) -> None:
+    """1e200 around samples of 1e200: SciPy's spline of the scaled samples."""
+    if not device.has_double:
+        pytest.skip("the device has no float64")
+    at = np.random.default_rng(2).uniform(-3, 16, (100, 3))
+    options: dict[str, Any] = {"device": device, "precision": "double"}
+    got = clvol.sample(some() * 1e200, at, "linear", "grid-constant(1e200)", **options)
+    expected = ndimage.map_coordinates(some(), at[:, ::-1].T, np.float64, 1, "grid-constant", 1.0)
+    assert_allclose(got / 1e200, expected, rtol=0, atol=1e-14)
+
+
 def test_small_differences_far_from_zero(device: Device) -> None:
     """An offset and a power of two: float64 cannot resolve 1 ± 1e-20, but 1e30 ± 1e20."""
     data, at = 1e30 + some() * 1e20, inside()

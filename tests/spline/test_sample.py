@@ -176,3 +176,19 @@ def test_interpolating_filters_pass_through_the_samples(device: Device) -> None:
             got = sample(volume, points, name, device=device)
             largest = np.abs(reference.prefilter(volume.data, name)).max()
             np.testing.assert_allclose(got, volume.data, rtol=0, atol=VALUES * largest, err_msg=name)
+
+
+@pytest.mark.parametrize(("name", "most"), [("lanczos3n", 6e-9), ("sinc4n", 4e-8), ("lanczos3", 1e-11), ("sinc", 1e-11)])
+def test_the_stated_error_of_windowed_sinc_in_double_precision(device: Device, name: str, most: float) -> None:
+    """Against the closed form; `Field` states these errors."""
+    if not device.has_double:
+        pytest.skip("the device has no float64")
+    row = as_filter(name)
+    assert row.fit_error < most
+    reach, dice = row.support // 2, np.random.default_rng(0)
+    data, x = dice.uniform(-1, 1, (1, 30)), dice.uniform(9, 20, 300)
+    apart = x[:, None] - np.arange(30)
+    kernel = np.sinc(apart) * (np.abs(apart) < reach) * (np.sinc(apart / reach) if "lanczos" in name else 1)
+    weights = kernel / kernel.sum(1, keepdims=True) if name.endswith("n") else kernel
+    got = sample(data, np.stack([x, 0 * x], -1), name, precision="double", device=device)
+    assert np.abs(got - weights @ data[0]).max() < row.support * most

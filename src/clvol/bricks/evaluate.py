@@ -65,7 +65,7 @@ class ByBricks:
     ) -> None:
         self._volume, self._filter, self._boundary, self._device = volume, filter, boundary, device
         self._grid, self._store, self._wide = grid, store, stored.alters(0)
-        self._units: Any = _Units(stored, replace(boundary, cval=math.nan))
+        self._units: Any = _Units(stored, replace(boundary, cval=math.nan) if boundary.outside == "constant" else boundary)
         self._pad = boundary.padding((filter.magnified_by or filter).prefilter, filter.support)
         self._reach = boundary.reach(filter.support)
 

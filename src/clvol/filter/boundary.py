@@ -114,6 +114,11 @@ class Boundary:
         return self.period is not None and self.outside == "rule"
 
     @property
+    def beyond(self) -> float | None:
+        """The coefficient outside, where it is the same everywhere."""
+        return 0.0 if self.period is None else self.cval if self.outside == "grid-constant" else None
+
+    @property
     def edge(self) -> float:
         """Distance from the outer samples to the edge of the domain: half a sample, or 0 where the function changes there."""
         return 0.0 if self.outside in ("constant", "overlap") else 0.5

@@ -302,11 +302,13 @@ def _limits(kind: np.dtype[Any], held: type[np.generic]) -> tuple[float, float]:
 
 
 def converted(values: Array, kind: np.dtype[Any]) -> Array:
-    """Values of kernels in a dtype; integers are rounded, halves away from zero, and clipped, as in SciPy."""
+    """Values of kernels in a dtype; integers are rounded, halves away from zero, and clipped, as in SciPy; bool is whether a
+    magnitude is at least 1.
+    """
     if kind.kind not in "biu":
         with np.errstate(over="ignore"):
             return values.astype(kind)
-    wide = values.astype(np.float64) if kind.kind == "b" else values + np.copysign(0.5, values)
+    wide = np.abs(values.astype(np.float64)) if kind.kind == "b" else values + np.copysign(0.5, values)
     low, high = _limits(kind, values.dtype.type)
     with np.errstate(invalid="ignore"):
         return np.where(np.isnan(wide), low, np.clip(np.trunc(wide), low, high)).astype(kind)

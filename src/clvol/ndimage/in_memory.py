@@ -449,6 +449,8 @@ def stored(value: complex, dtype: np.dtype[Any]) -> Any:
     if dtype.kind == "c":
         return value
     number = float(value.real)
+    if dtype.kind == "b":
+        return abs(number) >= 1  # not NaN
     if dtype.kind not in "iu" or math.isnan(number):
         return 0 if dtype.kind in "iu" else number
     limits = np.iinfo(dtype)

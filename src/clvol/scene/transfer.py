@@ -219,7 +219,7 @@ def _laid_out(transfer: TransferFunction, stored: Stored) -> _Layout:
     jumps = len(np.unique(colors)) < len(colors) or len(np.unique(opacities)) < len(opacities)
     faint = any(_NEARLY_OPAQUE < a < 1 for _, a in transfer.opacities)
     cells = 0 if jumps or faint else _equal_cells(at)
-    return _of_nodes(transfer, at, cells) if cells else _of_pieces(transfer, colors, opacities)
+    return _of_nodes(transfer, at, opacities, cells) if cells else _of_pieces(transfer, colors, opacities)
 
 
 def _equal_cells(at: NDArray[np.float64]) -> int:
@@ -239,10 +239,15 @@ def _equal_cells(at: NDArray[np.float64]) -> int:
     return int(cells[fits.argmax()]) if fits.any() else 0
 
 
-def _of_nodes(transfer: TransferFunction, at: NDArray[np.float64], cells: int) -> _Layout:
+def _of_nodes(transfer: TransferFunction, at: NDArray[np.float64], opacities: NDArray[np.float64], cells: int) -> _Layout:
     exponent = exponent_of(*transfer.value_range)
     low, high = scaled(transfer.value_range, exponent)
     nodes = transfer(np.ldexp(np.linspace(low, high, cells + 1), exponent)).astype(np.float32)
+    if (
+        at[-1] > at[0]
+    ):  # nodes are rounded, but what is transparent up to a point is so up to its node: bricks are skipped by points
+        on = np.round((opacities / 2 - at[0] / 2) / (at[-1] / 2 - at[0] / 2) * cells).astype(np.int64)
+        nodes[[n for n, (_, opacity) in zip(on, transfer.opacities, strict=True) if opacity == 0], 3] = 0
     seen = np.where(nodes[:, 3] > 0, np.arange(len(nodes), dtype=np.float32), np.float32(np.inf))
     following = np.minimum.accumulate(seen[::-1])[::-1]
     scale = cells / (at[-1] - at[0]) if at[-1] > at[0] else 0.0

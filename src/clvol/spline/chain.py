@@ -44,13 +44,19 @@ class Chain:
     def __init__(self, transforms: Sequence[Transform], grid: Volume, device: Device) -> None:
         affine, grids = split_at_grids(transforms, grid.ndim)
         affine[0] = affine[0].after(AffineTransform.unchecked(grid.index_to_world_matrix, np.asarray(grid.origin)))
+        still = np.eye(grid.ndim)
+        # float32 loses digits far from zero, so the points of a stage are then relative to its grid's origin
+        near = [np.zeros(grid.ndim) if device.has_double else np.asarray(one.grid.origin) for one in grids]
+        for n, origin in enumerate(near):
+            affine[n] = AffineTransform.unchecked(still, -origin).after(affine[n])
+            affine[n + 1] = affine[n + 1].after(AffineTransform.unchecked(still, origin))
         self.grid, self.device, self.end, self.stages = grid, device, affine[-1], len(grids)
-        self._rows = list(zip(affine[:-1], grids, strict=True))
+        self._rows = list(zip(affine[:-1], grids, near, strict=True))
         self._coord = np.float64 if device.has_double else np.float32
 
     def defines(self) -> DefineDict:
         """The `#define`s of chain.cl."""
-        return {"CHAIN": 1, "CHAIN_TAPS": sum({1 << one.filter.support for _, one in self._rows})}
+        return {"CHAIN": 1, "CHAIN_TAPS": sum({1 << one.filter.support for _, one, _ in self._rows})}
 
     @cached_property
     def arguments(self) -> tuple[Any, ...]:
@@ -59,10 +65,11 @@ class Chain:
         weights, tables = np.zeros((rows, _MOST_TAPS**2), kind), np.zeros((rows, 5), np.int64)
         maps: list[NDArray[np.float64]] = []
         places, first = [], 0
-        for n, (before, one) in enumerate(self._rows):
+        for n, (before, one, near) in enumerate(self._rows):
             taps, halo, inverse = one.filter.support, _halo(one), one.grid.world_to_index_matrix
             shift = halo - (taps / 2 - 1)  # a position's first tap is the whole part of its index plus this
-            maps += [*self._map(before.matrix, before.offset), *self._map(inverse, shift - inverse @ np.asarray(one.grid.origin))]
+            origin = np.asarray(one.grid.origin) - near
+            maps += [*self._map(before.matrix, before.offset), *self._map(inverse, shift - inverse @ origin)]
             low, high = one.domain
             maps += [self._padded(low + shift - edge), self._padded(high + shift + edge)]
             polynomials = one.filter.matrix  # of a degree below the number of taps

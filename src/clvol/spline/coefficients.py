@@ -188,7 +188,27 @@ class Coefficients:
             prefilter_in_place(
                 self.device, self.buffer, self.filter, self.boundary, extent.tolist(), size.tolist(), self.ndim, self.kind
             )
+            if self._beyond and self.boundary.period is None:
+                self._continue_constant()
         self.fill_halo(self.pad)
+
+    def _continue_constant(self) -> None:
+        """Correct prefiltered coefficients for a constant outside that is not 0: the prefilter of "zero" takes it for 0.
+
+        The prefilter is linear, and along each axis it is that of a constant, v, that differs from the constant near the ends.
+        """
+        from scipy.linalg import solve_banded
+
+        ends = []
+        for axis in range(self.ndim):
+            b, n = self.filter.along(axis).undone, int(self.size[axis])
+            bands = np.repeat(np.concatenate([b[:0:-1], b])[:, None], n, 1)
+            ends.append(solve_banded((b.size - 1, b.size - 1), bands, np.ones(n)))
+        vx, vy, vz = [*ends, np.ones(1), np.ones(1)][:3]
+        rows = np.multiply.outer(vy, vx)
+        with self.device.buffers.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
+            for plane, v in zip(room[self.inner], vz, strict=True):
+                np.add(plane, self._beyond * (1 - v * rows), out=plane, casting="same_kind")
 
     def copy_samples(self, data: NDArray[Any], gain: float = 1.0) -> None:
         """Copy samples [z, y, x], or those of a batch, times `gain`, to where their coefficients will be.
@@ -276,7 +296,8 @@ class Coefficients:
     @property
     def _beyond(self) -> float:
         """The coefficient outside, in stored units, for rules that use a constant."""
-        return float(self.stored(self.boundary.cval)) if self.boundary.outside == "grid-constant" else 0.0
+        beyond = self.boundary.beyond
+        return 0.0 if beyond is None else float(self.stored(beyond, self.kind))
 
     def _build(self, samples: str) -> Program:
         return self.device.build(

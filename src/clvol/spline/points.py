@@ -32,6 +32,7 @@ Floats: TypeAlias = NDArray[np.float32]
 
 _RUN = 512  # points for each work-item of a CPU, a multiple of LANES
 _MIN_LAUNCH = 1 << 10  # points
+_CONSTANT = 4  # roundings that the sum of equal coefficients, each times its weight, differs by from them
 _POINT_TAPS = 16  # cost of a point besides its taps, in taps
 
 
@@ -67,11 +68,14 @@ class Given:
         stored = coefficients.stored
         if not stored.alters(derivative):
             return results
-        floats = np.asarray(results, np.float32)  # double precision is stored unchanged
-        final = stored.derivatives(floats) if derivative else stored.values(floats)
+        final = stored.derivatives(results) if derivative else stored.values(results)
+        beyond = coefficients.boundary.beyond
+        if beyond is not None and derivative == 0 and stored.offset:  # a constant outside, to the rounding of its weights' sum
+            constant = stored(beyond, results.dtype.type)
+            final[np.abs(results - constant) <= _CONSTANT * np.finfo(results.dtype).eps * abs(constant)] = beyond
         for value, mark in ((self.fill, math.inf), (coefficients.boundary.cval, -math.inf)):
             if value is not None:
-                final[floats == mark] = value
+                final[results == mark] = value
         return final
 
 
@@ -91,6 +95,16 @@ class Transform:
         """From the world to a grid's indices."""
         inverse = grid.world_to_index_matrix
         return cls(inverse, -inverse @ np.asarray(grid.origin), inverse)
+
+    def indices(self, positions: NDArray[Any]) -> NDArray[np.float64]:
+        """Indices of positions (N, d), on the host in float64: devices without it lose the digits of positions far from zero."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(positions @ self.matrix.T + self.offset)
+
+    @property
+    def after_indices(self) -> Transform:
+        """What remains for the device after `indices`."""
+        return Transform(np.eye(len(self.offset)), np.zeros(len(self.offset)), self.slopes)
 
     def upload(self, device: Device) -> Any:
         """Upload as the transform of points.cl."""
@@ -148,14 +162,16 @@ def sample_into(
     source = coefficients.argument(evaluator)
     built = _build(coefficients, evaluator, derivative, given, kind, planar=planar, sorted=sorting)
     kernel = built.kernel("sample_points")
-    matrix = (transform or Transform(np.eye(d), np.zeros(d), np.eye(d))).upload(device)
+    on_host = None if device.has_double else transform  # maps positions to indices before they are rounded
+    matrix = (on_host.after_indices if on_host else transform or Transform(np.eye(d), np.zeros(d), np.eye(d))).upload(device)
     launch = _launch_points(coefficients, evaluator)
     step = launch if sorter is None else sorter.room
     if planar and points.dtype == kind:
         step = count if sorter is None else step
     flat = results.reshape(count, d**derivative)
     for first in range(0, count, step):
-        part = np.ascontiguousarray(points[:, first : first + step] if planar else points[first : first + step], dtype=kind)
+        given_part = points[:, first : first + step] if planar else points[first : first + step]
+        part = np.ascontiguousarray(on_host.indices(given_part) if on_host else given_part, dtype=kind)
         target = flat[first : first + step]
         some, planes = len(target), part.shape[1] if planar else 0
         with device.buffers.lent(part, write=False) as lent, device.buffers.lent(target, write=True) as wanted, device.errors:

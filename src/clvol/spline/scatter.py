@@ -184,7 +184,10 @@ def _scattered(
             "COORD_DOUBLE": int(device.has_double),
         },
     )
-    transform = Transform.into(grid).upload(device)
+    transform = Transform.into(grid)
+    if not device.has_double:
+        points, transform = transform.indices(points), transform.after_indices
+    matrix = transform.upload(device)
     item, components = np.dtype(scalar).itemsize, d**derivative
     places, fractions, weights = (device.buffers.allocate(n * count) for n in (8, item * d, item * components))
     brick_of = np.empty(count, np.uint32)
@@ -202,7 +205,7 @@ def _scattered(
             period,
             stored,
             bricks,
-            transform,
+            matrix,
             given,
             wanted,
             np.uint64(count),

@@ -1,4 +1,4 @@
-"""How values are stored on a device: in float32, shifted by an offset and scaled by a power of two where they need it.
+"""How values are stored on a device: shifted by an offset and scaled by a power of two where float32 or float64 needs it.
 
 Filters are linear and, if their weights sum to one, reproduce constants. So subtracting a constant from the samples
 subtracts it from the function; it is added back in float64. Scaling by a power of two is exact.
@@ -20,10 +20,8 @@ from clvol.volume.volume import Volume
 __all__ = ["AS_THEY_ARE", "RENUMBER", "Stored", "differences", "names_beyond", "wide_enough"]
 
 _FAR = 8  # distance from zero, in ranges of the samples, that needs an offset: the float32 error is then 1e-6 of the range
-_EXPONENTS = 90  # samples of 2**-90 to 2**90 are stored unscaled: their 24 digits stay above 2**-126, and sums below 2**128
-_ROOM = 120  # float32 exponents that a prefilter may use; the rest is for filters and derivatives
+_ROUNDING = 1e-12
 _PROBES = 8  # samples inspected along each axis, at least
-_LARGEST = 3e38  # in stored units: about the largest float32
 
 RENUMBER = "renumber them, as numpy.unique(data, return_inverse=True) does"
 
@@ -31,8 +29,21 @@ Reals = NDArray[np.float32] | NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class _Limits:
+    """What a type can store."""
+
+    digits: int
+    exponents: int  # samples of 2**-this to 2**this are unscaled: their digits stay above the subnormals, and sums finite
+    room: int  # exponents that a prefilter may use; the rest is for filters and derivatives
+    largest: float  # about the largest number
+
+
+_LIMITS: dict[type[np.generic], _Limits] = {np.float32: _Limits(24, 90, 120, 3e38), np.float64: _Limits(53, 940, 1016, 1.7e308)}
+
+
+@dataclass(frozen=True)
 class Stored:
-    """The map between values and stored values: ``(value - offset) * 2**-exponent``, in float32.
+    """The map between values and stored values: ``(value - offset) * 2**-exponent``, in float32 or float64.
 
     Parameters
     ----------
@@ -46,26 +57,37 @@ class Stored:
     exponent: int = 0
 
     @classmethod
-    def of(cls, volume: Volume, filter: Filter, boundary: Boundary) -> Stored:
-        """The map for a volume of finite samples.
+    def of(cls, volume: Volume, filter: Filter, boundary: Boundary, kind: type[np.generic] = np.float32) -> Stored:
+        """The map for a volume of finite samples, stored as numbers of `kind`.
 
         Samples further from zero than 8 times their range get an offset near the middle of the range, if
-        the filter's weights sum to one and the boundary rule has no constant outside. Equal samples that float32 can hold
-        need none. If the largest magnitude is then outside 2**-90..2**90, or the gain of the prefilter would
-        overflow, an exponent scales it to 1/2..1.
+        the filter's weights sum to one. Equal samples that `kind` can hold need none. If the largest magnitude is then outside
+        2**-90..2**90 (2**-940..2**940 in float64), or the gain of the prefilter would overflow, an exponent scales it to 1/2..1.
+        A constant outside is moved with the samples, by an offset that keeps it exact.
         """
-        movable = filter.sums_to_one and boundary.period is not None and boundary.outside != "grid-constant"
+        beyond, base = boundary.beyond, filter.magnified_by or filter
+        # a constant outside is that of coefficients, which is moved as values are if the kernel's samples sum to one
+        movable = filter.sums_to_one and (
+            beyond is None or (math.isfinite(beyond) and abs(base.weights(0.0).sum() - 1) < _ROUNDING)
+        )
         if volume.data.dtype.kind in "biu":
             # the type bounds their magnitude, so inspect the samples only if they may need an offset
             if not movable or not _may_be_far(volume.data):
                 return AS_THEY_ARE
             least, most = (int(v) for v in volume.limits)
-            offset = _whole_offset(least, most)
-            return cls(float(offset)) if offset else AS_THEY_ARE
+            offset = float(_whole_offset(least, most, kind))
+            if offset and beyond is not None:
+                offset = _with_exact(beyond, offset, kind)
+            return cls(offset) if offset and offset.is_integer() else AS_THEY_ARE
         low, high = (float(v) for v in volume.limits)
-        start = _offset(low, high) if movable else 0.0
-        exponent = math.frexp(max(abs(low - start), abs(high - start)))[1]
-        within = -_EXPONENTS <= exponent <= min(_EXPONENTS, _ROOM - _gain_exponent(filter.magnified_by or filter))
+        start = _offset(low, high, kind) if movable else 0.0
+        ends = [low - start, high - start]
+        if start and beyond is not None:
+            start = _with_exact(beyond, start, kind)
+            ends = [low - start, high - start, beyond - start]
+        exponent = math.frexp(max(map(abs, ends)))[1]
+        limits = _LIMITS[kind]
+        within = -limits.exponents <= exponent <= min(limits.exponents, limits.room - _gain_exponent(base))
         return cls(start, 0 if within else exponent)
 
     @property
@@ -79,17 +101,18 @@ class Stored:
 
     # -- values of the data's units -> stored ones -----------------------------------------------------------------
 
-    def held(self, values: ArrayLike) -> NDArray[np.float64]:
-        """`values`, clipped to what float32 can store; no sample comes near these limits."""
-        low, high = (self.values(np.array(end, np.float32)) for end in (-_LARGEST, _LARGEST))
+    def held(self, values: ArrayLike, kind: type[np.generic] = np.float32) -> NDArray[np.float64]:
+        """`values`, clipped to what numbers of `kind` can store; no sample comes near these limits."""
+        largest = _LIMITS[kind].largest
+        low, high = (self.values(np.array(end, kind)) for end in (-largest, largest))
         return np.clip(np.asarray(values, dtype=np.float64), low, high)
 
-    def __call__(self, values: ArrayLike) -> NDArray[np.float64]:
+    def __call__(self, values: ArrayLike, kind: type[np.generic] = np.float32) -> NDArray[np.float64]:
         """`values` in stored units, in float64, clipped as in `held`."""
-        return np.asarray(np.ldexp(self.held(values), -self.exponent) - math.ldexp(self.offset, -self.exponent))
+        return np.asarray(np.ldexp(self.held(values, kind), -self.exponent) - math.ldexp(self.offset, -self.exponent))
 
     def samples(self, data: NDArray[Any]) -> NDArray[Any]:
-        """Samples of a volume in stored units, not yet rounded to float32; integers are subtracted exactly."""
+        """Samples of a volume in stored units, not yet rounded; integers are subtracted exactly."""
         if self.identity:
             return data
         if data.dtype.kind in "biu":
@@ -99,7 +122,7 @@ class Stored:
 
     # -- and back --------------------------------------------------------------------------------------------------
 
-    def values(self, stored: NDArray[np.float32], gain: float = 1.0) -> Reals:
+    def values(self, stored: Reals, gain: float = 1.0) -> Reals:
         """Convert stored values back, in float64 unless unchanged; `gain` is the factor on a constant."""
         if self.identity:
             return stored
@@ -108,11 +131,11 @@ class Stored:
             values += gain * self.offset
             return values
 
-    def derivatives(self, stored: NDArray[np.float32]) -> Reals:
+    def derivatives(self, stored: Reals) -> Reals:
         """Convert derivatives of stored values back, in float64 unless unchanged."""
         return self._scaled(stored) if self.alters(1) else stored
 
-    def _scaled(self, stored: NDArray[np.float32]) -> NDArray[np.float64]:
+    def _scaled(self, stored: Reals) -> NDArray[np.float64]:
         with np.errstate(over="ignore"):
             values = np.asarray(stored.astype(np.float64))
             np.ldexp(values, self.exponent, out=values)
@@ -143,16 +166,16 @@ def _may_be_far(data: NDArray[Any]) -> bool:
     return (low > 0 or high < 0) and min(abs(low), abs(high)) > (_FAR - 1) * (high - low)
 
 
-def _whole_offset(low: int, high: int) -> int:
+def _whole_offset(low: int, high: int, kind: type[np.generic]) -> int:
     """An offset for integers from `low` to `high`, exact in float64, or 0."""
     span, middle = high - low, (low + high) // 2
-    if max(-low, high) <= _FAR * span or (low == high and int(np.float32(low)) == low):
+    if max(-low, high) <= _FAR * span or (low == high and int(float(kind(low))) == low):
         return 0
     quantum = 1 << max(0, span.bit_length() - 1, middle.bit_length() - 53)
     return (middle + quantum // 2) // quantum * quantum
 
 
-def _offset(low: float, high: float) -> float:
+def _offset(low: float, high: float, kind: type[np.generic]) -> float:
     """An offset for samples from `low` to `high`, or 0.
 
     It has no digits below the largest power of two in the range, so that short numbers have short differences: tenths
@@ -162,12 +185,19 @@ def _offset(low: float, high: float) -> float:
         return 0.0
     span = high - low
     with np.errstate(over="ignore"):
-        if max(-low, high) <= _FAR * span or (span == 0 and float(np.float32(low)) == low):
+        if max(-low, high) <= _FAR * span or (span == 0 and float(kind(low)) == low):
             return 0.0
     if span == 0:
         return low
     quantum = math.frexp(span)[1] - 1
     return math.ldexp(round(math.ldexp(low + span / 2, -quantum)), quantum)
+
+
+def _with_exact(beyond: float, offset: float, kind: type[np.generic]) -> float:
+    """The offset next to `offset` with which numbers of `kind` hold the constant outside exactly."""
+    apart = beyond - offset
+    last = math.frexp(apart)[1] - _LIMITS[kind].digits
+    return beyond - math.ldexp(round(math.ldexp(apart, -last)), last)
 
 
 # -- whether float32 is enough -----------------------------------------------------------------------------------------
