@@ -120,16 +120,16 @@ def render(
         if other is not None:
             speech.require_picture(other)
     look = look or Look()
-    options = own_options(look, own)
+    outputs: list[clvol.Output] = ["rgba"]
+    outputs += ["visited"] if verbose or heat_map is not None else []
+    outputs += ["uncertainty"] if uncertainty is not None else []
+    options = own_options(look, own, outputs) | ({} if lod == "auto" else {"lod": lod})
     most = None if memory is None else bytes_of(memory)
     whole = needs_whole(look.limits(), () if uncertainty is None else ("uncertainty",))
     cluster = together.cluster if together else None
     by_bricks = by_bricks or cluster is not None
     volume = _volume(input or Input(), source, most, by_bricks=by_bricks, whole=whole)
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
-    outputs: list[clvol.Output] = ["rgba"]
-    outputs += ["visited"] if verbose or heat_map is not None else []
-    outputs += ["uncertainty"] if uncertainty is not None else []
     preview = preview and isinstance(volume, clvol.Volume) and outputs == ["rgba"]
     with speech.progress("rendering", json, preview=preview) as progress, look.limited(device):
         options |= look.options(volume.preview())
@@ -141,7 +141,7 @@ def render(
             if shows and isinstance(progress, _preview()):
                 pictures = {"rgba": _refined(renderer, progress, size=size, **options)}
             else:
-                pictures = renderer.render(size=size, progress=progress, outputs=outputs, lod=lod, **options)
+                pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
             shown = renderer.shown
             read = {} if isinstance(shown, clvol.Field) else _bricks_read(shown, volume, json)

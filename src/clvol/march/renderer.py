@@ -229,9 +229,9 @@ class Renderer:
         Raises
         ------
         OptionError
-            An option that the mode does not have, or a value that is not allowed: `size` beyond 1 to 32768 pixels, a `step` that
-            is not positive or gives more than 2²⁰ samples a ray, `rays` beyond 1 to 4096, more than 4 lights, an unknown name;
-            or the renderer is closed.
+            An option that the mode does not have, or that changes nothing in it; or a value that is not allowed: `size` beyond 1 to
+            32768 pixels, a `step` that is not positive or gives more than 2²⁰ samples a ray, `rays` beyond 1 to 4096, more than 4
+            lights, an unknown name; or the renderer is closed.
         GeometryError
             The camera stands on its target or further away than 10²⁰ mean spacings, `clip` is no box, or a picture spans more than
             2¹⁸ voxels from the volume's centre to its own corners (fov near 180°, zoom near 0, or very unequal spacings), where
@@ -250,11 +250,12 @@ class Renderer:
         samples hold: it is too small where noise alone makes surfaces, where smoothing removed a detail, and where the samples
         were too far apart to hold it.
         """
-        chosen = chosen_mode(mode, options)
+        wanted = as_outputs(outputs)
+        chosen = chosen_mode(mode, options, wanted)
         self.device.require_usable()
         with self._source.in_use():
             require_callback("progress", progress)
-            wanted = as_outputs(outputs)
+            self._source.require_heard(chosen, options)
             noise = noise_of(self.volume, options.get("sigma")) if "uncertainty" in wanted else None
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, wanted, edges=fine.rays == "auto")
@@ -338,6 +339,7 @@ class Renderer:
         require_callback("progress", progress)
         self.device.require_usable()
         with self._source.in_use():
+            self._source.require_heard(chosen, options)
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, ("rgba",), edges=fine.rays == "auto")
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
@@ -388,8 +390,9 @@ def render(
         As for `Renderer` and `Renderer.render`.
     """
     held = {name: options.pop(name) for name in RendererOptions.__annotations__ if name in options}  # type: ignore[misc]
-    chosen = chosen_mode(mode, options)  # before any work, and so is what follows
+    wanted = as_outputs(outputs)
+    chosen = chosen_mode(mode, options, wanted)  # before any work, and so is what follows
     fine = Fineness.of(chosen, size, step, options)
-    require_room(fine.size, as_outputs(outputs), edges=False)
+    require_room(fine.size, wanted, edges=False)
     with Renderer(source_of(scene, **held, usual=chosen.picture_filter)) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, progress=progress, **cast(PictureOptions, options))  # type: ignore[arg-type]  # either
