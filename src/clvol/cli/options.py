@@ -240,7 +240,7 @@ class Input:
         given: dict[str, Any] = {}
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is not None and value is not False and value != "all" and field.name != "fill_nan":
+            if value is not None and value is not False and (field.name, value) != ("volume", "all") and field.name != "fill_nan":
                 number = isinstance(value, str) and field.name in ("channel", "series") and value.isdecimal() and len(value) < 10
                 given[field.name] = int(value) if number else value
         return given

@@ -176,6 +176,7 @@ def _refined(renderer: clvol.Renderer, shown: Preview, **options: Any) -> clvol.
     for picture in renderer.refine(seconds=_FIRST, progress=shown, **options):
         if not picture.final:
             shown.show(picture)
+    renderer.warn_if_empty(picture, **{name: value for name, value in options.items() if name not in ("size", "step")})
     return picture
 
 

@@ -12,6 +12,7 @@ from clvol.base.checks import number
 from clvol.base.errors import OptionError
 from clvol.base.progress import require_callback
 from clvol.march.choose import source_of
+from clvol.march.empty import warn_if_empty
 from clvol.march.options import (
     OUTPUTS,
     Fineness,
@@ -172,6 +173,13 @@ class Renderer:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
+    def warn_if_empty(
+        self, picture: Picture, camera: Camera | None = None, mode: str | Mode = DEFAULT_MODE, **options: Unpack[RefineOptions]
+    ) -> None:
+        """Warn of a picture by `refine` as `render` warns of its own; the options are those of the picture."""
+        look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen_mode(mode, options), options)
+        warn_if_empty(look, self._source.limits, options, picture)
+
     @overload
     def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
                outputs: Output = ..., progress: Progress | None = ...,
@@ -243,6 +251,12 @@ class Renderer:
             The device has no room for the picture, the pyramid of minima and maxima, or the copy of the samples that "uncertainty"
             takes.
 
+        Warns
+        -----
+        ClvolWarning
+            The picture shows nothing of the volume, or all samples alike: the isovalue or the transfer function lies outside the
+            samples, whose range is named where it is known; or `clip` or the camera's view lies outside the volume.
+
         Notes
         -----
         "uncertainty" bounds 95 % of the errors: it is 1.96 times the root of the expected mean square, from what the filter does
@@ -262,6 +276,7 @@ class Renderer:
             uncertainty = self._source.uncertainty(chosen) if noise else None
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
             pictures = self._source.draw(look, fine, wanted != ("rgba",), progress)
+            warn_if_empty(look, self._source.limits, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = look.central or not self._source.filter_of(chosen).has_gradient
                 pictures["uncertainty"] = uncertainty(pictures["position"], noise, central=central)
@@ -388,6 +403,11 @@ def render(
     ------
     ClvolError
         As for `Renderer` and `Renderer.render`.
+
+    Warns
+    -----
+    ClvolWarning
+        As for `Renderer.render`.
     """
     held = {name: options.pop(name) for name in RendererOptions.__annotations__ if name in options}  # type: ignore[misc]
     wanted = as_outputs(outputs)

@@ -94,6 +94,11 @@ class Source(ABC):
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
 
     @property
+    def limits(self) -> tuple[float, float] | None:
+        """The smallest and the largest sample; None where these are estimated."""
+        return self.scene.media[0].volume.value_range
+
+    @property
     def sizes(self) -> bool:
         """Whether there are several resolutions to choose from."""
         return False
@@ -202,6 +207,10 @@ class ByBricks(Source):
             return (*self.arguments, self._workers.device), self._workers.keywords
         arguments, _ = super().recipe()
         return arguments, {"memory": self.field.memory} if self._owned else {}
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        return None if self.field.volume.estimated else super().limits
 
     @property
     def sizes(self) -> bool:
