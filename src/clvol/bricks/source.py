@@ -93,7 +93,38 @@ class Bounds(Protocol):
         """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these."""
 
 
-class LazyVolume(Gridded):
+class _Placed(Gridded):
+    """What a volume says of itself beside its samples: what its grid does."""
+
+    grid: Volume
+
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Between neighbouring samples along x, y and z."""
+        return self.grid.spacing
+
+    @property
+    def origin(self) -> tuple[float, ...]:
+        """World position of the sample with index 0, along x, y and z."""
+        return self.grid.origin
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """Unit vectors of the axes in the world, in columns; shape (3, 3)."""
+        return self.grid.direction
+
+    @property
+    def units(self) -> str:
+        """Of the world."""
+        return self.grid.units
+
+    @property
+    def name(self) -> str:
+        """Of the samples."""
+        return self.grid.name
+
+
+class LazyVolume(_Placed):
     """A volume whose samples are read part by part, when they are needed.
 
     It takes the place of a `Volume` for `clvol.render`, `Renderer` and `BrickedField`, which read it by bricks,
@@ -269,31 +300,6 @@ class LazyVolume(Gridded):
     def nbytes(self) -> int:
         """Of all samples, once they are read."""
         return math.prod(self.shape) * self.dtype.itemsize
-
-    @property
-    def spacing(self) -> tuple[float, ...]:
-        """Between neighbouring samples along x, y and z."""
-        return self.grid.spacing
-
-    @property
-    def origin(self) -> tuple[float, ...]:
-        """World position of the sample with index 0, along x, y and z."""
-        return self.grid.origin
-
-    @property
-    def direction(self) -> NDArray[np.float64]:
-        """Unit vectors of the axes in the world, in columns; shape (3, 3)."""
-        return self.grid.direction
-
-    @property
-    def units(self) -> str:
-        """Of the world."""
-        return self.grid.units
-
-    @property
-    def name(self) -> str:
-        """Of the samples."""
-        return self.grid.name
 
     @property
     def chunks(self) -> Index | None:

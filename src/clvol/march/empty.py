@@ -9,13 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import warn
-from clvol.march.options import WORDS
+from clvol.march.options import WORDS, ResolvedLook, chosen_mode
 
 if TYPE_CHECKING:
-    from clvol.march.options import ResolvedLook
+    from clvol.march.renderer import Renderer
+    from clvol.scene.camera import Camera
+    from clvol.scene.mode import Mode
+    from clvol.show.picture import Picture
     from clvol.volume.volume import Volume
 
-__all__ = ["warn_if_empty"]
+__all__ = ["warn_if_empty", "warn_of_refined"]
 
 _STEP = 16  # pixels between those that are looked at first
 _CHOICES = ("transfer", "isovalue", *WORDS)
@@ -31,6 +34,13 @@ def warn_if_empty(
     reason = _alike(look, limits, options) or (_unseen(look, limits) if _is_empty(look, rgba) else "")
     if reason:
         warn(reason)
+
+
+def warn_of_refined(renderer: Renderer, picture: Picture, camera: Camera | None, mode: str | Mode, **options: Any) -> None:
+    """Warn of the last picture by `Renderer.refine` as `render` warns of its own."""
+    source = renderer._source
+    look = ResolvedLook.of(source.scene, source.preview, camera, chosen_mode(mode, options), options)  # type: ignore[arg-type]
+    warn_if_empty(look, source.limits, options, picture)
 
 
 def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapping[str, Any]) -> str:

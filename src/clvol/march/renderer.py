@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack, cast, overload
 
 from clvol.base.checks import number
 from clvol.base.errors import OptionError
-from clvol.base.progress import require_callback
+from clvol.base.progress import require_callback, watched
 from clvol.march.choose import source_of
 from clvol.march.empty import warn_if_empty
 from clvol.march.options import (
@@ -173,13 +173,6 @@ class Renderer:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def warn_if_empty(
-        self, picture: Picture, camera: Camera | None = None, mode: str | Mode = DEFAULT_MODE, **options: Unpack[RefineOptions]
-    ) -> None:
-        """Warn of a picture by `refine` as `render` warns of its own; the options are those of the picture."""
-        look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen_mode(mode, options), options)
-        warn_if_empty(look, self._source.limits, options, picture)
-
     @overload
     def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
                outputs: Output = ..., progress: Progress | None = ...,
@@ -223,9 +216,8 @@ class Renderer:
         progress : callable, optional
             Called with the fraction done.
         **options
-            Those of `clvol.march.options.PictureOptions`, which describes them (`transfer`, `preset`, `window`, `cmap`, `opacity`,
-            `material`, `lights`, `background`, `clip`, `gradient`, `rays`, `pixel_filter`, `skipping`, `lod`, `sigma`), and
-            those of the mode, such as ``isovalue`` of "isosurface": see its class.
+            Those of `clvol.march.options.PictureOptions`, which describes them (`transfer`, `cmap`, `lights`, `clip`, `rays`, ...),
+            and those of the mode, such as ``isovalue`` of "isosurface": see its class.
 
         Returns
         -------
@@ -237,9 +229,8 @@ class Renderer:
         Raises
         ------
         OptionError
-            An option that the mode does not have, or that changes nothing in it; or a value that is not allowed: `size` beyond 1 to
-            32768 pixels, a `step` that is not positive or gives more than 2²⁰ samples a ray, `rays` beyond 1 to 4096, more than 4
-            lights, an unknown name; or the renderer is closed.
+            An option that the mode does not have or that changes nothing, an unknown name, a value that is not allowed: `size` beyond
+            1 to 32768, `step` of more than 2²⁰ samples a ray, `rays` beyond 1 to 4096, 5 lights; or the renderer is closed.
         GeometryError
             The camera stands on its target or further away than 10²⁰ mean spacings, `clip` is no box, or a picture spans more than
             2¹⁸ voxels from the volume's centre to its own corners (fov near 180°, zoom near 0, or very unequal spacings), where
@@ -254,8 +245,7 @@ class Renderer:
         Warns
         -----
         ClvolWarning
-            The picture shows nothing of the volume, or all samples alike: the isovalue or the transfer function lies outside the
-            samples, whose range is named where it is known; or `clip` or the camera's view lies outside the volume.
+            Nothing is seen, or all samples look the same; or the picture will take a minute more, ten seconds after its beginning.
 
         Notes
         -----
@@ -275,7 +265,7 @@ class Renderer:
             require_room(fine.size, wanted, edges=fine.rays == "auto")
             uncertainty = self._source.uncertainty(chosen) if noise else None
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
-            pictures = self._source.draw(look, fine, wanted != ("rgba",), progress)
+            pictures = self._source.draw(look, fine, wanted != ("rgba",), watched("the picture", progress))
             warn_if_empty(look, self._source.limits, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = look.central or not self._source.filter_of(chosen).has_gradient
@@ -387,10 +377,8 @@ def render(
 
     Parameters
     ----------
-    scene
-        As for `Renderer`.
-    camera, mode, size, step, outputs, progress
-        As for `Renderer.render`.
+    scene, camera, mode, size, step, outputs, progress
+        As for `Renderer` and `Renderer.render`.
     **options
         The other options of `Renderer` (`filter`, `boundary`, `device`, ...), of `Renderer.render`, and of the mode.
 
@@ -402,17 +390,11 @@ def render(
     Raises
     ------
     ClvolError
-        As for `Renderer` and `Renderer.render`.
-
-    Warns
-    -----
-    ClvolWarning
-        As for `Renderer.render`.
+        As for `Renderer` and `Renderer.render`, and so are warnings.
     """
     held = {name: options.pop(name) for name in RendererOptions.__annotations__ if name in options}  # type: ignore[misc]
-    wanted = as_outputs(outputs)
-    chosen = chosen_mode(mode, options, wanted)  # before any work, and so is what follows
+    chosen = chosen_mode(mode, options, as_outputs(outputs))  # before any work, and so is what follows
     fine = Fineness.of(chosen, size, step, options)
-    require_room(fine.size, wanted, edges=False)
+    require_room(fine.size, as_outputs(outputs), edges=False)
     with Renderer(source_of(scene, **held, usual=chosen.picture_filter)) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, progress=progress, **cast(PictureOptions, options))  # type: ignore[arg-type]  # either
