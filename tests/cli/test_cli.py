@@ -106,7 +106,7 @@ def test_render_reports_its_smoothing(clvol_command: Command, tmp_path: Path) ->
 def test_render_writes_the_picture_of_the_function(clvol_command: Command) -> None:
     done = clvol_command("render", SPHERE, "-o", "a.png", *SMALL)
     assert (done.code, done.err) == (0, "")
-    assert done.out == "output: a.png\nsize: 16 12\nfilter: bspline3\nmode: composite\n"
+    assert done.out == "output: a.png\nsize: 16 12\nfilter: bspline3\nmode: composite\nwindow: 0 2.25\n"
     expected = clvol.show.picture.to_bytes(clvol.render(clvol.phantoms.sphere(8), size=(16, 12)))
     np.testing.assert_array_equal(iio.imread("a.png"), expected[..., :3])
     assert files() == ["a.png"]
@@ -119,7 +119,7 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
         "--fetch buffer --filter mitchell"
     )
     done = clvol_command("render", SPHERE, "--output", "a.png", *SMALL, *options.split(), "--json").json
-    assert done == {"output": "a.png", "size": [16, 12], "filter": "mitchell", "mode": "isosurface"}
+    assert done == {"output": "a.png", "size": [16, 12], "filter": "mitchell", "mode": "isosurface", "isovalue": -0.25}
     camera = clvol.Camera.orbit(-40, 10, zoom=1.5, projection="orthographic")
     picture = clvol.render(
         clvol.phantoms.sphere(8),

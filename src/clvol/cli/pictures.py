@@ -182,7 +182,7 @@ def _values_shown(
         low, high = (transfer or settled_mode.transfer(some)).value_range
         name, values, chosen = "window", [(low + high) / 2, high - low], transfer is None
     if as_json:
-        return {name: values if name == "window" else values[0], "estimated": bool(estimated and chosen)}
+        return {name: values if name == "window" else values[0]} | ({"estimated": True} if estimated and chosen else {})
     reason = isovalue_of(some)[1] if chosen and name == "isovalue" else ""
     words = [reason, f"estimated from {some.data.size} of {math.prod(volume.shape)} samples" if estimated and chosen else ""]
     said = "; ".join(filter(None, words))

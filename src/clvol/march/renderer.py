@@ -229,7 +229,7 @@ class Renderer:
         Raises
         ------
         OptionError
-            An option that the mode does not have or that changes nothing, an unknown name, a value that is not allowed: `size` beyond
+            An option that the mode lacks or that changes nothing, an unknown name, or a value that is not allowed: `size` beyond
             1 to 32768, `step` of more than 2²⁰ samples a ray, `rays` beyond 1 to 4096, 5 lights; or the renderer is closed.
         GeometryError
             The camera stands on its target or further away than 10²⁰ mean spacings, `clip` is no box, or a picture spans more than

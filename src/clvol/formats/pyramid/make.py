@@ -81,7 +81,7 @@ def pyramid(
         A folder that does not exist yet, ``*.zarr``.
     filter : str or Filter, optional
         Of the function that the smaller sizes approximate, and that is bounded. Default: that of pictures, "bspline3(auto)", its λ
-        chosen from samples in the middle of the volume; "nearest" for labels.
+        chosen by the noise of the whole volume; "nearest" for labels.
     boundary : str or Boundary
         How samples continue outside.
     method : {"least-squares", "average", "nearest"}, optional
