@@ -149,8 +149,8 @@ def render(
             shown = renderer.shown
             read = {} if isinstance(shown, clvol.Field) else _bricks_read(shown, volume, json)
     result["filter"] = shown.filter.name if json else speech.filter_text(shown.filter, filter, shown.volume)
-    result |= _values_shown(volume, as_mode(look.mode, own.options() if own else {}), options.get("transfer"), json)
     result |= read
+    result |= _values_shown(volume, as_mode(look.mode, own.options() if own else {}), options.get("transfer"), json)
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
