@@ -234,13 +234,11 @@ class Bench:
         zoom = 2 * radius / (spacing * size[1])
         cameras = [clvol.Camera.orbit(a, e, projection="orthographic", zoom=zoom, fit="volume") for a, e in TURNS]
         fog = clvol.TransferFunction(((0.0, (0.3, 0.2, 0.1)), (2000.0, (1.0, 1.0, 1.0))), ((0.0, 1e-4),), 1.0)
-        mode, lit = ("composite", {"lights": clvol.Light()}) if shaded else ("mean", {})
+        mode = "composite" if shaded else "mean"
+        look: dict[str, Any] = {"transfer": fog, "rays": 1, "skipping": False} | ({"lights": clvol.Light()} if shaded else {})
 
         def ours() -> Array:
-            frames = [
-                renderer.render(camera, mode, size, 0.5, transfer=fog, rays=1, skipping=False, **lit)  # type: ignore[arg-type]
-                for camera in cameras
-            ]
+            frames = [renderer.render(camera, mode, size, 0.5, **look) for camera in cameras]
             return np.stack(frames)
 
         def by_rays() -> Array:
