@@ -25,7 +25,9 @@ from clvol.filter.boundary import as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 from clvol.march.frame import BY_RAYS
+from clvol.march.options import unheard
 from clvol.march.planes import OBLIQUE, Planes
+from clvol.scene.mode import as_mode
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.field import coefficients_of
 from clvol.spline.prefilter import prefilter_in_place
@@ -233,12 +235,10 @@ class Bench:
         cameras = [clvol.Camera.orbit(a, e, projection="orthographic", zoom=zoom, fit="volume") for a, e in TURNS]
         fog = clvol.TransferFunction(((0.0, (0.3, 0.2, 0.1)), (2000.0, (1.0, 1.0, 1.0))), ((0.0, 1e-4),), 1.0)
         mode = "composite" if shaded else "mean"
+        look: dict[str, Any] = {"transfer": fog, "rays": 1, "skipping": False} | ({"lights": clvol.Light()} if shaded else {})
 
         def ours() -> Array:
-            frames = [
-                renderer.render(camera, mode, size, 0.5, transfer=fog, lights=clvol.Light(), rays=1, skipping=False)
-                for camera in cameras
-            ]
+            frames = [renderer.render(camera, mode, size, 0.5, **look) for camera in cameras]
             return np.stack(frames)
 
         def by_rays() -> Array:
@@ -364,8 +364,10 @@ def draw(renderer: clvol.Renderer, shot: Shot, **options: Any) -> Array:
     """Our side of a `Shot`; `options` are the mode's."""
     if shot.mode == "isosurface":
         options |= {"isovalue": shot.isovalue, "color": shot.color}
-    options |= {"lights": clvol.Light(), "rays": 1}  # as others draw
-    return np.asarray(renderer.render(shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, **options))
+    options |= {"lights": clvol.Light(), "transfer": shot.transfer}
+    left_out = unheard(as_mode(shot.mode), options)
+    options = {name: value for name, value in options.items() if name not in left_out}
+    return np.asarray(renderer.render(shot.camera, shot.mode, shot.size, shot.step, rays=1, **options))  # a ray, as others draw
 
 
 def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[int, int], step: float) -> float:

@@ -28,6 +28,8 @@ from clvol import analysis, figures, images, ndimage, phantoms, reference
 from clvol.device import as_device
 from clvol.filter.table import unregister_filter
 from clvol.formats import WRITTEN
+from clvol.march.options import unheard
+from clvol.scene.mode import as_mode
 from clvol.show.picture import grid, labelled, to_png
 from clvol.torch import sample as torch_sample
 from clvol.volume import smoothing
@@ -260,9 +262,11 @@ def _look(world: World, random: Random) -> dict[str, Any]:
     if world.quick:
         return options
     options |= _some(random, _FRAME, 0.2) | _some(random, _OF_MODE.get(mode, {}), 0.3)
-    if mode not in ("isosurface", "mean"):
+    if mode != "mean":
         options |= _some(random, _WORDS, 0.2)
-    return options
+    own = {name: options[name] for name in _OF_MODE.get(mode, {}) if name in options}
+    left_out = unheard(as_mode(mode, own), options, options.get("outputs", "rgba"))
+    return {name: value for name, value in options.items() if name not in left_out}
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
@@ -302,8 +306,8 @@ def modes_as_classes(world: World, random: Random) -> Any:
 @_deed(6)
 def uncertain_surfaces(world: World, random: Random) -> Any:
     sigma = float(random.uniform(0.001, 0.1))
-    outputs: list[clvol.Output] = ["position"] if world.quick else ["rgba", "uncertainty"]
-    return world.renderers[0].render(_camera(random), "isosurface", (40, 40), outputs=outputs, sigma=sigma)
+    options: dict[str, Any] = {"outputs": ["position"]} if world.quick else {"outputs": ["rgba", "uncertainty"], "sigma": sigma}
+    return world.renderers[0].render(_camera(random), "isosurface", (40, 40), **options)
 
 
 @_deed(8)

@@ -70,11 +70,12 @@ def make() -> Arrays:
 
     def draw(name: str, filter: str, mode: str, tile: str | None = None, **options: Any) -> None:
         rule = next(rules)
+        lit = mode in ("composite", "isosurface") and options.get("shading", True)
         options = {
             "camera": clvol.Camera.orbit(33, 21, fit="volume"),
             "step": STEP,
-            "lights": clvol.Light(),
             "rays": 1,
+            **({"lights": clvol.Light()} if lit else {}),
             **OPTIONS[mode],
             **options,
         }

@@ -100,13 +100,13 @@ def test_all_options_of_render(renderer: Renderer) -> None:
         "opacity": 0.5,
         "background": "white",
         "clip": ((-0.5, -1, -1), (1, 1, 0.6)),
-        "gradient": "central",
         "rays": 3,
         "pixel_filter": "mitchell",
         "skipping": False,
-        "shading": False,
     }
-    checked(renderer.refine(None, "composite", SIZE, seconds=TINY, **look), renderer.render(None, "composite", SIZE, **look))
+    for more in ({"shading": False}, {"gradient": "central"}):
+        wanted = renderer.render(None, "composite", SIZE, **look, **more)
+        checked(renderer.refine(None, "composite", SIZE, seconds=TINY, **look, **more), wanted)
     checked(renderer.refine(size=SIZE, seconds=TINY, outputs="rgba"), renderer.render(size=SIZE))
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeAlias, TypeVar
 
+from clvol.base.checks import warn
 from clvol.base.errors import OptionError
 
-__all__ = ["Progress", "counted", "part_of", "require_callback"]
+__all__ = ["Progress", "counted", "part_of", "require_callback", "watched"]
+
+_PATIENCE = 10.0  # seconds before anything is said ...
+_LONG = 60.0  # ... of work that takes this much longer
 
 Progress: TypeAlias = Callable[[float], None]
 Item = TypeVar("Item")
@@ -40,6 +45,27 @@ def part_of(progress: Progress | None, start: float, end: float) -> Progress | N
         progress(start * (1 - done) + end * done)  # exact at both ends
 
     return report
+
+
+def watched(what: str, progress: Progress | None = None) -> Progress:
+    """A callback that passes the fraction on, and warns once if work that took ten seconds will take a minute more."""
+    began, told = time.monotonic(), False
+
+    def report(done: float) -> None:
+        nonlocal told
+        if progress is not None:
+            progress(done)
+        spent = time.monotonic() - began
+        if not told and done > 0 and spent > _PATIENCE and (left := spent * (1 - done) / done) > _LONG:
+            told = True
+            warn(f"{what} will take about {_in_words(left)} more, at this rate: {100 * done:.2g} % is done after {spent:.0f} s")
+
+    return report
+
+
+def _in_words(seconds: float) -> str:
+    """About how long that is."""
+    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.0f} hours"
 
 
 def require_callback(name: str, callback: object) -> None:

@@ -23,11 +23,13 @@ from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
 from clvol.interop.images import read_grid
 from clvol.interop.xarray_images import in_order, is_labelled
+from clvol.noise import estimate
 from clvol.volume.gridded import Gridded
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from clvol.noise import Noise
+    from clvol.volume.statistics import Statistics
 
 __all__ = [
     "BUDGET",
@@ -93,7 +95,38 @@ class Bounds(Protocol):
         """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these."""
 
 
-class LazyVolume(Gridded):
+class _Placed(Gridded):
+    """What a volume says of itself beside its samples: what its grid does."""
+
+    grid: Volume
+
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Between neighbouring samples along x, y and z."""
+        return self.grid.spacing
+
+    @property
+    def origin(self) -> tuple[float, ...]:
+        """World position of the sample with index 0, along x, y and z."""
+        return self.grid.origin
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """Unit vectors of the axes in the world, in columns; shape (3, 3)."""
+        return self.grid.direction
+
+    @property
+    def units(self) -> str:
+        """Of the world."""
+        return self.grid.units
+
+    @property
+    def name(self) -> str:
+        """Of the samples."""
+        return self.grid.name
+
+
+class LazyVolume(_Placed):
     """A volume whose samples are read part by part, when they are needed.
 
     It takes the place of a `Volume` for `clvol.render`, `Renderer` and `BrickedField`, which read it by bricks,
@@ -115,6 +148,9 @@ class LazyVolume(Gridded):
         What stands for samples that are NaN or infinite; without it these are an error once they are read.
     bounds : Bounds, optional
         Minima and maxima of the function, if they are kept beside the samples.
+    statistics : Statistics, optional
+        What an automatic look follows from, if it is kept beside the samples: that of a picture is then that of the whole volume.
+        Otherwise it is estimated from `preview` and `part`.
 
     Attributes
     ----------
@@ -156,6 +192,7 @@ class LazyVolume(Gridded):
         limits: tuple[float, float] | None = None,
         missing: float | None = None,
         bounds: Bounds | None = None,
+        statistics: Statistics | None = None,
     ) -> None:
         known: dict[str, Any] = {}
         if is_labelled(data):
@@ -164,6 +201,7 @@ class LazyVolume(Gridded):
         self.data = data
         self.missing = None if missing is None else number("missing", missing)
         self.bounds = bounds
+        self.statistics = statistics
         self.levels = tuple(levels)
         self._again: Callable[[], LazyVolume] | None = None
         self._for_tasks = False
@@ -263,21 +301,6 @@ class LazyVolume(Gridded):
         return math.prod(self.shape) * self.dtype.itemsize
 
     @property
-    def spacing(self) -> tuple[float, ...]:
-        """Between neighbouring samples along x, y and z."""
-        return self.grid.spacing
-
-    @property
-    def units(self) -> str:
-        """Of the world."""
-        return self.grid.units
-
-    @property
-    def name(self) -> str:
-        """Of the samples."""
-        return self.grid.name
-
-    @property
     def chunks(self) -> Index | None:
         """Samples along x, y and z that are stored together; None where any part is read as fast."""
         with _reading(f"the chunks of {_title(self)}"):
@@ -333,7 +356,7 @@ class LazyVolume(Gridded):
             if self._preview is None:
                 small = next((one for one in (self, *self.levels) if math.prod(one.shape) <= 2 * _PREVIEWED), None)
                 coarse = small or (self, *self.levels)[-1]
-                self._preview = _thinned(coarse) if small is None else _piecewise(small, (0, 0, 0), small.size)
+                self._preview = self._informed(_thinned(coarse) if small is None else _piecewise(small, (0, 0, 0), small.size))
             return self._preview
 
     def whole(self) -> Volume:
@@ -352,8 +375,12 @@ class LazyVolume(Gridded):
             if self._part is None:
                 low = [max(0, (n - _PART) // 2) for n in self.size]
                 high = [min(n, a + _PART) for a, n in zip(low, self.size, strict=True)]
-                self._part = _piecewise(self, low, high)
+                self._part = self._informed(_piecewise(self, low, high))
             return self._part
+
+    def _informed(self, some: Volume) -> Volume:
+        """Some of the samples, with what is known of all."""
+        return some if self.statistics is None else self.statistics.known_to(some)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -372,12 +399,13 @@ class LazyVolume(Gridded):
     def estimated(self) -> bool:
         """Whether `limits` are those of the samples that were looked at: others may lie beyond."""
         whole = math.prod(self.shape) <= 2 * _PREVIEWED or _few(self)
-        return not (whole or self._given or self.bounds is not None)
+        return not (whole or self._given or self.bounds is not None or self.statistics is not None)
 
     @property
     def noise(self) -> Noise:
-        """Of the samples in the middle."""
-        return self.part().noise
+        """Of all samples, if it is kept beside them, else of those in the middle; the spectrum is of the latter."""
+        found = self.part().noise
+        return found if self.statistics is None else replace(found, spectrum=estimate(self.part().data).spectrum)
 
     @property
     def is_labels(self) -> bool:
@@ -529,6 +557,8 @@ def _limits_of(volume: LazyVolume) -> tuple[float, float]:
     """The smallest and the largest sample: of the bounds, else of those that are looked at."""
     if volume.bounds is not None:
         return volume.bounds.value_range
+    if volume.statistics is not None:
+        return volume.statistics.value_range
     if not _few(volume):
         return volume.preview().value_range
     ends = [(float(part.min()), float(part.max())) for _, part in _pieces(volume, (0, 0, 0), volume.size)]

@@ -64,11 +64,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _warning_printer(given: Sequence[str], otherwise: Any) -> Any:
-    """A `warnings.showwarning` that prints clvol's warnings on one line, naming options; `otherwise` prints the rest."""
+    """A `warnings.showwarning` that prints each of clvol's warnings once, in the shell's terms; `otherwise` prints the rest."""
+    printed = set()
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, ClvolWarning):
-            print(f"clvol: note: {in_the_shell(message, given)}", file=sys.stderr)
+            line = f"clvol: note: {in_the_shell(message, given)}"
+            if line not in printed:  # as for each picture of a movie
+                printed.add(line)
+                print(line, file=sys.stderr)
         else:
             otherwise(message, category, *where, **more)
 

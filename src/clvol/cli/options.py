@@ -16,8 +16,9 @@ import clvol
 from clvol.base.errors import OptionError
 from clvol.device import as_device
 from clvol.formats.opening import WholeOnlyError, opened_if
+from clvol.march.options import unheard
 from clvol.scene.look import look as look_of
-from clvol.scene.mode import as_mode, every_option, mode_options
+from clvol.scene.mode import Mode, as_mode, every_option, mode_options, require_heard
 
 __all__ = [
     "BOUNDARIES",
@@ -239,7 +240,7 @@ class Input:
         given: dict[str, Any] = {}
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is not None and value is not False and value != "all" and field.name != "fill_nan":
+            if value is not None and value is not False and (field.name, value) != ("volume", "all") and field.name != "fill_nan":
                 number = isinstance(value, str) and field.name in ("channel", "series") and value.isdecimal() and len(value) < 10
                 given[field.name] = int(value) if number else value
         return given
@@ -313,10 +314,18 @@ class Look:
         Parameter(help="Rays a pixel; 'auto': more where there are edges.", converter=_whole_or("auto")),
     ] = None
     pixel_filter: Annotated[
-        str, Parameter(help="What several rays a pixel sample: a filter without a prefilter.", completer=_any_of(clvol.filters))
-    ] = "linear"
+        str | None,
+        Parameter(
+            help="What several rays a pixel sample: a filter without a prefilter. [default: linear]",
+            show_default=False,
+            completer=_any_of(clvol.filters),
+        ),
+    ] = None
     background: _Background = "black"
-    gradient: Annotated[Literal["analytic", "central"], Parameter(help="The gradient that lighting uses.")] = "analytic"
+    gradient: Annotated[
+        Literal["analytic", "central"] | None,
+        Parameter(help="The gradient that lighting uses. [default: analytic, where the filter has slopes]", show_default=False),
+    ] = None
     azimuth: Annotated[float, Parameter(help="Degrees about the z axis.")] = 30.0
     elevation: Annotated[float, Parameter(help="Degrees above the xy plane.")] = 20.0
     zoom: Annotated[float, Parameter(help="Magnification, relative to the fitted view.")] = 1.0
@@ -329,17 +338,29 @@ class Look:
 
     def options(self, volume: clvol.Volume) -> dict[str, Any]:
         """Arguments of `clvol.render`."""
-        given: dict[str, Any] = {} if self.rays is None else {"rays": self.rays}
-        given |= {} if self.clip is None else {"clip": (self.clip[:3], self.clip[3:])}
-        return given | {
+        given: dict[str, Any] = {name: getattr(self, name) for name in ("rays", "pixel_filter", "gradient")}
+        given |= {"clip": self.clip and (self.clip[:3], self.clip[3:]), "transfer": self._transfer(volume)}
+        return {name: value for name, value in given.items() if value is not None} | {
             "camera": self.camera(),
             "mode": self.mode,
             "step": self.step,
-            "pixel_filter": self.pixel_filter,
-            "transfer": self._transfer(volume),
-            "gradient": self.gradient,
             "background": None if self.background == "none" else self.background,
         }
+
+    def words(self) -> dict[str, Any]:
+        """The transfer function in words, as `clvol.render` takes it."""
+        given = {"preset": self.preset, "window": self.window, "cmap": self.cmap, "opacity": self.opacity_points()}
+        return {name: value for name, value in given.items() if value is not None}
+
+    def require_heard(self, mode: Mode, outputs: Sequence[str]) -> None:
+        """Raise `OptionError` if an option changes nothing in a mode and in these outputs."""
+        given = self.words() | {name: getattr(self, name) for name in ("rays", "pixel_filter", "gradient")}
+        reasons = unheard(mode, given, outputs)
+        if self.value_range is not None:
+            beside = {"preset", "window"} & given.keys() if mode.shows != "matter" else set()
+            reasons |= dict.fromkeys(beside, "the range of values gives black and white")
+            reasons |= {"value_range": mode.unheard["cmap"]} if "cmap" in mode.unheard else {}
+        require_heard(mode, reasons, reasons)
 
     def limits(self) -> dict[str, Any]:
         """Limits of the device while it draws, where they differ from its defaults."""
@@ -359,13 +380,11 @@ class Look:
 
     def _transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
         """The requested transfer function; None: the mode's default."""
+        words = self.words()
         if self.value_range is None:
-            if (self.preset, self.window, self.cmap, self.opacity) == (None, None, None, None):
-                return None
-            return look_of(volume, self.mode, preset=self.preset, window=self.window, cmap=self.cmap, opacity=self.opacity_points())
-        spread = clvol.TransferFunction.from_cmap(self.cmap or "gray", self.value_range)
-        look = look_of(volume, self.mode, preset=self.preset, window=self.window, opacity=self.opacity_points())
-        return replace(look, colors=spread.colors)
+            return look_of(volume, self.mode, **words) if words else None
+        spread = clvol.TransferFunction.from_cmap(words.pop("cmap", "gray"), self.value_range)
+        return replace(look_of(volume, self.mode, **words), colors=spread.colors)
 
     def opacity_points(self) -> float | tuple[tuple[float, float], ...] | None:
         """The opacity as `clvol.render` takes it."""
@@ -436,10 +455,15 @@ else:
     )
 
 
-def own_options(look: Look, own: ModeOptions | None) -> dict[str, Any]:
-    """The options given for the mode; raises, before the volume is read, if the mode does not have them."""
+def own_options(look: Look, own: ModeOptions | None, outputs: Sequence[str] = ("rgba",), *, shown: bool = True) -> dict[str, Any]:
+    """The options given for the mode; raises, before the volume is read, if it does not have them.
+
+    It raises too if an option of the look changes nothing in it, unless other modes may follow, as in a viewer (`shown` is False).
+    """
     options = {} if own is None else own.options()
-    as_mode(look.mode, options)
+    mode = as_mode(look.mode, options)
+    if shown:
+        look.require_heard(mode, outputs)
     return options
 
 

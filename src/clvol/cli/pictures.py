@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -45,11 +46,13 @@ from clvol.cli.root import PICTURES, command
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interfaces import batches
 from clvol.interfaces.batches import needs_whole
+from clvol.march.empty import warn_of_refined
 from clvol.march.source import row_for
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.scene.mode import as_mode
 from clvol.show import movies
 from clvol.show.picture import heat, heat_with_scale
+from clvol.volume.histogram import isovalue_of
 from clvol.volume.smoothing import settled
 
 if TYPE_CHECKING:
@@ -102,8 +105,8 @@ def render(
     by_bricks
         Read it by bricks in any case.
     memory
-        Memory that bricks may take, such as 800M or 4G; what fits into it in one size is read whole. [default: 2G, or half of what
-        there is]
+        Memory that bricks may take, such as 800M or 4G; what fits into it in one size is read whole. The whole process takes up to
+        450M more: Python and its libraries, compiled kernels, the picture. [default: 2G, or half of what there is]
     lod
         The most pixels that a voxel of the drawn size may span, where the volume is nearest; auto is 1, 0 draws the largest size.
     preview
@@ -120,16 +123,16 @@ def render(
         if other is not None:
             speech.require_picture(other)
     look = look or Look()
-    options = own_options(look, own)
+    outputs: list[clvol.Output] = ["rgba"]
+    outputs += ["visited"] if verbose or heat_map is not None else []
+    outputs += ["uncertainty"] if uncertainty is not None else []
+    options = own_options(look, own, outputs) | ({} if lod == "auto" else {"lod": lod})
     most = None if memory is None else bytes_of(memory)
     whole = needs_whole(look.limits(), () if uncertainty is None else ("uncertainty",))
     cluster = together.cluster if together else None
     by_bricks = by_bricks or cluster is not None
     volume = _volume(input or Input(), source, most, by_bricks=by_bricks, whole=whole)
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
-    outputs: list[clvol.Output] = ["rgba"]
-    outputs += ["visited"] if verbose or heat_map is not None else []
-    outputs += ["uncertainty"] if uncertainty is not None else []
     preview = preview and isinstance(volume, clvol.Volume) and outputs == ["rgba"]
     with speech.progress("rendering", json, preview=preview) as progress, look.limited(device):
         options |= look.options(volume.preview())
@@ -141,12 +144,13 @@ def render(
             if shows and isinstance(progress, _preview()):
                 pictures = {"rgba": _refined(renderer, progress, size=size, **options)}
             else:
-                pictures = renderer.render(size=size, progress=progress, outputs=outputs, lod=lod, **options)
+                pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
             shown = renderer.shown
             read = {} if isinstance(shown, clvol.Field) else _bricks_read(shown, volume, json)
     result["filter"] = shown.filter.name if json else speech.filter_text(shown.filter, filter, shown.volume)
     result |= read
+    result |= _values_shown(volume, as_mode(look.mode, own.options() if own else {}), options.get("transfer"), json)
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
@@ -165,6 +169,26 @@ def render(
     speech.say(json, result)
 
 
+def _values_shown(
+    volume: clvol.Volume | clvol.LazyVolume, mode: clvol.Mode, transfer: clvol.TransferFunction | None, as_json: bool
+) -> dict[str, Any]:
+    """The isovalue or the display window of a picture, and whether it was estimated from few samples."""
+    some = volume.preview()
+    estimated = some.shape != volume.shape and getattr(volume, "statistics", None) is None
+    settled_mode = mode.settled(some)
+    if settled_mode.surface is not None:
+        name, values, chosen = "isovalue", [settled_mode.surface], mode.surface is None
+    else:
+        low, high = (transfer or settled_mode.transfer(some)).value_range
+        name, values, chosen = "window", [(low + high) / 2, high - low], transfer is None
+    if as_json:
+        return {name: values if name == "window" else values[0]} | ({"estimated": True} if estimated and chosen else {})
+    reason = isovalue_of(some)[1] if chosen and name == "isovalue" else ""
+    words = [reason, f"estimated from {some.data.size} of {math.prod(volume.shape)} samples" if estimated and chosen else ""]
+    said = "; ".join(filter(None, words))
+    return {name: speech.text(values) + (f" ({said})" if said else "")}
+
+
 def _preview() -> type[Preview]:
     from clvol.cli._preview import Preview  # only for terminals: it imports rich
 
@@ -176,6 +200,7 @@ def _refined(renderer: clvol.Renderer, shown: Preview, **options: Any) -> clvol.
     for picture in renderer.refine(seconds=_FIRST, progress=shown, **options):
         if not picture.final:
             shown.show(picture)
+    warn_of_refined(renderer, picture, **{name: value for name, value in options.items() if name not in ("size", "step")})
     return picture
 
 
@@ -263,9 +288,10 @@ def movie(
 ) -> None:
     """Make a movie of a volume that turns about its vertical.
 
-    The first picture is that of 'clvol render'; if --turns is whole, the movie loops smoothly. Videos need an even number of pixels
-    along each axis: the last one of an odd number is left out. With --scheduler or --workers each picture is a task; a volume that
-    is not read by bricks is sent to the workers.
+    Of a file with several times or volumes the first one turns, and a note says so, unless --time or --volume chooses another: a
+    movie does not play times. The first picture is that of 'clvol render'; if --turns is whole, the movie loops smoothly. Videos
+    need an even number of pixels along each axis: the last one of an odd number is left out. With --scheduler or --workers each
+    picture is a task; a volume that is not read by bricks is sent to the workers.
 
     Parameters
     ----------

@@ -100,7 +100,7 @@ def view(
         The most pages open at once.
     """
     look = look or Look()
-    options = own_options(look, own)
+    options = own_options(look, own, shown=False)
     reader = input or Input()
     name = str(source)
     if not (name.startswith("phantom:") or is_address(name) or Path(name).exists()):
@@ -256,15 +256,9 @@ def _made(
 
     volume = scene.first if isinstance(scene, Volumes) else scene
     options = look.options(volume) | own
-    for usual in ("gradient", "pixel_filter"):  # defaults, which copied code need not state
-        if getattr(look, usual) == getattr(Look, usual):
-            del options[usual]
     if look.value_range is None:  # by their names, so that the page shows them
-        words = {"preset": look.preset, "window": look.window, "cmap": look.cmap, "opacity": look.opacity_points()}
-        del options["transfer"]
-        options |= {word: value for word, value in words.items() if value is not None}
-    elif options["transfer"] is None:
-        del options["transfer"]
+        options.pop("transfer", None)
+        options |= look.words()
     title = (volume.name if scene is volume else "") or Path(name).name
     options |= {"filter": filter, "boundary": look.boundary, "limits": look.limits()}
     return View(scene, device=device, source=source, title=title, finer=finer, **options)

@@ -22,13 +22,13 @@ from clvol.figures.style import LETTERS, Drawing, title
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
-from clvol.march.options import PanelOptions
+from clvol.march.options import WORDS, PanelOptions, transfer_of, unheard
 from clvol.march.renderer import Renderer
 from clvol.reference.march.exact import draw_function
 from clvol.scene.camera import Camera
 from clvol.scene.fit import fitted
 from clvol.scene.light import Light, Material
-from clvol.scene.mode import DEFAULT_MODE, as_mode, every_option
+from clvol.scene.mode import DEFAULT_MODE, as_mode, every_option, require_heard
 from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import grid, heat, labelled, to_bytes
 from clvol.spline.field import sample
@@ -52,6 +52,7 @@ __all__ = [
     "exact",
     "figure6",
     "fixed",
+    "for_filter",
     "settled",
     "shading_gradients",
 ]
@@ -249,7 +250,7 @@ def compare(
                 size=(pixels, pixels),
                 step=step * finer,
                 progress=part_of(progress, i / len(chosen), (i + 1) / len(chosen)),
-                **look,
+                **for_filter(look, renderer.filter),
             )
             name = row if isinstance(row, str) else renderer.filter.name  # as above
         panels.append(Panel(name, drawn, residual=residual))
@@ -275,13 +276,22 @@ def settled(volume: Volume, options: dict[str, Any]) -> dict[str, Any]:
     look = dict(options)
     own = {name: look.pop(name) for name in every_option() & look.keys()}
     mode = look["mode"] = as_mode(look.get("mode", DEFAULT_MODE), own).settled(volume)
-    if look.get("transfer") is None:
-        look["transfer"] = mode.transfer(volume)
-    if isinstance(look["transfer"], TransferFunction):
-        look["camera"] = fitted(look.get("camera") or Camera.orbit(), volume, mode, look["transfer"], look.get("clip"))
-    if isinstance(look["transfer"], TransferFunction) and look["transfer"].unit_distance is None:
-        look["transfer"] = replace(look["transfer"], unit_distance=volume.mean_spacing)
+    reasons = unheard(mode, look)
+    require_heard(mode, reasons, reasons)
+    look["transfer"] = transfer = transfer_of(volume, mode, look) or mode.transfer(volume)
+    for word in WORDS:
+        look.pop(word, None)
+    if isinstance(transfer, TransferFunction):  # an error otherwise, by `render`
+        look["camera"] = fitted(look.get("camera") or Camera.orbit(), volume, mode, transfer, look.get("clip"))
+        look["transfer"] = replace(transfer, unit_distance=transfer.unit_distance or volume.mean_spacing)
+    if "transfer" in mode.unheard:
+        del look["transfer"]
     return look
+
+
+def for_filter(look: dict[str, Any], filter: Filter) -> dict[str, Any]:
+    """The options of `settled` that change pictures of a filter: one without slopes has no choice of gradient."""
+    return {name: value for name, value in look.items() if name != "gradient" or filter.has_gradient}
 
 
 def _through(volume: Volume, row: str | Filter, boundary: str | Boundary) -> tuple[Volume, Filter, int, float | None]:

@@ -203,13 +203,14 @@ def opened(name: str, contents: Sequence[Content], replaced: dict[str, Any], mis
         volumes: list[LazyVolume] = []
         for number, (data, about) in enumerate(contents):
             known = {key: value for key, value in about.items() if key != "header"}
-            bound, unplaced = known.pop("bounds", None), known.pop("unplaced", "")
+            beside = {key: known.pop(key, None) for key in ("bounds", "statistics")}
+            unplaced = known.pop("unplaced", "")
             if len(data.shape) == 2:
                 raise DataError(f"{name} holds an image of shape {data.shape}: clvol.read reads images")
             own = replaced
             if number and own:
                 own = _moved(contents[0][1], known, volumes[0].grid)
-            coarser = LazyVolume(data, **(known | own), missing=missing, bounds=bound)
+            coarser = LazyVolume(data, **(known | own), missing=missing, **beside)
             if volumes:
                 _require_one_place(name, number, volumes[0], coarser)
             volumes.append(coarser)

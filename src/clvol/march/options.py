@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import EllipsisType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, get_args
@@ -16,7 +16,8 @@ from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.scene.camera import Camera
 from clvol.scene.fit import fitted
 from clvol.scene.look import look
-from clvol.scene.mode import as_mode
+from clvol.scene.mode import as_mode, require_heard
+from clvol.scene.preset import as_preset
 from clvol.scene.scene import Medium
 
 if TYPE_CHECKING:  # clusters need dask
@@ -35,6 +36,7 @@ __all__ = [
     "KEYWORDS",
     "MERGES",
     "OUTPUTS",
+    "WORDS",
     "BatchOptions",
     "FieldOptions",
     "Fineness",
@@ -52,6 +54,8 @@ __all__ = [
     "as_outputs",
     "chosen_mode",
     "require_room",
+    "transfer_of",
+    "unheard",
 ]
 
 Merge: TypeAlias = Literal["order", "tree"]
@@ -64,14 +68,15 @@ OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
 """Outputs of every mode."""
 _ALL_OUTPUTS = get_args(Output)
 _MAX_SIZE = 1 << 15  # pixels
-_WORDS = ("preset", "window", "cmap", "opacity")
+WORDS = ("preset", "window", "cmap", "opacity")
+"""Options that say in words what the transfer function is."""
 
 
 # -- options, as documented by `Renderer.render` -------------------------------------------------------------------------------
 
 
 class LookOptions(TypedDict, total=False):
-    """What a picture shows, and how.
+    """What a picture shows, and how. An option that changes nothing in the mode is refused.
 
     Attributes
     ----------
@@ -81,13 +86,14 @@ class LookOptions(TypedDict, total=False):
     preset, window, cmap, opacity
         A transfer function by words: the kind of data (`clvol.presets`), the values from black to white as (center, width), the
         name of a colour map, and how opaque: a factor, or pairs of a value and an opacity. Each changes what it names of the
-        mode's own look, and may be given with the others, but not beside `transfer`.
+        mode's own look, and may be given with the others, but not beside `transfer`. Surfaces have none of them, projections
+        no opacity.
     lights, background, clip
         In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or clip box, None for none.
     gradient : {"analytic", "central"}
         "analytic" is the exact derivative of the function drawn. "central" takes differences of one voxel to either side, as many
         other programs do; with `hybrid` one voxel of the magnified grid, half of the volume's. `nearest` has no useful derivative
-        and is always shaded by central differences.
+        and is always shaded by central differences: there is no choice.
     """
 
     transfer: TransferFunction | None
@@ -127,12 +133,14 @@ class RefineOptions(LookOptions, ModeOptions, total=False):
     pixel_filter : str or Filter
         What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps. "linear",
         the default, leaves half of the aliasing of "nearest", the pixel's own square, from 16 rays on, and two thirds with fewer,
-        and is less sharp; one with negative lobes, such as "mitchell", needs about 64 rays. Filters with a prefilter are refused.
+        and is less sharp; one with negative lobes, such as "mitchell", needs about 64 rays. Filters with a prefilter are refused,
+        and so are all of one ray a pixel.
     skipping : bool
         Skip space in which the function's minimum and maximum say that nothing can be seen, as by default. No bit depends on it.
     lod : float or "auto"
-        Of a `LazyVolume` with levels: how many pixels a voxel of the level that is drawn may span, where the volume is nearest to
-        the viewer. "auto", the default, is 1; 0 draws the finest level whatever the picture's size. Steps count its voxels.
+        Of a `LazyVolume` with levels, and of no other volume: how many pixels a voxel of the level that is drawn may span, where
+        the volume is nearest to the viewer. "auto", the default, is 1; 0 draws the finest level whatever the picture's size. Steps
+        count its voxels.
     """
 
     rays: int | Literal["auto"]
@@ -147,8 +155,8 @@ class PictureOptions(RefineOptions, total=False):
     Attributes
     ----------
     sigma : float, optional
-        Standard deviation of the samples' noise, in units of the data, for the output "uncertainty"; it is then taken to be white.
-        By default it is estimated, with its spectrum (`Volume.noise`).
+        Standard deviation of the samples' noise, in units of the data, for the output "uncertainty" and no other; it is then taken
+        to be white. By default it is estimated, with its spectrum (`Volume.noise`).
     """
 
     sigma: float | None
@@ -203,9 +211,39 @@ KEYWORDS = (
 """Arguments of `Renderer.render`; all others are options of the mode."""
 
 
-def chosen_mode(mode: str | Mode, options: Mapping[str, Any]) -> Mode:
-    """The mode with its options, which are all that are not options of a picture; `OptionError` names unknown ones."""
-    return as_mode(mode, {name: value for name, value in options.items() if name not in KEYWORDS}, KEYWORDS)
+def chosen_mode(mode: str | Mode, options: Mapping[str, Any], outputs: Collection[str] = ("rgba",)) -> Mode:
+    """The mode with its options, which are all that are not options of a picture.
+
+    `OptionError` names one that is unknown, or that changes nothing in these outputs.
+    """
+    chosen = as_mode(mode, {name: value for name, value in options.items() if name not in KEYWORDS}, KEYWORDS)
+    reasons = unheard(chosen, options, outputs)
+    require_heard(chosen, reasons, reasons)
+    return chosen
+
+
+def unheard(mode: Mode, options: Mapping[str, Any], outputs: Collection[str] = ("rgba",)) -> dict[str, str]:
+    """Those of a picture's options that change nothing in a mode and in these outputs, each with the reason."""
+    given = {name: value for name, value in options.items() if name in KEYWORDS and value is not None}
+    found = {name: reason for name, reason in mode.unheard.items() if name in given}
+    if {"normal", "uncertainty"} & set(outputs):  # which are gradients in all modes
+        found.pop("gradient", None)
+    if "preset" in given.keys() - found:
+        row = as_preset(given["preset"])
+        if mode.shows != "matter" and row.unit != "labels" and "window" in given:
+            found["preset"] = "window gives the values of black and white"
+        elif mode.shows == "mean" and row.unit == "matter":
+            found["preset"] = f"means do not reach the values of {row.name!r}"
+    if "pixel_filter" in given and not _of_several_rays(mode, given.get("rays", "auto")):
+        found["pixel_filter"] = "there is one ray a pixel"
+    if "sigma" in given and "uncertainty" not in outputs:
+        found["sigma"] = 'it is for the output "uncertainty"'
+    return found
+
+
+def _of_several_rays(mode: Mode, rays: object) -> bool:
+    """Whether a pixel may have more than one ray; only modes that light what they show take more on edges."""
+    return mode.shaded if isinstance(rays, str) and rays == "auto" else rays != 1
 
 
 def as_outputs(outputs: object) -> tuple[str, ...]:
@@ -234,11 +272,11 @@ class Fineness:
 
     @classmethod
     def of(cls, mode: Mode, size: tuple[int, int], step: float, options: RefineOptions) -> Fineness:
-        """As the options say; only modes that light what they show take more rays on edges."""
+        """As the options say."""
         rays, lod = options.get("rays", "auto"), options.get("lod", "auto")
         if rays != "auto":
             rays = whole("rays", rays, minimum=1, maximum=4096)
-        elif not mode.shaded:
+        elif not _of_several_rays(mode, rays):
             rays = 1
         return cls(
             as_size(size),
@@ -289,7 +327,7 @@ class ResolvedLook:
         instance("skipping", skipping, bool, np.bool_)
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
-        scene = _changed(scene, _transfer(preview, mode, options), options)
+        scene = _changed(scene, transfer_of(preview, mode, options), options)
         transfer = scene.media[0].transfer or mode.transfer(preview)
         return cls(camera, mode.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
 
@@ -320,10 +358,10 @@ class ResolvedLook:
         return replace(self, scene=replace(self.scene, media=(seen,)), camera=camera, transfer=transfer)
 
 
-def _transfer(preview: Volume, mode: Mode, options: RefineOptions) -> TransferFunction | None:
+def transfer_of(preview: Volume, mode: Mode, options: Mapping[str, Any]) -> TransferFunction | None:
     """The transfer function that is given, by itself or by words, if any is."""
     transfer = options.get("transfer")
-    words: dict[str, Any] = {name: options.get(name) for name in _WORDS}
+    words: dict[str, Any] = {name: options.get(name) for name in WORDS}
     given = [name for name, value in words.items() if value is not None]
     if given and transfer is not None:
         raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")

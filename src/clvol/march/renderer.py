@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Self, Unpack, cast, overload
 
 from clvol.base.checks import number
 from clvol.base.errors import OptionError
-from clvol.base.progress import require_callback
+from clvol.base.progress import require_callback, watched
 from clvol.march.choose import source_of
+from clvol.march.empty import warn_if_empty
 from clvol.march.options import (
     OUTPUTS,
     Fineness,
@@ -215,9 +216,8 @@ class Renderer:
         progress : callable, optional
             Called with the fraction done.
         **options
-            Those of `clvol.march.options.PictureOptions`, which describes them (`transfer`, `preset`, `window`, `cmap`, `opacity`,
-            `material`, `lights`, `background`, `clip`, `gradient`, `rays`, `pixel_filter`, `skipping`, `lod`, `sigma`), and
-            those of the mode, such as ``isovalue`` of "isosurface": see its class.
+            Those of `clvol.march.options.PictureOptions`, which describes them (`transfer`, `cmap`, `lights`, `clip`, `rays`, ...),
+            and those of the mode, such as ``isovalue`` of "isosurface": see its class.
 
         Returns
         -------
@@ -229,9 +229,8 @@ class Renderer:
         Raises
         ------
         OptionError
-            An option that the mode does not have, or a value that is not allowed: `size` beyond 1 to 32768 pixels, a `step` that
-            is not positive or gives more than 2²⁰ samples a ray, `rays` beyond 1 to 4096, more than 4 lights, an unknown name;
-            or the renderer is closed.
+            An option that the mode lacks or that changes nothing, an unknown name, or a value that is not allowed: `size` beyond
+            1 to 32768, `step` of more than 2²⁰ samples a ray, `rays` beyond 1 to 4096, 5 lights; or the renderer is closed.
         GeometryError
             The camera stands on its target or further away than 10²⁰ mean spacings, `clip` is no box, or a picture spans more than
             2¹⁸ voxels from the volume's centre to its own corners (fov near 180°, zoom near 0, or very unequal spacings), where
@@ -243,6 +242,11 @@ class Renderer:
             The device has no room for the picture, the pyramid of minima and maxima, or the copy of the samples that "uncertainty"
             takes.
 
+        Warns
+        -----
+        ClvolWarning
+            Nothing is seen, or all samples look the same; or the picture will take a minute more, ten seconds after its beginning.
+
         Notes
         -----
         "uncertainty" bounds 95 % of the errors: it is 1.96 times the root of the expected mean square, from what the filter does
@@ -250,17 +254,19 @@ class Renderer:
         samples hold: it is too small where noise alone makes surfaces, where smoothing removed a detail, and where the samples
         were too far apart to hold it.
         """
-        chosen = chosen_mode(mode, options)
+        wanted = as_outputs(outputs)
+        chosen = chosen_mode(mode, options, wanted)
         self.device.require_usable()
         with self._source.in_use():
             require_callback("progress", progress)
-            wanted = as_outputs(outputs)
+            self._source.require_heard(chosen, options)
             noise = noise_of(self.volume, options.get("sigma")) if "uncertainty" in wanted else None
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, wanted, edges=fine.rays == "auto")
             uncertainty = self._source.uncertainty(chosen) if noise else None
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
-            pictures = self._source.draw(look, fine, wanted != ("rgba",), progress)
+            pictures = self._source.draw(look, fine, wanted != ("rgba",), watched("the picture", progress))
+            warn_if_empty(look, self._source.limits, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = look.central or not self._source.filter_of(chosen).has_gradient
                 pictures["uncertainty"] = uncertainty(pictures["position"], noise, central=central)
@@ -338,6 +344,7 @@ class Renderer:
         require_callback("progress", progress)
         self.device.require_usable()
         with self._source.in_use():
+            self._source.require_heard(chosen, options)
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, ("rgba",), edges=fine.rays == "auto")
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
@@ -370,10 +377,8 @@ def render(
 
     Parameters
     ----------
-    scene
-        As for `Renderer`.
-    camera, mode, size, step, outputs, progress
-        As for `Renderer.render`.
+    scene, camera, mode, size, step, outputs, progress
+        As for `Renderer` and `Renderer.render`.
     **options
         The other options of `Renderer` (`filter`, `boundary`, `device`, ...), of `Renderer.render`, and of the mode.
 
@@ -385,10 +390,10 @@ def render(
     Raises
     ------
     ClvolError
-        As for `Renderer` and `Renderer.render`.
+        As for `Renderer` and `Renderer.render`, and so are warnings.
     """
     held = {name: options.pop(name) for name in RendererOptions.__annotations__ if name in options}  # type: ignore[misc]
-    chosen = chosen_mode(mode, options)  # before any work, and so is what follows
+    chosen = chosen_mode(mode, options, as_outputs(outputs))  # before any work, and so is what follows
     fine = Fineness.of(chosen, size, step, options)
     require_room(fine.size, as_outputs(outputs), edges=False)
     with Renderer(source_of(scene, **held, usual=chosen.picture_filter)) as renderer:

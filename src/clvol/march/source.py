@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.march.cluster import Workers
-    from clvol.march.options import Fineness, ResolvedLook
+    from clvol.march.options import Fineness, RefineOptions, ResolvedLook
     from clvol.march.refine import Asked, Refined
     from clvol.scene.mode import Mode
     from clvol.spline.evaluator import Evaluator
@@ -84,6 +84,24 @@ class Source(ABC):
         if not self._free or mode.picture_filter == PICTURE_FILTER:
             return self.field.filter
         return filter_for(self.scene.media[0].volume, None, mode.picture_filter)
+
+    def require_heard(self, mode: Mode, options: RefineOptions) -> None:
+        """Raise `OptionError` if an option of a picture changes nothing for this function."""
+        row = self.filter_of(mode)
+        if "gradient" in options and not row.has_gradient:
+            raise OptionError(f"gradient changes nothing with {row.name}, which has no slopes; leave it out")
+        if options.get("lod", "auto") != "auto" and not self.sizes:
+            raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        """The smallest and the largest sample; None where these are estimated."""
+        return self.scene.media[0].volume.value_range
+
+    @property
+    def sizes(self) -> bool:
+        """Whether there are several resolutions to choose from."""
+        return False
 
     def levels(self) -> tuple[BrickedField, ...]:
         """The functions of lower resolutions that were drawn."""
@@ -189,6 +207,14 @@ class ByBricks(Source):
             return (*self.arguments, self._workers.device), self._workers.keywords
         arguments, _ = super().recipe()
         return arguments, {"memory": self.field.memory} if self._owned else {}
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        return None if self.field.volume.estimated else super().limits
+
+    @property
+    def sizes(self) -> bool:
+        return bool(self.field.volume.levels)
 
     def function(self, mode: Mode, level: int = 0) -> BrickedField:
         level = whole("level", level, 0, len(self.field.volume.levels))

@@ -16,7 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import arrays, memory
 from clvol.base.checks import enough_memory, one_of
-from clvol.base.errors import AxisError, DataError, DtypeError, NotFiniteError, OptionError, OptionTypeError, RefusedError
+from clvol.base.errors import (
+    AxisError,
+    DataError,
+    DtypeError,
+    NotFiniteError,
+    OptionError,
+    OptionTypeError,
+    OutOfMemoryError,
+    RefusedError,
+)
 from clvol.base.progress import part_of
 from clvol.device import Device
 from clvol.filter.boundary import Boundary, as_boundary
@@ -329,7 +338,7 @@ def _require_kind(dtype: np.dtype[Any], given: np.dtype[Any], copied: bool) -> N
 def require_addressable(shape: Sequence[int], itemsize: int = 1) -> None:
     """Refuse a result of more bytes than an index can count."""
     if math.prod(shape) * itemsize > np.iinfo(np.intp).max:
-        raise OptionError(f"the result must have a size that can be addressed; got shape {shape}")
+        raise OutOfMemoryError(f"out of memory: the result must have a size that can be addressed; got shape {shape}")
 
 
 def _empty(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:

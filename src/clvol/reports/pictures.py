@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clvol.base.progress import Progress
 from clvol.device import Device
-from clvol.figures.panels import fixed, settled
+from clvol.figures.panels import fixed, for_filter, settled
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
@@ -70,9 +70,10 @@ def cards(
 
     def draw(data: Volume, filter: Filter, views: Sequence[Camera], step: float) -> list[Any]:
         nonlocal done
+        shown = for_filter(look, filter)
         with Renderer(data, filter, boundary, device) as renderer:
             drawn = [
-                renderer.render(fixed(view, volume, data), size=(pixels, pixels), outputs=("rgba", "position"), step=step, **look)
+                renderer.render(fixed(view, volume, data), size=(pixels, pixels), outputs=("rgba", "position"), step=step, **shown)
                 for view in views
             ]
         done += 1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clvol.base.arrays import reals
 from clvol.base.checks import instance, number, one_of, whole
-from clvol.base.errors import GeometryError
+from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume.volume import Volume
 
@@ -212,6 +212,12 @@ class Camera:
         if not isinstance(self.fit, str) or self.fit not in _FITS:
             raise one_of("fit", self.fit, _FITS)
         instance("upright", self.upright, bool, np.bool_)
+        if self.position is not None:
+            plain = {"distance": None, "direction": (0.0, 1.0, 0.0), "fit": "matter"}
+            for what in (name for name, value in plain.items() if getattr(self, name) != value):
+                raise OptionError(
+                    f"{what} changes nothing in a camera with a position: it looks from there at its target; leave it out"
+                )
         for what in ("up", "direction"):
             if not any(getattr(self, what)):
                 raise GeometryError(f"{what} must not have zero length")

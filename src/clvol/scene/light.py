@@ -34,8 +34,8 @@ class Light:
     color : sequence of float
         Red, green, blue of the light; 1 is full intensity.
     frame : {"world", "camera"}
-        Frame of the direction: (x, y, z) of the world; or right, up and towards the viewer in the picture, for a light that
-        moves with the camera.
+        Frame of the direction, if there is one: (x, y, z) of the world; or right, up and towards the viewer in the picture, for a
+        light that moves with the camera.
     """
 
     direction: tuple[float, float, float] | None = None
@@ -53,6 +53,10 @@ class Light:
         object.__setattr__(self, "color", color_of("a light's color", self.color))
         if not isinstance(self.frame, str) or self.frame not in _FRAMES:
             raise one_of("a light's frame", self.frame, _FRAMES)
+        if self.direction is None and self.frame != "world":
+            raise OptionError(
+                "a light's frame changes nothing without a direction: a headlight shines along each ray; leave it out"
+            )
 
     def placed(self, view: Viewpoint) -> Light:
         """The same light in a picture's world."""

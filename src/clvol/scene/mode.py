@@ -1,7 +1,7 @@
 """Render modes: a class here, a file in ``cl/modes/``, a function in `clvol.reference.march`.
 
 A mode's options are its fields: `Renderer.render` takes them as keywords, the command line as flags. An option of another
-mode raises an error that names it.
+mode raises an error that names it, and so does one that changes nothing in the mode (`Mode.unheard`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal, Self
 
@@ -40,8 +40,10 @@ __all__ = [
     "ModeTable",
     "as_mode",
     "every_option",
+    "heard_options",
     "mode_options",
     "modes",
+    "require_heard",
 ]
 
 DEFAULT_MODE = "composite"
@@ -117,6 +119,11 @@ class Mode:
     def surface(self) -> float | None:
         """The isovalue of a settled mode; None for modes that show no surface."""
         return None
+
+    @property
+    def unheard(self) -> Mapping[str, str]:
+        """Options, of pictures and its own, that change no colour of its pictures, each with the reason."""
+        return {} if self.shaded else dict.fromkeys(("material", "lights", "gradient"), "nothing is shaded")
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002  # most cannot decide
         """Whether values from `low` to `high`, in units of the data, can affect a picture; if not, bricks are skipped."""
@@ -272,6 +279,12 @@ class Isosurface(Mode):
     def surface(self) -> float | None:
         return None if isinstance(self.isovalue, str) else self.isovalue
 
+    @property
+    def unheard(self) -> Mapping[str, str]:
+        words = dict.fromkeys(("transfer", "preset", "window", "cmap", "opacity"), "a surface is opaque and of one color")
+        exact = {"tolerance": 'method="exact" needs none'} if self.method == "exact" else {}
+        return {**super().unheard, **words, **exact}
+
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
         assert isinstance(self.isovalue, float)  # settled
         return low <= self.isovalue <= high
@@ -295,7 +308,16 @@ class Isosurface(Mode):
 
 
 @dataclass(frozen=True)
-class Mip(Mode):
+class _Opaque(Mode):
+    """A projection, whose pixels show the colour of one value and are opaque."""
+
+    @property
+    def unheard(self) -> Mapping[str, str]:
+        return {**super().unheard, "opacity": "its pixels are opaque"}
+
+
+@dataclass(frozen=True)
+class Mip(_Opaque):
     """The maximum along the ray."""
 
     name: ClassVar[str] = "mip"
@@ -306,7 +328,7 @@ class Mip(Mode):
 
 
 @dataclass(frozen=True)
-class Attenuated(Mode):
+class Attenuated(_Opaque):
     """The maximum along the ray of values that fade with depth, so that near matter stands out.
 
     Parameters
@@ -334,7 +356,7 @@ class Attenuated(Mode):
 
 
 @dataclass(frozen=True)
-class Minip(Mode):
+class Minip(_Opaque):
     """The minimum along the ray."""
 
     name: ClassVar[str] = "minip"
@@ -346,7 +368,7 @@ class Minip(Mode):
 
 
 @dataclass(frozen=True)
-class Mean(Mode):
+class Mean(_Opaque):
     """The mean along the ray, as in an x-ray image."""
 
     name: ClassVar[str] = "mean"
@@ -388,9 +410,32 @@ def mode_options(mode: Mode | type[Mode]) -> dict[str, str]:
 def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None = None, others: Iterable[str] = ()) -> Mode:
     """The mode of a name, a class or an instance, with these options; `others` are further options of the caller.
 
-    `OptionError` if the name is unknown, the mode has no such option, the value of an option is not allowed, or a class lacks an
-    attribute that modes must define.
+    `OptionError` if the name is unknown, the mode has no such option or it changes nothing, the value of an option is not allowed,
+    or a class lacks an attribute that modes must define.
     """
+    made = _made(choice, options or {}, others)
+    changed = {field.name for field in fields(made) if getattr(made, field.name) != field.default}
+    require_heard(made, made.unheard.keys() & {*(options or {}), *changed})
+    return made
+
+
+def heard_options(choice: str | Mode | type[Mode], options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a mode without those that change nothing beside the others."""
+    unheard = _made(choice, options, ()).unheard
+    return {name: value for name, value in options.items() if name not in unheard}
+
+
+def require_heard(mode: Mode, unheard: Collection[str], reasons: Mapping[str, str] | None = None) -> None:
+    """Raise `OptionError` if options are given that change nothing in a mode; `reasons` are the mode's unless given."""
+    for name in sorted(unheard):
+        raise OptionError(f"{name} changes nothing in {mode.name}: {(reasons or mode.unheard)[name]}; leave it out")
+
+
+# -- inner -------------------------------------------------------------------------------------------------
+
+
+def _made(choice: str | Mode | type[Mode], options: Mapping[str, Any], others: Iterable[str]) -> Mode:
+    """The mode with these options, whether or not they change something."""
     if isinstance(choice, type) and issubclass(choice, Mode):
         choice = choice()
     if not isinstance(choice, Mode):
@@ -399,16 +444,13 @@ def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None =
         choice = _TABLE[choice]()
     _require_sound(choice)
     known = _option_names(choice)
-    for name in options or {}:
+    for name in options:
         if name not in known:
             having = [other for other, mode in _TABLE.items() if name in _option_names(mode)]
             near = f" (did you mean {_MEANT[name]}?)" if name in _MEANT else did_you_mean(name, [*known, *others])
             hint = f", but of {' and '.join(having)}" if having else near
             raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(known) or 'none'}")
-    return replace(choice, **(options or {}))
-
-
-# -- inner -------------------------------------------------------------------------------------------------
+    return replace(choice, **options)
 
 
 def _option_names(mode: Mode | type[Mode]) -> list[str]:

@@ -29,6 +29,7 @@ _PREFIX = "#s="
 _READS_ALL = ast.dump(ast.parse("clvol.read_all", mode="eval").body)
 _LONGEST = 1 << 18  # characters
 _WIDE = 110  # characters per line
+_UNHEARD = (*WORDS, "gradient", "pixel-filter")  # flags that some mode or filter does not have
 
 
 # -- Python --------------------------------------------------------------------------------------------------
@@ -239,17 +240,16 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
              for flag, value in resident.beside.items() if flag != "skipping"}  # fmt: skip
     flags |= {flag: value for flag, value in resident.limits.items() if flag in ("evaluator", "fetch")}
     flags |= dict(state.options)
-    if state.transfer is not None:
-        for flag in WORDS:
-            flags.pop(flag, None)
+    heard = resident.arguments(state)
+    flags = {flag: value for flag, value in flags.items() if flag.replace("-", "_") in heard or flag not in _UNHEARD}
     inexpressible = {
         "where the camera was moved to": camera.target is not None or camera.distance is not None or camera.radius is not None,
         "that it was rolled": abs(float(view.right @ vertical(volume))) > 1e-6,
         "its field of view": camera.fov != Camera().fov,
-        "the transfer function": state.transfer is not None,
+        "the transfer function": "transfer" in heard,
         "which labels are seen": resident.catalog.which(state).labels is not None,
-        "lights": state.lights is not None,
-        "the material": state.material not in (None, Material()),
+        "lights": "lights" in heard,
+        "the material": heard.get("material") not in (None, Material()),
         "the other filter of the wiper": state.wiper is not None,
         "the heat map (--heat-map FILE)": state.heat,
     }

@@ -243,7 +243,10 @@ def _hit(renderer: Renderer, pane: Pane3D, x: float, y: float, arguments: dict[s
         up=triple(view.up),
         projection="orthographic" if view.orthographic else "perspective",
     )
-    given = arguments | {"camera": camera, "rays": 1}
+    given = {name: value for name, value in arguments.items() if name not in ("pixel_filter", "gradient")} | {
+        "camera": camera,
+        "rays": 1,
+    }
     point = np.asarray(renderer.render(size=(1, 1), outputs="position", **given), np.float64)[0, 0]
     return point if np.isfinite(point).all() else None
 

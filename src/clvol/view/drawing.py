@@ -212,7 +212,7 @@ class Drawer:
     # -- one filter, resident samples --------------------------------------------------------------------------
 
     def _of(self, order: Order, chosen: str | None) -> Generator[Shot, None, None]:
-        state, name, size, coarse = order.state, order.name, order.size, order.coarse
+        state, name, size, coarse = replace(order.state, filter=chosen), order.name, order.size, order.coarse
         with self._resident.renderers.renderer(chosen, state.boundary, self._resident.catalog.which(state)) as renderer:
             if name != "3d":
                 shape = self._slice_size(size, order.budget) if coarse else size
@@ -264,6 +264,7 @@ def share_visited(resident: Resident, state: State, shape: tuple[float, float]) 
     size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))
     with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
         given = resident.arguments(state) | {"rays": 1}
+        given.pop("pixel_filter", None)  # of several rays
         return _mean(np.asarray(renderer.render(size=size, outputs="visited", **given)))
 
 

@@ -14,7 +14,7 @@ from clvol.base.errors import ClvolError
 from clvol.device import Device
 from clvol.filter.boundary import boundaries
 from clvol.filter.table import filters
-from clvol.march.options import ViewOptions
+from clvol.march.options import ViewOptions, unheard
 from clvol.scene.camera import Camera
 from clvol.scene.fit import fitted
 from clvol.scene.look import look
@@ -98,13 +98,17 @@ class Resident:
     # -- what is drawn -----------------------------------------------------------------------------------------
 
     def arguments(self, state: State) -> dict[str, Any]:
-        """Arguments of `Renderer.render` for the volume's picture in a state, except its size and outputs."""
+        """Arguments of `Renderer.render` for the volume's picture in a state, except its size and outputs.
+
+        A state keeps what only another mode or filter would show; a picture does not take it.
+        """
         given: dict[str, Any] = {"camera": camera_of(state), "mode": state.mode, "step": state.step, **self.beside}
         words = state.words if state.transfer is None else {"transfer": state.transfer}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
         given |= {name: value for name, value in words.items() if value is not None}
         given["background"] = state.background
-        return given | {name: tuple(v) if isinstance(v, list) else v for name, v in state.options.items()}
+        own = {name: tuple(v) if isinstance(v, list) else v for name, v in state.options.items()}
+        return self._heard(state, given | own)
 
     def settled_arguments(self, state: State, aspect: float) -> dict[str, Any]:
         """`arguments` and what else follows from the resident samples, so that others show the same matter in the same place."""
@@ -112,10 +116,19 @@ class Resident:
         camera = self.placed(state, aspect)
         options = {f.name: getattr(mode, f.name) for f in fields(mode)}
         given = {name: value for name, value in self.arguments(state).items() if name not in WORDS}
-        return given | options | {
+        return self._heard(state, given | options | {
             "camera": camera if camera.radius is not None else replace(camera, radius=self.volume.radius),
             "transfer": transfer if transfer.unit_distance else replace(transfer, unit_distance=self.volume.mean_spacing),
-        }  # fmt: skip
+        })  # fmt: skip
+
+    def _heard(self, state: State, given: dict[str, Any]) -> dict[str, Any]:
+        """The arguments that change something in the mode and with the filter of a state."""
+        mode = as_mode(state.mode, state.options)
+        left_out = mode.unheard.keys() | unheard(mode, given)
+        row = filter_for(self.catalog.volume_of(state), state.filter, mode.picture_filter)
+        if not row.has_gradient:
+            left_out |= {"gradient"}
+        return {name: value for name, value in given.items() if name not in left_out}
 
     def finer_picture(self, state: State, shown: PaneSize, name: str, size: tuple[int, int]) -> Wanted | None:
         """The picture of a pane by bricks; None if the resident samples show as much, or are all there are."""

@@ -46,8 +46,8 @@ class Sketch:
         camera = targeted(fitted(camera_of(state), self._whole, mode, transfer, state.clip, size[0] / size[1]), self._whole)
         if camera.radius is None:
             camera = replace(camera, radius=self._whole.radius)
-        given = {name: value for name, value in few.arguments(state).items() if name not in WORDS}
-        given |= {"camera": camera, "transfer": transfer, "rays": 1}
+        given = {name: value for name, value in few.arguments(state).items() if name not in (*WORDS, "transfer", "pixel_filter")}
+        given |= {"camera": camera, "rays": 1} | ({} if "transfer" in mode.unheard else {"transfer": transfer})
         shrink = min(1.0, _EDGE / max(size))
         width, height = (max(1, round(shrink * n)) for n in size)
         renderer = self._drawn_by(state)

@@ -22,7 +22,7 @@ from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.boundary import as_boundary
 from clvol.filter.table import as_filter
 from clvol.scene.light import MAX_LIGHTS, Light, Material
-from clvol.scene.mode import as_mode
+from clvol.scene.mode import as_mode, heard_options
 from clvol.scene.preset import as_preset
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.volumes import COMPUTED
@@ -467,8 +467,8 @@ class State(_Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        mode = as_mode(self.mode, self.options)
-        object.__setattr__(self, "options", {name: plain(getattr(mode, name)) for name in self.options})
+        mode = as_mode(self.mode, heard_options(self.mode, self.options))
+        object.__setattr__(self, "options", {name: plain(getattr(mode, name)) for name in self.options if name not in mode.unheard})
         if self.labels is not None and self.labels.hidden == ():  # equal pictures have equal states
             object.__setattr__(self, "labels", None)
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,7 +21,17 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base.scaling import exponent_of, scaled, unscaled
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["Matter", "Projection", "clims_of", "isovalue_of", "label_numbers", "matter_of", "may_be_hounsfield", "spread_of"]
+__all__ = [
+    "Matter",
+    "Projection",
+    "clims_of",
+    "isovalue_of",
+    "label_numbers",
+    "matter_of",
+    "may_be_hounsfield",
+    "remember",
+    "spread_of",
+]
 
 Array = NDArray[np.float64]
 Made = TypeVar("Made")
@@ -107,16 +117,24 @@ class Matter:
 
 def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike], Made]:
     """Cache a function of a volume's samples per volume, because they do not change."""
-    known: WeakKeyDictionary[Volume, Made] = WeakKeyDictionary()
 
     @wraps(make)
     def found(volume: Volume | ArrayLike) -> Made:
         volume = as_volume(volume)
-        if volume not in known:
-            known[volume] = make(volume)
-        return known[volume]
+        known = _KNOWN.setdefault(volume, {})
+        if make.__name__ not in known:
+            known[make.__name__] = make(volume)
+        return cast(Made, known[make.__name__])
 
     return found
+
+
+_KNOWN: WeakKeyDictionary[Volume, dict[str, Any]] = WeakKeyDictionary()
+
+
+def remember(volume: Volume, matter: Matter, clims: dict[Projection, tuple[float, float]]) -> None:
+    """Use for a volume what was found in more samples than it has."""
+    _KNOWN.setdefault(volume, {}).update(matter_of=matter, clims_of=clims)
 
 
 @_remembered
@@ -293,8 +311,7 @@ def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent
 
 def _faces(volume: Volume, exponent: int) -> Array:
     """Samples on the faces of the volume."""
-    # ndarray.take would copy an array that is not in C order
-    ends = [np.moveaxis(volume.data, axis, 0)[end].ravel() for axis in range(volume.ndim) for end in (0, -1)]
+    ends = [volume.data[(*(slice(None),) * axis, end)].ravel() for axis in range(volume.ndim) for end in (0, -1)]
     return scaled(np.concatenate(ends), exponent)
 
 

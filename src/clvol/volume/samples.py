@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clvol.base import memory
 from clvol.base.errors import DataError, OptionError
+from clvol.base.progress import watched
 from clvol.noise import MOST_LABELS
 
 __all__ = [
@@ -53,8 +54,12 @@ def lent(data: NDArray[Any], requested: Mapping[str, Any]) -> Any:
 
 def limits_of(data: NDArray[Any]) -> tuple[Any, Any]:
     """Smallest and largest sample; NaN if a sample is NaN."""
-    # both in one pass, while each part is in the CPU cache
-    ends = [(part.min(), part.max()) for part in _parts(data)]
+    once = data[tuple(slice(None) if stride else slice(1) for stride in data.strides)]  # what is repeated
+    report, read, ends = watched("finding the range of the samples"), 0, []
+    for part in _parts(once):
+        ends.append((part.min(), part.max()))  # both in one pass, while the part is in the CPU cache
+        read += part.size
+        report(read / once.size)
     return np.min([low for low, _ in ends]), np.max([high for _, high in ends])
 
 

@@ -14,7 +14,7 @@ including stairs and edges.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
@@ -30,7 +30,7 @@ from clvol.filter.table import as_filter
 from clvol.noise import Spectrum
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["Smoothing", "choose", "filter_for", "settled"]
+__all__ = ["Smoothing", "choice", "choose", "filter_for", "remember_smoothing", "settled"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -97,11 +97,17 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     degree = whole("degree", degree, 2, 9)
     known = _CHOSEN.setdefault(volume, {})
     if degree not in known:
-        known[degree] = _choice(volume, degree)
+        known[degree] = choice(volume, degree)
     return known[degree]
 
 
-def _choice(volume: Volume, degree: int) -> Smoothing:
+def remember_smoothing(volume: Volume, chosen: Mapping[int, Smoothing]) -> None:
+    """Use for a volume what was chosen, by degree, from more samples than it has."""
+    _CHOSEN.setdefault(volume, {}).update(chosen)
+
+
+def choice(volume: Volume, degree: int) -> Smoothing:
+    """As `choose`, of checked arguments; nothing is cached."""
     noise = volume.noise
     d = volume.ndim
     if noise.kind in ("binary", "labels", "rounded"):

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,8 +31,10 @@ from clvol.formats.pyramid.blocks import Bricks, coarser, outwards, require_boun
 from clvol.formats.pyramid.journal import Journal, require_apart, said_of
 from clvol.formats.pyramid.reduce import Reduction
 from clvol.formats.zarr.addresses import shown
+from clvol.noise import estimate
 from clvol.spline.levels import FIXED, METHODS, Level, Method, filter_at, levels_of, require_reducible, sums_for
 from clvol.volume.smoothing import filter_for, settled
+from clvol.volume.statistics import Statistics
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["COMPRESSORS", "VERSIONS", "pyramid"]
@@ -79,7 +81,7 @@ def pyramid(
         A folder that does not exist yet, ``*.zarr``.
     filter : str or Filter, optional
         Of the function that the smaller sizes approximate, and that is bounded. Default: that of pictures, "bspline3(auto)", its λ
-        chosen from samples in the middle of the volume; "nearest" for labels.
+        chosen by the noise of the whole volume; "nearest" for labels.
     boundary : str or Boundary
         How samples continue outside.
     method : {"least-squares", "average", "nearest"}, optional
@@ -150,7 +152,9 @@ def pyramid(
     if method is not None and method not in METHODS:
         raise one_of("method", method, METHODS)
     rule, part, labels = as_boundary(boundary), volume.part(), volume.is_labels
-    row = settled(filter_for(part, filter, PICTURE_FILTER), part)
+    row = filter_for(part, filter, PICTURE_FILTER)
+    if not row.settled:
+        row = settled(row, _with_noise(volume))
     how: Method = method or ("nearest" if labels else "least-squares")
     if flag("bounds", bounds):
         require_bounded(row, rule)
@@ -203,6 +207,28 @@ def _kept(volume: LazyVolume, room: int) -> tuple[LazyVolume, Chunks | None]:
     made = volume.with_levels(())
     made.data = cache
     return made, cache
+
+
+def _with_noise(volume: LazyVolume) -> Volume:
+    """Samples of the middle, with the noise of the whole volume, by which smoothing is chosen."""
+    part = replace(volume.part())
+    vars(part)["noise"] = estimate(cast(Any, _Slices(volume)))
+    return part
+
+
+@dataclass(frozen=True)
+class _Slices:
+    """The samples of a volume by slices, for `estimate`."""
+
+    volume: LazyVolume
+    ndim: int = 3
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.volume.shape
+
+    def __getitem__(self, place: tuple[slice, slice, slice]) -> NDArray[Any]:
+        return self.volume.at(place)
 
 
 def _room(memory: int | None, volume: LazyVolume) -> int:
@@ -537,6 +563,8 @@ class _Writing:
             own["direction"] = grid.direction.tolist()
         if grid.space:
             own["space"] = grid.space
+        if not plan.labels:
+            own["statistics"] = Statistics.of(root["0"], ranges[0] or _range_of(root["0"])).json()
         own["levels"] = [self._level(root, number, found) for number, found in enumerate(ranges)]
         root.attrs.update(({"ome": ome} if plan.storage.version == "0.5" else ome) | {KEY: own})
 
@@ -553,6 +581,15 @@ class _Writing:
             group = root[f"{KEY}/bounds/{number}"]
             about |= {"block": BLOCK, "bounds": [f"{KEY}/bounds/{number}/{i}" for i in range(len(list(group.array_keys())))]}
         return about
+
+
+def _range_of(array: Any) -> tuple[float, float]:
+    """The smallest and the largest sample of an array of Zarr, read by chunks."""
+    lines, whole = lines_of(array), tuple(slice(0, n) for n in array.shape)
+    assert lines is not None  # it is an array of Zarr
+    parts = (array[box] for box in Chunks(array.__getitem__, lines, array.dtype, 0).parts(whole))
+    ends = [(float(part.min()), float(part.max())) for part in parts]
+    return min(low for low, _ in ends), max(high for _, high in ends)
 
 
 def _label(grid: Volume, version: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from clvol.formats.zarr.addresses import shown
 from clvol.formats.zarr.array import loaded, part_of, require_chunks
 from clvol.formats.zarr.files import is_one
 from clvol.interop.kinds import Content
+from clvol.volume.statistics import Statistics
 
 if TYPE_CHECKING:
     from clvol.formats.zarr._store import CheckedStore
@@ -177,6 +178,8 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Lo
     if attributes.get(KEY) and layout.axes == ("z", "y", "x") and load is not loaded:
         about, path = attributes[KEY], image.multiscales["datasets"][level]["path"]
         known["bounds"] = bounds_of(image.node, about, path, array.shape[::-1], lambda one: part_of(source, one))
+        if level == 0 and isinstance(about.get("statistics"), Mapping):
+            known["statistics"] = Statistics.from_json(about["statistics"])
     data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
     return data, known | chosen
 

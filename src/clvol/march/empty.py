@@ -1,0 +1,105 @@
+"""Warnings of pictures that show nothing, or all samples alike, with the range of the samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base.checks import warn
+from clvol.march.options import WORDS, ResolvedLook, chosen_mode
+
+if TYPE_CHECKING:
+    from clvol.march.renderer import Renderer
+    from clvol.scene.camera import Camera
+    from clvol.scene.mode import Mode
+    from clvol.show.picture import Picture
+    from clvol.volume.volume import Volume
+
+__all__ = ["warn_if_empty", "warn_of_refined"]
+
+_STEP = 16  # pixels between those that are looked at first
+_CHOICES = ("transfer", "isovalue", *WORDS)
+
+
+def warn_if_empty(
+    look: ResolvedLook, limits: tuple[float, float] | None, options: Mapping[str, Any], rgba: NDArray[np.floating[Any]]
+) -> None:
+    """Warn if a picture shows nothing of the volume, or cannot tell its samples apart.
+
+    `limits` are the smallest and the largest sample, if these are known; `options` those that were given for the picture.
+    """
+    reason = _alike(look, limits, options) or (_unseen(look, limits) if _is_empty(look, rgba) else "")
+    if reason:
+        warn(reason)
+
+
+def warn_of_refined(renderer: Renderer, picture: Picture, camera: Camera | None, mode: str | Mode, **options: Any) -> None:
+    """Warn of the last picture by `Renderer.refine` as `render` warns of its own."""
+    source = renderer._source
+    look = ResolvedLook.of(source.scene, source.preview, camera, chosen_mode(mode, options), options)  # type: ignore[arg-type]
+    warn_if_empty(look, source.limits, options, picture)
+
+
+def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapping[str, Any]) -> str:
+    """That all samples look the same, if they do; "" for surfaces, which show where they are."""
+    if limits is None:
+        return ""
+    low, high = limits
+    if low == high:
+        chosen = look.scene.media[0].transfer is not None or any(options.get(name) is not None for name in _CHOICES)
+        return "" if chosen else f"the picture shows no structure: all samples are {low:g}"
+    mode, transfer = look.mode, look.transfer
+    if mode.surface is not None or (mode.ramp < 1 and high > transfer.value_range[0]):  # which shows smaller values, too
+        return ""
+    first, last = transfer.value_range
+    if mode.shows == "matter" and not transfer.opacity_within(low, high):
+        return (
+            f"nothing is seen: all samples, from {low:g} to {high:g}, are transparent; opacity changes from {first:g} to {last:g}"
+        )
+    points = np.array([low, high, *(value for value, _ in (*transfer.colors, *transfer.opacities))])
+    every, seen = (transfer(values)[:, : 4 if mode.shows == "matter" else 3] for values in (points, np.clip(points, low, high)))
+    if (every == every[0]).all() or (seen != seen[0]).any():
+        return ""
+    return f"all samples, from {low:g} to {high:g}, are of one colour: the transfer function changes from {first:g} to {last:g}"
+
+
+def _unseen(look: ResolvedLook, limits: tuple[float, float] | None) -> str:
+    """Why nothing is seen."""
+    volume, clip, surface = look.scene.media[0].volume, look.scene.clip, look.mode.surface
+    if clip is not None and _outside(clip, volume):
+        low, high = volume.corners.min(0), volume.corners.max(0)
+        return f"nothing is seen: clip lies outside the volume, which spans {_point(low)} to {_point(high)}"
+    if limits is not None and surface is not None and not limits[0] <= surface <= limits[1]:
+        return f"nothing is seen: isovalue {surface:g} is outside the samples, which are from {limits[0]:g} to {limits[1]:g}"
+    values = "" if limits is None else f", whose samples are from {limits[0]:g} to {limits[1]:g}"
+    return f"nothing is seen of the volume{values}: what the camera and the clip box leave of it looks like the background"
+
+
+def _is_empty(look: ResolvedLook, rgba: NDArray[np.floating[Any]]) -> bool:
+    """Whether a picture is all background; few pixels of one that is not are looked at."""
+    background = look.scene.background
+
+    def plain(pixels: NDArray[np.floating[Any]]) -> bool:
+        if background is None:
+            return not pixels[..., 3].any()
+        return bool((pixels[..., :3] == np.asarray(background, pixels.dtype)).all())
+
+    return plain(rgba[::_STEP, ::_STEP]) and plain(rgba)
+
+
+def _outside(clip: Any, volume: Volume) -> bool:
+    """Whether a box in the world lies beside the volume, along an axis of the world or of the volume."""
+    low, high = map(np.asarray, clip)
+    first, last = volume.corners.min(0), volume.corners.max(0)
+    low, high = np.clip(low, first - 1, last + 1), np.clip(high, first - 1, last + 1)  # of infinite boxes too
+    corners = np.stack(np.meshgrid(*np.stack([low, high], -1), indexing="ij"), -1).reshape(-1, 3)
+    index = volume.world_to_index(corners)
+    beside = (high <= first) | (low >= last) | (index.max(0) <= -0.5) | (index.min(0) >= np.asarray(volume.size) - 0.5)
+    return bool(beside.any())
+
+
+def _point(values: NDArray[np.float64]) -> str:
+    return f"({', '.join(f'{value:.6g}' for value in values)})"
