@@ -135,6 +135,8 @@ class LazyVolume(Gridded):
 
     in_parts: ClassVar[bool] = True
     grid: Volume
+    where: NDArray[np.bool_] | None = None
+    """Samples that pictures leave out: those that were missing before they were filled."""
 
     def __init__(
         self,

@@ -30,6 +30,8 @@ from clvol.scene.mode import DEFAULT_MODE, as_mode
 from clvol.show.picture import as_pictures
 
 if TYPE_CHECKING:  # clusters need dask
+    from numpy.typing import ArrayLike
+
     from clvol.base.progress import Progress
     from clvol.bricks.field import BrickedField
     from clvol.dask.cluster import ClusterLike
@@ -65,6 +67,8 @@ class Renderer:
         See `as_device`.
     memory : int, optional
         Bytes that bricks may take: see `BrickedField`, which has its own if one is given.
+    mask : array-like of bool, shape of the volume, optional
+        True where a sample is missing, as in `numpy.ma` and `clvol.Missing`; those that are NaN or infinite are missing as well.
     cluster : distributed.Client, str or int, optional
         Processes that draw together, by bricks: those of a dask client, of the scheduler at an address, or n processes of this
         machine. Each reads some of the bricks from where the volume was opened, within `memory`; each uses a GPU of its own if
@@ -83,11 +87,27 @@ class Renderer:
         The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples.
         (Whether spacings that differ by less are too unequal depends on the view: see `render`.)
     DataError
-        A sample is NaN, infinite, or too large for float64; or a label, drawn by "nearest", is too large for float32.
+        No sample is finite, or one is too large for float64; one of a LazyVolume is NaN or infinite; the mask is not boolean, or of
+        another shape; or a label, drawn by "nearest", is too large for float32.
     DeviceError
         There is no device, or it cannot hold the volume (`OutOfMemoryError`).
     ClusterError
         No scheduler answers, it has no workers, or these have another version of clvol.
+
+    Notes
+    -----
+    *Missing samples* (NaN, infinite or masked) are transparent, in every mode. A place is missing where the mask, 1 at missing
+    samples and 0 at others, interpolated linearly between them, is more than 1/2: about half a voxel beyond the last sample that
+    there is. For filters of one tap ("nearest") it is where the nearest sample is missing. Up to there the function is
+    extrapolated: missing samples have the values of planes of least squares through the samples at most 3 away, so that no rim
+    appears, and a linear function stays one. Surfaces are those of this function, without the parts at missing places: the edge
+    of what is missing is no surface. Means are over what there is. Histograms, automatic isovalues and windows, estimates of noise
+    and fitted cameras know the samples alone that are not missing. (Measured on balls of values with radii of 3 to 10 voxels: the
+    outline is wrong in half as many pixels as with whole voxels, 2 to 3 % against 5 to 6 %; the edge lies 0.2 voxels off, in the
+    median, against 0.3; and linear values err by 3e-4 of their range there.)
+
+    A Field made with ``nan="local"`` is drawn by the same rule, whatever share its `Missing` allows; with ``most=1`` nothing is
+    missing.
     """
 
     def __init__(
@@ -98,13 +118,14 @@ class Renderer:
         device: Device | str | int | None = None,
         *,
         memory: int | None = None,
+        mask: ArrayLike | None = None,
         cluster: ClusterLike | None = None,
         merge: Merge = "order",
     ) -> None:
         if isinstance(scene, Source):
             source = scene
         else:
-            source = source_of(scene, filter, boundary, device, memory=memory, cluster=cluster, merge=merge)
+            source = source_of(scene, filter, boundary, device, memory=memory, mask=mask, cluster=cluster, merge=merge)
         self._source, self._lease = source, source.lease
         self.scene: Scene = source.scene
         self.field: Field | BrickedField = source.field
@@ -375,7 +396,7 @@ def render(
     camera, mode, size, step, outputs, progress
         As for `Renderer.render`.
     **options
-        The other options of `Renderer` (`filter`, `boundary`, `device`, ...), of `Renderer.render`, and of the mode.
+        The other options of `Renderer` (`filter`, `boundary`, `device`, `mask`, ...), of `Renderer.render`, and of the mode.
 
     Returns
     -------

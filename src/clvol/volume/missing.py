@@ -17,7 +17,7 @@ from clvol.base.errors import DataError
 if TYPE_CHECKING:
     from clvol.filter.filter import Filter
 
-__all__ = ["Missing", "NanRule", "as_missing", "filled_smoothly", "touching"]
+__all__ = ["EXTRAPOLATED", "Missing", "NanRule", "as_missing", "extrapolated", "filled_smoothly", "touching"]
 
 NanRule: TypeAlias = Literal["error", "propagate", "local"]
 
@@ -26,6 +26,12 @@ _EXACT: Final = 1e-200  # squared residual, in units of the largest sample, belo
 _EACH: Final = 4  # peak number of copies of the samples ...
 _EACH_MISSING: Final = 100  # ... bytes per missing sample ...
 _EACH_UNKNOWN: Final = 900  # ... and bytes per unknown of the linear system
+_WINDOW: Final = 3  # samples to either side from which a plane is fitted, with the weights of a Gaussian of one sample; ...
+_FLATTER: Final = 1e-3  # ... slopes that the samples hardly determine are kept small by this share of the total weight
+_MEANS: Final = 2  # windows further out in which means are taken: behind them a cubic prefilter leaves 7e-6 of a step
+EXTRAPOLATED: Final = _WINDOW * (1 + _MEANS)
+"""How far from a sample the extrapolation depends on it."""
+_AT_ONCE: Final = 1 << 20  # samples extrapolated at a time
 _STEPS: Final = 20  # steps of conjugate gradients; the start is close: holes of 9 samples are within 2 % of the minimum
 
 
@@ -242,3 +248,74 @@ def _least_bent(data: NDArray[Any], unknown: NDArray[np.intp], exponent: int, st
         before, size = size, float((residual * residual).sum())
         direction = residual + size / before * direction
     return result
+
+
+# -- the extrapolation of pictures ---------------------------------------------------------------------------------
+
+
+def extrapolated(data: NDArray[Any], missing: NDArray[np.bool_], middle: float) -> NDArray[np.floating[Any]]:
+    """A copy with missing samples replaced by planes through those around them: the function of pictures up to its edge.
+
+    A sample is the value there of the plane of least squares through valid samples at most 3 away along each axis; further out it
+    is the weighted mean of those filled before, and more than 9 from any it is `middle`. So it depends on samples within
+    `EXTRAPOLATED` alone, and is the same in any part of the array that holds these. A linear function is continued almost exactly:
+    on a ball of 16 samples to 3e-4 of its range, and its slopes to 3 %, where the fill of `Missing` bends: 15e-4 and 25 %.
+
+    Parameters
+    ----------
+    data : ndarray
+        Of any number of axes.
+    missing : ndarray of bool, the shape of `data`
+    middle : float
+        A value amid those of `data`.
+
+    Returns
+    -------
+    ndarray of the dtype of `data`, which is floating
+    """
+    memory.require(data.nbytes + 2 * data.size + 100 * _AT_ONCE, f"the extrapolation of {data.size} samples")
+    result, known = np.where(missing, np.array(middle, data.dtype), data), ~missing
+    for plane in (True, *(False,) * _MEANS):
+        before, there = (result, known) if known.all() else (result.copy(), known.copy())
+        thick = max(1, _AT_ONCE // max(1, data[0].size))
+        for first in range(0, len(data), thick):
+            last = min(len(data), first + thick)
+            low, high = max(0, first - _WINDOW), min(len(data), last + _WINDOW)
+            if known[first:last].all() or not there[low:high].any():
+                continue
+            inner = slice(first - low, last - low)
+            at, values = _around(before[low:high], there[low:high], inner, middle, plane=plane)
+            result[first:last][at], known[first:last][at] = values, True
+    return result
+
+
+def _around(
+    data: NDArray[Any], there: NDArray[np.bool_], inner: slice, middle: float, *, plane: bool
+) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
+    """Where slices of the array have samples that are not there but near others, and the value of the fit at each."""
+    weights, values = there.astype(np.float64), np.where(there, data.astype(np.float64) - middle, 0)
+    steps = [tuple(int(i == axis) for i in range(data.ndim)) for axis in range(data.ndim)] if plane else []
+    terms = [(0,) * data.ndim, *steps]
+    total = _moment(weights, terms[0])[inner]
+    at = np.nonzero((total > 0) & ~there[inner])
+    if not plane:
+        return at, _moment(values, terms[0])[inner][at] / total[at] + middle
+    matrix, right = np.empty((at[0].size, len(terms), len(terms))), np.empty((at[0].size, len(terms)))
+    for i, one in enumerate(terms):
+        right[:, i] = _moment(values, one)[inner][at]
+        for j, other in enumerate(terms[i:], i):
+            powers = tuple(a + b for a, b in zip(one, other, strict=True))
+            matrix[:, i, j] = matrix[:, j, i] = _moment(weights, powers)[inner][at]
+        if i:
+            matrix[:, i, i] += _FLATTER * total[at]
+    return at, np.asarray(np.linalg.solve(matrix, right[..., None])[:, 0, 0] + middle, np.float64)
+
+
+def _moment(array: NDArray[np.float64], powers: tuple[int, ...]) -> NDArray[np.float64]:
+    """Sums over the window around each sample, weighted by a Gaussian and by powers of the distances along the axes."""
+    from scipy import ndimage
+
+    away = np.arange(-_WINDOW, _WINDOW + 1)
+    for axis, power in enumerate(powers):
+        array = ndimage.correlate1d(array, np.exp(-(away**2) / 2) * away**power, axis, mode="constant")
+    return array

@@ -283,6 +283,44 @@ class Volume(Gridded):
         where = Missing("local").of(self.data)
         return self if where is None else self._with(filled_smoothly(self.data, where))
 
+    def masked(self, mask: ArrayLike) -> Volume:
+        """A copy in which the samples that a mask excludes are missing: NaN.
+
+        Pictures leave them out, and so do histograms, automatic isovalues and windows, and estimates of noise.
+
+        Parameters
+        ----------
+        mask : array-like of bool, the shape of the samples
+            True where a sample is missing, as in `numpy.ma`.
+
+        Returns
+        -------
+        Volume
+            Integers become float32, or float64 where some exceed 2²⁴; labels stay labels. The volume itself, if it has no value
+            where the mask excludes one.
+
+        Raises
+        ------
+        DataError
+            The mask is not boolean, or of another shape.
+
+        Examples
+        --------
+        >>> scan = clvol.Volume(np.arange(27, dtype=np.uint8).reshape(3, 3, 3))
+        >>> scan.masked(scan.data < 5).value_range
+        (5.0, 26.0)
+        """
+        where = Missing("propagate", mask).of(self.data)
+        if where is None or (self.data.dtype.kind == "f" and not np.isfinite(self.data[where]).any()):
+            return self
+        kind = (
+            self.data.dtype if self.data.dtype.kind == "f" else np.float64 if beyond_float32(self.data, self.limits) else np.float32
+        )
+        memory.require(np.dtype(kind).itemsize * self.data.size, f"a copy of {self.data.size} samples")
+        data = self.data.astype(kind)
+        data[where] = np.nan
+        return self._with(data, labels=self.labels if self.labels is not None or not self.is_labels else True)
+
     @cached_property
     def is_labels(self) -> bool:
         """Whether samples are labels of regions: `labels` if set, else whether they are few integers that fill regions.
@@ -296,14 +334,9 @@ class Volume(Gridded):
 
     @cached_property
     def noise(self) -> Noise:
-        """The estimated noise of the samples, from at most about a million of them; see `clvol.noise.estimate`.
-
-        Raises
-        ------
-        DataError
-            An inspected sample is NaN or infinite.
-        """
-        return estimate(self.data)
+        """The estimated noise of the samples that are finite, from at most about a million of them; see `clvol.noise.estimate`."""
+        where = None if self.data.dtype.kind != "f" or np.isfinite(self.limits).all() else Missing("local").of(self.data)
+        return estimate(self.data) if where is None else estimate(filled_smoothly(self.data, where), where)
 
     def indicator(self, *labels: float) -> Volume:
         """Indicator of a region of labels: 1 where a sample has one of these values, else 0, in float32. Its surface is at 1/2."""
