@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clvol.base.errors import DataError, OptionError
+from clvol.base.errors import DataError, OptionError, OutOfMemoryError
+from clvol.bricks.field import BrickedField
 from clvol.device import Device
 from clvol.march.renderer import Renderer, render
+from clvol.march.source import by_parts
 from clvol.reference.march import march as reference
 from clvol.reference.march.missing import continued
 from clvol.scene.camera import Camera
@@ -143,11 +145,13 @@ def test_the_extrapolation_is_that_of_the_reference_and_local() -> None:
     gone[5:22, :, 10:] = True
     part = np.s_[4:28, :, 5:38]
     inner = np.s_[EXTRAPOLATED:-EXTRAPOLATED, :, EXTRAPOLATED:-EXTRAPOLATED]
-    np.testing.assert_array_equal(extrapolated(some, gone, 0.1)[part][inner], extrapolated(some[part], gone[part], 0.1)[inner])
+    of_part = extrapolated(some[part], gone[part], 0.1)[inner]
+    np.testing.assert_array_equal(extrapolated(some, gone, 0.1)[part][inner], of_part)
+    assert extrapolated(some, np.ones_like(gone), 0.25).max() == 0.25
 
 
 def test_a_linear_function_is_continued_almost_exactly(device: Device) -> None:
-    """On the surface of the ball, the slope errs by 3 %; with the fill of sampling by a quarter."""
+    """On the edge of the ball, the slope errs by 4 %; with the fill of sampling by a quarter."""
     ways = np.random.default_rng(0).normal(size=(500, 3))
     at = np.array(CENTER) + (RADIUS - 0.3) * ways / np.linalg.norm(ways, axis=1, keepdims=True)
     errors = {}
@@ -155,7 +159,7 @@ def test_a_linear_function_is_continued_almost_exactly(device: Device) -> None:
         with Field(data, "bspline3", device=device) as field:
             off = field.gradient(at) - np.array([5 / RADIUS, 0, 0])
         errors[name] = float(np.sqrt((off**2).sum(1).mean())) / (5 / RADIUS)
-    assert errors["planes"] < 0.04
+    assert errors["planes"] < 0.05
     assert errors["smooth"] > 0.15
 
 
@@ -200,16 +204,32 @@ def test_by_bricks_they_are_those_in_memory(mode: str, filter: str, device: Devi
     options = suited(mode, {**OPTIONS, **own, "transfer": FULL, "isovalue": 16.0})
     data = ball()
     data[8:12, 9:13, 12:15] = np.nan
-    with Renderer(data, filter, device=device) as renderer:
-        want = renderer.render(CAMERA, mode, SIZE, STEP, **options)
-        assert renderer.field.nbytes < 1 << 20
-        with device.limited(bytes=1 << 16), Renderer(data, filter, device=device, memory=1 << 17) as parts:
-            assert parts.field.in_parts
-            got = parts.render(CAMERA, mode, SIZE, STEP, **options)
+    with (
+        Renderer(data, filter, device=device) as renderer,
+        BrickedField(by_parts(Volume(data)), filter, device=device, edge=8) as field,
+        Renderer(field) as parts,
+    ):
+        assert len(field.bricks) == 27
+        want, got = (one.render(CAMERA, mode, SIZE, 0.8, **options) for one in (renderer, parts))
+    assert want["rgba"][..., 3].max() > 0
     for name in want:
-        if filter != "bspline3" and mode not in ("mean", "composite"):
-            np.testing.assert_array_equal(got[name], want[name])
-        np.testing.assert_allclose(got[name], want[name], atol=1e-4)
+        if filter == "bspline3" and name != "visited":
+            off = np.abs(got[name] - want[name])
+            assert np.nanmax(np.where(np.isinf(want[name]), 0, off), initial=0) < 1e-3
+        elif filter != "bspline3":
+            np.testing.assert_array_equal(got[name], want[name], err_msg=name)
+
+
+def test_a_volume_too_large_for_the_device_is_drawn_by_bricks(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = suited("mip", {**OPTIONS, "transfer": FULL})
+    want = render(ball(), CAMERA, "mip", SIZE, device=device, filter="linear", **options)
+
+    def too_large(*_: Any) -> Field:
+        raise OutOfMemoryError("too large")
+
+    monkeypatch.setattr("clvol.march.choose.single", too_large)
+    got = render(ball(), CAMERA, "mip", SIZE, device=device, filter="linear", **options)
+    np.testing.assert_array_equal(got["rgba"], want["rgba"])
 
 
 def test_automatic_choices_ignore_what_is_missing() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -31,7 +32,7 @@ _FLATTER: Final = 1e-3  # ... slopes that the samples hardly determine are kept 
 _MEANS: Final = 2  # windows further out in which means are taken: behind them a cubic prefilter leaves 7e-6 of a step
 EXTRAPOLATED: Final = _WINDOW * (1 + _MEANS)
 """How far from a sample the extrapolation depends on it."""
-_AT_ONCE: Final = 1 << 20  # samples extrapolated at a time
+_BLOCK: Final = 64  # samples along an edge of those extrapolated at a time
 _STEPS: Final = 20  # steps of conjugate gradients; the start is close: holes of 9 samples are within 2 % of the minimum
 
 
@@ -258,8 +259,8 @@ def extrapolated(data: NDArray[Any], missing: NDArray[np.bool_], middle: float) 
 
     A sample is the value there of the plane of least squares through valid samples at most 3 away along each axis; further out it
     is the weighted mean of those filled before, and more than 9 from any it is `middle`. So it depends on samples within
-    `EXTRAPOLATED` alone, and is the same in any part of the array that holds these. A linear function is continued almost exactly:
-    on a ball of 16 samples to 3e-4 of its range, and its slopes to 3 %, where the fill of `Missing` bends: 15e-4 and 25 %.
+    `EXTRAPOLATED` alone, and is the same in any part of the array that holds these. A linear function is continued almost
+    exactly: on a ball of 16 samples to 3e-4 of its range, and its slopes to 3 %, where the fill of `Missing` bends: 15e-4 and 25 %.
 
     Parameters
     ----------
@@ -273,49 +274,52 @@ def extrapolated(data: NDArray[Any], missing: NDArray[np.bool_], middle: float) 
     -------
     ndarray of the dtype of `data`, which is floating
     """
-    memory.require(data.nbytes + 2 * data.size + 100 * _AT_ONCE, f"the extrapolation of {data.size} samples")
+    memory.require(2 * (data.nbytes + data.size), f"the extrapolation of {data.size} samples")
     result, known = np.where(missing, np.array(middle, data.dtype), data), ~missing
     for plane in (True, *(False,) * _MEANS):
-        before, there = (result, known) if known.all() else (result.copy(), known.copy())
-        thick = max(1, _AT_ONCE // max(1, data[0].size))
-        for first in range(0, len(data), thick):
-            last = min(len(data), first + thick)
-            low, high = max(0, first - _WINDOW), min(len(data), last + _WINDOW)
-            if known[first:last].all() or not there[low:high].any():
+        if known.all():
+            break
+        before, there = result.copy(), known.copy()
+        for corner in itertools.product(*(range(0, n, _BLOCK) for n in data.shape)):
+            block = tuple(slice(first, min(first + _BLOCK, n)) for first, n in zip(corner, data.shape, strict=True))
+            around = tuple(slice(max(0, one.start - _WINDOW), one.stop + _WINDOW) for one in block)
+            if known[block].all() or not there[around].any():
                 continue
-            inner = slice(first - low, last - low)
-            at, values = _around(before[low:high], there[low:high], inner, middle, plane=plane)
-            result[first:last][at], known[first:last][at] = values, True
+            inner = tuple(slice(b.start - a.start, b.stop - a.start) for a, b in zip(around, block, strict=True))
+            at, values = _fitted(before[around], there[around], inner, middle, plane=plane)
+            result[block][at], known[block][at] = values, True
     return result
 
 
-def _around(
-    data: NDArray[Any], there: NDArray[np.bool_], inner: slice, middle: float, *, plane: bool
+def _fitted(
+    data: NDArray[Any], there: NDArray[np.bool_], inner: tuple[slice, ...], middle: float, *, plane: bool
 ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
-    """Where slices of the array have samples that are not there but near others, and the value of the fit at each."""
-    weights, values = there.astype(np.float64), np.where(there, data.astype(np.float64) - middle, 0)
-    steps = [tuple(int(i == axis) for i in range(data.ndim)) for axis in range(data.ndim)] if plane else []
-    terms = [(0,) * data.ndim, *steps]
-    total = _moment(weights, terms[0])[inner]
+    """Where an inner part has samples that are not there but near others, and the value of the fit at each."""
+    unit = np.eye(data.ndim, dtype=int)
+    terms = [(0,) * data.ndim, *(tuple(row) for row in unit[: data.ndim * plane].tolist())]
+    pairs = list(itertools.combinations_with_replacement(range(len(terms)), 2))
+    powers = [tuple(a + b for a, b in zip(terms[i], terms[j], strict=True)) for i, j in pairs]
+    weights = _moments(there.astype(np.float64), powers)
+    sums = _moments(np.where(there, data.astype(np.float64) - middle, 0), terms)
+    total = weights[0][inner]
     at = np.nonzero((total > 0) & ~there[inner])
-    if not plane:
-        return at, _moment(values, terms[0])[inner][at] / total[at] + middle
-    matrix, right = np.empty((at[0].size, len(terms), len(terms))), np.empty((at[0].size, len(terms)))
-    for i, one in enumerate(terms):
-        right[:, i] = _moment(values, one)[inner][at]
-        for j, other in enumerate(terms[i:], i):
-            powers = tuple(a + b for a, b in zip(one, other, strict=True))
-            matrix[:, i, j] = matrix[:, j, i] = _moment(weights, powers)[inner][at]
-        if i:
-            matrix[:, i, i] += _FLATTER * total[at]
+    matrix, right = np.empty((at[0].size, len(terms), len(terms))), np.stack([one[inner][at] for one in sums], -1)
+    for (i, j), one in zip(pairs, weights, strict=True):
+        matrix[:, i, j] = matrix[:, j, i] = one[inner][at]
+    slopes = np.arange(1, len(terms))
+    matrix[:, slopes, slopes] += _FLATTER * total[at][:, None]
     return at, np.asarray(np.linalg.solve(matrix, right[..., None])[:, 0, 0] + middle, np.float64)
 
 
-def _moment(array: NDArray[np.float64], powers: tuple[int, ...]) -> NDArray[np.float64]:
+def _moments(array: NDArray[np.float64], wanted: list[tuple[int, ...]]) -> list[NDArray[np.float64]]:
     """Sums over the window around each sample, weighted by a Gaussian and by powers of the distances along the axes."""
     from scipy import ndimage
 
     away = np.arange(-_WINDOW, _WINDOW + 1)
-    for axis, power in enumerate(powers):
-        array = ndimage.correlate1d(array, np.exp(-(away**2) / 2) * away**power, axis, mode="constant")
-    return array
+    made: dict[tuple[int, ...], NDArray[np.float64]] = {(): array}
+    for powers in wanted:
+        for axis, power in enumerate(powers):
+            if powers[: axis + 1] not in made:
+                taps = np.exp(-(away**2) / 2) * away**power
+                made[powers[: axis + 1]] = ndimage.correlate1d(made[powers[:axis]], taps, axis, mode="constant")
+    return [made[powers] for powers in wanted]

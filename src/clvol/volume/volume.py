@@ -23,7 +23,7 @@ from clvol.interop.nibabel import to_nibabel
 from clvol.interop.xarray_images import to_xarray
 from clvol.noise import Noise, estimate
 from clvol.volume.gridded import Gridded
-from clvol.volume.missing import Missing, filled_smoothly
+from clvol.volume.missing import Missing, extrapolated, filled_smoothly
 from clvol.volume.samples import (
     array_of,
     beyond_float32,
@@ -335,8 +335,12 @@ class Volume(Gridded):
     @cached_property
     def noise(self) -> Noise:
         """The estimated noise of the samples that are finite, from at most about a million of them; see `clvol.noise.estimate`."""
-        where = None if self.data.dtype.kind != "f" or np.isfinite(self.limits).all() else Missing("local").of(self.data)
-        return estimate(self.data) if where is None else estimate(filled_smoothly(self.data, where), where)
+        try:
+            return estimate(self.data)
+        except DataError:  # of those looked at, some are not finite
+            low, high = self.value_range
+            where = ~np.isfinite(self.data)
+            return estimate(extrapolated(self.data, where, low / 2 + high / 2), where)
 
     def indicator(self, *labels: float) -> Volume:
         """Indicator of a region of labels: 1 where a sample has one of these values, else 0, in float32. Its surface is at 1/2."""
