@@ -10,6 +10,7 @@ import pytest
 
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
+from clvol.bricks.source import LazyVolume
 from clvol.device import Device
 from clvol.march.renderer import Renderer, render
 from clvol.march.source import by_parts
@@ -19,10 +20,11 @@ from clvol.scene.camera import Camera
 from clvol.scene.scene import Medium, Scene
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.field import Field
+from clvol.view.slices import section
 from clvol.volume.histogram import clims_of, isovalue_of
 from clvol.volume.missing import EXTRAPOLATED, Missing, extrapolated
 from clvol.volume.volume import Volume
-from tests.march.looks import suited
+from tests.march.looks import TILES, suited
 from tests.march.test_march import CAMERA, MODES, OPTIONS, SIZE, Allowance, compare
 
 STEP = 0.53  # no plane of these volumes then lies halfway between samples, where rounding decides what is missing
@@ -132,6 +134,18 @@ def test_pictures_agree_with_the_reference_and_skipping_changes_no_bit(mode: str
     # where a stretch ends is found to 2**-11 of a step; nearest jumps, so that rounding decides a few pixels
     few = 0.02 if filter == "nearest" else 0.005
     compare(got, want, Allowance(rgba=2e-4, rms=2e-5, depth=1e-3, position=1e-3, normal=5e-3, pixels=few))
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface", "stepped"])
+def test_ray_by_ray_they_agree_too(mode: str, device: Device) -> None:
+    own: dict[str, Any] = {"method": "stepped"} if mode == "stepped" else {}
+    mode = "isosurface" if mode == "stepped" else mode
+    options = suited(mode, {**OPTIONS, **own})
+    with device.limited(tile=TILES["rays"]), Renderer(holes(), "bspline3", device=device) as renderer:
+        got = renderer.render(CAMERA, mode, SIZE, STEP, **options)
+    want = reference.render(holes(), CAMERA, mode, "bspline3", "mirror", SIZE, STEP, **options)
+    assert isinstance(want, dict)
+    compare(got, want, Allowance(rgba=2e-4, rms=2e-5, depth=1e-3, position=1e-3, normal=5e-3, pixels=0.005))
 
 
 def test_the_extrapolation_is_that_of_the_reference_and_local() -> None:
@@ -263,6 +277,27 @@ def test_a_field_with_gaps_is_drawn_as_its_volume_is(device: Device) -> None:
         values = renderer.field(np.array([[9.0, 1.0, 9.0], [5.0, -3.0, 2.0]]))
     np.testing.assert_array_equal(got[..., 3], want[..., 3])
     assert np.isnan(values).tolist() == [False, True]
+
+
+def test_a_lazy_volume_says_what_to_do(device: Device) -> None:
+    lazy = LazyVolume(holes().data)
+    with pytest.raises(DataError, match=r"missing=value.*a picture of volume.whole\(\) leaves them out"):
+        render(lazy, device=device)
+    with pytest.raises(OptionError, match="mask takes a volume in memory; got a LazyVolume"):
+        render(lazy, mask=np.isnan(holes().data), device=device)
+
+
+def test_slices_leave_missing_samples_out(device: Device) -> None:
+    data = ball()
+    options: dict[str, Any] = {"filter": "linear", "window": (15, 10), "background": None, "device": device}
+    want = section(Volume(data).filled(), CENTER, (1, 0, 0), (0, 1, 0), (0.5, 0.5), (40, 40), **options)
+    got = section(data, CENTER, (1, 0, 0), (0, 1, 0), (0.5, 0.5), (40, 40), **options)
+    v, u = (np.indices((40, 40)) + 0.5 - 20) * 0.5
+    away = np.hypot(u, v)
+    assert (got[away < RADIUS - 1, 3] == 1).all()
+    assert (got[away > RADIUS + 1, 3] == 0).all()
+    assert want[..., 3].min() == 1
+    assert np.abs(got[..., 0] - (0.5 + u / (2 * RADIUS)))[away < RADIUS - 1].max() < 1e-3
 
 
 def test_errors_say_what_is_allowed(device: Device) -> None:

@@ -100,9 +100,9 @@ class Volume(Gridded):
     Notes
     -----
     A volume may contain NaN and infinite samples, but they enter no computation: the spline
-    prefilter is recursive, so that one NaN would spoil all coefficients. Rendering, sampling
-    and prefiltering raise `DataError` with the index of the first one; `filled` replaces them, and sampling
-    can leave out the results that they affect (`Missing`).
+    prefilter is recursive, so that one NaN would spoil all coefficients. In pictures they are missing, and transparent
+    (`Renderer`), and so are those that a mask excludes (`masked`). Sampling and prefiltering raise `DataError` with the index
+    of the first one; `filled` replaces them, and sampling can leave out the results that they affect (`Missing`).
     """
 
     data: NDArray[Any]
