@@ -23,7 +23,7 @@ from clvol.spline.field import Field
 from clvol.view.slices import section
 from clvol.volume.histogram import clims_of, isovalue_of
 from clvol.volume.missing import EXTRAPOLATED, Missing, extrapolated
-from clvol.volume.volume import Volume
+from clvol.volume.volume import Volume, masked
 from tests.march.looks import TILES, suited
 from tests.march.test_march import CAMERA, MODES, OPTIONS, SIZE, Allowance, compare
 
@@ -181,8 +181,8 @@ def test_a_linear_function_is_continued_almost_exactly(device: Device) -> None:
 def test_a_mask_is_as_good_as_nan(mode: str, device: Device) -> None:
     whole = np.arange(24 * 24 * 24, dtype=np.uint16).reshape(24, 24, 24) % 997
     mask = np.isnan(ball())
-    masked = np.where(mask, np.nan, whole.astype(np.float32))
-    want = render(masked, CAMERA, mode, SIZE, device=device)
+    cut = np.where(mask, np.nan, whole.astype(np.float32))
+    want = render(cut, CAMERA, mode, SIZE, device=device)
     np.testing.assert_array_equal(render(whole, CAMERA, mode, SIZE, mask=mask, device=device), want)
     for scene in (Medium(whole), Scene(whole)):
         np.testing.assert_array_equal(render(scene, CAMERA, mode, SIZE, mask=mask, device=device), want)
@@ -198,9 +198,9 @@ def test_masked_labels_stay_labels_and_show_no_other(device: Device) -> None:
     labels = np.zeros((12, 12, 12), np.int32)
     labels[2:10, 2:10, 2:6], labels[2:10, 2:10, 6:10] = 3, 7
     volume = Volume(labels, labels=True)
-    masked = volume.masked(np.indices(labels.shape)[0] > 5)
-    assert masked.is_labels
-    assert masked.data.dtype == np.float32
+    upper = masked(volume, np.indices(labels.shape)[0] > 5)
+    assert upper.is_labels
+    assert upper.data.dtype == np.float32
     colors = TransferFunction.preset("labels", volume)
     with Renderer(volume, mask=np.indices(labels.shape)[0] > 5, device=device) as renderer:
         assert renderer.filter.name == "nearest"

@@ -10,12 +10,13 @@ from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
+from clvol.interop.dispatch import is_in_parts
 from clvol.march.options import MERGES
 from clvol.scene.scene import Medium, Scene, as_scene
 from clvol.spline.field import Field, as_field
 from clvol.spline.function import CLOSED, ContinuousFunction
 from clvol.volume.smoothing import filter_for, settled
-from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volume import Volume, as_volume, masked
 
 if TYPE_CHECKING:  # clusters need dask
     from numpy.typing import ArrayLike
@@ -104,15 +105,15 @@ def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | N
 
 def _masked(given: Any, mask: ArrayLike) -> Volume | Medium | Scene:
     """What is drawn, without the samples that a mask excludes."""
-    if isinstance(given, (ContinuousFunction, LazyVolume)):
+    if isinstance(given, ContinuousFunction) or is_in_parts(given):
         raise OptionError(
             f'mask takes a volume in memory; got a {type(given).__name__}: a Field takes nan=Missing("local", mask), and '
             "volume.whole() has all samples in memory"
         )
     if not isinstance(given, (Scene, Medium)):
-        return as_volume(given).masked(mask)
+        return masked(as_volume(given), mask)
     (medium,) = as_scene(given).media
-    medium = replace(medium, volume=medium.volume.masked(mask))
+    medium = replace(medium, volume=masked(medium.volume, mask))
     return medium if isinstance(given, Medium) else replace(given, media=(medium,))
 
 
@@ -132,7 +133,7 @@ def _of_field(
                 raise OptionError(
                     'rendering takes a field that was made with nan="local", or without missing samples; got "propagate"'
                 )
-            medium = replace(medium, volume=field.volume.masked(field.gaps.volume.data))
+            medium = replace(medium, volume=masked(field.volume, field.gaps.volume.data))
         if field.closed:
             raise OptionError(CLOSED)
         if field.precision != "single":

@@ -68,7 +68,7 @@ class Renderer:
     memory : int, optional
         Bytes that bricks may take: see `BrickedField`, which has its own if one is given.
     mask : array-like of bool, shape of the volume, optional
-        True where a sample is missing, as in `numpy.ma` and `clvol.Missing`; those that are NaN or infinite are missing as well.
+        True where a sample is missing, as where it is NaN or infinite. Missing samples are transparent: see the notes of `Missing`.
     cluster : distributed.Client, str or int, optional
         Processes that draw together, by bricks: those of a dask client, of the scheduler at an address, or n processes of this
         machine. Each reads some of the bricks from where the volume was opened, within `memory`; each uses a GPU of its own if
@@ -87,27 +87,11 @@ class Renderer:
         The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples.
         (Whether spacings that differ by less are too unequal depends on the view: see `render`.)
     DataError
-        No sample is finite, or one is too large for float64; one of a LazyVolume is NaN or infinite; the mask is not boolean, or of
-        another shape; or a label, drawn by "nearest", is too large for float32.
+        No sample is finite, or one of a LazyVolume is not; or one is too large: for float64, or a label by "nearest" for float32.
     DeviceError
         There is no device, or it cannot hold the volume (`OutOfMemoryError`).
     ClusterError
         No scheduler answers, it has no workers, or these have another version of clvol.
-
-    Notes
-    -----
-    *Missing samples* (NaN, infinite or masked) are transparent, in every mode. A place is missing where the mask, 1 at missing
-    samples and 0 at others, interpolated linearly between them, is more than 1/2: about half a voxel beyond the last sample that
-    there is. For filters of one tap ("nearest") it is where the nearest sample is missing. Up to there the function is
-    extrapolated: missing samples have the values of planes of least squares through the samples at most 3 away, so that no rim
-    appears, and a linear function stays one. Surfaces are those of this function, without the parts at missing places: the edge
-    of what is missing is no surface. Means are over what there is. Histograms, automatic isovalues and windows, estimates of noise
-    and fitted cameras know the samples alone that are not missing. (Measured on balls of values with radii of 3 to 10 voxels: the
-    outline is wrong in half as many pixels as with whole voxels, 2 to 3 % against 5 to 6 %; the edge lies 0.2 voxels off, in the
-    median, against 0.3; and linear values err by 3e-4 of their range there.)
-
-    A Field made with ``nan="local"`` is drawn by the same rule, whatever share its `Missing` allows; with ``most=1`` nothing is
-    missing.
     """
 
     def __init__(

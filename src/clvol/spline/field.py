@@ -47,7 +47,7 @@ from clvol.volume.missing import as_missing, touching
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import AS_THEY_ARE, Stored, names_beyond
 from clvol.volume.transform import as_chain
-from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volume import Volume, as_volume, masked
 
 if TYPE_CHECKING:
     from clvol.device import Device
@@ -267,7 +267,7 @@ class Field(ContinuousFunction):
         row = as_filter(filter)
         known = row.settled and (row.magnified_by is None or row.magnified_by.settled)
         where = None if known else self.missing.of(self.volume.data)  # filled samples say nothing of the noise
-        return settled(row, self.volume if where is None else self.volume.masked(where))
+        return settled(row, self.volume if where is None else masked(self.volume, where))
 
     def _evaluator(self) -> Evaluator:
         return choose_evaluator(self.device, self.filter, double=self.precision == "double")

@@ -70,6 +70,18 @@ class Missing:
     4 samples from a valid one keep the start. Next to holes of 1, 3 and 9 samples, the rms error of a cubic spline outside the
     hole is 3e-7, 3e-6 and 2e-5 of the range of a smooth phantom (of the spline itself: 2e-6), and 1e-4, 3e-4 and 6e-4 for the
     Marschner-Lobb signal (of the spline itself: 2e-3).
+
+    *In pictures* (`Renderer`, `render`, slices of `View`) missing samples are transparent, in every mode. A place is missing
+    where the mask, 1 at missing samples and 0 at others, interpolated linearly between them, is more than 1/2: about half a
+    voxel beyond the last sample that there is. For filters of one tap ("nearest") it is where the nearest sample is missing.
+    Up to there the function is extrapolated: missing samples have the values of planes of least squares through the samples
+    at most 3 away, so that no rim appears, and a linear function stays one. Surfaces are those of this function, without the
+    parts at missing places: the edge of what is missing is no surface. Means are over what there is. Histograms, automatic
+    isovalues and windows, estimates of noise and fitted cameras know the samples alone that are not missing. (Measured on
+    balls of values with radii of 3 to 10 voxels: the outline is wrong in half as many pixels as with whole voxels, 2 to 3 %
+    against 5 to 6 %; the edge lies 0.2 voxels off, in the median, against 0.3.) A `Field` with the rule "local" is drawn with
+    its own fill, and cut in the same way, whatever share it allows; with a share of 1 nothing of it is missing. Volumes that
+    are read by parts (`LazyVolume`) must have no missing samples.
     """
 
     rule: NanRule = "local"

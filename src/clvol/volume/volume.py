@@ -37,7 +37,7 @@ from clvol.volume.samples import (
     require_finite,
 )
 
-__all__ = ["Volume", "as_volume", "clim_of"]
+__all__ = ["Volume", "as_volume", "clim_of", "masked"]
 
 _ABOUT = ("spacing", "origin", "direction", "units", "space", "name", "color", "clim", "labels", "header")
 _TINY_DETERMINANT = 1e-12
@@ -100,9 +100,9 @@ class Volume(Gridded):
     Notes
     -----
     A volume may contain NaN and infinite samples, but they enter no computation: the spline
-    prefilter is recursive, so that one NaN would spoil all coefficients. In pictures they are missing, and transparent
-    (`Renderer`), and so are those that a mask excludes (`masked`). Sampling and prefiltering raise `DataError` with the index
-    of the first one; `filled` replaces them, and sampling can leave out the results that they affect (`Missing`).
+    prefilter is recursive, so that one NaN would spoil all coefficients. In pictures they are transparent. Sampling
+    and prefiltering raise `DataError` with the index of the first one; `filled` replaces them, and sampling
+    can leave out the results that they affect (`Missing`).
     """
 
     data: NDArray[Any]
@@ -283,44 +283,6 @@ class Volume(Gridded):
         where = Missing("local").of(self.data)
         return self if where is None else self._with(filled_smoothly(self.data, where))
 
-    def masked(self, mask: ArrayLike) -> Volume:
-        """A copy in which the samples that a mask excludes are missing: NaN.
-
-        Pictures leave them out, and so do histograms, automatic isovalues and windows, and estimates of noise.
-
-        Parameters
-        ----------
-        mask : array-like of bool, the shape of the samples
-            True where a sample is missing, as in `numpy.ma`.
-
-        Returns
-        -------
-        Volume
-            Integers become float32, or float64 where some exceed 2²⁴; labels stay labels. The volume itself, if it has no value
-            where the mask excludes one.
-
-        Raises
-        ------
-        DataError
-            The mask is not boolean, or of another shape.
-
-        Examples
-        --------
-        >>> scan = clvol.Volume(np.arange(27, dtype=np.uint8).reshape(3, 3, 3))
-        >>> scan.masked(scan.data < 5).value_range
-        (5.0, 26.0)
-        """
-        where = Missing("propagate", mask).of(self.data)
-        if where is None or (self.data.dtype.kind == "f" and not np.isfinite(self.data[where]).any()):
-            return self
-        kind = (
-            self.data.dtype if self.data.dtype.kind == "f" else np.float64 if beyond_float32(self.data, self.limits) else np.float32
-        )
-        memory.require(np.dtype(kind).itemsize * self.data.size, f"a copy of {self.data.size} samples")
-        data = self.data.astype(kind)
-        data[where] = np.nan
-        return self._with(data, labels=self.labels if self.labels is not None or not self.is_labels else True)
-
     @cached_property
     def is_labels(self) -> bool:
         """Whether samples are labels of regions: `labels` if set, else whether they are few integers that fill regions.
@@ -335,12 +297,7 @@ class Volume(Gridded):
     @cached_property
     def noise(self) -> Noise:
         """The estimated noise of the samples that are finite, from at most about a million of them; see `clvol.noise.estimate`."""
-        try:
-            return estimate(self.data)
-        except DataError:  # of those looked at, some are not finite
-            low, high = self.value_range
-            where = ~np.isfinite(self.data)
-            return estimate(extrapolated(self.data, where, low / 2 + high / 2), where)
+        return _noise_of(self)
 
     def indicator(self, *labels: float) -> Volume:
         """Indicator of a region of labels: 1 where a sample has one of these values, else 0, in float32. Its surface is at 1/2."""
@@ -385,6 +342,32 @@ class Volume(Gridded):
 def as_volume(data: Volume | ArrayLike) -> Volume:
     """`data` itself if it is a `Volume`, else a `Volume` of it."""
     return data if isinstance(data, Volume) else Volume(data)  # type: ignore[arg-type]  # __post_init__ converts
+
+
+def masked(volume: Volume, mask: ArrayLike) -> Volume:
+    """A copy with NaN where a mask is True; integers become float32, or float64 where some exceed 2²⁴, and labels stay labels.
+
+    `DataError` if the mask is not boolean, or of another shape.
+    """
+    data, where = volume.data, Missing("propagate", mask).of(volume.data)
+    floating = data.dtype.kind == "f"
+    if where is None or (floating and not np.isfinite(data[where]).any()):
+        return volume
+    kind = data.dtype if floating else np.dtype(np.float64 if beyond_float32(data, volume.limits) else np.float32)
+    memory.require(kind.itemsize * data.size, f"a copy of {data.size} samples")
+    copy = data.astype(kind)
+    copy[where] = np.nan
+    return replace(volume, data=copy, labels=volume.labels if volume.labels is not None or not volume.is_labels else True)
+
+
+def _noise_of(volume: Volume) -> Noise:
+    """The noise of the samples that are finite."""
+    try:
+        return estimate(volume.data)
+    except DataError:  # of those looked at, some are not
+        low, high = volume.value_range
+        where = ~np.isfinite(volume.data)
+        return estimate(extrapolated(volume.data, where, low / 2 + high / 2), where)
 
 
 def _low_passed(volume: Volume, sigma: float | Sequence[float]) -> NDArray[Any]:
