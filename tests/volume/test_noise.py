@@ -165,7 +165,7 @@ def test_samples_that_are_not_finite_are_left_out(bad: float) -> None:
     assert noise.sigma == pytest.approx(known.sigma, rel=0.1)
     with pytest.raises(DataError, match=r"finite.*Volume\.filled"):
         estimate(data)
-    with pytest.raises(DataError, match="no sample of the volume is finite"):
+    with pytest.raises(DataError, match="samples must be finite for their noise"):
         _ = clvol.Volume(np.full_like(data, bad)).noise
 
 

@@ -156,7 +156,7 @@ def touching(filter: Filter, rule: NanRule) -> Filter:
 # -- the fill ------------------------------------------------------------------------------------------------------
 
 
-def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[np.floating[Any]]:
+def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_], *, roughly: bool = False) -> NDArray[np.floating[Any]]:
     """A copy with missing samples replaced by the fill of `Missing`; 0 if all are missing.
 
     Parameters
@@ -165,6 +165,8 @@ def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[n
         Of any number of axes.
     missing : ndarray of bool, the shape of `data`
         True where a sample is missing, whatever value `data` has there.
+    roughly : bool
+        Keep the start, the interpolated means of blocks: fast, and without the noise of an extrapolation.
 
     Returns
     -------
@@ -182,6 +184,8 @@ def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[n
     at = np.nonzero(missing)
     start = _block_means(np.ldexp(result, -exponent), missing, at)
     result[at] = np.ldexp(start, exponent)
+    if roughly:
+        return result
     band = _near_valid(missing)
     unknown = np.flatnonzero(band)
     memory.require(_EACH_UNKNOWN * unknown.size, f"the fill of {unknown.size} samples beside others")

@@ -23,7 +23,7 @@ from clvol.interop.nibabel import to_nibabel
 from clvol.interop.xarray_images import to_xarray
 from clvol.noise import Noise, estimate
 from clvol.volume.gridded import Gridded
-from clvol.volume.missing import Missing, extrapolated, filled_smoothly
+from clvol.volume.missing import Missing, filled_smoothly
 from clvol.volume.samples import (
     array_of,
     beyond_float32,
@@ -365,9 +365,10 @@ def _noise_of(volume: Volume) -> Noise:
     try:
         return estimate(volume.data)
     except DataError:  # of those looked at, some are not
-        low, high = volume.value_range
-        where = ~np.isfinite(volume.data)
-        return estimate(extrapolated(volume.data, where, low / 2 + high / 2), where)
+        where = Missing("local").of(volume.data)
+        if where is None or where.all():
+            raise
+        return estimate(filled_smoothly(volume.data, where, roughly=True), where)
 
 
 def _low_passed(volume: Volume, sigma: float | Sequence[float]) -> NDArray[Any]:
