@@ -155,7 +155,7 @@ INLINE void show(COEFFICIENTS coefficients, const sample_t *sample, const state_
 
 // Marches rays through the brick in the window.
 kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,
-                        constant frame_t *frame, global const float4 *table, global const float2 *places, global float *states,
+                        global const uchar *missing, constant frame_t *frame, global const float4 *table, global const float2 *places, global float *states,
                         global float *shown, global uchar *going)
 {
     if (!TILE_IS_GOING)
@@ -172,7 +172,7 @@ kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global con
     if (!enter_window(&tile, frame))
         return;
     global const float *whole = whole_pointer(coefficients, extent, frame);
-    march_tile(&tile, whole, extent, minmax, sides, frame, table);
+    march_tile(&tile, whole, extent, minmax, sides, frame, table AND_MISSING);
     store_states(&tile, frame, states);
     plane_t none;   // no sample is being gathered
     none.usable = 0;

@@ -4,8 +4,8 @@
 #include "march/picture.cl"
 
 kernel void draw(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,
-                 constant frame_t *frame, global const float4 *table, global const float2 *places, global float4 *rgba,
-                 global float *depth, global float *normals, global float *positions, global float *visited)
+                 global const uchar *missing, constant frame_t *frame, global const float4 *table, global const float2 *places,
+                 global float4 *rgba, global float *depth, global float *normals, global float *positions, global float *visited)
 {
     const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;
     if (left >= frame->picture.width || top >= frame->picture.height)
@@ -13,6 +13,6 @@ kernel void draw(COEFFICIENTS coefficients, const int4 extent, global const floa
     const pictures_t pictures = { rgba, depth, normals, positions, visited };
     tile_t tile;
     begin_tile(&tile, frame, left, top, places);
-    march_tile(&tile, coefficients, extent, minmax, sides, frame, table);
+    march_tile(&tile, coefficients, extent, minmax, sides, frame, table AND_MISSING);
     finish_tile(&tile, coefficients, extent, frame, table, &pictures);
 }

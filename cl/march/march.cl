@@ -16,12 +16,13 @@
 //   place_of(state)               the t of the result, or NOWHERE
 //   finish(state, coefficients, sample)
 //                                 the colour, not premultiplied
-//   REACH                         samples between dependent samples, at most: a surface is between two
+//   REACH                         samples between dependent samples, at most: a surface is between two; with 0 no sample at a missing
+//                                 place is gathered, else all are, and what was found there is not shown (missing_at)
 //   ANY_ORDER                     whether samples may be gathered in any order: then the segments where
 //                                 PROMISE(low, high) is largest come first
 //   STRETCHES                     1: instead of samples, which `gather` takes, the intervals between them are searched (walk.cl)
 //
-// Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED,
+// Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED, MISSING,
 // FINISHED_THERE (whether a mode's `finish` reads coefficients, at place_of), and what is included.
 
 // Twice as many rays if registers hold sixteen numbers. (Otherwise PoCL 3.0 aborts on float16 on some CPUs.)
@@ -137,7 +138,7 @@ INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, r
 
 // Gathers samples number start to stop of the unfinished rays.
 INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame,
-                         global const float4 *table, const mask wanted[PACKETS], const float start, const float stop)
+                         global const float4 *table, const mask wanted[PACKETS], const float start, const float stop MISSING_TOO)
 {
     plane_t planes[SLAB];   // one per sample number, blended when the first packet needs it
     for (int i = 0; i < SLAB; ++i)
@@ -160,13 +161,19 @@ INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 ext
             if (!any_lane(active))
                 continue;
 #endif
+#if MISSING
+            if (REACH == 0.0f)
+                active &= !missing_at(missing, frame, ray, sample_t_of(ray, n), active);
+            if (!any_lane(active))
+                continue;
+#endif
 #if PLANES
             // before and after the planes, where rays only have their ends, one may be past the stored coefficients
             if (tile->planar && !plane->made && n >= 0.0f && n < frame->planes.count)
                 make_plane(plane, coefficients, extent, frame, tile->left, tile->top, tile->way, n);
 #endif
             plane_sample_t on_plane;
-            const sample_t sample = { frame, table, extent, ray, plane, &on_plane, n, apart };
+            const sample_t sample = { frame, table, extent, ray, plane, &on_plane, n, apart AND_MISSING };
             const real t = sample_t_of(ray, n), value = sample_value_of(coefficients, &sample, t, active);
             going = going & !gather(&state, coefficients, &sample, t, value, active);
             gathered += choose(active, (real)(1.0f), (real)(0.0f));
@@ -181,7 +188,7 @@ INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 ext
 
 // Marches the rays of a tile through their samples.
 INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
-                       global const ulong2 *sides, constant frame_t *frame, global const float4 *table)
+                       global const ulong2 *sides, constant frame_t *frame, global const float4 *table MISSING_TOO)
 {
     segments_t segments = segments_of(tile, minmax, frame, extent.w);
     while (next_segment(&segments, tile, minmax, frame, table, extent.w)) {
@@ -196,9 +203,9 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
             }
         }
 #if STRETCHES
-        walk_segment(tile, coefficients, extent, sides, frame, table, wanted, start, stop);
+        walk_segment(tile, coefficients, extent, sides, frame, table, wanted, start, stop AND_MISSING);
 #else
-        take_samples(tile, coefficients, extent, frame, table, wanted, start, stop);
+        take_samples(tile, coefficients, extent, frame, table, wanted, start, stop AND_MISSING);
 #endif
     }
 }

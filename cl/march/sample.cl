@@ -15,6 +15,7 @@
 #include "spline/cell.cl"
 #include "march/camera.cl"
 #include "march/window.cl"
+#include "march/missing.cl"
 #include "transfer/ramp.cl"
 
 #if PLANES
@@ -36,6 +37,9 @@ typedef struct {
     plane_sample_t *on_plane;       // where on it
     float number;                   // of the sample
     int apart;                      // whether some ray's sample lies on no plane (alone)
+#if MISSING
+    global const uchar *missing;    // where samples are; 0 once rays have ended
+#endif
 } sample_t;
 
 // -- one ray ---------------------------------------------------------------------------------------------------

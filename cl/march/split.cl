@@ -6,7 +6,7 @@
 
 // Samples number `from` to `to` of every ray, and REACH before, from the beginning or, if `carried`, from the states given.
 kernel void march_rays(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,
-                       constant frame_t *frame, global const float4 *table, const float from, const float to, const int carried,
+                       global const uchar *missing, constant frame_t *frame, global const float4 *table, const float from, const float to, const int carried,
                        global float *states)
 {
     TILE_OF_THIS_ITEM(0);
@@ -17,7 +17,7 @@ kernel void march_rays(COEFFICIENTS coefficients, const int4 extent, global cons
     }
     tile.first = MAX(tile.first, carried ? from : from - REACH);
     tile.last = MIN(tile.last, to);
-    march_tile(&tile, coefficients, extent, minmax, sides, frame, table);
+    march_tile(&tile, coefficients, extent, minmax, sides, frame, table AND_MISSING);
     store_states(&tile, frame, states);
 }
 

@@ -10,6 +10,7 @@
 // A mode with STRETCHES supplies SOUGHT(frame), the isovalue, and a state_t with
 //   hit    the first crossing, or NOWHERE
 //   side   of the part that was searched so far: 1 not below the isovalue, -1 below; 0 if there is none
+// Crossings at missing places (missing.cl) do not count: the search continues behind them.
 //
 // Set by the host: BLOCK, cells along an edge of the finest blocks; JUMPS, whether the function may jump between cells.
 
@@ -161,6 +162,9 @@ typedef struct {
     mask active;
     lanes_u x, y, z, to_x, to_y, to_z;   // fractions of the cells there
     lanes_u side, sign;   // of the part searched; where this cell begins
+#if MISSING
+    lanes_u after;        // where it ends
+#endif
     lane_masks_u found;   // whether it contains a root
 } walker_t;
 
@@ -214,6 +218,14 @@ INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const
 #endif
 }
 
+#if MISSING
+// Where the side changes between two cells, it is the place just past their border that may be missing.
+INLINE real past_border(const real t, const real length) { return madd(1e-3f, length, t); }
+#define SIDE_AFTER(w) (w)->after
+#else
+#define SIDE_AFTER(w) (w)->sign
+#endif
+
 // Advances rays to cells that may contain the isovalue. `looked`: whether their present cells were searched.
 OUT_OF_LINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const sample_t *sample, global const ulong2 *sides,
                   const float value, int looked)
@@ -230,7 +242,7 @@ OUT_OF_LINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, c
             if (!sample->frame->minmax.skipping)
                 return;   // any may
             const sides_t known = sides_of(sides, sample->frame, &w->cell);
-            w->sign.all = choose(known.above, (real)(1.0f), (real)(-1.0f));
+            SIDE_AFTER(w).all = w->sign.all = choose(known.above, (real)(1.0f), (real)(-1.0f));
             passed &= !known.held;
             far = passed & known.uniform;
             if (any_lane(far))
@@ -239,10 +251,17 @@ OUT_OF_LINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, c
         if (!any_lane(passed))
             return;
         // sides change from one cell to the next where the function jumps, or by rounding
-        const mask changed = passed & (w->side.all * w->sign.all < 0.0f);
+        mask changed = passed & (w->side.all * w->sign.all < 0.0f);
+#if MISSING
+        changed &= !missing_at(sample->missing, sample->frame, ray, past_border(w->t, w->until - w->t), changed);
+#endif
         if (any_lane(changed))
             state->hit = choose(changed, beyond_jump(coefficients, sample, value, w->t, w->until, w->side.all, changed), state->hit);
-        w->side.all = choose(passed, w->sign.all, w->side.all);
+        w->side.all = choose(passed, SIDE_AFTER(w).all, w->side.all);
+#if MISSING
+        // the next stretch searches a cell that a ray stops in once more, from its beginning
+        w->side.all = choose(passed & !(exit < w->end) & (w->sign.all != w->after.all), (real)(0.0f), w->side.all);
+#endif
         passed &= !changed;
         w->active &= !changed & (!passed | (exit < w->end));
         const mask near = passed & !far;
@@ -281,9 +300,67 @@ OUT_OF_LINE void refine_roots(roots_t *roots, state_t *states)
     roots->count = 0;
 }
 
+#if MISSING
+
+#define LOOKED_ALONG , const tile_t *tile, constant frame_t *frame MISSING_TOO
+#define LOOKING_ALONG , tile, frame AND_MISSING
+
+// The lines of some rays of a tile, side by side.
+INLINE ray_t lines_of(const tile_t *tile, const int *rays, const int count)
+{
+    lanes_u ox, oy, oz, dx, dy, dz;
+    for (int i = 0; i < LANES; ++i) {
+        const int ray = rays[i < count ? i : 0], lane = ray % LANES;
+        const real3 origin = tile->rays[ray / LANES].origin, direction = tile->rays[ray / LANES].direction;
+        const lanes_u ax = { origin.x }, ay = { origin.y }, az = { origin.z };
+        const lanes_u bx = { direction.x }, by = { direction.y }, bz = { direction.z };
+        ox.each[i] = ax.each[lane]; oy.each[i] = ay.each[lane]; oz.each[i] = az.each[lane];
+        dx.each[i] = bx.each[lane]; dy.each[i] = by.each[lane]; dz.each[i] = bz.each[lane];
+    }
+    ray_t lines;
+    lines.origin = real3_of(ox.all, oy.all, oz.all);
+    lines.direction = real3_of(dx.all, dy.all, dz.all);
+    return lines;
+}
+
+// The first crossing that is at no missing place, of polynomials on stretches of these rays; lanes that have none are left out of
+// the result. `hit` is where it is.
+OUT_OF_LINE mask first_shown(const real polynomial[COEFFICIENT_COUNT], const ray_t *lines, const real from, const real length,
+                             mask active, constant frame_t *frame, real *hit MISSING_TOO)
+{
+    real rest[COEFFICIENT_COUNT], before[COEFFICIENT_COUNT];
+    real begin = (real)(0.0f), share = (real)(1.0f);   // of the stretch, the rest that is still to be searched
+    mask found = NONE;
+#pragma unroll
+    for (int j = 0; j < COEFFICIENT_COUNT; ++j)
+        rest[j] = polynomial[j];
+    while (any_lane(active)) {
+        real q[COEFFICIENT_COUNT], start, width;
+#pragma unroll
+        for (int j = 0; j < COEFFICIENT_COUNT; ++j)
+            q[j] = rest[j];
+        active &= first_change(q, active, &start, &width);
+        const real place = madd(madd(root_between(q), width, start), share, begin), t = madd(place, length, from);
+        const mask hidden = missing_at(missing, frame, lines, t, active), shown = active & !hidden;
+        *hit = choose(shown, t, *hit);
+        found |= shown;
+        const real past = start + width;   // where the part ends that has this root alone
+        active &= hidden & (past < 1.0f);
+        split_at(rest, choose(active, past, (real)(0.5f)), before);
+        begin = choose(active, madd(past, share, begin), begin);
+        share = choose(active, share * (1.0f - past), share);
+    }
+    return found;
+}
+
+#else
+#define LOOKED_ALONG
+#define LOOKING_ALONG
+#endif
+
 // Searches the cells of some rays.
 OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, COEFFICIENTS coefficients, const int4 extent,
-                           const float value, roots_t *roots, state_t *states)
+                           const float value, roots_t *roots, state_t *states LOOKED_ALONG)
 {
     lanes_u x, y, z, to_x, to_y, to_z, from, length, side;
     cursor_t slices[LANES];
@@ -308,6 +385,26 @@ OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, 
         q[j] -= value;
     const lanes_u sign = { choose(q[0] < 0.0f, (real)(-1.0f), (real)(1.0f)) };
     const changes_t changes = changes_of(q);
+#if MISSING
+    lanes_u end = { choose(q[BERNSTEIN_DEGREE] < 0.0f, (real)(-1.0f), (real)(1.0f)) }, hit = { NOWHERE };
+    const ray_t lines = lines_of(tile, rays, count);
+    mask jumps = (active.all != 0) & (side.all * sign.all < 0.0f);
+    jumps &= !missing_at(missing, frame, &lines, past_border(from.all, length.all), jumps);
+    lane_masks_u found = { changes.once & !jumps & (active.all != 0) };
+    found.all = first_shown(q, &lines, from.all, length.all, found.all, frame, &hit.all, missing);
+    for (int i = 0; i < count; ++i) {
+        const int lane = rays[i] % LANES;
+        walker_t *w = walkers + rays[i] / LANES;
+        w->sign.each[lane] = sign.each[i];
+        w->after.each[lane] = end.each[i];
+        if (found.each[i]) {
+            w->found.each[lane] = found.each[i];
+            lanes_u hits = { states[rays[i] / LANES].hit };
+            hits.each[lane] = hit.each[i];
+            states[rays[i] / LANES].hit = hits.all;
+        }
+    }
+#else
     lane_masks_u found = { changes.once & !(side.all * sign.all < 0.0f) & (active.all != 0) };
     if (any_lane(found.all & changes.twice))
         found.all = first_change(q, found.all, &start, &width);
@@ -328,12 +425,13 @@ OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, 
         if (++roots->count == LANES)
             refine_roots(roots, states);
     }
+#endif
 }
 
 // Walks the rays of a tile from sample number start to stop, and all between them, to the first crossing of the isovalue.
 OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const ulong2 *sides,
                               constant frame_t *frame, global const float4 *table, const mask wanted[PACKETS], const float start,
-                              const float stop)
+                              const float stop MISSING_TOO)
 {
     const float value = SOUGHT(frame);
     walker_t walkers[PACKETS];
@@ -356,7 +454,7 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
             walker_t *w = walkers + g;
             if (!any_lane(w->active))
                 continue;
-            const sample_t sample = { frame, table, extent, tile->rays + g, 0, 0, 0.0f, 0 };
+            const sample_t sample = { frame, table, extent, tile->rays + g, 0, 0, 0.0f, 0 AND_MISSING };
             go_on(w, tile->states + g, coefficients, &sample, sides, value, looked);
             w->x.all = fraction_at(&w->axes.x, w->cell.x, w->t);
             w->y.all = fraction_at(&w->axes.y, w->cell.y, w->t);
@@ -373,7 +471,7 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
         if (count == 0)
             break;
         for (int i = 0; i < count; i += LANES)
-            look_into(walkers, rays + i, MIN(count - i, LANES), coefficients, extent, value, &roots, tile->states);
+            look_into(walkers, rays + i, MIN(count - i, LANES), coefficients, extent, value, &roots, tile->states LOOKING_ALONG);
     }
     if (roots.count)
         refine_roots(&roots, tile->states);

@@ -44,6 +44,9 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
         color = shade(frame, color, gradient_here(coefficients, sample, t, seen), value, sample->ray->world);
     real before, behind;
     stretch_of(sample->ray, sample->number, t, seen, &before, &behind);
+#if MISSING
+    stretch_to_edges(sample->missing, frame, sample->ray, t, seen, &before, &behind);
+#endif
     const real length = before + behind, light = transmittance(s);
     const real through = log_light(color, length * frame->transfer.per_unit_distance);
     const real share = light * one_less_exp_2(through);

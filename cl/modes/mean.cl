@@ -23,7 +23,12 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
 {
     const ray_t *ray = sample->ray;
     real steps = (real)(1.0f), before, behind;
-    if (stretch_of(ray, sample->number, t, active, &before, &behind))
+    int uneven = stretch_of(ray, sample->number, t, active, &before, &behind);
+#if MISSING
+    stretch_to_edges(sample->missing, sample->frame, ray, t, active, &before, &behind);
+    uneven = 1;
+#endif
+    if (uneven)
         steps = (before + behind) / choose(ray->alone, (real)(1.0f), ray->step);
     s->sum = choose(active, madd(steps, value, s->sum), s->sum);
     s->steps = choose(active, s->steps + steps, s->steps);

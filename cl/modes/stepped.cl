@@ -57,9 +57,14 @@ INLINE int matters(const state_t *s, constant frame_t *frame, global const float
 INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
     const real difference = value - sample->frame->mode.isovalue;
-    const mask crossed = active & s->started & ((difference < 0.0f) != (s->before < 0.0f));
-    if (any_lane(crossed))
-        s->hit = choose(crossed, refine(coefficients, sample, s->before_t, s->before, t, difference, crossed), s->hit);
+    mask crossed = active & s->started & ((difference < 0.0f) != (s->before < 0.0f));
+    if (any_lane(crossed)) {
+        const real hit = refine(coefficients, sample, s->before_t, s->before, t, difference, crossed);
+#if MISSING
+        crossed &= !missing_at(sample->missing, sample->frame, sample->ray, hit, crossed);
+#endif
+        s->hit = choose(crossed, hit, s->hit);
+    }
     s->before = choose(active, difference, s->before);
     s->before_t = choose(active, t, s->before_t);
     s->started = s->started | active;

@@ -136,7 +136,7 @@ class Noise:
         return self.background is not None and self.jump >= _CUTS
 
 
-def estimate(samples: NDArray[Any]) -> Noise:
+def estimate(samples: NDArray[Any], missing: NDArray[np.bool_] | None = None) -> Noise:
     """Estimate the noise of a volume or image from at most about a million of its samples; `Volume.noise` caches the result.
 
     If there is noise, the low frequencies of the spectrum come from means of two and of four samples along each axis, at most about
@@ -146,6 +146,8 @@ def estimate(samples: NDArray[Any]) -> Noise:
     ----------
     samples : ndarray, shape (nz, ny, nx) or (ny, nx)
         Integers, booleans or floating numbers in any byte order and layout.
+    missing : ndarray of bool, the shape of `samples`, optional
+        True where one is not measured: its value, a smooth fill, counts in the spectrum alone.
 
     Raises
     ------
@@ -153,14 +155,18 @@ def estimate(samples: NDArray[Any]) -> Noise:
         A sample used is NaN or infinite.
     """
     data = samples
-    samples = np.stack([data[place] for place in _places(data.shape, (1,) * data.ndim)])
+    places = _places(data.shape, (1,) * data.ndim)
+    samples = np.stack([data[place] for place in places])
     low, high = samples.min(), samples.max()
     blocks, unit = _normalised(samples, low, high)
-    values, counts = np.unique(blocks, return_counts=True)
+    gone = None if missing is None else np.stack([missing[place] for place in places])
+    if gone is not None and gone.all():
+        gone = None  # none of the samples looked at is measured: they are smooth
+    values, counts = np.unique(blocks if gone is None else blocks[~gone], return_counts=True)
     most = int(counts.argmax())
     facts: dict[str, Any] = {
         "distinct": len(values),
-        "clipped": (float(counts[0] / blocks.size), float(counts[-1] / blocks.size)),
+        "clipped": (float(counts[0] / counts.sum()), float(counts[-1] / counts.sum())),
         "colour": (1.0,) * (blocks.ndim - 1),
     }
     if len(values) == 1:
@@ -169,13 +175,15 @@ def estimate(samples: NDArray[Any]) -> Noise:
         step = float(np.diff(values.astype(np.float64)).min() * unit)
         facts["step"] = step if samples.dtype.kind == "f" else float(round(step))
     blocks -= values[most]  # so that a background and its bands are exactly 0
-    same, alone = _surroundings(blocks)
-    common = blocks == 0
+    same, alone = _surroundings(blocks, gone)
+    common = blocks == 0 if gone is None else (blocks == 0) & ~gone
     background = common & (common.mean() >= _BACKGROUND) & ((same & common).sum() >= common.sum() / 2)
     if background.any():
         facts["background"] = float(samples.flat[int(background.argmax())])
         facts["background_share"] = float(background.mean())
         facts["jump"] = _jump(blocks, background)
+    if gone is not None:
+        background |= gone
     even = float(same[~background].mean())
     kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
     if len(values) <= MOST_LABELS and alone < _ALONE and _fill_regions(values - values[most], counts, blocks, same):
@@ -370,16 +378,19 @@ def _jump(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> float:
     return float(np.median(steps) / max(np.median(np.concatenate(second)), least))
 
 
-def _surroundings(blocks: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float]:
-    """Which samples equal all their neighbours, and the fraction of the others that equal at most one."""
+def _surroundings(blocks: NDArray[np.float32], gone: NDArray[np.bool_] | None) -> tuple[NDArray[np.bool_], float]:
+    """Which samples equal all their neighbours, and the fraction of the others that equal at most one; without those gone."""
     equal = np.zeros(blocks.shape, np.int8)
     there = np.zeros(blocks.shape, np.int8)
     for axis in range(1, blocks.ndim):
-        same = np.equal(*_pairs(blocks, axis))
+        same, both = np.equal(*_pairs(blocks, axis)), np.True_
+        if gone is not None:
+            both = ~np.logical_or(*_pairs(gone, axis))
+            same &= both
         for side in _pairs(equal, axis):
             side += same
         for side in _pairs(there, axis):
-            side += 1
+            side += both
     differs = equal < there
     return ~differs, float((equal[differs] <= 1).mean()) if differs.any() else 0.0
 

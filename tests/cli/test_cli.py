@@ -327,12 +327,16 @@ def test_raw_files_need_a_shape_and_a_type(clvol_command: Command) -> None:
     clvol_command("info", "a.raw", "--shape", "4", "5", "6", "--dtype", "bogus").fails(1, "'bogus'")
 
 
-def test_nan_is_rejected_or_filled(clvol_command: Command) -> None:
+def test_nan_is_left_out_or_filled(clvol_command: Command) -> None:
     data = np.array(clvol.phantoms.sphere(8).data)
     data[1, 2, 3], data[0, 0, 0] = np.nan, np.inf
     np.save("a.npy", data)
-    clvol_command("render", "a.npy", "-o", "a.png", *SMALL).fails(1, "1 NaN and 1 infinite", "[0, 0, 0]")
-    assert files() == ["a.npy"]
+    assert clvol_command("render", "a.npy", "-o", "b.png", *SMALL).code == 0
+    out = clvol.show.picture.to_bytes(clvol.render(data, size=(16, 12)))[..., :3]
+    np.testing.assert_array_equal(iio.imread("b.png"), out)
+    np.save("none.npy", np.full((3, 3, 3), np.nan))
+    clvol_command("render", "none.npy", "-o", "none.png", *SMALL).fails(1, "no sample of the volume is finite")
+    assert files() == ["a.npy", "b.png", "none.npy"]
     assert clvol_command("render", "a.npy", "-o", "a.png", *SMALL, "--fill-nan", "-0.5").code == 0
     assert clvol_command("render", "a.npy", "-o", "c.png", *SMALL, "--fill-nan", "smoothly").code == 0
     expected = clvol.render(clvol.Volume(data).filled(-0.5), size=(16, 12))
@@ -411,7 +415,7 @@ def test_info_describes_images_phantoms_and_nan(clvol_command: Command) -> None:
     assert clvol_command("info", "phantom:marschner-lobb", "--json").json["shape"] == [41, 41, 41]
     np.save("some.npy", np.array([[[1, np.nan, 3]]]))
     told = clvol_command("info", "some.npy", "--json").json
-    assert (told["finite"], told["value_range"]) == (False, [1, 3])
+    assert (told["finite"], told["value_range"], told["noise"]) == (False, [1, 3], "none")
     np.save("none.npy", np.full((2, 2, 2), np.nan, np.float32))
     told = clvol_command("info", "none.npy", "--json").json
     assert (told["finite"], told["value_range"]) == (False, None)

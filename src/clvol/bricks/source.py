@@ -145,7 +145,8 @@ class LazyVolume(_Placed):
     limits : (float, float), optional
         The smallest and the largest sample, if these are known. Otherwise they are estimated from what is looked at.
     missing : float, optional
-        What stands for samples that are NaN or infinite; without it these are an error once they are read.
+        What stands for samples that are NaN or infinite; without it these are an error once they are read. (A picture of `whole`
+        leaves them out.)
     bounds : Bounds, optional
         Minima and maxima of the function, if they are kept beside the samples.
     statistics : Statistics, optional
@@ -174,6 +175,8 @@ class LazyVolume(_Placed):
 
     in_parts: ClassVar[bool] = True
     grid: Volume
+    where: NDArray[np.bool_] | None = None
+    """Samples that pictures leave out: those that were missing before they were filled."""
 
     def __init__(
         self,
@@ -481,7 +484,7 @@ def _finite(part: NDArray[Any], missing: float | None, words: str, place: Box) -
         first = [int(i) + one.start for i, one in zip(at, place, strict=True)]
         raise DataError(
             f"samples must be finite; got {int(bad.sum())} NaN or infinite of {words}, the first at index "
-            f"{first}: LazyVolume(..., missing=value) replaces them"
+            f"{first}: LazyVolume(..., missing=value) replaces them; a picture of volume.whole() leaves them out"
         )
     return np.where(np.isfinite(part), part, part.dtype.type(missing))
 

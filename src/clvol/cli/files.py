@@ -80,9 +80,10 @@ def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: 
     grid, preview, middle = _previewed(volume)
     finite = preview is not None and (grid.data.dtype.kind != "f" or bool(np.isfinite(preview.data).all()))
     known = preview is volume or not finite or grid.data.dtype.kind != "f"  # else some samples were not read
-    noise = middle.noise if finite else None
-    chosen = choose(middle) if finite else None
-    isovalue, why = isovalue_of(preview) if finite and preview is not None else (None, "")
+    looked = preview if preview is not None and (finite or np.isfinite(preview.data).any()) else None  # at finite samples
+    noise = middle.noise if looked is not None else None
+    chosen = choose(middle) if looked is not None else None
+    isovalue, why = isovalue_of(looked) if looked is not None else (None, "")
     held = {"holds": _places(leading)} if as_json else {"holds": _several(leading), "channels": _channels(leading)}
     return held | {
         "name": grid.name,

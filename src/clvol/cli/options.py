@@ -152,7 +152,8 @@ class Input:
     spacing: Annotated[tuple[float, float, float] | None, Parameter(help="Spacing along x, y, z, instead of the file's.")] = None
     trusted: Annotated[bool, Parameter(negative="", help="Trust the file: read it in this process, without limits.")] = False
     fill_nan: Annotated[
-        float | Literal["smoothly"] | None, Parameter(help="Value that replaces NaN and infinite samples, or 'smoothly'.")
+        float | Literal["smoothly"] | None,
+        Parameter(help="Value that replaces NaN and infinite samples, or 'smoothly'; by default pictures leave them out."),
     ] = None
 
     def read(self, source: str | Path) -> clvol.Volume:

@@ -20,6 +20,7 @@ _PHRASES = (
     (r"limits=clvol\.formats\.Limits\(\.\.\.\) or trusted=True", "--trusted"),
     (r"trusted=True", "--trusted"),
     (r"LazyVolume\(\.\.\., missing=value\) replaces them", "--fill-nan VALUE replaces them"),
+    (r"a picture of volume\.whole\(\) leaves them out", "pictures of volumes in memory leave them out"),
     (r"clvol\.pyramid makes a Zarr store of it", "'clvol pyramid' makes a Zarr store of it"),
     (r"overwrite=True", "--overwrite"),
     (r"spacing=, origin= or direction= replace what the file says", "--spacing replaces that of the file"),

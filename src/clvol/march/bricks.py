@@ -289,7 +289,9 @@ class Pass:
         _set_window(values, own, minmax, brick, field)
         values["minmax"] = minmax_block(minmax, field.volume.grid, frame.planes.margin)
         made = own.coefficients
-        nothing = self._table  # any buffer: it is not read
+        missing = nothing = self._table  # any buffer: it is not read
+        if frame.gaps is not None:
+            missing, values["gaps"] = frame.gaps.part(brick.low, brick.high, frame.planes.step)
         sides = nothing if minmax is None or (surface := frame.surface) is None else minmax.sides(surface)
         self._over(
             "march_brick",
@@ -298,6 +300,7 @@ class Pass:
             made.extent,
             nothing if minmax is None else minmax.buffer,
             sides,
+            missing,
             device.buffers.upload(values[None]),
             self._table,
             self._places,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from clvol.base.checks import one_of, whole
@@ -9,14 +10,17 @@ from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
+from clvol.interop.dispatch import is_in_parts
 from clvol.march.options import MERGES
 from clvol.scene.scene import Medium, Scene, as_scene
 from clvol.spline.field import Field, as_field
 from clvol.spline.function import CLOSED, ContinuousFunction
-from clvol.volume.smoothing import filter_for
-from clvol.volume.volume import as_volume
+from clvol.volume.smoothing import filter_for, settled
+from clvol.volume.volume import Volume, as_volume, masked
 
 if TYPE_CHECKING:  # clusters need dask
+    from numpy.typing import ArrayLike
+
     from clvol.dask.cluster import ClusterLike
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
@@ -25,7 +29,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.march.source import Drawable, Source
 
 
-from clvol.march.source import ByBricks, InMemory, row_for, single, usual_filter
+from clvol.march.source import ByBricks, InMemory, by_parts, lacks_samples, row_for, single, usual_filter
 
 __all__ = ["source_of"]
 
@@ -37,6 +41,7 @@ def source_of(
     device: Device | str | int | None = None,
     *,
     memory: int | None = None,
+    mask: ArrayLike | None = None,
     cluster: ClusterLike | None = None,
     merge: Merge = "order",
     usual: str | None = None,
@@ -46,6 +51,8 @@ def source_of(
         raise one_of("merge", merge, MERGES)
     if merge != "order" and cluster is None:
         raise OptionError(f"merge says how a cluster puts rays together; got {merge!r} and no cluster")
+    if mask is not None:
+        given = _masked(given, mask)
     if isinstance(given, ContinuousFunction):
         if cluster is not None:
             raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
@@ -66,13 +73,15 @@ def source_of(
         (medium,) = scene.media
         arguments, preview = (scene, None, None), medium.volume
         row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
+        if lacks_samples(medium.volume):
+            row = settled(row, medium.volume)  # before they are filled
         if cluster is None:
             try:
                 made = single(medium.volume, row, medium.boundary, device)
                 return InMemory(scene, made, preview, arguments)
             except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
                 pass
-        field = BrickedField(medium.volume, row, medium.boundary, device, memory=memory, at_once=cluster is None)
+        field = BrickedField(by_parts(medium.volume), row, medium.boundary, device, memory=memory, at_once=cluster is None)
     if cluster is None:
         return ByBricks(scene, field, preview, arguments)
     from clvol.march.cluster import Workers
@@ -94,6 +103,20 @@ def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | N
     return as_scene(Medium(given, **words))  # type: ignore[arg-type]  # __post_init__ converts
 
 
+def _masked(given: Any, mask: ArrayLike) -> Volume | Medium | Scene:
+    """What is drawn, without the samples that a mask excludes."""
+    if isinstance(given, ContinuousFunction) or is_in_parts(given):
+        raise OptionError(
+            f'mask takes a volume in memory; got a {type(given).__name__}: a Field takes nan=Missing("local", mask), and '
+            "volume.whole() has all samples in memory"
+        )
+    if not isinstance(given, (Scene, Medium)):
+        return masked(as_volume(given), mask)
+    (medium,) = as_scene(given).media
+    medium = replace(medium, volume=masked(medium.volume, mask))
+    return medium if isinstance(given, Medium) else replace(given, media=(medium,))
+
+
 def _of_field(
     field: Field | BrickedField,
     filter: str | Filter | None,
@@ -106,10 +129,11 @@ def _of_field(
     if isinstance(field, Field):
         as_field(field, filter, boundary, device)  # which refuses others than the field's
         if field.gaps is not None:
-            raise OptionError(
-                "rendering takes a field without gaps; this one has missing samples: replace them with Volume.filled(), or "
-                'keep them filled with nan=Missing("local", most=1)'
-            )
+            if field.missing.rule == "propagate":
+                raise OptionError(
+                    'rendering takes a field that was made with nan="local", or without missing samples; got "propagate"'
+                )
+            medium = replace(medium, volume=masked(field.volume, field.gaps.volume.data))
         if field.closed:
             raise OptionError(CLOSED)
         if field.precision != "single":

@@ -39,6 +39,7 @@ from clvol.dask.cluster import (
 from clvol.device import Device
 from clvol.march.bricks import BrickedDrawing, boxes_of, front_to_back, pixels_of
 from clvol.march.frame import tile_of
+from clvol.march.gaps import Gaps
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
@@ -383,7 +384,7 @@ class _Work:
 
 def _bare(frame: Frame) -> Frame:
     """A frame without device objects."""
-    return replace(frame, coefficients=None, minmax=None, sides=None)  # type: ignore[arg-type]  # workers put in their own
+    return replace(frame, coefficients=None, minmax=None, gaps=None, sides=None)  # type: ignore[arg-type]  # workers put in their own
 
 
 def _same_job(job: _Job) -> _Job:
@@ -487,10 +488,12 @@ def _forget(token: str) -> None:
 def _begun(field: BrickedField, job: _Job, number: int, area: Area) -> tuple[BrickedDrawing, Pass]:
     """The rays of an area of frame `number`."""
     tile = tile_of(field.device, job.whole.evaluator)
-    whole = replace(job.whole, coefficients=field.coefficients, tile=tile)
+    gaps = None if field.volume.where is None else Gaps(field.volume.where, field.device)
+    own: dict[str, Any] = {"coefficients": field.coefficients, "tile": tile, "gaps": gaps}
+    whole = replace(job.whole, **own)
     frame, places = job.frames[number]
     drawing = BrickedDrawing(whole, job.rays, job.filter, field, job.view, skipping=job.skipping)
-    return drawing, drawing.begun(replace(frame, coefficients=field.coefficients, tile=tile), places, area)
+    return drawing, drawing.begun(replace(frame, **own), places, area)
 
 
 def march_group(recipe: _Recipe, job: _Job, number: int, group: Group, area: Area, before: _Marched | None) -> _Marched:

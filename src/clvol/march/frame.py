@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device import Tile
+from clvol.march.gaps import GAPS, gaps_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.scene.camera import Viewpoint
 from clvol.scene.light import LIGHTS, Material, lights_block
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from clvol.base.uniform import Values
     from clvol.device import Device
     from clvol.device.program import Program
+    from clvol.march.gaps import Gaps
     from clvol.march.options import ResolvedLook
     from clvol.scene.mode import Mode
     from clvol.spline.coefficients import Coefficients, Whole
@@ -81,6 +83,7 @@ def frame_block(mode: Block) -> tuple[Block, str]:
         mode=mode,
         minmax=MINMAX,
         window=WINDOW,
+        gaps=GAPS,
         picture=PICTURE,
     )
     return block, "// generated\n" + block.declaration()
@@ -92,6 +95,7 @@ class Frame:
 
     coefficients: Coefficients | Whole
     minmax: MinMax | None  # if empty space is skipped
+    gaps: Gaps | None  # if samples are missing
     sides: Any  # a buffer for the mode's isovalue, if it searches stretches and empty space is skipped
     mode: Mode  # settled for the medium's volume
     transfer: TransferFunction
@@ -159,6 +163,7 @@ class Frame:
             "SLAB": SLAB,
             "FINISHED_THERE": int(mode.finished_there),
             "WINDOWED": int(windowed),
+            "MISSING": int(self.gaps is not None),
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
@@ -174,6 +179,7 @@ class Subject:
     coefficients: Coefficients | Whole
     minmax: MinMax | None
     evaluator: Evaluator
+    gaps: Gaps | None = None
 
     @property
     def central(self) -> bool:
@@ -213,6 +219,7 @@ class Subject:
             mode=mode.block(volume, stored),
             minmax=minmax_block(minmax, volume, planes.margin),
             window=np.zeros((), WINDOW.dtype),
+            gaps=gaps_block(self.gaps),
             picture=PICTURE(
                 offset=0.5,
                 background=scene.background or 0.0,
@@ -229,6 +236,7 @@ class Subject:
         made = Frame(
             coefficients,
             minmax,
+            self.gaps,
             None,
             mode,
             look.transfer,

@@ -284,10 +284,11 @@ class _Inputs:
         self.table = frame.device.buffers.upload(frame.table)
         self.minmax = self.table if frame.minmax is None else frame.minmax.buffer  # any buffer: it is not read
         self.sides = self.table if frame.sides is None else frame.sides
+        self.missing = self.table if frame.gaps is None else frame.gaps.buffer
 
     def of_rays(self, block: Any) -> tuple[Any, ...]:
         """The first arguments of kernels that march rays, with this parameter block."""
-        return self.source, self.extent, self.minmax, self.sides, block, self.table
+        return self.source, self.extent, self.minmax, self.sides, self.missing, block, self.table
 
 
 def pictures_of(frame: Frame) -> dict[str, Picture]:

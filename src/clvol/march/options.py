@@ -21,6 +21,8 @@ from clvol.scene.preset import as_preset
 from clvol.scene.scene import Medium
 
 if TYPE_CHECKING:  # clusters need dask
+    from numpy.typing import ArrayLike
+
     from clvol.dask.cluster import ClusterLike
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
@@ -174,6 +176,7 @@ class FieldOptions(TypedDict, total=False):
 class RendererOptions(FieldOptions, total=False):
     """Options of `Renderer`."""
 
+    mask: ArrayLike | None
     cluster: ClusterLike | None
     merge: Literal["order", "tree"]
 
@@ -340,6 +343,13 @@ class ResolvedLook:
         """From where a picture of this size is seen."""
         aspect = size[0] / size[1]
         return self.placed(aspect).camera.view(self.scene.media[0].volume, aspect)
+
+    def of_values(self, volume: Volume) -> ResolvedLook:
+        """The same look for the volume whose values the coefficients are of: where samples are missing, the filled one."""
+        (medium,) = self.scene.media
+        if volume is medium.volume:
+            return self
+        return replace(self, scene=replace(self.scene, media=(replace(medium, volume=volume),)))
 
     def of_level(self, volume: Volume, boundary: Boundary) -> ResolvedLook:
         """The same look for another level of the volume, so that all levels show the same matter in the same place.

@@ -31,6 +31,8 @@ from clvol.scene.mode import DEFAULT_MODE, as_mode
 from clvol.show.picture import as_pictures
 
 if TYPE_CHECKING:  # clusters need dask
+    from numpy.typing import ArrayLike
+
     from clvol.base.progress import Progress
     from clvol.bricks.field import BrickedField
     from clvol.dask.cluster import ClusterLike
@@ -66,6 +68,8 @@ class Renderer:
         See `as_device`.
     memory : int, optional
         Bytes that bricks may take: see `BrickedField`, which has its own if one is given.
+    mask : array-like of bool, shape of the volume, optional
+        True where a sample is missing, as where it is NaN or infinite. Missing samples are transparent: see the notes of `Missing`.
     cluster : distributed.Client, str or int, optional
         Processes that draw together, by bricks: those of a dask client, of the scheduler at an address, or n processes of this
         machine. Each reads some of the bricks from where the volume was opened, within `memory`; each uses a GPU of its own if
@@ -84,7 +88,7 @@ class Renderer:
         The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples.
         (Whether spacings that differ by less are too unequal depends on the view: see `render`.)
     DataError
-        A sample is NaN, infinite, or too large for float64; or a label, drawn by "nearest", is too large for float32.
+        No sample is finite, or one of a LazyVolume is not; or one is too large: for float64, or a label by "nearest" for float32.
     DeviceError
         There is no device, or it cannot hold the volume (`OutOfMemoryError`).
     ClusterError
@@ -99,13 +103,14 @@ class Renderer:
         device: Device | str | int | None = None,
         *,
         memory: int | None = None,
+        mask: ArrayLike | None = None,
         cluster: ClusterLike | None = None,
         merge: Merge = "order",
     ) -> None:
         if isinstance(scene, Source):
             source = scene
         else:
-            source = source_of(scene, filter, boundary, device, memory=memory, cluster=cluster, merge=merge)
+            source = source_of(scene, filter, boundary, device, memory=memory, mask=mask, cluster=cluster, merge=merge)
         self._source, self._lease = source, source.lease
         self.scene: Scene = source.scene
         self.field: Field | BrickedField = source.field
@@ -380,7 +385,7 @@ def render(
     scene, camera, mode, size, step, outputs, progress
         As for `Renderer` and `Renderer.render`.
     **options
-        The other options of `Renderer` (`filter`, `boundary`, `device`, ...), of `Renderer.render`, and of the mode.
+        The other options of `Renderer` (`filter`, `boundary`, `device`, `mask`, ...), of `Renderer.render`, and of the mode.
 
     Returns
     -------

@@ -6,18 +6,21 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.checks import whole
 from clvol.base.errors import DataError, OptionError
-from clvol.bricks.field import BrickedField
+from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import LazyVolume
 from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.frame import Subject
+from clvol.march.gaps import Gaps
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
 from clvol.scene.scene import Medium, Scene
@@ -25,6 +28,7 @@ from clvol.spline.evaluator import DIRECT, choose_evaluator, require_names
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
+from clvol.volume.missing import Missing, extrapolated
 from clvol.volume.smoothing import filter_for
 from clvol.volume.stored import RENUMBER, names_beyond
 from clvol.volume.volume import Volume
@@ -40,7 +44,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.scene.mode import Mode
     from clvol.spline.evaluator import Evaluator
 
-__all__ = ["ByBricks", "Drawable", "InMemory", "Source", "row_for", "single", "usual_filter"]
+__all__ = ["ByBricks", "Drawable", "InMemory", "Source", "by_parts", "lacks_samples", "row_for", "single", "usual_filter"]
 
 Drawable: TypeAlias = Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike
 """Inputs of a `Renderer`."""
@@ -136,6 +140,9 @@ class InMemory(Source):
     def __init__(self, scene: Scene, field: Field, preview: Volume, arguments: tuple[Any, ...]) -> None:
         super().__init__(scene, field, preview, arguments)
         self.pyramids: dict[tuple[Filter, Evaluator], MinMax] = {}
+        self._gaps = None if field.gaps is None else Gaps(field.gaps.volume.data, field.device)
+        if self._gaps is not None:
+            self.lease.frees(self._gaps.release)
         self._uncertainty: Uncertainty | None = None
         self._rates: dict[tuple[Any, ...], Rate] = {}
 
@@ -166,7 +173,7 @@ class InMemory(Source):
         field = self.function(look.mode)
         evaluator = choose_evaluator(field.device, field.filter, bits=_BITS)
         pyramid = self._pyramid(field, evaluator) if look.skipping and look.mode.skips else None
-        return Subject(look, field.coefficients, pyramid, evaluator)
+        return Subject(look.of_values(field.coefficients.volume), field.coefficients, pyramid, evaluator, self._gaps)
 
     def _pyramid(self, field: Field, evaluator: Evaluator) -> MinMax:
         with self._lock:
@@ -199,6 +206,8 @@ class ByBricks(Source):
     ) -> None:
         super().__init__(scene, field, preview, arguments)
         self._workers = workers
+        where = field.volume.where
+        self._gaps = None if where is None else Gaps(where, field.device)
         if workers is not None:
             self.lease.frees(workers.close)
 
@@ -266,7 +275,7 @@ class ByBricks(Source):
             )
         with field.in_use():
             own = look.of_level(field.coefficients.volume, field.boundary)
-            frame = Subject(own, field.coefficients, None, DIRECT).frame(fine.size, fine.step, guides=guides)
+            frame = Subject(own, field.coefficients, None, DIRECT, self._gaps).frame(fine.size, fine.step, guides=guides)
             view = own.view(fine.size)
             make = BrickedDrawing if self._workers is None else self._workers.drawing
             drawing = make(frame, fine.rays, fine.filter, field, view, skipping=look.skipping)
@@ -299,6 +308,40 @@ def usual_filter(volume: LazyVolume) -> str | None:
     return PICTURE_FILTER if volume.bounds is None else None
 
 
+class _Shown(Field):
+    """A field whose values are NaN where pictures show nothing."""
+
+    def _filled(self, where: NDArray[np.bool_]) -> NDArray[Any]:
+        return _continued(self.volume, where)
+
+    def _gaps_at(self, where: NDArray[np.bool_]) -> Field:
+        row = "nearest" if self.filter.support == 1 else "linear"
+        return Field(replace(self.volume, data=where), row, "reflect", self.device)
+
+
+def lacks_samples(volume: Volume) -> bool:
+    """Whether samples are missing: NaN or infinite. `DataError` if all are."""
+    if volume.data.dtype.kind != "f" or np.isfinite(volume.limits).all():
+        return False
+    _ = volume.value_range  # which raises
+    return True
+
+
+def by_parts(volume: Volume) -> Volume | LazyVolume:
+    """What a bricked field of a picture takes for a volume: itself, or if samples are missing, the filled one, and where."""
+    if not lacks_samples(volume):
+        return volume
+    where = ~np.isfinite(volume.data)
+    filled = as_lazy(replace(volume, data=_continued(volume, where)))
+    filled.where = where
+    return filled
+
+
+def _continued(volume: Volume, where: NDArray[np.bool_]) -> NDArray[Any]:
+    low, high = volume.value_range
+    return extrapolated(volume.data, where, low / 2 + high / 2)
+
+
 def single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:
     """A field in single precision, as kernels of pictures read; float32 must distinguish the labels."""
     if names_beyond(24, volume, row):
@@ -306,4 +349,6 @@ def single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str
         raise DataError(
             f"labels must be whole numbers that float32 holds to be drawn, up to 2**24; got {low} to {high}: {RENUMBER}"
         )
+    if lacks_samples(volume):
+        return _Shown(volume, row, boundary, device, precision="single", nan=Missing("local", most=0.5))
     return Field(volume, row, boundary, device, precision="single")

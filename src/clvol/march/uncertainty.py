@@ -123,8 +123,9 @@ class Uncertainty:
     """
 
     def __init__(self, field: Field) -> None:
-        volume, made = field.volume, field.coefficients
-        drawn = volume if field.filter.interpolates else field.resample(shape=volume.shape)
+        made = field.coefficients
+        volume = made.volume  # where samples are missing, filled
+        drawn = volume if field.filter.interpolates else field.resample(shape=volume.shape).filled()
         self._field = field
         self._magnitude = float(np.abs(made.stored(np.array(volume.limits, np.float64))).max()) or 1.0  # in stored units
         self._samples = Coefficients(drawn, _ROOM, field.boundary, field.device, made.stored)

@@ -125,7 +125,9 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     some, firsts, steps = spread(volume, _SAMPLES)
     some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
     surface = mode.surface is not None
-    seen = _shown(some, mode, transfer) if mode.surface is None else _crossed(some >= np.float64(mode.surface))
+    present = np.isfinite(some)
+    seen = _shown(some, mode, transfer) if mode.surface is None else _crossed(some >= np.float64(mode.surface), present)
+    seen &= present
 
     unit = volume.mean_spacing  # relative to the volume's centre, so that no square overflows
     matrix = volume.index_to_world_matrix / unit
@@ -153,12 +155,12 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     return Sphere(tuple(map(float, middle)), radius, unit * (outer - center))  # type: ignore[arg-type]  # three
 
 
-def _crossed(above: Bools) -> Bools:
-    """Samples with a neighbour on the other side."""
+def _crossed(above: Bools, present: Bools) -> Bools:
+    """Samples with a neighbour on the other side; both are present."""
     crossed = np.zeros_like(above)
     for axis in range(3):
-        one, other = np.moveaxis(above, axis, 0), np.moveaxis(crossed, axis, 0)
-        change = one[1:] != one[:-1]
+        one, other, there = (np.moveaxis(array, axis, 0) for array in (above, crossed, present))
+        change = (one[1:] != one[:-1]) & there[1:] & there[:-1]
         other[1:] |= change
         other[:-1] |= change
     return crossed

@@ -47,7 +47,7 @@ from clvol.volume.missing import as_missing, touching
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import Stored, names_beyond
 from clvol.volume.transform import as_chain
-from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volume import Volume, as_volume, masked
 
 if TYPE_CHECKING:
     from clvol.device import Device
@@ -192,7 +192,10 @@ class Field(ContinuousFunction):
         self.device = as_device(device)
         self.missing = as_missing(nan)
         where = self.missing.of(self.volume.data)
-        present = self.volume if where is None else replace(self.volume, data=self.missing.filled(self.volume.data, where))
+        present = self.volume
+        if where is not None:
+            present = replace(self.volume, data=self._filled(where))
+            row = self._settled(row)
         self.coefficients = coefficients_of(present, row, self.boundary, self.device, kind)
         self.filter = self.coefficients.filter
         self._lease = Lease(CLOSED)
@@ -200,6 +203,10 @@ class Field(ContinuousFunction):
         self.gaps = None if where is None else self._gaps_at(where)
         if self.gaps:
             self._lease.frees(self.gaps.close)
+
+    def _filled(self, where: NDArray[np.bool_]) -> NDArray[Any]:
+        """The samples, the missing ones replaced."""
+        return self.missing.filled(self.volume.data, where)
 
     def _gaps_at(self, where: NDArray[np.bool_]) -> Field | None:
         """The share of missing samples as a function; None if any share is allowed."""
@@ -257,7 +264,10 @@ class Field(ContinuousFunction):
             return again, (self.volume, self.filter, self.boundary, self.device)
 
     def _settled(self, filter: str | Filter) -> Filter:
-        return settled(filter, self.coefficients.volume)
+        row = as_filter(filter)
+        known = row.settled and (row.magnified_by is None or row.magnified_by.settled)
+        where = None if known else self.missing.of(self.volume.data)  # filled samples say nothing of the noise
+        return settled(row, self.volume if where is None else masked(self.volume, where))
 
     def _evaluator(self) -> Evaluator:
         return choose_evaluator(self.device, self.filter, double=self.precision == "double")

@@ -13,15 +13,14 @@ from clvol.base.checks import whole
 from clvol.base.errors import OptionError
 from clvol.bricks.source import LazyVolume
 from clvol.device import Device
-from clvol.filter.boundary import Boundary
+from clvol.filter.boundary import Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import PICTURE_FILTER
 from clvol.march.bricks import level_within
 from clvol.march.renderer import Renderer
-from clvol.march.source import row_for
+from clvol.march.source import row_for, single
 from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import Picture
-from clvol.spline.field import Field
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume, as_volume
 
@@ -67,7 +66,7 @@ def section(
     cmap : str, optional
         The name of a colour map.
     background : three numbers or None
-        Outside the volume; None is transparent.
+        Outside the volume, and where its samples are missing (see `Renderer`); None is transparent.
     """
     points = plane_points(middle, right, down, pixel, size)
     if isinstance(volume, LazyVolume):
@@ -75,7 +74,7 @@ def section(
             values = renderer.field_of_level(level_within(volume, max(pixel)))(points, fill=np.nan)
         return shaded(values, volume.preview(), window, cmap, background)
     volume = as_volume(volume)
-    with Field(volume, filter_for(volume, filter, PICTURE_FILTER), boundary, device, precision="single") as field:
+    with single(volume, filter_for(volume, filter, PICTURE_FILTER), as_boundary(boundary), device) as field:
         return shaded(field(points, fill=np.nan), volume, window, cmap, background)
 
 

@@ -227,12 +227,21 @@ def clims_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
     low, high = volume.value_range
     exponent = exponent_of(low, high)
     bottom = float(scaled(low, exponent))
-    samples = np.nan_to_num(scaled(_thinned(volume, _COLUMNS_OF), exponent), nan=bottom, posinf=bottom, neginf=bottom)
-    usual = _clim(np.sort(samples, axis=None))
+    samples = scaled(_thinned(volume, _COLUMNS_OF), exponent)
+    finite = np.isfinite(samples)
+    if not finite.any():  # a sparse choice has none
+        samples, finite = np.full_like(samples, bottom), np.ones_like(finite)
+    counts = [np.count_nonzero(finite, axis=axis) for axis in range(volume.ndim)]
+    usual = _clim(np.sort(samples[finite]))
     found: dict[Projection, tuple[float, float]] = {}
     ways: dict[Projection, Callable[..., Array]] = {"max": np.max, "min": np.min, "mean": np.mean}
+    within: dict[Projection, float] = {"max": -np.inf, "min": np.inf, "mean": 0.0}  # what missing samples count as
     for name, way in ways.items():
-        columns = np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])
+        filled = samples if finite.all() else np.where(finite, samples, within[name])
+        columns = np.concatenate([way(filled, axis=axis)[count > 0] for axis, count in enumerate(counts)])
+        if name == "mean" and not finite.all():  # of those that are there
+            sizes = [np.full_like(count, n) for count, n in zip(counts, samples.shape, strict=True)]
+            columns *= np.concatenate([size[count > 0] / count[count > 0] for size, count in zip(sizes, counts, strict=True)])
         ends = _clim(np.sort(columns), high=name == "max")
         if ends[1] - ends[0] <= _STEP * (usual[1] - usual[0]):
             ends = usual
@@ -303,7 +312,7 @@ def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent
     best, most = None, -1.0
     for place in np.flatnonzero(common):
         value, share = float(distinct[place]), float(counts[place] / counts.sum())
-        at_faces = float((faces == value).mean())
+        at_faces = float((faces == value).mean()) if faces.size else 0.0
         if (value in (0.0, distinct[0]) or at_faces >= share / 2) and (at_faces, share) > (most, 0):
             best, most = value, at_faces
     return best
@@ -312,13 +321,14 @@ def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent
 def _faces(volume: Volume, exponent: int) -> Array:
     """Samples on the faces of the volume."""
     ends = [volume.data[(*(slice(None),) * axis, end)].ravel() for axis in range(volume.ndim) for end in (0, -1)]
-    return scaled(np.concatenate(ends), exponent)
+    faces = scaled(np.concatenate(ends), exponent)
+    return faces[np.isfinite(faces)]
 
 
 def _dark_in_bright(values: Array, faces: Array) -> bool:
     """Whether the upper of two classes of sorted values is the background, as for stained matter in transmitted light."""
     threshold = _otsu(values)[0]
-    return bool((values > threshold).mean() >= _MOST and (faces > threshold).mean() >= _NEARLY_ALL)
+    return bool((values > threshold).mean() >= _MOST and faces.size and (faces > threshold).mean() >= _NEARLY_ALL)
 
 
 def _of_air(values: Array, ground: float) -> bool:

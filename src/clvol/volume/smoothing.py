@@ -88,10 +88,7 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     Modes that show extremes should use λ = 0: the peak of a vessel whose profile is a Gaussian of σ = 1 sample keeps 0.99 of
     its height with λ = 0, 0.92 with 0.02, 0.79 with 0.1, 0.58 with 0.5.
 
-    Raises
-    ------
-    DataError
-        An inspected sample is NaN or infinite.
+    Samples that are NaN or infinite are left out.
     """
     volume = as_volume(volume)
     degree = whole("degree", degree, 2, 9)

@@ -37,7 +37,7 @@ from clvol.volume.samples import (
     require_finite,
 )
 
-__all__ = ["Volume", "as_volume", "clim_of"]
+__all__ = ["Volume", "as_volume", "clim_of", "masked"]
 
 _ABOUT = ("spacing", "origin", "direction", "units", "space", "name", "color", "clim", "labels", "header")
 _TINY_DETERMINANT = 1e-12
@@ -100,7 +100,7 @@ class Volume(Gridded):
     Notes
     -----
     A volume may contain NaN and infinite samples, but they enter no computation: the spline
-    prefilter is recursive, so that one NaN would spoil all coefficients. Rendering, sampling
+    prefilter is recursive, so that one NaN would spoil all coefficients. In pictures they are transparent. Sampling
     and prefiltering raise `DataError` with the index of the first one; `filled` replaces them, and sampling
     can leave out the results that they affect (`Missing`).
     """
@@ -296,14 +296,8 @@ class Volume(Gridded):
 
     @cached_property
     def noise(self) -> Noise:
-        """The estimated noise of the samples, from at most about a million of them; see `clvol.noise.estimate`.
-
-        Raises
-        ------
-        DataError
-            An inspected sample is NaN or infinite.
-        """
-        return estimate(self.data)
+        """The estimated noise of the samples that are finite, from at most about a million of them; see `clvol.noise.estimate`."""
+        return _noise_of(self)
 
     def indicator(self, *labels: float) -> Volume:
         """Indicator of a region of labels: 1 where a sample has one of these values, else 0, in float32. Its surface is at 1/2."""
@@ -348,6 +342,33 @@ class Volume(Gridded):
 def as_volume(data: Volume | ArrayLike) -> Volume:
     """`data` itself if it is a `Volume`, else a `Volume` of it."""
     return data if isinstance(data, Volume) else Volume(data)  # type: ignore[arg-type]  # __post_init__ converts
+
+
+def masked(volume: Volume, mask: ArrayLike) -> Volume:
+    """A copy with NaN where a mask is True; integers become float32, or float64 where some exceed 2²⁴, and labels stay labels.
+
+    `DataError` if the mask is not boolean, or of another shape.
+    """
+    data, where = volume.data, Missing("propagate", mask).of(volume.data)
+    floating = data.dtype.kind == "f"
+    if where is None or (floating and not np.isfinite(data[where]).any()):
+        return volume
+    kind = data.dtype if floating else np.dtype(np.float64 if beyond_float32(data, volume.limits) else np.float32)
+    memory.require(kind.itemsize * data.size, f"a copy of {data.size} samples")
+    copy = data.astype(kind)
+    copy[where] = np.nan
+    return replace(volume, data=copy, labels=volume.labels if volume.labels is not None or not volume.is_labels else True)
+
+
+def _noise_of(volume: Volume) -> Noise:
+    """The noise of the samples that are finite."""
+    try:
+        return estimate(volume.data)
+    except DataError:  # of those looked at, some are not
+        where = Missing("local").of(volume.data)
+        if where is None or where.all():
+            raise
+        return estimate(filled_smoothly(volume.data, where, roughly=True), where)
 
 
 def _low_passed(volume: Volume, sigma: float | Sequence[float]) -> NDArray[Any]:

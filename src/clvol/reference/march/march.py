@@ -22,6 +22,7 @@ from clvol.base.errors import OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
+from clvol.reference.march.missing import continued, is_missing
 from clvol.reference.march.rays import Rays, camera_rays
 from clvol.reference.march.roots import first_crossings
 from clvol.reference.spline.points import sample
@@ -39,6 +40,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
 _ROUNDING = 2.0**-19  # gradients below this share of the value per voxel may be rounding of the kernels' float32
+_PAST = 1e-7  # voxels behind a crossing that is not shown
 _BISECTIONS = 38  # to 1e-12 of a step; down to the last bit, rounding could cross a jump again
 
 
@@ -105,17 +107,36 @@ def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: 
     return np.take_along_axis(every, order, 1), np.take_along_axis(there, order, 1), world_step
 
 
-def _stretches(rays: Rays, t: Array, there: Bools, step: Array) -> tuple[Array, Array]:
+def _stretches(scene: _Scene, rays: Rays, t: Array, there: Bools, step: Array) -> tuple[Array, Array]:
     """Start and end of the stretch of its ray that each sample represents, each (N, M); 0 to 0 without a sample.
 
-    A stretch extends half a step to each side; the first starts at the ray's entry, the last ends at its exit.
+    A stretch extends half a step to each side; the first starts at the ray's entry, the last ends at its exit. Where the place a
+    step away, or the ray's end, is missing, a stretch ends at the edge in between.
     """
-    near, far = np.where(there, t - step[:, None] / 2, 0.0), np.where(there, t + step[:, None] / 2, 0.0)
-    some = np.flatnonzero(there.any(1))
-    first = there[some].argmax(1)
+    every = np.isfinite(t)
+    near, far = np.where(every, t - step[:, None] / 2, 0.0), np.where(every, t + step[:, None] / 2, 0.0)
+    some = np.flatnonzero(every.any(1))
+    first = every[some].argmax(1)
     near[some, first] = rays.enter[some]
-    far[some, first + there[some].sum(1) - 1] = rays.leave[some]
-    return near, far
+    far[some, first + every[some].sum(1) - 1] = rays.leave[some]
+    which, k = np.nonzero(there)
+    here = t[which, k]
+    near[which, k] = _to_edge(scene, rays, which, here, np.maximum(here - step[which], rays.enter[which]), near[which, k])
+    far[which, k] = _to_edge(scene, rays, which, here, np.minimum(here + step[which], rays.leave[which]), far[which, k])
+    return np.where(there, near, 0.0), np.where(there, far, 0.0)
+
+
+def _to_edge(scene: _Scene, rays: Rays, which: NDArray[np.intp], t: Array, other: Array, end: Array) -> Array:
+    """`end`, or where it is missing at `other`, the edge between t and that, by bisection."""
+    beyond = scene.missing(rays.at(other, which))
+    which, t, other = which[beyond], t[beyond], other[beyond]
+    for _ in range(_BISECTIONS):
+        middle = (t + other) / 2
+        gone = scene.missing(rays.at(middle, which))
+        t, other = np.where(gone, t, middle), np.where(gone, middle, other)
+    end = end.copy()
+    end[beyond] = t
+    return end
 
 
 def shade(
@@ -163,6 +184,7 @@ class _Scene:
     """Inputs of all modes."""
 
     value: Callable[[Array], Array]
+    missing: Callable[[Array], Bools]
     gradient: Callable[[Array], Array]
     filter: Filter
     lit: Callable[[Array, Array, Array, Array], Array]  # gradient, values, colour and direction to colour
@@ -210,6 +232,8 @@ def render(
 
     ``mip``, ``minip``: the extreme sample, the first if several are equal; ``mean``: the mean of all, by the lengths of their
     stretches.
+
+    Samples that are NaN or infinite are missing: `continued` replaces them, and nothing is shown where `is_missing`.
     """
     volume, row, chosen = as_volume(volume), as_filter(filter), as_mode(mode, options)
     if "termination" in mode_options(chosen) and "termination" not in options:
@@ -221,7 +245,9 @@ def render(
     if gather is None:
         raise one_of("mode of the reference", chosen.name, MODES)
     rule = as_boundary(boundary)
-    taken_off = Stored.of(volume, row, rule).offset  # kernels round values minus this
+    some_missing = not np.isfinite(volume.data).all()
+    present = continued(volume) if some_missing else volume
+    taken_off = Stored.of(present, row, rule).offset  # kernels round values minus this
     inside = rule if rule.edge else "mirror"  # the same between the outer samples, where rays are clipped, up to rounding
     if transfer is None:
         transfer = chosen.transfer(volume)
@@ -229,7 +255,10 @@ def render(
     central = gradient == "central" or not row.has_gradient
 
     def value(points: Array) -> Array:
-        return sample(volume, points, row, inside)
+        return sample(present, points, row, inside)
+
+    def missing(points: Array) -> Bools:
+        return is_missing(volume, points, row) if some_missing else np.zeros(points.shape[:-1], np.bool_)
 
     def solid(labels: Array) -> Bools:
         if chosen.surface is not None:
@@ -243,7 +272,7 @@ def render(
         ``df/dw_i = Σ_j df/dx_j dx_j/dw_i`` with index positions x and world positions w.
         """
         if not central:
-            return sample(volume, points, row, inside, 1)
+            return sample(present, points, row, inside, 1)
         columns = volume.index_to_world_matrix.T / row.scale  # row j: one voxel along axis j, of the magnified grid if there is one
         if volume.is_labels and not row.has_gradient:
             total = np.zeros(points.shape)
@@ -260,6 +289,7 @@ def render(
     lit_by = [light.placed(view) for light in as_lights(lights)]
     scene = _Scene(
         value,
+        missing,
         slope,
         row,
         lambda g, v, c, d: shade(g, c, d, material, lit_by, flat_below(volume, v - taken_off)),
@@ -277,6 +307,8 @@ def render(
         values = np.full(t.shape, math.nan)
         which, k = np.nonzero(there)
         values[there] = value(cast.at(t[which, k], which))
+        if chosen.surface is None:
+            there[there] = ~missing(cast.at(t[which, k], which))
         rgb, opacity, depth = gather(scene, chosen, cast, t, there, values, world_step)
         total += np.concatenate([rgb, opacity[:, None]], 1) * weight
         if not guides:
@@ -340,7 +372,7 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
         which, k = np.nonzero(alpha > 0)
         gradient = scene.gradient(rays.at(t[which, k], which))
         rgb[which, k] = scene.lit(gradient, values[which, k], rgb[which, k], rays.direction[which])
-    near, far = _stretches(rays, t, there, step)
+    near, far = _stretches(scene, rays, t, there, step)
     with np.errstate(divide="ignore"):
         stopped = -np.log1p(-alpha)  # a unit distance: inf in opaque matter
     thickness = (far - near) / scene.unit_distance
@@ -362,7 +394,7 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
 def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
     assert isinstance(mode.isovalue, float)  # it is settled
     if mode.method == "exact":
-        depth = first_crossings(scene.value, scene.volume, scene.filter, rays, mode.isovalue)
+        depth = _first_shown(scene, rays, mode.isovalue)
     else:
         depth = _stepped(scene, mode.isovalue, rays, t, there, values)
     hit = np.flatnonzero(np.isfinite(depth))
@@ -374,19 +406,33 @@ def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bo
     return rgb, np.isfinite(depth).astype(float), depth
 
 
+def _first_shown(scene: _Scene, rays: Rays, isovalue: float) -> Array:
+    """The first crossing that is not at a missing place."""
+    depth = first_crossings(scene.value, scene.volume, scene.filter, rays, isovalue)
+    while True:
+        hit = np.flatnonzero(np.isfinite(depth))
+        hidden = hit[scene.missing(rays.at(depth[hit], hit))]
+        if not hidden.size:
+            return depth
+        behind = Rays(
+            rays.origin[hidden], rays.direction[hidden], depth[hidden] + _PAST * min(scene.volume.spacing), rays.leave[hidden]
+        )
+        depth[hidden] = first_crossings(scene.value, scene.volume, scene.filter, behind, isovalue)
+
+
 def _stepped(scene: _Scene, isovalue: float, rays: Rays, t: Array, there: Bools, values: Array) -> Array:
-    """The first crossing between samples: the far end of a bisection."""
+    """The first crossing between samples that is not at a missing place: the far end of a bisection."""
     above = values >= isovalue
     crossing = there[:, 1:] & there[:, :-1] & (above[:, 1:] != above[:, :-1])
-    hit = np.flatnonzero(crossing.any(1))
-    first = crossing[hit].argmax(1)
+    hit, first = np.nonzero(crossing)
     near, far, side = t[hit, first], t[hit, first + 1], above[hit, first]
     for _ in range(_BISECTIONS):
         middle = (near + far) / 2
         same = (scene.value(rays.at(middle, hit)) >= isovalue) == side
         near, far = np.where(same, middle, near), np.where(same, far, middle)
+    shown = ~scene.missing(rays.at(far, hit))
     depth = np.full(t.shape[0], math.inf)
-    depth[hit] = far
+    np.minimum.at(depth, hit[shown], far[shown])
     return depth
 
 
@@ -417,7 +463,7 @@ def _minip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values
 
 
 def _mean(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    near, far = _stretches(rays, t, there, step)
+    near, far = _stretches(scene, rays, t, there, step)
     length = (far - near).sum(1)
     some: Bools = np.asarray(length > 0)
     mean = (np.where(there, values, 0.0) * (far - near)).sum(1) / np.where(some, length, 1.0)
