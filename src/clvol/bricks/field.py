@@ -56,6 +56,8 @@ if TYPE_CHECKING:
 
 __all__ = ["BrickedField", "as_lazy", "of_lazy", "require_plain"]
 
+_SHORT = 16  # samples along an edge of bricks, where chunks are damaged
+
 
 class BrickedField(ContinuousFunction):
     """The continuous function of a volume that is read brick by brick.
@@ -286,6 +288,9 @@ def _edge(needs: Needs, edge: int | None, budget: int, device: Device, volume: L
         return edge
     in_memory = at_once and isinstance(volume.data, np.ndarray) and not isinstance(volume.data, np.memmap)
     longest = edge_for(needs, budget, device.largest, volume.chunks, in_memory=in_memory)
+    if longest is not None and volume.damaged and volume.chunks is not None:
+        # a brick that needs a damaged chunk is an error as a whole
+        longest = min(longest, max(_SHORT, min(volume.chunks) // 2))
     if longest is None:
         device.buffers.require_room(needs.buffer(LEAST))
         raise too_small(needs, LEAST, budget)
