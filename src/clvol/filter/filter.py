@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from typing import Any, Literal, TypeAlias
@@ -49,6 +50,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 MAX_TAPS = 16  # taps per row that one vector load of a kernel covers
 MAX_DEGREE = 20
+_MOST_WEIGHT = 1e12
 _ROUNDING = 1e-9  # tolerance for comparing rows of floats
 _LEAST_SMOOTHING = -0.25  # lower limit for quasi-interpolators, which sharpen: the prefilter of linear does not exist below
 MOST_SMOOTHING = 1e5  # above it, poles are too close to the unit circle for float32
@@ -118,6 +120,11 @@ class Filter(Shown):
             raise OptionError(f"a filter must have 1 to {MAX_TAPS} taps; {self.name!r} has {len(self.taps)}")
         if len({len(row) for row in self.taps}) != 1 or not 1 <= len(self.taps[0]) <= MAX_DEGREE + 1:
             raise OptionError(f"taps of {self.name!r} must be polynomials of one degree, 0 to {MAX_DEGREE}")
+        if too_large := [c for row in self.taps for c in row if not -_MOST_WEIGHT <= c <= _MOST_WEIGHT]:
+            raise OptionError(
+                f"weights of {self.name!r} must be at most {_MOST_WEIGHT:g} in size, so that float32 holds their products along "
+                f"three axes; got {Decimal(int(too_large[0])):.3g}"
+            )
         number("fit_error", self.fit_error, minimum=0)
         if self.magnified_by is not None:
             instance("magnified_by", self.magnified_by, Filter)
