@@ -20,6 +20,7 @@ from cyclopts import CycloptsError, UnknownCommandError
 
 from clvol.base.checks import did_you_mean
 from clvol.base.errors import ClvolError, ClvolWarning
+from clvol.base.interrupted import at_the_end, only_our_lines
 from clvol.cli import files, lists, pictures, view
 from clvol.cli.root import app
 from clvol.cli.speech import one_line
@@ -32,6 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command. User errors are printed on one line, without a traceback."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal without a degree sign still shows the numbers
+    only_our_lines()
     given = sys.argv[1:] if arguments is None else list(arguments)
     try:
         try:
@@ -44,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 raise KeyboardInterrupt from error
             raise
         finally:
+            at_the_end()
             sys.stdout.flush()  # here, so that we handle its errors: the command may raise SystemExit
     except UnknownCommandError as error:
         _fail(_unknown(error), 2)
@@ -96,6 +99,7 @@ def _discard_output() -> None:
 
 
 def _fail(reason: str, code: int) -> NoReturn:
+    at_the_end(code)
     _discard_output()
     print(f"clvol: {reason}", file=sys.stderr)
     raise SystemExit(code) from None
