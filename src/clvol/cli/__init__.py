@@ -16,15 +16,14 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from cyclopts import CycloptsError, UnknownCommandError
+from cyclopts import CycloptsError
 
-from clvol.base.checks import did_you_mean
 from clvol.base.errors import ClvolError, ClvolWarning
 from clvol.base.interrupted import at_the_end, only_our_lines
 from clvol.cli import files, lists, pictures, view
 from clvol.cli.root import app
 from clvol.cli.speech import one_line
-from clvol.cli.words import in_the_shell
+from clvol.cli.words import in_the_shell, of_the_command_line
 
 __all__ = ["app", "files", "lists", "main", "pictures", "view"]
 
@@ -48,11 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         finally:
             at_the_end()
             sys.stdout.flush()  # here, so that we handle its errors: the command may raise SystemExit
-    except UnknownCommandError as error:
-        _fail(_unknown(error), 2)
     except CycloptsError as error:
-        command = " ".join(("clvol", *(error.command_chain or ())))
-        _fail(f"{one_line(error).rstrip('.')}; see '{command} --help'", 2)
+        _fail(of_the_command_line(error), 2)
     except ClvolError as error:
         _fail(in_the_shell(error, given), 1)
     except MemoryError as error:
@@ -82,12 +78,6 @@ def _caused_by_interrupt(error: BaseException) -> bool:
     """Whether it was raised while an interrupt propagated, for example by a file that had just been closed."""
     before = error.__context__
     return before is not None and (isinstance(before, KeyboardInterrupt) or _caused_by_interrupt(before))
-
-
-def _unknown(error: UnknownCommandError) -> str:
-    token = (error.unused_tokens or [""])[0]
-    known = [name for name in app if not name.startswith("-") and app[name].show]
-    return f"unknown command \"{token}\"{did_you_mean(token, known)}; commands are {', '.join(sorted(known))}: see 'clvol --help'"
 
 
 def _discard_output() -> None:

@@ -51,7 +51,6 @@ _FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
 _MOST_FIELDS = 64  # largest number of fields in a ray's state
 _SHOWN = ("matter", "surface", "max", "min", "mean")
 _SOUGHT = ("largest", "smallest", "any")
-_MEANT = {"clim": "window=(center, width), or the clim of the volume"}  # words of other things than modes
 
 
 @dataclass(frozen=True)
@@ -394,8 +393,7 @@ def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None =
     for name in options or {}:
         if name not in known:
             having = [other for other, mode in _TABLE.items() if name in _option_names(mode)]
-            near = f" (did you mean {_MEANT[name]}?)" if name in _MEANT else did_you_mean(name, [*known, *others])
-            hint = f", but of {' and '.join(having)}" if having else near
+            hint = f", but of {' and '.join(having)}" if having else did_you_mean(name, [*known, *others])
             raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(known) or 'none'}")
     return replace(choice, **(options or {}))
 
