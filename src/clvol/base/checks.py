@@ -25,6 +25,7 @@ __all__ = [
     "did_you_mean",
     "enough_memory",
     "flag",
+    "if_image",
     "instance",
     "meant_by",
     "number",
@@ -184,6 +185,11 @@ def whole(what: str, value: object, minimum: int | None = None, maximum: int | N
         bounds = {"at least": minimum, "at most": maximum}
         raise OptionError(f"{what} must be a whole number{_allowed(bounds)}; got {value!r}")
     return result
+
+
+def if_image(shape: tuple[Any, ...]) -> str:
+    """For an image where a volume is needed: where it can go, as the end of a message; else ""."""
+    return ": clvol.images resamples, zooms and rotates images" if len(shape) == 2 else ""
 
 
 def several(what: str, value: object, rule: str, maximum: int | None = None) -> list[Any]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import whole
+from clvol.base.checks import if_image, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.base.memory import require
 from clvol.base.rounding import in_kind
@@ -303,7 +303,7 @@ def as_lazy(volume: LazyVolume | Volume | ArrayLike) -> LazyVolume:
         return volume
     if isinstance(volume, Volume):
         if volume.ndim != 3:
-            raise DataError(f"bricks are of a volume with 3 axes; got shape {volume.shape}")
+            raise DataError(f"bricks are of a volume with 3 axes; got shape {volume.shape}{if_image(volume.shape)}")
         volume.require_finite()
         made = LazyVolume(volume.data, limits=volume.value_range)
         made.grid = replace(volume, data=made.grid.data)  # all that the volume says, but for its samples

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import reals
-from clvol.base.checks import number, warn, whole
+from clvol.base.checks import if_image, number, warn, whole
 from clvol.base.errors import ChunkError, ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
@@ -316,33 +316,15 @@ class LazyVolume(Gridded):
     def at(self, place: Box) -> NDArray[Any]:
         """As `read`, the samples at three slices within the volume, [z, y, x]."""
         try:
-            return self._at(place)
+            return _samples_at(self, place)
         except ChunkError as error:
             if self.missing is None:
                 raise ChunkError(f"{error}: LazyVolume(..., missing=value) replaces them") from error
-        part, gaps = _piecewise(self, self._at, [place], place)
+        part, gaps = _piecewise(self, partial(_samples_at, self), [place], place)
         _note(self, gaps, f"{self.missing:g} stands for their samples")
         for gap, _ in gaps:
             part[gap] = self.missing
         return part
-
-    def _at(self, place: Box) -> NDArray[Any]:
-        """As `at`, but nothing stands for damaged chunks."""
-        z, y, x = place
-        words = f"samples [{z.start}:{z.stop}, {y.start}:{y.stop}, {x.start}:{x.stop}] of {_title(self)}"
-        expected = tuple(one.stop - one.start for one in place)
-        memory.require(math.prod(expected) * self.dtype.itemsize, words)
-        with _reading(words):
-            found = self.data[place]
-            if self._for_tasks and _is_of_dask(found):
-                found = found.compute(scheduler="synchronous")
-            part = np.asarray(found)
-            part = part.astype(part.dtype.newbyteorder("="), copy=False)
-        if part.shape != expected or part.dtype != self.dtype:
-            raise FormatError(
-                f"cannot read {words}: they must be {self.dtype} of shape {expected}; got {part.dtype} of shape {part.shape}"
-            )
-        return _finite(part, self.missing, words, place)
 
     # -- what is known of them -------------------------------------------------------------------------------------------
 
@@ -415,6 +397,25 @@ class LazyVolume(Gridded):
         raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
 
 
+def _samples_at(volume: LazyVolume, place: Box) -> NDArray[Any]:
+    """As `LazyVolume.at`, but nothing stands for damaged chunks."""
+    z, y, x = place
+    words = f"samples [{z.start}:{z.stop}, {y.start}:{y.stop}, {x.start}:{x.stop}] of {_title(volume)}"
+    expected = tuple(one.stop - one.start for one in place)
+    memory.require(math.prod(expected) * volume.dtype.itemsize, words)
+    with _reading(words):
+        found = volume.data[place]
+        if volume._for_tasks and _is_of_dask(found):
+            found = found.compute(scheduler="synchronous")
+        part = np.asarray(found)
+        part = part.astype(part.dtype.newbyteorder("="), copy=False)
+    if part.shape != expected or part.dtype != volume.dtype:
+        raise FormatError(
+            f"cannot read {words}: they must be {volume.dtype} of shape {expected}; got {part.dtype} of shape {part.shape}"
+        )
+    return _finite(part, volume.missing, words, place)
+
+
 @contextmanager
 def _reading(what: str) -> Iterator[None]:
     """Turn whatever a library, a disk or a network raises into a `FormatError` that says what cannot be read."""
@@ -439,7 +440,7 @@ def _described(data: Sliced) -> tuple[tuple[int, ...], np.dtype[Any]]:
             raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
         shape, dtype = tuple(data.shape), np.dtype(data.dtype).newbyteorder("=")
     if len(shape) != 3 or any(n != n // 1 for n in shape):  # dask does not know all sizes: nan
-        raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}")
+        raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}{if_image(shape)}")
     if dtype.kind not in "biuf":
         raise DataError(f"data must be boolean, integer or floating; got dtype {dtype}")
     if 0 in shape:

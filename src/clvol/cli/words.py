@@ -27,6 +27,7 @@ _PHRASES = (
     (r"spacing=, origin= or direction= replace what the file says", "--spacing replaces that of the file"),
     (r"shape=\(nz, ny, nx\)", "--shape NZ NY NX"),
     (r"window=\(center, width\)", "--window CENTER WIDTH"),
+    (r"clvol\.images resamples, zooms and rotates images", "'clvol resample' and 'clvol convert' take images"),
     (r"size=\(width, height\)", "--size WIDTH HEIGHT"),
 )
 """Advice in Python, and the same for the shell."""
