@@ -318,13 +318,7 @@ class LazyVolume(Gridded):
         try:
             return _samples_at(self, place)
         except ChunkError as error:
-            if self.missing is None:
-                raise ChunkError(f"{error}: LazyVolume(..., missing=value) replaces them") from error
-        part, gaps = _piecewise(self, partial(_samples_at, self), [place], place)
-        _note(self, gaps, f"{self.missing:g} stands for their samples")
-        for gap, _ in gaps:
-            part[gap] = self.missing
-        return part
+            return _filled_at(self, place, error)
 
     # -- what is known of them -------------------------------------------------------------------------------------------
 
@@ -414,6 +408,17 @@ def _samples_at(volume: LazyVolume, place: Box) -> NDArray[Any]:
             f"cannot read {words}: they must be {volume.dtype} of shape {expected}; got {part.dtype} of shape {part.shape}"
         )
     return _finite(part, volume.missing, words, place)
+
+
+def _filled_at(volume: LazyVolume, place: Box, error: ChunkError) -> NDArray[Any]:
+    """As `LazyVolume.at`, where a chunk is damaged."""
+    if volume.missing is None:
+        raise ChunkError(f"{error}: LazyVolume(..., missing=value) replaces them") from error
+    part, gaps = _piecewise(volume, partial(_samples_at, volume), [place], place)
+    _note(volume, gaps, f"{volume.missing:g} stands for their samples")
+    for gap, _ in gaps:
+        part[gap] = volume.missing
+    return part
 
 
 @contextmanager
