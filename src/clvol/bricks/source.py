@@ -112,8 +112,7 @@ class LazyVolume(Gridded):
     limits : (float, float), optional
         The smallest and the largest sample, if these are known. Otherwise they are estimated from what is looked at.
     missing : float, optional
-        What stands for samples that are NaN or infinite, and, with a `ClvolWarning`, for those of damaged chunks. Without it both
-        are an error once they are read.
+        What stands for samples that are NaN or infinite, or of damaged chunks; without it these are an error once they are read.
     bounds : Bounds, optional
         Minima and maxima of the function, if they are kept beside the samples.
 
@@ -126,7 +125,7 @@ class LazyVolume(Gridded):
     levels : tuple of LazyVolume
         Lower resolutions.
     damaged : bool
-        Whether a damaged chunk was met. Looks, noise and limits are those of the others, with a `ClvolWarning` that names it.
+        Whether a damaged chunk was met, which a `ClvolWarning` names. Looks, noise and limits are those of the others.
 
     Raises
     ------
@@ -303,8 +302,7 @@ class LazyVolume(Gridded):
         Raises
         ------
         FormatError
-            They cannot be read, or what comes has another shape or type than was said; the message names the part, and a damaged
-            chunk that nothing stands for.
+            They cannot be read, or what comes has another shape or type than was said; the message names the part or chunk.
         DataError
             Some are NaN or infinite, and nothing stands for `missing` ones.
         """
