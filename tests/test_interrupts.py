@@ -201,6 +201,70 @@ def test_the_command_exits_with_one_line_even_during_imports(tmp_path: Path, mon
     assert seconds < 10
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+@pytest.mark.parametrize(("arguments", "said"), [("filters", ""), ("--wrong", "clvol: unknown command")])
+def test_the_command_prints_one_line_even_while_it_exits(tmp_path: Path, arguments: str, said: str) -> None:
+    """A function that runs at exit waits; Python's own words, or none, came from there, and a second line after an error."""
+    code = (
+        "import sys; sys.orig_argv = ['python', '-m', 'clvol']; import clvol, atexit, time; from clvol.cli import main\n"
+        "atexit.register(lambda: (print('ready', flush=True), time.sleep(30)))\n"
+        "sys.stdout = open(sys.argv[2], 'w')\n"
+        "atexit.register(lambda: setattr(sys, 'stdout', sys.__stdout__))\n"
+        "main([sys.argv[1]])"
+    )
+    code, printed, seconds = signalled(["-c", code, arguments, str(tmp_path / "printed")], 0.1, ready=True)
+    assert (code, printed.count("\n")) == (2 if said else 130, 1)
+    assert printed.startswith(said or "clvol: interrupted")
+    assert seconds < 10
+
+
+LATE = """
+import sys; sys.orig_argv = ["python", "-m", "clvol"]; import clvol, time
+from clvol.cli import main
+class Last:  # kept by a module, which goes last
+    def __del__(self, write=sys.__stdout__.write, flush=sys.__stdout__.flush, sleep=time.sleep):
+        write("ready\\n"); flush(); sleep(2)
+sys.modules["sys"].kept = Last()
+sys.stdout = open(sys.argv[1], "w")
+main(["--version"])
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_an_interrupt_after_the_last_line_changes_nothing(tmp_path: Path) -> None:
+    """Python restores the system's handler as it takes the interpreter down, which ended it by the signal, without a word."""
+    code, said, _ = signalled(["-c", LATE, str(tmp_path / "printed")], 0.1, ready=True)
+    assert (code, said) == (0, "")
+
+
+IMPORTING = """
+import os, signal, sys, types
+from importlib.machinery import ModuleSpec
+from clvol.base.errors import DeviceError
+class Finder:  # of a library whose import is interrupted
+    def find_spec(self, name, path=None, target=None):
+        return ModuleSpec(name, self) if name == "pyopencl" else None
+    def create_module(self, spec):
+        return None
+    def exec_module(self, module):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            os.abort()  # as C++ does that an exception leaves
+        raise ImportError("none")
+sys.meta_path.insert(0, Finder())
+from clvol.device import opencl
+opencl._verdict = lambda: types.SimpleNamespace(unloadable="", libraries={})
+opencl.opencl()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_an_interrupt_while_pyopencl_is_imported_does_not_abort() -> None:
+    done = subprocess.run([sys.executable, "-c", IMPORTING], capture_output=True, encoding="utf-8", timeout=60, check=False)
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (-signal.SIGINT, "KeyboardInterrupt")
+
+
 # -- launches are short, so that Ctrl-C works between them -------------------------------------------
 
 

@@ -22,6 +22,8 @@ import zarr
 
 import clvol
 from clvol import cli
+from clvol.base import checks
+from clvol.cli.root import app
 from clvol.device import Device
 from clvol.scene.look import look
 
@@ -284,6 +286,24 @@ def test_a_users_error_is_one_line(clvol_command: Command, options: tuple[str, .
         (("figure6", "--pixels", "many"), ("--pixels",)),
         (("resample", SPHERE, "-o", "a.npz", "--magnify", "2", "--nan", "bogus"), ("--nan", "propagate")),
         (("devices", "more"), ("more",)),
+        (("render", SPHERE, "-o", "a.png", "--iso", "5"), ("unknown option --iso (did you mean --isovalue?); see",)),
+        (("render", SPHERE, "-o", "a.png", "--iso=5"), ("unknown option --iso (did you mean --isovalue?)",)),
+        (("render", SPHERE, "-o", "a.png", "--colormap", "gray"), ("(did you mean --cmap?)",)),
+        (("render", SPHERE, "-o", "a.png", "--width", "5"), ("(did you mean --size WIDTH HEIGHT?)",)),
+        (("render", SPHERE, "-o", "a.png", "--alpha", "5"), ("(did you mean --opacity?)",)),
+        (("resample", SPHERE, "-o", "a.npz", "--voxel-size", "5"), ("(did you mean --to-spacing?)",)),
+        (("render", SPHERE, "--out", "a.png"), ("unknown option --out (did you mean --output?)",)),
+        (("render", SPHERE), ("'clvol render' needs --output (or -o): the file to write",)),
+        (("render", SPHERE, "-o"), ("--output takes a value: the file to write; got none",)),
+        (("render", SPHERE, "-o", "a.png", "--clip", "1", "2", "3", "4", "5"), ("--clip takes 6 values: ", "; got 1 2 3 4 5;")),
+        (
+            ("render", SPHERE, "-o", "a.png", "--size", "400x300"),
+            ("--size takes 2 values: width and height in pixels; got 400x300;",),
+        ),
+        (("show", "a.nii"), ('unknown command "show" (did you mean view?)',)),
+        (("scan.nii.gz",), ("a command must come before scan.nii.gz: 'clvol view scan.nii.gz'",)),
+        ((SPHERE,), (f"'clvol render {SPHERE} -o picture.png'",)),
+        (("s3://bucket/a.zarr",), ("'clvol info s3://bucket/a.zarr'",)),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
 )
@@ -1343,3 +1363,17 @@ def test_numbers_of_thousands_of_digits_are_rejected(clvol_command: Command) -> 
 
 def test_colours_without_numbers_are_rejected(clvol_command: Command) -> None:
     clvol_command("render", SPHERE, "-o", "a.png", "--mode", "isosurface", "--color", "1.2.3 4 5").fails(1, "color")
+
+
+def test_words_of_other_programs_stand_for_options_that_exist() -> None:
+    ours = {re.split(r"\W", name)[0] for name in checks._WORDS}
+    commands = [name for name in app if not name.startswith("-")]
+    flags = {
+        flag.lstrip("-").replace("-", "_")
+        for name in commands
+        for one in app[name].assemble_argument_collection()
+        for flag in one.names
+    }
+    assert ours <= flags | set(commands)
+    assert checks.meant_by("iso", ["isovalue", "step"]) == "isovalue"
+    assert checks.meant_by("iso", ["step"]) == ""

@@ -14,11 +14,12 @@ import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from clvol.base.errors import ClvolWarning, DeviceError
-from clvol.device import Device, as_device, cache
+from clvol.device import Device, as_device, cache, probe
 from clvol.device.cache import Store
 from clvol.device.runtimes import pocl
 from clvol.device.runtimes.pocl import KernelCache
@@ -279,3 +280,55 @@ def test_a_process_killed_during_a_build_damages_nothing(device: Device, tmp_pat
     assert not list((tmp_path / "clvol/running").iterdir())
     assert not list((tmp_path / "clvol/store").glob("damaged"))
     assert device is not None
+
+
+def full(monkeypatch: pytest.MonkeyPatch, *folders: Path) -> None:
+    """Have the disks of folders be full."""
+    usage = shutil.disk_usage
+
+    def of(path: Path) -> Any:
+        return usage(path)._replace(free=0 if any(path.is_relative_to(one) for one in folders) else 1 << 30)
+
+    monkeypatch.setattr(shutil, "disk_usage", of)
+
+
+@linux
+def test_kernels_are_built_elsewhere_if_the_disk_of_the_cache_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was an error, although a temporary folder had room."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("POCL_CACHE_DIR", raising=False)
+    kept = pocl.open_cache()
+    assert kept is not None
+    kept.store.write("key", "name", b"content")
+    full(monkeypatch, tmp_path / "cache")
+    with pytest.warns(ClvolWarning, match="cache/clvol/kernels is full: kernels are built in .*, and not kept"):
+        other = pocl.open_cache()
+    assert other is not None
+    assert not other.folder.is_relative_to(tmp_path)
+    assert other.store.read("key") == {"name": b"content"}
+    other._close()
+    assert not other.folder.parent.exists()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "cache"))
+    with pytest.raises(DeviceError, match=r"is full .*; make room, or let POCL_CACHE_DIR or TMPDIR name a folder"):
+        pocl.open_cache()
+    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))
+    with pytest.warns(ClvolWarning, match="POCL_CACHE_DIR names .*, whose disk is full; kernels are kept elsewhere"):
+        last = pocl.open_cache()
+    assert last is not None
+    assert last.folder.is_relative_to(tmp_path / "other")
+
+
+@linux
+def test_a_trial_is_not_made_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PoCL aborted there, and the advice was to install binutils."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    full(monkeypatch, tmp_path)
+    monkeypatch.setattr(probe, "_TRIAL", "this is another one, whose verdict is unknown")
+    assert probe.tried() == probe.Verdict()
+    assert not list((tmp_path / "cache/clvol").glob("probe-*"))
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    full(monkeypatch, tmp_path / "temporary")
+    assert probe._roomy() == tmp_path / "cache/clvol"

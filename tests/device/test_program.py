@@ -431,3 +431,32 @@ def test_a_build_disturbed_by_a_signal_is_repeated(device: Device, monkeypatch: 
     made = device.build("base/sampler.cl", {"COORD_DOUBLE": 0, "SOME": 7})
     assert len(calls) == 2
     assert made.kernel("sample_ramp") is not None
+
+
+def test_compilers_print_nothing_on_standard_error(device: Device, capfd: pytest.CaptureFixture[str]) -> None:
+    """clang counted its warnings there: "13 warnings generated." on first use."""
+    text = "kernel void a(global int *x) { x[0] = 1; }\n#warning of ours\n"
+    device.require_usable()
+    program._compiled(device.context, text)
+    assert capfd.readouterr().err == ""
+
+
+FAILING = """
+import sys; sys.orig_argv = ["python", "-m", "clvol"]
+from clvol.base.interrupted import only_our_lines
+from clvol.device import as_device, program
+only_our_lines()
+device = as_device()
+device.require_usable()
+try:
+    program._compiled(device.context, "kernel void a(global int *x) { x[0] = nothing; }")
+except Exception as error:
+    print("ours:", "nothing" in str(error), file=sys.stderr)
+"""
+
+
+def test_a_compiler_that_fails_adds_no_line_to_those_of_the_command(device: Device) -> None:
+    """Interrupted, clang said "1 error generated." beside the command's line."""
+    assert device is not None
+    done = subprocess.run([sys.executable, "-c", FAILING], capture_output=True, encoding="utf-8", timeout=120, check=True)
+    assert done.stderr == "ours: True\n"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import math
+import re
+from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -568,3 +570,22 @@ def test_numbers_of_any_kind() -> None:
 )
 def test_names_of_families_can_be_registered(row: Filter) -> None:
     assert as_filter(register_filter(row).name) is row
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: bc(1e300, 0), "bc(1e+300,0)"),
+        (lambda: bc(0, 10**300), "bc(0,1e+300)"),
+        (lambda: as_filter("bc(1e39, 0)"), "bc(1e+39,0)"),
+        (lambda: from_pieces("mine", [(1e20, -1e20)]), "mine"),
+        (lambda: from_callable("peak", lambda x: 1e30 * np.maximum(0, 1 - np.abs(x)), 1), "peak"),
+        (lambda: Filter("own", ((1e13,),)), "own"),
+    ],
+)
+def test_weights_beyond_float32_are_rejected_by_the_filter_s_name(make: Callable[[], Filter], name: str) -> None:
+    """The compiler of kernels rejected them, in a log of its own."""
+    with pytest.raises(OptionError, match=rf"{re.escape(name)}' must be at most 1e\+12") as caught:
+        make()
+    assert len(str(caught.value)) < 400
+    assert Filter("largest", ((10**12,),)).matrix.max() == 1e12

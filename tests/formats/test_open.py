@@ -12,7 +12,7 @@ import threading
 import time
 import urllib.parse
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol import ClvolWarning
+from clvol import ClvolWarning, LazyVolume
 from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
+from clvol.device import Device
 
 zarr = pytest.importorskip("zarr")
 
@@ -910,3 +911,83 @@ def test_formats_without_parts_say_so(tmp_path: Path) -> None:
     clvol.write(clvol.Volume(DATA[0, 0]), tmp_path / "v.npz")
     with pytest.raises(FormatError, match=r"part by part.*NumPy archive: clvol\.read reads it whole, clvol\.pyramid makes a Zarr"):
         clvol.open(tmp_path / "v.npz")
+
+
+DAMAGED = np.fromfunction(lambda z, y, x: 1000 * np.exp(-((z - 48) ** 2 + (y - 48) ** 2 + (x - 48) ** 2) / 800), (96, 96, 96))
+
+
+def damaged_zarr(path: Path) -> tuple[LazyVolume, str]:
+    array = zarr.create_array(path / "v.zarr", shape=DAMAGED.shape, chunks=(32, 32, 32), dtype="u2")
+    array[:] = DAMAGED.astype("u2")
+    (path / "v.zarr" / "c" / "0" / "0" / "1").write_bytes(b"damaged")
+    return clvol.open(path / "v.zarr"), "c/0/0/1"
+
+
+def damaged_foreign(path: Path) -> tuple[LazyVolume, str]:
+    damaged_zarr(path)
+    return LazyVolume(zarr.open_array(path / "v.zarr", mode="r")), r"\[0:32, 0:32, 32:64\]"
+
+
+def damaged_hdf5(path: Path) -> tuple[LazyVolume, str]:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path / "v.h5", "w") as file:
+        made = file.create_dataset("v", data=DAMAGED.astype("u2"), chunks=(32, 32, 32), compression="gzip")
+        place = made.id.get_chunk_info_by_coord((0, 0, 32)).byte_offset
+    with (path / "v.h5").open("rb+") as stream:
+        stream.seek(place)
+        stream.write(b"damaged")
+    return clvol.open(path / "v.h5"), r"chunk \(0, 0, 1\)"
+
+
+def damaged_tiff(path: Path) -> tuple[LazyVolume, str]:
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite(path / "v.tif", DAMAGED.astype("u2"), compression="zlib", rowsperstrip=96, metadata={"axes": "ZYX"})
+    with tifffile.TiffFile(path / "v.tif") as file:
+        place = file.pages[2].dataoffsets[0]
+    with (path / "v.tif").open("rb+") as stream:
+        stream.seek(place)
+        stream.write(b"damaged")
+    return clvol.open(path / "v.tif"), "page 2 "
+
+
+@pytest.mark.parametrize("make", [damaged_zarr, damaged_foreign, damaged_hdf5, damaged_tiff])
+def test_the_intact_part_of_a_store_with_a_damaged_chunk_is_usable(
+    make: Callable[[Path], tuple[LazyVolume, str]], tmp_path: Path, device: Device
+) -> None:
+    """One damaged chunk made every look at the volume, and thus everything, an error."""
+    lazy, name = make(tmp_path)
+    points = np.random.default_rng(0).uniform(66, 90, (50, 3))
+    with pytest.warns(ClvolWarning, match=name):
+        field = clvol.BrickedField(lazy, device=device)
+    values = field(points)
+    with pytest.raises(FormatError, match=name):
+        field([[40.0, 5.0, 2.0]])
+    field.close()
+    np.testing.assert_allclose(values, clvol.sample(clvol.Volume(DAMAGED.astype("u2")), points, device=device), atol=1e-3)
+    assert lazy.limits == (0, 1000)
+    assert lazy.damaged
+    seen = clvol.render(lazy, size=(24, 24), clip=((70, 70, 70), (95, 95, 95)), mode="mip", device=device)
+    whole = clvol.Volume(DAMAGED.astype("u2"))
+    assert np.asarray(seen).max() > 0
+    with pytest.raises(FormatError, match=name):
+        clvol.render(lazy, size=(24, 24), mode="mip", device=device)
+    if make is not damaged_foreign:
+        path = next(one for one in tmp_path.iterdir() if one.name.startswith("v."))
+        with pytest.warns(ClvolWarning, match=f"{name}.*7 stands for"):
+            filled = clvol.open(path, missing=7).whole().data
+        wrong = filled != whole.data
+        assert (filled[wrong] == 7).all()
+        assert 0 < wrong.sum() <= 32**3
+        with pytest.warns(ClvolWarning, match=name):
+            picture = clvol.render(clvol.open(path, missing=7), size=(24, 24), mode="mip", device=device)
+        assert np.asarray(picture).max() > 0
+
+
+def test_a_store_without_an_intact_chunk_is_an_error(tmp_path: Path) -> None:
+    stored(tmp_path / "v.zarr")
+    for chunk in (tmp_path / "v.zarr" / "c").glob("*/*/*"):
+        chunk.write_bytes(b"damaged")
+    lazy = clvol.open(tmp_path / "v.zarr")
+    for look in (lazy.preview, lazy.part, lambda: lazy.limits):
+        with pytest.raises(FormatError, match="c/0/0/0"):
+            look()

@@ -409,6 +409,8 @@ def test_errors_in_the_scene(device: Device) -> None:
         render(ones, stepp=1, device=device)
     with pytest.raises(OptionError, match=r"clim is no option of mip \(did you mean window=\(center, width\), or the clim"):
         render(ones, mode="mip", clim=(0, 1), device=device)
+    with pytest.raises(OptionError, match=r"colormap is no option of mip \(did you mean cmap\?\)"):
+        render(ones, mode="mip", colormap="gray", device=device)
     with pytest.raises(OptionError, match="memory must be a whole number"):
         render(ones, memory="1G", device=device)  # type: ignore[arg-type]
 

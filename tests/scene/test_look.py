@@ -15,6 +15,7 @@ from clvol.device import Device
 from clvol.scene.look import look
 from clvol.scene.mode import modes
 from clvol.scene.preset import label_color
+from clvol.scene.transfer import TransferFunction
 from clvol.volume.volume import Volume
 
 Z, Y, X = np.indices((20, 20, 20))
@@ -159,3 +160,18 @@ def test_errors(case: str) -> None:
     options, message = WRONG[case]
     with pytest.raises(OptionError, match=message):
         look(SCAN, "composite", **options)
+
+
+def test_a_preset_that_shows_nothing_of_a_volume_says_so() -> None:
+    """A soft scan in the preset of bone was black without a word; other samples than labels became labels."""
+    soft = Volume(np.linspace(-1000, 120, 1000).reshape(10, 10, 10).astype(np.int16))
+    with pytest.warns(ClvolWarning, match=r"preset 'ct-bone' shows values from about 300 on, .* -1000 to 120: nothing is seen"):
+        transfer = TransferFunction.preset("ct-bone", soft)
+    assert transfer.opacity_within(-1000, 120) == 0
+    with pytest.warns(ClvolWarning, match="preset 'labels' is for labels, and the samples look like none"):
+        TransferFunction.preset("labels", Volume(np.random.default_rng(0).random((8, 8, 8))))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        TransferFunction.preset("ct-skin", soft)
+        TransferFunction.preset("mr-default", Volume(np.random.default_rng(0).random((8, 8, 8))))
+        TransferFunction.preset("labels", Volume(np.arange(8).reshape(2, 2, 2), labels=True))

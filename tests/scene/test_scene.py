@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -113,3 +114,18 @@ def test_invalid_scenes_are_rejected(case: str) -> None:
     make, error, message = REFUSED[case]
     with pytest.raises(error, match=message):
         make()
+
+
+def test_an_image_where_a_volume_is_needed_is_told_where_to_go(tmp_path: Path) -> None:
+    image = np.zeros((6, 7), np.float32)
+    np.save(tmp_path / "image.npy", image)
+    for call in (
+        lambda: clvol.render(image),
+        lambda: clvol.BrickedField(clvol.Volume(image)),
+        lambda: clvol.LazyVolume(image),
+        lambda: clvol.pyramid(clvol.Volume(image), tmp_path / "image.zarr"),
+        lambda: clvol.reports.report(clvol.Volume(image), tmp_path / "image.html"),
+        lambda: clvol.open(tmp_path / "image.npy"),
+    ):
+        with pytest.raises(ClvolError, match=r"clvol\.images resamples, zooms and rotates images"):
+            call()

@@ -567,3 +567,15 @@ def test_an_unknown_keyword_is_answered_with_the_option_that_it_resembles() -> N
         Field(volume, bondary="wrap")  # type: ignore[call-arg]  # that is the question
     with pytest.raises(TypeError, match=r"unexpected keyword argument 'shap'.*[Dd]id you mean '?shape'?"):
         resample(volume, shap=(3, 3, 3))  # type: ignore[call-arg]  # that is the question
+
+
+def test_another_option_of_the_same_name_is_said_to_be_another(device: Device) -> None:
+    """ "made with device 'X', which cannot be changed to 'X'" told nothing."""
+    with Field(random_volume(), as_filter("linear"), device=device) as field:
+        for what, other in (("device", Device(device.handle)), ("filter", Filter("linear", ((1.0,),)))):
+            with pytest.raises(
+                OptionError, match=f"made with {what} '(.*)', which cannot be changed to another {what} of that name;"
+            ):
+                as_field(field, **{what: other})
+        with pytest.raises(OptionError, match="cannot be changed to 'bspline3'"):
+            as_field(field, "bspline3")

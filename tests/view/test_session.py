@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import gc
 import math
 import random
 import threading
 import time
+import tomllib
 from collections.abc import Iterator
 from typing import Any
 
@@ -106,6 +108,26 @@ def test_the_still_picture_matches_the_copied_program(client: Client, volume: Vo
     assert from_url(client.session.url()) == client.session.state
     assert from_toml(client.session.toml()) == client.session.state
     assert not client.of("status")
+
+
+def test_no_name_leaves_a_comment_or_a_text_of_what_is_copied(volume: Volume, device: Device) -> None:
+    """A file's name with a newline ended the comment; TOML has neither JSON's halves of characters nor a bare DEL."""
+    name, channel = "a\n[view]\nb = 1 \x1b[31m\u2028.nii", "\U0001f9e0 \x7f\n[render]"
+    view = View(volume, device=device, source=f"clvol.read({name!r}, channel={channel!r})")
+    client = Client(view)
+    text, program = client.session.toml(), client.session.python()
+    client.close()
+    view.close()
+    found = tomllib.loads(text)
+    assert set(found) == {"render", "view"}
+    assert found["render"]["channel"] == channel
+    assert from_toml(text) == view.state
+    assert text.replace("\n", "").isprintable()
+    tree = ast.parse(program)
+    assert [word.value for word in ast.walk(tree) if isinstance(word, ast.Constant) and word.value in (name, channel)] == [
+        name,
+        channel,
+    ]
 
 
 def test_a_view_starts_as_render_draws(volume: Volume, device: Device) -> None:

@@ -25,7 +25,9 @@ __all__ = [
     "did_you_mean",
     "enough_memory",
     "flag",
+    "if_image",
     "instance",
+    "meant_by",
     "number",
     "one_of",
     "require_room",
@@ -37,6 +39,56 @@ __all__ = [
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
+
+_WORDS = {
+    "opacity": "alpha transparency",
+    "background": "bg bgcolor background_color backgroundcolor",
+    "cmap": "colormap colourmap color_map colour_map palette lut colortable",
+    "color": "colour",
+    "value_range": "clim vmin vmax range",
+    "window=(center, width), or the clim of the volume": "clim vmin vmax contrast wl ww window_level",
+    "clip": "crop bbox roi box subvolume",
+    "isovalue": "iso isolevel iso_value iso_level level_set surface",
+    "azimuth": "angle rotate rotation yaw",
+    "elevation": "tilt pitch",
+    "filter": "interpolation interpolator interp kernel spline",
+    "boundary": "extend padding extrapolation edge_mode",
+    "size=(width, height)": "width height w h resolution res imsize figsize image_size",
+    "step": "sampling step_size stepsize sample_distance sampling_rate",
+    "rays": "supersampling antialiasing anti_aliasing aa spp samples_per_pixel",
+    "device": "gpu platform backend",
+    "output": "out outfile out_file save filename dest",
+    "to_spacing": "spacing_out out_spacing voxel_size voxelsize resolution res",
+    "to_shape": "out_shape output_shape new_shape dimensions",
+    "magnify": "scale factor zoom_factor upsample",
+    "to_dtype": "out_dtype output_dtype type",
+    "spacing": "voxel_size voxelsize pixel_size pixelsize",
+    "dtype": "type datatype",
+    "byte_order": "endian endianness",
+    "offset": "skip header_size",
+    "like": "reference ref target",
+    "overwrite": "force",
+    "memory": "ram mem budget memory_limit max_memory",
+    "compressor": "compression codec",
+    "chunks": "chunk chunk_size chunksize",
+    "levels": "depth nlevels scales",
+    "time": "timepoint t",
+    "channel": "ch",
+    "seconds": "duration length",
+    "fps": "framerate frame_rate rate",
+    "fill": "cval fill_value",
+    "fill_nan": "nan_value missing",
+    "workers": "jobs nprocs processes threads",
+    "terminal": "tty ascii",
+    "projection": "camera_type parallel ortho orthographic",
+    "method": "downsampling",
+    "render": "draw plot screenshot image",
+    "view": "show open display gui",
+    "resample": "rescale zoom resize interpolate",
+    "movie": "video animate animation",
+    "info": "stats header describe",
+}
+"""Our names, and what other programs call the same."""
 
 _MAX_SAMPLES = 1 << 36  # samples; no machine holds the float64 positions of more
 
@@ -60,9 +112,18 @@ def one_of(what: str, value: object, allowed: Iterable[str]) -> OptionError:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """The known name that resembles an unknown one, as the end of a message; "" if none does."""
-    near = difflib.get_close_matches(name, list(known), 1)
-    return f" (did you mean {near[0]}?)" if near else ""
+    """The known name that is meant by an unknown one, as the end of a message: another program's word, or a similar one."""
+    meant = meant_by(name, known)
+    return f" (did you mean {meant}?)" if meant else ""
+
+
+def meant_by(name: str, known: Iterable[str]) -> str:
+    """The known name that another program's word stands for, perhaps with a value; else one that resembles it; else ""."""
+    known = list(known)
+    for ours, words in _WORDS.items():
+        if name.lower() in words.split() and re.split(r"\W", ours)[0] in known:
+            return ours
+    return next(iter(difflib.get_close_matches(name, known, 1)), "")
 
 
 def suggests_options(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -124,6 +185,11 @@ def whole(what: str, value: object, minimum: int | None = None, maximum: int | N
         bounds = {"at least": minimum, "at most": maximum}
         raise OptionError(f"{what} must be a whole number{_allowed(bounds)}; got {value!r}")
     return result
+
+
+def if_image(shape: tuple[Any, ...]) -> str:
+    """For an image where a volume is needed: where it can go, as the end of a message; else ""."""
+    return ": clvol.images resamples, zooms and rotates images" if len(shape) == 2 else ""
 
 
 def several(what: str, value: object, rule: str, maximum: int | None = None) -> list[Any]:

@@ -10,6 +10,7 @@ import numpy as np
 
 __all__ = [
     "AxisError",
+    "ChunkError",
     "ClusterError",
     "ClvolError",
     "ClvolWarning",
@@ -50,6 +51,10 @@ class GeometryError(ClvolError, ValueError):
 
 class FormatError(ClvolError, OSError):
     """A file has an unknown format, is damaged, or cannot hold the data to write."""
+
+
+class ChunkError(FormatError):
+    """A chunk of a stored array is damaged; others can be read."""
 
 
 class MissingDependencyError(ClvolError, ImportError):

@@ -13,11 +13,21 @@ from pathlib import Path
 
 from clvol.base.checks import as_path
 from clvol.base.errors import ClvolError, FormatError
+from clvol.base.locked import LOCK, locked_folder, remove_abandoned
 
 __all__ = ["MAX_HEADER", "require_folder", "require_suffix", "staged"]
 
 MAX_HEADER = 1 << 20
 """Largest text header, in bytes. No valid one is longer, and libraries overflow their stack on headers of megabytes."""
+
+_FULL = {
+    errno.ENOSPC: "the disk is full",
+    errno.EDQUOT: "the quota of the disk is used up",
+    errno.EFBIG: "no file of that size is allowed there",
+}
+_TRIED = 1 << 16  # bytes that are written to see whether there is room
+_HIDDEN = ".clvol-"
+_cleared: set[Path] = set()  # folders from which the files of killed processes were removed
 
 _NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)  # errors of file systems that cannot sync, such as some network ones
 
@@ -33,7 +43,8 @@ def require_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: s
 
 def require_folder(target: Path) -> None:
     """Raise `FormatError` before any work if the folder of `target` is missing or not writable."""
-    _hidden_folder(target).rmdir()
+    folder, number = _hidden_folder(target)
+    _remove(folder, number)
 
 
 @contextlib.contextmanager
@@ -42,7 +53,8 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
 
     Other files that the writer leaves there (the samples beside a header) move first, the header last. It is a folder, not a
     temporary name, because libraries choose formats by suffix, and headers name their data file. Raises `FormatError` if `path`
-    is a folder, its folder is missing, or writing failed with an `OSError` or a `ValueError`.
+    is a folder, its folder is missing, or writing failed with an `OSError` or a `ValueError`; it says so if the disk is full. What
+    a killed process left is removed by the next that writes there.
     """
     try:
         target = path.resolve()  # replace the link's target and keep the link
@@ -50,11 +62,11 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
         raise FormatError(f"cannot write {path}: {error}") from error
     if target.is_dir():
         raise FormatError(f"cannot write {target}: it is a folder")
-    folder = _hidden_folder(target)
+    folder, number = _hidden_folder(target)
     try:
         written = folder / (target.name[: -len(suffix)] + suffix)  # libraries do not know ".NRRD"
         yield written
-        data_files = [file for file in folder.iterdir() if file != written]
+        data_files = [file for file in folder.iterdir() if file not in (written, folder / LOCK)]
         for file in (*data_files, written):
             _sync(file)
         for file in data_files:
@@ -65,12 +77,28 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
             file.replace(target.with_name(file.name))
         written.replace(target)
         _sync_folder(target.parent)
-    except ClvolError:
-        raise
     except (OSError, ValueError) as error:
+        if full := _full(error, folder):
+            raise FormatError(f"cannot write {path}: {full}") from error
+        if isinstance(error, ClvolError):
+            raise
         raise FormatError(f"cannot write {path}: {str(error) or type(error).__name__}") from error
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        _remove(folder, number)
+
+
+def _full(error: BaseException | None, folder: Path) -> str:
+    """In words that a disk is full, if that is why writing to a folder failed: not all libraries say so."""
+    while error is not None and not (isinstance(error, OSError) and error.errno in _FULL):
+        error = error.__cause__
+    if error is None:
+        try:
+            with tempfile.TemporaryFile(dir=folder) as stream:
+                stream.write(bytes(_TRIED))
+        except OSError as found:
+            error = found
+    number = getattr(error, "errno", None)
+    return f"{_FULL[number]} ({os.strerror(number)})" if number in _FULL else ""
 
 
 def _sync(file: Path) -> None:
@@ -93,14 +121,22 @@ def _sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def _hidden_folder(target: Path) -> Path:
-    """Create a hidden folder beside `target`."""
+def _hidden_folder(target: Path) -> tuple[Path, int]:
+    """Create a hidden folder beside `target`, and lock it: see `locked_folder`."""
     if not target.parent.is_dir():
         raise FormatError(f"cannot write {target}: the folder {target.parent} does not exist")
+    if target.parent not in _cleared:
+        remove_abandoned(target.parent, _HIDDEN)
+        _cleared.add(target.parent)
     try:
-        return Path(tempfile.mkdtemp(dir=target.parent, prefix=".clvol-"))
+        return locked_folder(target.parent, _HIDDEN)
     except OSError as error:
         raise FormatError(f"cannot write {target}: cannot create files in {target.parent}: {error.strerror}") from error
+
+
+def _remove(folder: Path, number: int) -> None:
+    os.close(number)  # Windows removes no open file
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _refuse_to_overwrite_anothers(data_file: Path, header: Path) -> None:

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["beside", "curve", "facts", "histogram", "numbers", "strip", "table", "text_table"]
+from clvol.base.printable import printable
+
+__all__ = ["beside", "curve", "escape", "facts", "histogram", "numbers", "strip", "table", "text_table"]
 
 _WIDTH, _HEIGHT = 360, 120  # size of a curve, in pixels
 _MARGIN = 14  # pixels around a curve, for its numbers
@@ -22,20 +24,23 @@ _LINE = "#1769c2"
 _NUMBER = re.compile(r"[-–]|[-+]?[\d.,]+(e[-+]?\d+)?( ?%)?")  # a dash means no value
 
 
+def escape(text: str) -> str:
+    """A text for HTML, without control characters."""
+    return html.escape(printable(text))
+
+
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table; columns of numbers are right-aligned."""
     rows = [tuple(row) for row in rows]
     right = [all(_NUMBER.fullmatch(cell) for cell in column) for column in zip(*rows, strict=True)] or [False] * len(header)
-    head = "".join(f"<th{_side(right[i])}>{html.escape(cell)}</th>" for i, cell in enumerate(header))
-    body = "".join(
-        f"<tr>{''.join(f'<td{_side(right[i])}>{html.escape(cell)}</td>' for i, cell in enumerate(row))}</tr>" for row in rows
-    )
+    head = "".join(f"<th{_side(right[i])}>{escape(cell)}</th>" for i, cell in enumerate(header))
+    body = "".join(f"<tr>{''.join(f'<td{_side(right[i])}>{escape(cell)}</td>' for i, cell in enumerate(row))}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def text_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table for the terminal."""
-    lines = [tuple(header), *map(tuple, rows)]
+    lines = [tuple(map(printable, row)) for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
@@ -43,11 +48,11 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def facts(title: str, values: Mapping[str, str]) -> str:
     """Facts about an object, one per line; empty values are left out."""
     rows = "".join(
-        f"<tr><th{_side(False)}>{html.escape(key)}</th><td{_side(False)}>{html.escape(value)}</td></tr>"
+        f"<tr><th{_side(False)}>{escape(key)}</th><td{_side(False)}>{escape(value)}</td></tr>"
         for key, value in values.items()
         if value
     )
-    return f"<div><strong>{html.escape(title)}</strong><table><tbody>{rows}</tbody></table></div>"
+    return f"<div><strong>{escape(title)}</strong><table><tbody>{rows}</tbody></table></div>"
 
 
 def beside(*parts: str) -> str:
@@ -147,7 +152,7 @@ class _Placed:
 
 
 def _word(x: float, y: float, text: str, anchor: str) -> str:
-    return f'<text x="{x}" y="{y}" text-anchor="{anchor}" font-size="10" fill="{_INK}">{html.escape(text)}</text>'
+    return f'<text x="{x}" y="{y}" text-anchor="{anchor}" font-size="10" fill="{_INK}">{escape(text)}</text>'
 
 
 def _svg(content: str, height: int = _HEIGHT + 2) -> str:

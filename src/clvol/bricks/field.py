@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import whole
+from clvol.base.checks import if_image, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.base.memory import require
 from clvol.base.rounding import in_kind
@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from clvol.volume.missing import Missing
 
 __all__ = ["BrickedField", "as_lazy", "of_lazy", "require_plain"]
+
+_SHORT = 16  # samples along an edge of bricks, where chunks are damaged
 
 
 class BrickedField(ContinuousFunction):
@@ -286,6 +288,9 @@ def _edge(needs: Needs, edge: int | None, budget: int, device: Device, volume: L
         return edge
     in_memory = at_once and isinstance(volume.data, np.ndarray) and not isinstance(volume.data, np.memmap)
     longest = edge_for(needs, budget, device.largest, volume.chunks, in_memory=in_memory)
+    if longest is not None and volume.damaged and volume.chunks is not None:
+        # a brick that needs a damaged chunk is an error as a whole
+        longest = min(longest, max(_SHORT, min(volume.chunks) // 2))
     if longest is None:
         device.buffers.require_room(needs.buffer(LEAST))
         raise too_small(needs, LEAST, budget)
@@ -298,7 +303,7 @@ def as_lazy(volume: LazyVolume | Volume | ArrayLike) -> LazyVolume:
         return volume
     if isinstance(volume, Volume):
         if volume.ndim != 3:
-            raise DataError(f"bricks are of a volume with 3 axes; got shape {volume.shape}")
+            raise DataError(f"bricks are of a volume with 3 axes; got shape {volume.shape}{if_image(volume.shape)}")
         volume.require_finite()
         made = LazyVolume(volume.data, limits=volume.value_range)
         made.grid = replace(volume, data=made.grid.data)  # all that the volume says, but for its samples

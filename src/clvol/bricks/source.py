@@ -6,7 +6,7 @@ import itertools
 import math
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import reals
-from clvol.base.checks import number, whole
-from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
+from clvol.base.checks import if_image, number, warn, whole
+from clvol.base.errors import ChunkError, ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
 from clvol.interop.images import read_grid
@@ -54,11 +54,14 @@ Box: TypeAlias = tuple[slice, slice, slice]
 BUDGET = 2 << 30
 """Bytes that work by parts may take where nothing is said."""
 
+_Gaps: TypeAlias = list[tuple[Box, ChunkError]]
+
 _PREVIEWED = 1 << 21  # samples from which looks are decided, about
 _PART = 128  # samples along an edge of the part whose noise is estimated
 _CHUNKS_LOOKED_INTO = 6  # along an axis, where there is no smaller copy to look at
 _SMALL = 1 << 26  # samples of which all are looked at for their range
 _PIECE = 4 << 20  # bytes that are read at a time of what is looked at, unless a chunk has more
+_DAMAGED = 64  # chunks of which none can be read: then the error is not of a chunk
 _ALONE = ("clvol", "h5py", "tensorstore", "zarr")  # whose arrays ask no cluster
 
 
@@ -145,8 +148,8 @@ class LazyVolume(_Placed):
     limits : (float, float), optional
         The smallest and the largest sample, if these are known. Otherwise they are estimated from what is looked at.
     missing : float, optional
-        What stands for samples that are NaN or infinite; without it these are an error once they are read. (A picture of `whole`
-        leaves them out.)
+        What stands for samples that are NaN or infinite, or of damaged chunks; without it these are an error once they are read. (A
+        picture of `whole` leaves NaN out.)
     bounds : Bounds, optional
         Minima and maxima of the function, if they are kept beside the samples.
     statistics : Statistics, optional
@@ -161,6 +164,8 @@ class LazyVolume(_Placed):
         Where the samples lie. Its own are zeros that take no memory.
     levels : tuple of LazyVolume
         Lower resolutions.
+    damaged : bool
+        Whether a damaged chunk was met, which a `ClvolWarning` names. Looks, noise and limits are those of the others.
 
     Raises
     ------
@@ -206,6 +211,7 @@ class LazyVolume(_Placed):
         self.bounds = bounds
         self.statistics = statistics
         self.levels = tuple(levels)
+        self._damage: set[str] = set()
         self._again: Callable[[], LazyVolume] | None = None
         self._for_tasks = False
         self._lock = threading.RLock()
@@ -321,7 +327,7 @@ class LazyVolume(_Placed):
         Raises
         ------
         FormatError
-            They cannot be read, or what comes has another shape or type than was said; the message names the part.
+            They cannot be read, or what comes has another shape or type than was said; the message names the part or chunk.
         DataError
             Some are NaN or infinite, and nothing stands for `missing` ones.
         """
@@ -332,21 +338,10 @@ class LazyVolume(_Placed):
 
     def at(self, place: Box) -> NDArray[Any]:
         """As `read`, the samples at three slices within the volume, [z, y, x]."""
-        z, y, x = place
-        words = f"samples [{z.start}:{z.stop}, {y.start}:{y.stop}, {x.start}:{x.stop}] of {_title(self)}"
-        expected = tuple(one.stop - one.start for one in place)
-        memory.require(math.prod(expected) * self.dtype.itemsize, words)
-        with _reading(words):
-            found = self.data[place]
-            if self._for_tasks and _is_of_dask(found):
-                found = found.compute(scheduler="synchronous")
-            part = np.asarray(found)
-            part = part.astype(part.dtype.newbyteorder("="), copy=False)
-        if part.shape != expected or part.dtype != self.dtype:
-            raise FormatError(
-                f"cannot read {words}: they must be {self.dtype} of shape {expected}; got {part.dtype} of shape {part.shape}"
-            )
-        return _finite(part, self.missing, words, place)
+        try:
+            return _samples_at(self, place)
+        except ChunkError as error:
+            return _filled_at(self, place, error)
 
     # -- what is known of them -------------------------------------------------------------------------------------------
 
@@ -359,7 +354,7 @@ class LazyVolume(_Placed):
             if self._preview is None:
                 small = next((one for one in (self, *self.levels) if math.prod(one.shape) <= 2 * _PREVIEWED), None)
                 coarse = small or (self, *self.levels)[-1]
-                self._preview = self._informed(_thinned(coarse) if small is None else _piecewise(small, (0, 0, 0), small.size))
+                self._preview = self._informed(_thinned(coarse) if small is None else _of_all(small))
             return self._preview
 
     def whole(self) -> Volume:
@@ -370,7 +365,7 @@ class LazyVolume(_Placed):
         OutOfMemoryError
             There is no room for them.
         """
-        return replace(self.grid, data=self.at((slice(0, self.shape[0]), slice(0, self.shape[1]), slice(0, self.shape[2]))))
+        return replace(self.grid, data=self.at(_everything(self)))
 
     def part(self) -> Volume:
         """Neighbouring samples from the middle, from which is told how much noise there is, and whether they are labels."""
@@ -378,7 +373,7 @@ class LazyVolume(_Placed):
             if self._part is None:
                 low = [max(0, (n - _PART) // 2) for n in self.size]
                 high = [min(n, a + _PART) for a, n in zip(low, self.size, strict=True)]
-                self._part = self._informed(_piecewise(self, low, high))
+                self._part = self._informed(_of_part(self, low, high))
             return self._part
 
     def _informed(self, some: Volume) -> Volume:
@@ -405,6 +400,11 @@ class LazyVolume(_Placed):
         return not (whole or self._given or self.bounds is not None or self.statistics is not None)
 
     @property
+    def damaged(self) -> bool:
+        """Whether a damaged chunk was met."""
+        return bool(self._damage)
+
+    @property
     def noise(self) -> Noise:
         """Of all samples, if it is kept beside them, else of those in the middle; the spectrum is of the latter."""
         found = self.part().noise
@@ -419,17 +419,47 @@ class LazyVolume(_Placed):
         raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
 
 
+def _samples_at(volume: LazyVolume, place: Box) -> NDArray[Any]:
+    """As `LazyVolume.at`, but nothing stands for damaged chunks."""
+    z, y, x = place
+    words = f"samples [{z.start}:{z.stop}, {y.start}:{y.stop}, {x.start}:{x.stop}] of {_title(volume)}"
+    expected = tuple(one.stop - one.start for one in place)
+    memory.require(math.prod(expected) * volume.dtype.itemsize, words)
+    with _reading(words):
+        found = volume.data[place]
+        if volume._for_tasks and _is_of_dask(found):
+            found = found.compute(scheduler="synchronous")
+        part = np.asarray(found)
+        part = part.astype(part.dtype.newbyteorder("="), copy=False)
+    if part.shape != expected or part.dtype != volume.dtype:
+        raise FormatError(
+            f"cannot read {words}: they must be {volume.dtype} of shape {expected}; got {part.dtype} of shape {part.shape}"
+        )
+    return _finite(part, volume.missing, words, place)
+
+
+def _filled_at(volume: LazyVolume, place: Box, error: ChunkError) -> NDArray[Any]:
+    """As `LazyVolume.at`, where a chunk is damaged."""
+    if volume.missing is None:
+        raise ChunkError(f"{error}: LazyVolume(..., missing=value) replaces them") from error
+    part, gaps = _piecewise(volume, partial(_samples_at, volume), [place], place)
+    _note(volume, gaps, f"{volume.missing:g} stands for their samples")
+    for gap, _ in gaps:
+        part[gap] = volume.missing
+    return part
+
+
 @contextmanager
 def _reading(what: str) -> Iterator[None]:
     """Turn whatever a library, a disk or a network raises into a `FormatError` that says what cannot be read."""
     try:
         yield
     except FormatError as error:
-        raise FormatError(f"cannot read {what}: {error}") from error
+        raise type(error)(f"cannot read {what}: {error}") from error
     except (ClvolError, MemoryError):
         raise
     except Exception as error:
-        raise FormatError(f"cannot read {what}: {str(error) or type(error).__name__}") from error
+        raise ChunkError(f"cannot read {what}: {str(error) or type(error).__name__}") from error
 
 
 def _title(volume: LazyVolume) -> str:
@@ -443,7 +473,7 @@ def _described(data: Sliced) -> tuple[tuple[int, ...], np.dtype[Any]]:
             raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
         shape, dtype = tuple(data.shape), np.dtype(data.dtype).newbyteorder("=")
     if len(shape) != 3 or any(n != n // 1 for n in shape):  # dask does not know all sizes: nan
-        raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}")
+        raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}{if_image(shape)}")
     if dtype.kind not in "biuf":
         raise DataError(f"data must be boolean, integer or floating; got dtype {dtype}")
     if 0 in shape:
@@ -489,27 +519,119 @@ def _finite(part: NDArray[Any], missing: float | None, words: str, place: Box) -
     return np.where(np.isfinite(part), part, part.dtype.type(missing))
 
 
-def _pieces(volume: LazyVolume, low: Sequence[int], high: Sequence[int]) -> Iterator[tuple[tuple[slice, ...], NDArray[Any]]]:
-    """Samples, few at a time, and where in the part they belong: by chunks, or by planes."""
-    itemsize = volume.dtype.itemsize
+def _pieces(volume: LazyVolume, place: Box) -> Iterator[Box]:
+    """A part as boxes of few samples: of chunks, or of planes."""
     lines: Sequence[NDArray[np.int64]] | None = lines_of(volume.data)
     if lines is None:  # rows, or as many planes as are one piece
-        row = (high[0] - low[0]) * itemsize
-        rows = max(1, min(_PIECE // row, high[1] - low[1]))
-        planes = max(1, _PIECE // (row * (high[1] - low[1])))
-        steps = (high[0], rows, planes)
-        lines = [np.append(np.arange(a, b, step), b) for a, b, step in zip(low, high, steps, strict=True)][::-1]
-    part = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
-    for box in Chunks(volume.at, lines, volume.dtype, 0, together=_PIECE).parts(part):
-        yield tuple(slice(one.start - a, one.stop - a) for one, a in zip(box, low[::-1], strict=True)), volume.at(box)  # type: ignore[arg-type]  # three
+        _, y, x = place
+        row = (x.stop - x.start) * volume.dtype.itemsize
+        rows = max(1, min(_PIECE // row, y.stop - y.start))
+        planes = max(1, _PIECE // (row * (y.stop - y.start)))
+        steps = (planes, rows, x.stop)
+        lines = [np.append(np.arange(one.start, one.stop, n), one.stop) for one, n in zip(place, steps, strict=True)]
+    return Chunks(volume.at, lines, volume.dtype, 0, together=_PIECE).parts(place)  # type: ignore[return-value]  # three
 
 
-def _piecewise(volume: LazyVolume, low: Sequence[int], high: Sequence[int]) -> Volume:
-    """The samples of a part, read few at a time."""
-    data = np.empty([b - a for a, b in zip(low[::-1], high[::-1], strict=True)], volume.dtype)
-    for place, samples in _pieces(volume, low, high):
-        data[place] = samples
-    return replace(volume.grid, data=data)
+def _intact(volume: LazyVolume, read: Callable[[Box], NDArray[Any]], box: Box, gaps: _Gaps) -> Iterator[tuple[Box, NDArray[Any]]]:
+    """The samples of a box, of each chunk for itself if not all can be read; `gaps` gets the others."""
+    try:
+        samples = read(box)
+    except ChunkError as error:
+        lines = lines_of(volume.data)
+        if lines is None or len(gaps) == _DAMAGED:
+            raise
+        cuts = [
+            np.unique([one.start, one.stop, *line[(line > one.start) & (line < one.stop)]])
+            for one, line in zip(box, lines, strict=True)
+        ]
+        z, y, x = ([slice(int(a), int(b)) for a, b in itertools.pairwise(cut)] for cut in cuts)
+        chunks = list(itertools.product(z, y, x))
+        if len(chunks) == 1:
+            gaps.append((box, error))
+            return
+    else:
+        yield box, samples
+        return
+    for chunk in chunks:
+        yield from _intact(volume, read, chunk, gaps)
+
+
+def _piecewise(
+    volume: LazyVolume, read: Callable[[Box], NDArray[Any]], boxes: Iterable[Box], place: Box
+) -> tuple[NDArray[Any], _Gaps]:
+    """The samples of a part, read box by box, and where damaged chunks left gaps in it."""
+    data = np.empty([one.stop - one.start for one in place], volume.dtype)
+    gaps: _Gaps = []
+    for box in boxes:
+        for part, samples in _intact(volume, read, box, gaps):
+            data[_from(part, place)] = samples
+    return data, [(_from(gap, place), error) for gap, error in gaps]
+
+
+def _note(volume: LazyVolume, gaps: _Gaps, instead: str) -> None:
+    """Warn of damaged chunks that were not met before."""
+    new = {str(error): error for _, error in gaps if str(error) not in volume._damage}
+    volume._damage.update(new)
+    if new:
+        more = f", and {len(new) - 1} more chunks" if len(new) > 1 else ""
+        warn(f"{next(iter(new))}{more}; {instead}")
+
+
+def _note_look(volume: LazyVolume, data: NDArray[Any], gaps: _Gaps) -> None:
+    """The same for samples that are looked at; raise if there are none."""
+    if sum(data[gap].size for gap, _ in gaps) == data.size:
+        raise gaps[0][1]
+    _note(volume, gaps, "until then what needs them is an error, and limits, noise and looks are those of the other samples")
+
+
+def _from(box: Box, place: Box) -> Box:
+    """A box, counted from where a place begins."""
+    z, y, x = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, place, strict=True))
+    return z, y, x
+
+
+def _bridged(data: NDArray[Any], gaps: _Gaps) -> NDArray[Any]:
+    """The same with the nearest other sample in gaps."""
+    if not gaps:
+        return data
+    from scipy.ndimage import distance_transform_edt  # slow to import, and rarely needed
+
+    missing = np.zeros(data.shape, bool)
+    for gap, _ in gaps:
+        missing[gap] = True
+    return np.asarray(data[tuple(distance_transform_edt(missing, return_distances=False, return_indices=True))])
+
+
+def _everything(volume: LazyVolume) -> Box:
+    nz, ny, nx = volume.shape
+    return slice(0, nz), slice(0, ny), slice(0, nx)
+
+
+def _of_all(volume: LazyVolume) -> Volume:
+    """All samples of a small volume."""
+    place = _everything(volume)
+    data, gaps = _piecewise(volume, volume.at, _pieces(volume, place), place)
+    _note_look(volume, data, gaps)
+    return replace(volume.grid, data=_bridged(data, gaps))
+
+
+def _of_part(volume: LazyVolume, low: Sequence[int], high: Sequence[int]) -> Volume:
+    """The samples of a part, or of a large box in it that no damaged chunk meets."""
+    z, y, x = (slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+    data, gaps = _piecewise(volume, volume.at, _pieces(volume, (z, y, x)), (z, y, x))
+    _note_look(volume, data, gaps)
+    kept = [slice(0, n) for n in data.shape]
+    for gap, _ in gaps:
+        if all(a.start < b.stop and b.start < a.stop for a, b in zip(gap, kept, strict=True)):
+            sides = [
+                [*kept[:axis], side, *kept[axis + 1 :]]
+                for axis in range(3)
+                for side in (slice(kept[axis].start, gap[axis].start), slice(gap[axis].stop, kept[axis].stop))
+            ]
+            kept = max(sides, key=lambda box: math.prod(max(0, one.stop - one.start) for one in box))
+    if any(one.start >= one.stop for one in kept):
+        raise gaps[0][1]
+    return replace(volume.grid, data=data[tuple(kept)])
 
 
 def _thinned(volume: LazyVolume) -> Volume:
@@ -524,17 +646,21 @@ def _thinned(volume: LazyVolume) -> Volume:
         step = -(-min(chunk, n) // each)
         runs.append([range(first, min(first + chunk, n), step) for first in firsts])
         steps.append(n / sum(map(len, runs[-1])))
-
-    def read(x: range, y: range, z: range) -> NDArray[Any]:
-        part = volume.read((x[0], y[0], z[0]), (x[-1] + 1, y[-1] + 1, z[-1] + 1))
-        return part[:: z.step, :: y.step, :: x.step].copy()
-
-    data = np.concatenate(
-        [np.concatenate([np.concatenate([read(x, y, z) for x in runs[0]], axis=2) for y in runs[1]], axis=1) for z in runs[2]]
-    )
+    ends = [list(itertools.accumulate(map(len, axis), initial=0)) for axis in runs[::-1]]
+    data, gaps = np.empty([axis[-1] for axis in ends], volume.dtype), _Gaps()
+    planes, rows, columns = ([slice(a, b) for a, b in itertools.pairwise(axis)] for axis in ends)
+    for target, (z, y, x) in zip(itertools.product(planes, rows, columns), itertools.product(*runs[::-1]), strict=True):
+        try:
+            part = volume.read((x[0], y[0], z[0]), (x[-1] + 1, y[-1] + 1, z[-1] + 1))
+            data[target] = part[:: z.step, :: y.step, :: x.step]
+        except ChunkError as error:
+            if len(gaps) == _DAMAGED:
+                raise
+            gaps.append((target, error))
+    _note_look(volume, data, gaps)
     spacing = tuple(s * step for s, step in zip(volume.spacing, steps, strict=True))
     first = volume.index_to_world([(step - 1) / 2 for step in steps])  # of the same domain
-    return replace(volume.grid, data=data, spacing=spacing, origin=tuple(map(float, first)))
+    return replace(volume.grid, data=_bridged(data, gaps), spacing=spacing, origin=tuple(map(float, first)))
 
 
 def _few(volume: LazyVolume) -> bool:
@@ -564,7 +690,8 @@ def _limits_of(volume: LazyVolume) -> tuple[float, float]:
         return volume.statistics.value_range
     if not _few(volume):
         return volume.preview().value_range
-    ends = [(float(part.min()), float(part.max())) for _, part in _pieces(volume, (0, 0, 0), volume.size)]
+    parts = (volume.at(box) for box in _pieces(volume, _everything(volume)))
+    ends = [(float(part.min()), float(part.max())) for part in parts]
     return min(low for low, _ in ends), max(high for _, high in ends)
 
 

@@ -16,14 +16,14 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from cyclopts import CycloptsError, UnknownCommandError
+from cyclopts import CycloptsError
 
-from clvol.base.checks import did_you_mean
 from clvol.base.errors import ClvolError, ClvolWarning
+from clvol.base.interrupted import at_the_end, only_our_lines
 from clvol.cli import files, lists, pictures, view
 from clvol.cli.root import app
 from clvol.cli.speech import one_line
-from clvol.cli.words import in_the_shell
+from clvol.cli.words import in_the_shell, of_the_command_line
 
 __all__ = ["app", "files", "lists", "main", "pictures", "view"]
 
@@ -32,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command. User errors are printed on one line, without a traceback."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal without a degree sign still shows the numbers
+    only_our_lines()
     given = sys.argv[1:] if arguments is None else list(arguments)
     try:
         try:
@@ -44,12 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 raise KeyboardInterrupt from error
             raise
         finally:
+            at_the_end()
             sys.stdout.flush()  # here, so that we handle its errors: the command may raise SystemExit
-    except UnknownCommandError as error:
-        _fail(_unknown(error), 2)
     except CycloptsError as error:
-        command = " ".join(("clvol", *(error.command_chain or ())))
-        _fail(f"{one_line(error).rstrip('.')}; see '{command} --help'", 2)
+        _fail(of_the_command_line(error), 2)
     except ClvolError as error:
         _fail(in_the_shell(error, given), 1)
     except MemoryError as error:
@@ -85,12 +84,6 @@ def _caused_by_interrupt(error: BaseException) -> bool:
     return before is not None and (isinstance(before, KeyboardInterrupt) or _caused_by_interrupt(before))
 
 
-def _unknown(error: UnknownCommandError) -> str:
-    token = (error.unused_tokens or [""])[0]
-    known = [name for name in app if not name.startswith("-") and app[name].show]
-    return f"unknown command \"{token}\"{did_you_mean(token, known)}; commands are {', '.join(sorted(known))}: see 'clvol --help'"
-
-
 def _discard_output() -> None:
     """Discard buffered output if standard output cannot be written: Python would try again at exit."""
     try:
@@ -100,6 +93,7 @@ def _discard_output() -> None:
 
 
 def _fail(reason: str, code: int) -> NoReturn:
+    at_the_end(code)
     _discard_output()
     print(f"clvol: {reason}", file=sys.stderr)
     raise SystemExit(code) from None

@@ -15,6 +15,7 @@ from clvol.base import html
 from clvol.base.errors import ClvolWarning, DataError, OptionError
 from clvol.base.files import require_suffix
 from clvol.base.frames import SPACES
+from clvol.base.printable import printable
 from clvol.base.progress import Progress
 from clvol.bricks.source import too_large
 from clvol.cli.options import (
@@ -62,7 +63,7 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
         if json:
             print_json({"series": [{"id": i.id, "shape": list(i.shape), "text": i.text} for i in images]})
         else:
-            print(f"{source} holds {len(images)} images; choose one by --series")
+            print(f"{printable(str(source))} holds {len(images)} images; choose one by --series")
             table(["number", "series", "samples", "description"], rows)
         return
     remote = is_address(source)  # its axes are not counted: a note says what was chosen

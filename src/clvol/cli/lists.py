@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 import clvol
+from clvol.base.printable import printable
 from clvol.base.shown import Named
 from clvol.cli.options import Json
 from clvol.cli.root import FILTERS, SETUP, app, command
@@ -64,7 +65,7 @@ def doctor(*, json: Json = False) -> None:
         print_json({"usable": usable, "checks": [check._asdict() for check in (*needed, *optional)]})
     else:
         for check in (*needed, *optional):
-            print(f"{'ok' if check.ok else '--'}  {check.check}: {check.detail}")
+            print(f"{'ok' if check.ok else '--'}  {check.check}: {printable(check.detail)}")
     if not usable:
         raise SystemExit(1)
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import clvol
 from clvol.base.files import require_folder, require_suffix
+from clvol.base.printable import printable
 from clvol.filter.filter import Filter
 from clvol.volume.smoothing import choose
 
@@ -71,7 +72,7 @@ def say(as_json: bool, what: dict[str, Any], lines: Sequence[str] = ()) -> None:
         print_json(what)
         return
     for line in lines:
-        print(line)
+        print(printable(line))
     for key, value in what.items():
         if not (lines and isinstance(value, list)) and value != "":
             print(f"{key.replace('_', ' ')}: {text(value)}")
@@ -107,7 +108,7 @@ def text(value: Any) -> str:
         return f"{value:.6g}"
     if isinstance(value, list):
         return (", " if any(isinstance(v, list) for v in value) else " ").join(map(text, value))
-    return str(value)
+    return printable(str(value))
 
 
 def print_json(value: Any) -> None:
@@ -116,6 +117,7 @@ def print_json(value: Any) -> None:
 
 def table(header: list[str], rows: list[list[str]]) -> None:
     """Print a table; on a narrow terminal its cells are wrapped, or each row becomes a paragraph."""
+    rows = [list(map(printable, row)) for row in rows]
     cells = [header, *rows]
     columns = list(zip(*cells, strict=True))
     widths = [max(map(len, column)) for column in columns]
@@ -139,4 +141,4 @@ def table(header: list[str], rows: list[list[str]]) -> None:
 
 
 def one_line(error: BaseException | str) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    return printable(" ".join(str(error).split())) or type(error).__name__

@@ -18,6 +18,7 @@ from cyclopts import Group, Parameter
 from clvol import phantoms
 from clvol.base import html, memory
 from clvol.base.errors import ClvolError, FormatError, OptionError, OutOfMemoryError
+from clvol.base.printable import printable
 from clvol.bricks.source import too_large
 from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, bytes_text, is_address, own_options
 from clvol.cli.root import PICTURES, command
@@ -151,7 +152,7 @@ def view(
         if isinstance(error, OptionError):
             return False
         words = in_the_shell(error, ["view"]) if isinstance(error, ClvolError) else said(error)
-        print(f"clvol: {words}", file=sys.stderr, flush=True)
+        print(f"clvol: {printable(words)}", file=sys.stderr, flush=True)
         return True
 
     def rehearse() -> None:

@@ -15,7 +15,10 @@ import stat
 import tempfile
 from pathlib import Path
 
-__all__ = ["Store", "fault", "folder", "replace"]
+__all__ = ["ROOM", "Store", "fault", "folder", "has_room", "replace"]
+
+ROOM = 3 << 20
+"""Bytes that building a kernel may take: a linked file and what it is made of; some hundred thousand are usual."""
 
 _DIGEST = hashlib.sha256
 _MOST = 256 << 20  # bytes in a store; a program takes some hundred thousand
@@ -48,6 +51,11 @@ def fault(folder: Path) -> OSError | None:
             return None
     except OSError as error:
         return error
+
+
+def has_room(folder: Path) -> bool:
+    """Whether the disk of a folder has room for what is built in it."""
+    return shutil.disk_usage(folder).free >= ROOM
 
 
 def replace(file: Path, data: bytes) -> None:

@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import Any
 
 from clvol.base.errors import ClvolWarning, DeviceError
+from clvol.base.interrupted import deferred
 from clvol.device import probe
 from clvol.device.runtimes import intel
 from clvol.device.runtimes.pocl import KernelCache, open_cache
@@ -87,7 +88,8 @@ def _load() -> Any:
     variables = {"PYOPENCL_NO_CACHE": "1", **({"POCL_CACHE_DIR": str(kernels.folder)} if kernels else {})}
     with intel.known_to_the_loader(verdict.libraries), intel.variables(variables):
         try:
-            import pyopencl
+            with deferred():
+                import pyopencl
         except ImportError as error:
             raise DeviceError(f"pyopencl cannot be imported: {error}. {INSTALL}. 'clvol doctor' says more") from error
         with suppress(pyopencl.Error):  # none found: `devices` reports it

@@ -95,7 +95,10 @@ class Verdict:
 
 
 class _NotBegun(Exception):
-    """A trial printed nothing: what was started is not Python, as in a program that embeds it. It says nothing about drivers."""
+    """A trial printed nothing: what was started is not Python, as in a program that embeds it, or the disk is full.
+
+    It says nothing about drivers.
+    """
 
 
 def identity(handle: Any) -> str:
@@ -196,7 +199,7 @@ def _all(without: Collection[str]) -> tuple[list[str] | None, dict[int, str]]:
 def _run(first: int, without: Collection[str], failures: dict[int, str] | None = None) -> tuple[int | None, list[str] | None, str]:
     """One trial, from device `first` on: the device that ended it early, the devices found, and how it ended."""
     begun, trying, names, why, platform = False, None, None, "", ""
-    with tempfile.TemporaryDirectory(prefix="clvol-trial-") as folder, intel.known_to_the_loader(without):
+    with tempfile.TemporaryDirectory(prefix="clvol-trial-", dir=_roomy()) as folder, intel.known_to_the_loader(without):
         environment = {
             **os.environ,
             "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
@@ -231,6 +234,14 @@ def _run(first: int, without: Collection[str], failures: dict[int, str] | None =
     if names is None and platform:
         why = f"{why} (at {platform})"
     return trying if why else None, names, why
+
+
+def _roomy() -> Path:
+    """A folder with room for what a trial builds, without which it would abort: a full disk says nothing about drivers."""
+    for folder in (Path(tempfile.gettempdir()), cache.folder()):
+        if folder is not None and cache.has_room(folder):
+            return folder
+    raise _NotBegun
 
 
 def _said(output: bytes) -> Iterator[list[Any]]:

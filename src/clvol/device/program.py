@@ -16,6 +16,7 @@ from typing import Any, cast
 import numpy as np
 
 from clvol.base.errors import DeviceError, OptionError
+from clvol.base.interrupted import quiet
 from clvol.device.cache import Store
 from clvol.device.opencl import opencl
 from clvol.device.probe import identity
@@ -27,7 +28,7 @@ LANES = 8
 """Numbers in one vector of the kernels; rows of coefficients are padded to a multiple of it."""
 
 Defines = Mapping[str, str | int | float]
-_OPTIONS = ("-cl-std=CL1.2",)
+_OPTIONS = ("-cl-std=CL1.2", "-w")  # clang counts its warnings on standard error, as for processors without AVX
 _POCL = "Portable Computing Language"
 # LLVM's own SIGINT handler removes the file it is writing, whoever handles the signal: then the program is built again
 _INTERRUPTED = "unable to rename temporary"
@@ -210,7 +211,8 @@ def build(device: Any, context: Any, text: str, kernels: KernelCache | None, not
 
 
 def _compiled(context: Any, text: str) -> Any:
-    return opencl().Program(context, text).build(options=list(_OPTIONS))
+    with quiet():
+        return opencl().Program(context, text).build(options=list(_OPTIONS))
 
 
 def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, key: str) -> Any:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from typing import Any, Literal, TypeAlias
@@ -49,6 +50,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 MAX_TAPS = 16  # taps per row that one vector load of a kernel covers
 MAX_DEGREE = 20
+_MOST_WEIGHT = 1e12
 _ROUNDING = 1e-9  # tolerance for comparing rows of floats
 _LEAST_SMOOTHING = -0.25  # lower limit for quasi-interpolators, which sharpen: the prefilter of linear does not exist below
 MOST_SMOOTHING = 1e5  # above it, poles are too close to the unit circle for float32
@@ -113,7 +115,7 @@ class Filter(Shown):
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise OptionError(f"a filter's name must be a string that is not empty; got {self.name!r}")
-        object.__setattr__(self, "taps", as_polynomials(f"taps of {self.name!r}", self.taps))
+        object.__setattr__(self, "taps", _held(self.name, as_polynomials(f"taps of {self.name!r}", self.taps)))
         if not 1 <= len(self.taps) <= MAX_TAPS:
             raise OptionError(f"a filter must have 1 to {MAX_TAPS} taps; {self.name!r} has {len(self.taps)}")
         if len({len(row) for row in self.taps}) != 1 or not 1 <= len(self.taps[0]) <= MAX_DEGREE + 1:
@@ -381,6 +383,16 @@ def as_polynomials(what: str, rows: object) -> tuple[Polynomial, ...]:
     for c in (c for row in polynomials for c in row):
         number(f"each of the {what}", c)
     return polynomials
+
+
+def _held(name: str, taps: tuple[Polynomial, ...]) -> tuple[Polynomial, ...]:
+    """Taps of a filter; `OptionError` if float32 does not hold their products."""
+    if too_large := [c for row in taps for c in row if not -_MOST_WEIGHT <= c <= _MOST_WEIGHT]:
+        raise OptionError(
+            f"weights of {name!r} must be at most {_MOST_WEIGHT:g} in size, so that float32 holds their products along three axes; "
+            f"got {Decimal(int(too_large[0])):.3g}"
+        )
+    return taps
 
 
 def _require_invertible(row: Filter) -> None:

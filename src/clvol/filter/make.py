@@ -22,6 +22,7 @@ __all__ = ["bc", "bspline", "from_callable", "from_pieces", "lanczos", "moms3", 
 
 _FIT_TOLERANCE = 1e-10  # relative to the kernel's peak: the error of its second derivative is then about 1e-6
 _MISFIT = 0.1  # relative to the kernel's peak: a fit with a larger error is rejected
+_DIGITS = 1e16  # numbers in names that are written in full
 _SINC_DEGREE = 12  # degree of the fits to sinc and its windowed forms: with more, float32 derivatives lose what the fit gains
 
 
@@ -225,7 +226,8 @@ def bc(B: Number, C: Number) -> Filter:
     (1, 0) is the cubic B-spline without prefilter, (1/3, 1/3) their choice, (0, 1/2) Catmull-Rom.
     """
     b, c = _exact("B and C", B), _exact("B and C", C)
-    return _bc(f"bc({b},{c})", Fraction(b), Fraction(c))
+    texts = (str(v) if -_DIGITS < v < _DIGITS else f"{float(v):g}" for v in (b, c))
+    return _bc(f"bc({','.join(texts)})", Fraction(b), Fraction(c))
 
 
 def _exact(what: str, value: object) -> Number:

@@ -99,8 +99,9 @@ def as_filter(choice: str | Filter) -> Filter:
     if (match := re.fullmatch(r"(\w+)\(([^()]*)\)", name)) and match[1] in _FAMILIES:
         try:
             return _FAMILIES[match[1]][1](*(Fraction(v.strip()) for v in match[2].split(",")))
-        except (ValueError, TypeError, ZeroDivisionError):
-            raise OptionError(f"filter {choice!r} has wrong parameters; write {', '.join(written[:-1])} or {written[-1]}") from None
+        except (ValueError, TypeError, ZeroDivisionError) as error:
+            how = f"{', '.join(written[:-1])} or {written[-1]}{_reason(error)}"
+            raise OptionError(f"filter {choice!r} has wrong parameters; write {how}") from None
     if match := re.fullmatch(r"bspline([6-9])", name):  # the name of a smoothing filter with λ = 0
         return bspline(int(match[1]))
     if match := re.fullmatch(r"(?:bspline|cubic)\(([^()]*)\)|bspline(\d)\(([^()]*)\)", name):
@@ -120,8 +121,12 @@ def _smoothed_by_name(choice: str, degree: int, text: str) -> Filter:
         values = [float(Fraction(v.strip())) for v in text.split(",")]
         return bspline(degree, smoothing=values[0] if len(values) == 1 else tuple(values))
     except (ValueError, ZeroDivisionError, OverflowError) as error:
-        reason = f": {error}" if isinstance(error, OptionError) else ""
-        raise OptionError(f"filter {choice!r} has wrong parameters; write it as one of {_SMOOTHED}{reason}") from None
+        raise OptionError(f"filter {choice!r} has wrong parameters; write it as one of {_SMOOTHED}{_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    """What a filter refuses, as the end of a message; "" if a parameter is no number."""
+    return f": {error}" if isinstance(error, OptionError) else ""
 
 
 def as_filters(choices: Sequence[str | Filter], maximum: int | None = None) -> list[Filter]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, FormatError
+from clvol.base.interrupted import quiet as silent
 from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice
 from clvol.formats._errors import foreign_errors
@@ -191,7 +192,7 @@ def write_image(what: Volume | Volumes, path: Path, image_io: str, check: Callab
         image = what.to_sitk()
     except DataError as error:
         raise FormatError(str(error)) from error
-    with quiet(), foreign_errors(f"write {path.name}", reason):
+    with silent(), quiet(), foreign_errors(f"write {path.name}", reason):
         if path.suffix == ".nhdr":
             _write_detached(sitk, image, path)
         else:

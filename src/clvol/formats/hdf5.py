@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.errors import DataError, FormatError, MissingDependencyError
+from clvol.base.errors import ChunkError, DataError, FormatError, MissingDependencyError
 from clvol.bricks.sliced import Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at, damaged_chunk, sample_count, unplaced_by
@@ -113,7 +114,7 @@ def loaded(source: str, array: Any, index: Index = ()) -> NDArray[Any]:
     """Samples of an array, which must be in this file. Chunks that are not stored have the array's fill value."""
     _require_own(source, array)
     announce(source, max(sample_count(array.chunks or ()) * array.dtype.itemsize, bytes_at(array.shape, index, array.dtype)))
-    return np.asarray(array[index])
+    return _samples(source, array, index)
 
 
 def part_of(path: Path, source: str, array: Any, index: Index = ()) -> Window:
@@ -121,15 +122,18 @@ def part_of(path: Path, source: str, array: Any, index: Index = ()) -> Window:
     _require_own(source, array)
     announce(source, sample_count(array.chunks or ()) * array.dtype.itemsize)
 
-    def read(index: Index) -> NDArray[Any]:
-        try:
-            return np.asarray(array[index])
-        except OSError as error:
-            raise FormatError(f"cannot read {_damaged(array, index)} of {array.name} in {source}: {error}") from error
-
     chunk = sample_count(array.chunks or ()) * array.dtype.itemsize
     by_parts = chunk > _CACHED and not array.id.get_create_plist().get_nfilters()  # HDF5 reads parts of such a chunk
-    return Window(Watched(path, source, read), array.shape, array.dtype, None if by_parts else array.chunks, index)
+    return Window(
+        Watched(path, source, partial(_samples, source, array)), array.shape, array.dtype, None if by_parts else array.chunks, index
+    )
+
+
+def _samples(source: str, array: Any, index: Index) -> NDArray[Any]:
+    try:
+        return np.asarray(array[index])
+    except OSError as error:
+        raise ChunkError(f"cannot read {_damaged(array, index)} of {array.name} in {source}: {error}") from error
 
 
 def _damaged(array: Any, index: Index) -> str:

@@ -13,6 +13,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.checks import if_image
 from clvol.base.errors import DataError, FormatError
 from clvol.base.files import MAX_HEADER
 from clvol.bricks.sliced import FlatFile, Window
@@ -44,7 +45,7 @@ def lazily(path: Path, choose: Choice) -> list[Content]:
         flat = FlatFile(path, shape, dtype, stream.tell(), transposed)
     words = unnamed(shape, dtype) if len(shape) > 3 else [""] * len(shape)
     if len(shape) < 3 or 0 in shape:
-        raise DataError(f"{path.name} must hold a volume to be read part by part; it has the shape {shape}")
+        raise DataError(f"{path.name} must hold a volume to be read part by part; it has the shape {shape}{if_image(shape)}")
     layout = lay_out(path.name, words, shape, asked=choose.given)
     return [layout.chosen(path.name, choose, lambda index: Window(flat, shape, dtype, None, index))]
 

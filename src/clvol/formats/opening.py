@@ -206,7 +206,9 @@ def opened(name: str, contents: Sequence[Content], replaced: dict[str, Any], mis
             beside = {key: known.pop(key, None) for key in ("bounds", "statistics")}
             unplaced = known.pop("unplaced", "")
             if len(data.shape) == 2:
-                raise DataError(f"{name} holds an image of shape {data.shape}: clvol.read reads images")
+                raise DataError(
+                    f"{name} holds an image of shape {data.shape}: clvol.read reads images, clvol.images resamples them"
+                )
             own = replaced
             if number and own:
                 own = _moved(contents[0][1], known, volumes[0].grid)

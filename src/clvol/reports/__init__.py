@@ -16,7 +16,7 @@ from clvol import analysis
 from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, RotationTable
 from clvol.analysis.comparison import as_compared
 from clvol.analysis.trial import middle_part
-from clvol.base.checks import as_path, whole
+from clvol.base.checks import as_path, if_image, whole
 from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.base.files import require_folder, staged
 from clvol.base.progress import Progress, part_of
@@ -137,7 +137,7 @@ def report(
     require_matplotlib()
     volume, file = as_volume(volume), page(output)
     if volume.ndim != 3:
-        raise OptionError(f"a report takes a volume with 3 axes; got shape {volume.shape}")
+        raise OptionError(f"a report takes a volume with 3 axes; got shape {volume.shape}{if_image(volume.shape)}")
     volume.require_finite()
     pixels, rule, on = whole("pixels", pixels, 16), as_boundary(boundary), as_device(device)
     max_samples = whole("max_samples", max_samples, 1)

@@ -6,7 +6,6 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from clvol.analysis import ErrorTable, LeftOutTable, PredictedRow, PredictedTable, RotationTable, Table
 from clvol.analysis.table import column
+from clvol.base.html import escape
 from clvol.figures.style import colour, styled, title
 from clvol.reports.advice import Advice
 from clvol.reports.pictures import Cards

@@ -54,7 +54,6 @@ _SIGMAS = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?:sigma
 _MOST_FIELDS = 64  # largest number of fields in a ray's state
 _SHOWN = ("matter", "surface", "max", "min", "mean")
 _SOUGHT = ("largest", "smallest", "any")
-_MEANT = {"clim": "window=(center, width), or the clim of the volume"}  # words of other things than modes
 
 
 @dataclass(frozen=True)
@@ -447,8 +446,7 @@ def _made(choice: str | Mode | type[Mode], options: Mapping[str, Any], others: I
     for name in options:
         if name not in known:
             having = [other for other, mode in _TABLE.items() if name in _option_names(mode)]
-            near = f" (did you mean {_MEANT[name]}?)" if name in _MEANT else did_you_mean(name, [*known, *others])
-            hint = f", but of {' and '.join(having)}" if having else near
+            hint = f", but of {' and '.join(having)}" if having else did_you_mean(name, [*known, *others])
             raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(known) or 'none'}")
     return replace(choice, **options)
 

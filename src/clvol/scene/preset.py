@@ -211,6 +211,8 @@ class Preset:
             if clim is not None:
                 given = (clim[0] + clim[1]) / 2, clim[1] - clim[0]
                 raise OptionError(f"window must not be given for the preset 'labels', whose colours are one for each; got {given}")
+            if not volume.is_labels:
+                warn("preset 'labels' is for labels, and the samples look like none: each is taken for the label nearest to it")
             return of_labels(volume)
         colors = self.colors
         if not colors:
@@ -223,7 +225,16 @@ class Preset:
             return first + (last - first) * (point - low) / (high - low)
 
         ends = slice(None, None, 1 if first < last else -1)
-        return tuple((value(p), c) for p, c in colors)[ends], tuple((value(p), a) for p, a in self.opacities)[ends]
+        opacities = tuple((value(p), a) for p, a in self.opacities)[ends]
+        least, most = volume.value_range
+        at, seen = zip(*opacities, strict=True)
+        if clim is None and not np.interp([least, most, *np.clip(at, least, most)], at, seen).any():
+            shown = [p for p, a in opacities if a > 0]
+            warn(
+                f"preset {self.name!r} shows values from about {shown[0]:g} on, and samples are from {least:g} to {most:g}: "
+                "nothing is seen; window=(center, width) sets the range"
+            )
+        return tuple((value(p), c) for p, c in colors)[ends], opacities
 
     def span(self, volume: Volume) -> tuple[float, float]:
         """Its `clim` for a volume, in units of the data and in ascending order; warns as `points` does."""

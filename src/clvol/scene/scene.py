@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import instance
+from clvol.base.checks import if_image, instance
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
@@ -90,7 +90,7 @@ class Medium:
             instance("transfer", self.transfer, TransferFunction)
         instance("material", self.material, Material)
         if self.volume.ndim != 3:
-            raise OptionError(f"rendering takes a volume with 3 axes; got shape {self.volume.shape}")
+            raise OptionError(f"rendering takes a volume with 3 axes; got shape {self.volume.shape}{if_image(self.volume.shape)}")
         low, high = min(self.volume.spacing), max(self.volume.spacing)
         if high > _MAX_ANISOTROPY * low or not 1e-30 <= low <= high <= 1e30:
             raise GeometryError(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import itertools
 from collections.abc import Sequence
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,7 +31,7 @@ _DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # sign of y, and of z, 
 def image(picture: ArrayLike, caption: str = "") -> str:
     """A picture with a caption, as HTML."""
     data = base64.b64encode(to_png(picture)).decode("ascii")
-    words = escape(caption)
+    words = html.escape(caption)
     return (
         f'<figure style="margin:0"><img src="data:image/png;base64,{data}" alt="{words}">'
         f'<figcaption style="text-align:center;font-size:smaller">{words}</figcaption></figure>'

@@ -413,8 +413,10 @@ def _require_same(
         ("nan", function.missing.rule, nan is None or nan in (function.missing, function.missing.rule), nan),
     ):
         if not same:
+            name = getattr(given, "name", given)
+            other = f"another {what} of that name" if name == present else repr(name)
             raise OptionError(
-                f"the field was made with {what} {present!r}, which cannot be changed to {getattr(given, 'name', given)!r}; "
+                f"the field was made with {what} {present!r}, which cannot be changed to {other}; "
                 f"leave {what} out, or make another {type(function).__name__}"
             )
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from clvol.base.errors import OptionError
+from clvol.base.printable import printable
 from clvol.scene.camera import Camera
 from clvol.scene.light import Light, Material
 from clvol.scene.transfer import TransferFunction
@@ -191,10 +192,10 @@ def toml(resident: Resident, state: State, name: str, shown: PaneSize, size: tup
     command = ["clvol", "render", path, "-o", "picture.png"]
     for flag, value in flags.items():
         command += _flag(flag, value)
-    lines = [f"# {shlex.join(command)}"]
+    lines = [f"# {printable(shlex.join(command))}"]
     lines += [f"# (no flag says: {', '.join(unsaid)})"] if unsaid else []
     lines += ["", "[render]", *(f"{flag} = {_toml_value(value)}" for flag, value in flags.items())]
-    lines += ["", "[view]", f"state = {json.dumps(state.text())}"]
+    lines += ["", "[view]", f"state = {_toml_text(state.text())}"]
     return "\n".join(lines) + "\n"
 
 
@@ -291,7 +292,12 @@ def _toml_value(value: Any) -> str:
         return f"[{', '.join(map(_toml_value, value))}]"
     if isinstance(value, float):
         return repr(value)
-    return json.dumps(value)
+    return _toml_text(value) if isinstance(value, str) else json.dumps(value)
+
+
+def _toml_text(text: str) -> str:
+    """A text for TOML, whose escapes are those of JSON, but for halves of characters."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 # -- an address ----------------------------------------------------------------------------------------------

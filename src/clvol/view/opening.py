@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.base.checks import instance
+from clvol.base.checks import if_image, instance
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, OptionError
 from clvol.bricks.source import LazyVolume
@@ -70,7 +70,7 @@ def opened(
     else:
         volume = as_volume(scene if volumes is None else volumes.first)
     if volume.ndim != 3:
-        raise DataError(f"a view takes a volume of 3 axes [z, y, x]; got shape {volume.shape}")
+        raise DataError(f"a view takes a volume of 3 axes [z, y, x]; got shape {volume.shape}{if_image(volume.shape)}")
     if finer is not None and (bounds := finer.stored.bounds) is not None:  # so that bounds are used, and all sizes look the same
         options |= {name: options.get(name) or getattr(bounds, name) for name in ("filter", "boundary")}
     if volume.is_labels:  # whose colours depend on the labels that are resident

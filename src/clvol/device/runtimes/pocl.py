@@ -9,43 +9,35 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
-import platform
 import shutil
 import subprocess
+import sys
 import tempfile
-import time
 import warnings
 from pathlib import Path
 
 from clvol.base.errors import ClvolWarning, DeviceError
+from clvol.base.locked import locked_folder, remove_abandoned
 from clvol.device import cache
 from clvol.device.cache import Store
 
-try:
-    import fcntl
-except ImportError:  # Windows, for which there is no PoCL
-    fcntl = None  # type: ignore[assignment]
-
 __all__ = ["KernelCache", "open_cache"]
-
-_FORGOTTEN = 30 * 86400.0  # seconds after which the folder of another machine's process may be removed
-_TRIAL = 1 << 20  # bytes linked on trial before a kernel is built, which has some hundred thousand
 
 
 class KernelCache:
     """The store of built kernels, shared between processes, and the folder of this process in which PoCL builds.
 
     The folder is the value of ``POCL_CACHE_DIR`` when PoCL first looks for devices. It is removed when the process ends; the next
-    process removes the folder of one that was killed.
+    process removes the folder of one that was killed. `temporary`: a folder for it elsewhere, removed with it.
     """
 
-    def __init__(self, root: Path, *, temporary: bool = False) -> None:
+    def __init__(self, root: Path, *, temporary: Path | None = None) -> None:
         self.store = Store(root / "store")
-        running = root / "running"
+        running = (temporary or root) / "running"
         running.mkdir(parents=True, exist_ok=True)
-        _clear(running)
-        self.folder = _locked(running)
-        self._removed = root if temporary else self.folder
+        remove_abandoned(running)
+        self.folder, _ = locked_folder(running)
+        self._removed = temporary or self.folder
         self._process = os.getpid()
         atexit.register(self._close)
 
@@ -90,14 +82,14 @@ class KernelCache:
             with tempfile.TemporaryDirectory(dir=self.folder, prefix="trial-", ignore_cleanup_errors=True) as trial:
                 blob = Path(trial, "blob")
                 with blob.open("wb") as stream:
-                    stream.write(bytes(3 * _TRIAL))  # room for the linked file, too
-                    stream.truncate(_TRIAL)
+                    stream.write(bytes(cache.ROOM))
+                    stream.truncate(cache.ROOM // 3)
                 command = [linker, "-shared", "-o", f"{trial}/linked", "-b", "binary", str(blob)]
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     done = _run(command)
         except OSError as error:
             raise DeviceError(
-                f"kernels are built in {self.folder}, where there is no room for {3 * _TRIAL >> 20} MiB ({error.strerror}); "
+                f"kernels are built in {self.folder}, where there is no room for {cache.ROOM >> 20} MiB ({error.strerror}); "
                 "make room, or let POCL_CACHE_DIR name another folder"
             ) from error
         if done is None:
@@ -110,30 +102,40 @@ class KernelCache:
 def open_cache() -> KernelCache | None:
     """A cache where ``POCL_CACHE_DIR`` says, or in clvol's folder; None if PoCL is to keep nothing, or there is no PoCL.
 
-    `DeviceError` if not even a temporary folder can be written.
+    Kernels are built in a temporary folder where these are full. `DeviceError` if there is no room there either.
     """
-    if fcntl is None or os.environ.get("POCL_KERNEL_CACHE") == "0":
+    if sys.platform == "win32" or os.environ.get("POCL_KERNEL_CACHE") == "0":  # for Windows there is no PoCL
         return None
     given, ours = os.environ.get("POCL_CACHE_DIR"), cache.folder()
+    full: list[Path] = []
     for root in (Path(given) / "clvol" if given else None, ours / "kernels" if ours else None):
         if root is not None:
             fault = cache.fault(root)
-            if fault is None:
+            if fault is None and cache.has_room(root):
                 with contextlib.suppress(OSError):
                     return KernelCache(root)
-            elif given and root.parent == Path(given):
-                warnings.warn(
-                    f"POCL_CACHE_DIR names {given}, which cannot be written ({fault.strerror}); kernels are kept elsewhere",
-                    ClvolWarning,
-                    stacklevel=2,
-                )
+            full += [root] if fault is None else []
+            if given and root.parent == Path(given):
+                why = "whose disk is full" if fault is None else f"which cannot be written ({fault.strerror})"
+                _warn(f"POCL_CACHE_DIR names {given}, {why}; kernels are kept elsewhere")
     try:
-        return KernelCache(Path(tempfile.mkdtemp(prefix="clvol-kernels-")), temporary=True)
+        temporary = Path(tempfile.mkdtemp(prefix="clvol-kernels-"))
+        if cache.has_room(temporary):
+            if full:
+                _warn(f"the disk of {full[0]} is full: kernels are built in {temporary}, and not kept")
+            return KernelCache(full[0] if full else temporary, temporary=temporary)
+        temporary.rmdir()
+        places = " and ".join(str(place) for place in (*full, temporary.parent))
+        why = f"the disk of {places} is full (kernels take {cache.ROOM >> 20} MiB)"
     except OSError as error:
-        raise DeviceError(
-            f"no folder can be written to build kernels in, not even a temporary one ({error}); make room, or let "
-            "POCL_CACHE_DIR or TMPDIR name a folder"
-        ) from error
+        why = f"not even a temporary one ({error})"
+    raise DeviceError(
+        f"no folder can be written to build kernels in: {why}; make room, or let POCL_CACHE_DIR or TMPDIR name a folder"
+    )
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, ClvolWarning, stacklevel=3)
 
 
 def _run(command: list[str]) -> subprocess.CompletedProcess[bytes]:
@@ -141,29 +143,3 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[bytes]:
         return subprocess.run(command, capture_output=True, check=False, timeout=60)
     except OSError as error:
         raise DeviceError(f"PoCL needs the linker to finish a kernel, and {command[0]} cannot be run: {error}") from error
-
-
-def _locked(running: Path) -> Path:
-    """A new folder, locked until the process ends. Its name begins with the host's: locks may be invisible to other hosts."""
-    while True:
-        folder = Path(tempfile.mkdtemp(dir=running, prefix=f"{platform.node()}-"))
-        number = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o600)
-        with contextlib.suppress(OSError):  # on a file system without locks nobody else gets one either
-            fcntl.flock(number, fcntl.LOCK_EX)
-        if folder.exists():  # else another process removed it before it was locked
-            return folder
-        os.close(number)
-
-
-def _clear(running: Path) -> None:
-    """Remove the folders of processes that have ended."""
-    for lock in running.glob("*/lock"):
-        with contextlib.suppress(OSError):
-            if not lock.parent.name.startswith(f"{platform.node()}-") and time.time() - lock.stat().st_mtime < _FORGOTTEN:
-                continue
-            number = os.open(lock, os.O_RDWR)
-            try:
-                fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(lock.parent, ignore_errors=True)
-            finally:
-                os.close(number)

@@ -11,7 +11,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import as_path, flag, one_of, several, whole
+from clvol.base.checks import as_path, flag, if_image, one_of, several, whole
 from clvol.base.errors import DataError, MissingDependencyError, OptionError
 from clvol.base.files import require_suffix
 from clvol.base.rounding import wide
@@ -185,7 +185,7 @@ def _lazy(source: Any) -> LazyVolume:
         return LazyVolume(source)
     volume = as_volume(source)
     if volume.ndim != 3:
-        raise DataError(f"a pyramid is made of a volume with 3 axes; got shape {volume.shape}")
+        raise DataError(f"a pyramid is made of a volume with 3 axes; got shape {volume.shape}{if_image(volume.shape)}")
     known = ("spacing", "origin", "direction", "units", "space", "name", "color", "clim", "labels")
     return LazyVolume(volume.data, **{name: getattr(volume, name) for name in known})
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.errors import DataError, FormatError, MissingDependencyError
+from clvol.base.errors import ChunkError, DataError, FormatError, MissingDependencyError
 from clvol.base.units import METRES, in_one_unit, unit_name
 from clvol.bricks.sliced import FlatFile, Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
@@ -249,7 +249,7 @@ def _part_of(name: str, file: Any, image: Any, index: Index) -> Window:
             except MemoryError:
                 raise
             except Exception as error:
-                raise FormatError(
+                raise ChunkError(
                     f"cannot read {_damaged(name, array, image, index)}: it is damaged, its codec says: {error}"
                 ) from error
 

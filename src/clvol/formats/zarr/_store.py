@@ -10,7 +10,7 @@ from typing import Any
 
 from zarr.storage import FsspecStore, LocalStore, WrapperStore, ZipStore
 
-from clvol.base.errors import ClvolError, FormatError, MissingDependencyError
+from clvol.base.errors import ChunkError, ClvolError, FormatError, MissingDependencyError
 from clvol.formats.zarr.addresses import IN_EXTRA, name_of, said, shown, split_query
 from clvol.formats.zarr.files import Files, inside, is_metadata
 
@@ -50,7 +50,7 @@ class CheckedStore(WrapperStore[Any]):
                 self._require_fill(key)
             return None
         if not len(found):
-            raise FormatError(f"{self.name} must hold whole chunks; {key} is empty")
+            raise ChunkError(f"{self.name} must hold whole chunks; {key} is empty")
         if len(found) > _most(byte_range):  # the whole chunk, which would be decoded as a part
             raise FormatError(
                 f"cannot read a part of chunk {key} of {self.name}: the server answers with all of it, and shards need one "
@@ -68,7 +68,7 @@ class CheckedStore(WrapperStore[Any]):
             self.files.require_same(key)  # again: it may have vanished meanwhile
             self.files.require_never_there(key)
         if any(key.startswith(array) for array in self.required):
-            raise FormatError(f"{self.name} must hold all chunks of an array without a fill value; {key} is missing")
+            raise ChunkError(f"{self.name} must hold all chunks of an array without a fill value; {key} is missing")
 
 
 def open_store(source: Path | str, options: Mapping[str, Any] | None = None, watched: bool = False) -> tuple[CheckedStore, str]:

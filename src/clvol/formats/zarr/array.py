@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.errors import ClvolError, DataError, FormatError
+from clvol.base.errors import ChunkError, ClvolError, DataError, FormatError
 from clvol.bricks.sliced import FlatFile, Index, Window, said_of_file, said_of_folder
 from clvol.formats._files import bytes_at, chunks_in, damaged_chunk, sample_count, spans
 from clvol.formats.guarded.limits import announce, announce_parts
@@ -33,7 +33,12 @@ def loaded(source: str, array: Any, index: Index = ()) -> NDArray[Any]:
     taken = [len(range(n)[at]) if isinstance(at, slice) else 1 for n, at in zip(array.shape, index, strict=False)]
     counts = [*taken, *array.shape[len(taken) :]]
     announce_parts(source, sample_count([-(-n // m) for n, m in zip(counts, array.shards or array.chunks, strict=True)]))
-    return np.asarray(array[index])
+    try:
+        return np.asarray(array[index])
+    except (ClvolError, MemoryError):
+        raise
+    except Exception as error:
+        raise _damaged(source, array, index, error) from error
 
 
 def part_of(source: str, array: Any, index: Index = ()) -> Window:
@@ -80,8 +85,7 @@ class _Chunked:
         except (ClvolError, MemoryError):
             raise
         except Exception as error:
-            message = str(error) or type(error).__name__
-            raise FormatError(f"cannot read chunk {self._damaged(index)} of {self._source}: {message}") from error
+            raise _damaged(self._source, self._array, index, error) from error
         if self._store.missing != missing:  # all chunks are, of a store that has vanished
             self._require_the_same(now=True)
         return found
@@ -102,10 +106,7 @@ class _Chunked:
     @property
     def _metadata(self) -> str:
         """Key of the array's metadata."""
-        return self._key("zarr.json" if self._array.metadata.zarr_format == 3 else ".zarray")
-
-    def _key(self, name: str) -> str:
-        return f"{self._array.path}/{name}".lstrip("/")
+        return _key(self._array, "zarr.json" if self._array.metadata.zarr_format == 3 else ".zarray")
 
     def _require_the_same(self, *, now: bool = False) -> None:
         """Raise if the array's metadata have changed: checked at each read of a file, and now and then of a remote store."""
@@ -125,12 +126,6 @@ class _Chunked:
         if found.metadata != array.metadata:
             raise FormatError(f"{self._source} has changed since it was opened ({array.path or '.'}); open it again")
         self._asked = begun
-
-    def _damaged(self, index: Index) -> str:
-        """Key of the first chunk (or shard) at an index that cannot be read."""
-        array = self._array
-        at = damaged_chunk(array, index, array.shards or array.chunks)
-        return f"{array.path or '.'} (one of several)" if at is None else self._key(array.metadata.encode_chunk_key(at))
 
 
 class _Uncompressed(_Chunked):
@@ -156,19 +151,30 @@ class _Uncompressed(_Chunked):
         """Some samples of a chunk, or the fill value if it is missing."""
         array, files = self._array, self._store.files
         assert files is not None
-        key = self._key(array.metadata.encode_chunk_key(chunk))
+        key = _key(array, array.metadata.encode_chunk_key(chunk))
         files.require_same(key)
         file = files.root / key
         if not file.exists():
             files.require_same(key)  # again: it may have vanished meanwhile
             files.require_never_there(key)
             if array.metadata.fill_value is None:
-                raise FormatError(f"{self._source} must hold all chunks of an array without a fill value; {key} is missing")
+                raise ChunkError(f"{self._source} must hold all chunks of an array without a fill value; {key} is missing")
             return array.metadata.fill_value
         whole = sample_count(array.chunks) * array.dtype.itemsize
         if (found := file.stat().st_size) != whole:
-            raise FormatError(f"cannot read chunk {key} of {self._source}: it must have {whole} bytes; it has {found}")
+            raise ChunkError(f"cannot read chunk {key} of {self._source}: it must have {whole} bytes; it has {found}")
         return FlatFile(file, array.chunks, self._dtype, 0)(inside)
+
+
+def _key(array: Any, name: str) -> str:
+    return f"{array.path}/{name}".lstrip("/")
+
+
+def _damaged(source: str, array: Any, index: Index, error: Exception) -> ChunkError:
+    """The error that names the first chunk (or shard) at an index that cannot be read."""
+    at = damaged_chunk(array, index, array.shards or array.chunks)
+    name = f"{array.path or '.'} (one of several)" if at is None else _key(array, array.metadata.encode_chunk_key(at))
+    return ChunkError(f"cannot read chunk {name} of {source}: {str(error) or type(error).__name__}")
 
 
 def _uncompressed(array: Any) -> np.dtype[Any] | None:
