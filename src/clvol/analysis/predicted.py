@@ -37,6 +37,7 @@ from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.response import frequency_response
 from clvol.noise import Noise, colour_power
+from clvol.noise.kinds import of_blocks
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
@@ -46,6 +47,7 @@ _TAPERED = 8  # samples of the shortest axis that is tapered
 _LEVEL = 0.05  # of a jump; largest difference of its neighbours,
 _QUIET = 3.0  # plus this many standard deviations of the noise
 _STANDS_OUT = 30.0  # standard deviations: the least height of a jump
+_LOCAL = 5  # samples along each axis whose mean is the level of signal-dependent noise
 _NODES = 256  # frequencies in (0, pi), for quantities that are periodic and smooth
 _SLOW = 1e-3  # frequency at which a wave is a plane
 _ALIASES = 4  # on each side; those of a jump decrease at least with the cube of the frequency
@@ -219,7 +221,8 @@ def predict(
     parts = (samples - (low / 2 + high / 2)) / unit
     shape = parts.shape[1:]
     share = _noisy(samples, known)
-    variance = (known.sigma / unit) ** 2 * share
+    level, offset = _by_block(samples, known, unit)
+    variance = level * share
     del samples
     omega = [np.asarray(2 * np.pi * np.fft.fftfreq(n), np.float64) for n in shape]
     colours = known.colour[::-1]
@@ -241,7 +244,7 @@ def predict(
             steps[:, a] * _beyond(part) + tilts[:, a] * _on_slopes(part) for a, part in enumerate(along)
         )
         flattened = _flattened(along, volume.shape)
-        bias += flattened * slower
+        bias += flattened * slower + offset
         left = variance * math.prod(_gain(part, ratio) for part, ratio in zip(along, colours, strict=True))
         squares.append(unit**2 * (bias + left))
         slope, gain = np.full(bias.size, np.nan), math.nan
@@ -378,6 +381,33 @@ def _noisy(samples: Array, noise: Noise) -> Array:
         return np.ones(len(samples))
     weights = _taper(samples.shape[1:]) ** 2
     return np.asarray(((samples != noise.background) * weights).reshape(len(samples), -1).mean(1))
+
+
+def _by_block(samples: Array, noise: Noise, unit: float) -> tuple[Array, Array]:
+    """The variance of each block's noise, and the mean square of the distance of its mean from the truth; in squared units."""
+    nothing = np.zeros(len(samples))
+    if noise.kind == "uneven":
+        low = float(samples.min())
+        found = of_blocks(((samples - low) / unit).astype(np.float32))
+        return np.where(np.isnan(found), np.nanmean(found), found), nothing
+    if not noise.levels:
+        return nothing + (noise.sigma / unit) ** 2, nothing
+    at = samples
+    for axis in range(1, samples.ndim):
+        at = _mean_along(at, axis)
+    weights = _taper(samples.shape[1:]) ** 2
+    axes = tuple(range(1, samples.ndim))
+    variances, offsets = (np.interp(at, noise.levels, values) for values in (noise.variances, noise.offsets))
+    return (variances / unit**2 * weights).mean(axes), ((offsets / unit) ** 2 * weights).mean(axes)
+
+
+def _mean_along(array: Array, axis: int) -> Array:
+    """Means of `_LOCAL` samples along an axis, fewer at its ends."""
+    n = array.shape[axis]
+    sums = np.concatenate([np.zeros_like(np.take(array, [0], axis)), np.cumsum(array, axis)], axis)
+    first, last = (np.arange(n) - _LOCAL // 2).clip(0), (np.arange(n) + _LOCAL // 2 + 1).clip(None, n)
+    shape = [-1 if i == axis else 1 for i in range(array.ndim)]
+    return np.asarray((np.take(sums, last, axis) - np.take(sums, first, axis)) / (last - first).reshape(shape))
 
 
 def _steps(parts: Array, sigma: Array) -> Array:
