@@ -32,7 +32,7 @@ from clvol.analysis.comparison import EXACT_SINC, as_compared, settled_compared
 from clvol.analysis.table import Table, column
 from clvol.analysis.theory import error_kernel
 from clvol.base.arrays import Array
-from clvol.base.checks import enough_memory, number, whole
+from clvol.base.checks import enough_memory, number, warn, whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.response import frequency_response
@@ -46,7 +46,7 @@ _BLOCK = 16, 32  # fewest and most samples along each axis of a block, otherwise
 _TAPERED = 8  # samples of the shortest axis that is tapered
 _LEVEL = 0.05  # of a jump; largest difference of its neighbours,
 _QUIET = 3.0  # plus this many standard deviations of the noise
-_STANDS_OUT = 30.0  # standard deviations: the least height of a jump
+_STANDS_OUT = 12.0  # standard deviations: the least height of a jump
 _LOCAL = 5  # samples along each axis whose mean is the level of signal-dependent noise
 _NODES = 256  # frequencies in (0, pi), for quantities that are periodic and smooth
 _SLOW = 1e-3  # frequency at which a wave is a plane
@@ -108,6 +108,8 @@ class PredictedTable(Table[PredictedRow]):
         Number of blocks that the volume holds without overlap.
     seed : int
         Of the resampling.
+    doubt : str
+        Why the errors are uncertain (`Noise.doubt`); empty if they are not.
     """
 
     rows: InitVar[Iterable[PredictedRow]]
@@ -121,6 +123,7 @@ class PredictedTable(Table[PredictedRow]):
     jumps: float
     apart: int
     seed: int
+    doubt: str = ""
 
     def row(self, filter: str) -> PredictedRow:
         """The row of a filter; `OptionError` if it has none."""
@@ -221,9 +224,10 @@ def predict(
     parts = (samples - (low / 2 + high / 2)) / unit
     shape = parts.shape[1:]
     share = _noisy(samples, known)
-    level, offset = _by_block(samples, known, unit)
-    variance = level * share
+    variance, offset = _by_block(samples, known, unit, share)
     del samples
+    if known.doubt:
+        warn(f"the predicted errors are uncertain. The samples hold noise, and {known.doubt}")
     omega = [np.asarray(2 * np.pi * np.fft.fftfreq(n), np.float64) for n in shape]
     colours = known.colour[::-1]
     power, white, tilts = _spectra(parts)
@@ -276,6 +280,7 @@ def predict(
         jumps=min(1.0, float(steps.sum(1).mean()) / total) if total > 0 else 0.0,
         apart=min(len(parts), round(math.prod(n / m for n, m in zip(volume.shape, shape, strict=True)))),
         seed=seed,
+        doubt=known.doubt,
     )
 
 
@@ -383,19 +388,19 @@ def _noisy(samples: Array, noise: Noise) -> Array:
     return np.asarray(((samples != noise.background) * weights).reshape(len(samples), -1).mean(1))
 
 
-def _by_block(samples: Array, noise: Noise, unit: float) -> tuple[Array, Array]:
+def _by_block(samples: Array, noise: Noise, unit: float, share: Array) -> tuple[Array, Array]:
     """The variance of each block's noise, and the mean square of the distance of its mean from the truth; in squared units."""
     nothing = np.zeros(len(samples))
     if noise.kind == "uneven":
         low = float(samples.min())
         found = of_blocks(((samples - low) / unit).astype(np.float32))
-        return np.where(np.isnan(found), np.nanmean(found), found), nothing
+        return np.where(np.isnan(found), np.nanmean(found), found) * share, nothing
     if not noise.levels:
-        return nothing + (noise.sigma / unit) ** 2, nothing
+        return (noise.sigma / unit) ** 2 * share, nothing
     at = samples
     for axis in range(1, samples.ndim):
         at = _mean_along(at, axis)
-    weights = _taper(samples.shape[1:]) ** 2
+    weights = _taper(samples.shape[1:]) ** 2 * (1.0 if noise.background is None else samples != noise.background)
     axes = tuple(range(1, samples.ndim))
     variances, offsets = (np.interp(at, noise.levels, values) for values in (noise.variances, noise.offsets))
     return (variances / unit**2 * weights).mean(axes), ((offsets / unit) ** 2 * weights).mean(axes)

@@ -35,7 +35,7 @@ _LEVELS = 8  # classes of the local mean in which the variance is estimated
 _CONFIDENT = 4.0  # standard errors by which the variance of signal-dependent noise grows, at least
 _GROWS = 1.5  # factor by which it grows between the extreme classes, at least
 _COLOURED = 1.5  # ratio of the powers of two octaves above which noise is correlated
-_SIGNAL = 8.0  # ratio above which the lower octave shows the signal
+_SIGNAL = 8.0  # ratio above which the lower octave shows the signal, unless all cells are alike
 _CELLS_ENOUGH = 6  # cells that show how noise depends on the value
 _WHITE_SHARE = 0.05  # of the cells, at least, in white noise
 _SIMPLER = 1.25  # times the misfit of a more complicated model
@@ -45,11 +45,17 @@ _RAYLEIGH_LEAST, _RAYLEIGH_SURE = 1.15, 2.5  # the same, known from a fit; the m
 _ALIKE = 2.0  # ratio of the colours of cells
 _CLIPPED = 1.4  # times the misfit of a model without limits
 _BESIDE = 0.25  # standard deviations from a limit
-_SPIKE = 3  # times the samples beside a limit that are at it if it clips
-_AT_LIMIT = 0.002  # share of the samples at a limit, at least
+_COARSE = 0.3  # standard deviations; rounding to larger steps hides clipping
+_SPIKE = 1.5  # times the samples beside a limit that are at it if it clips
+_AT_LIMIT = 20  # samples at a limit, at least
+_SLIGHT = 1e-6  # variance over the squared range that cannot be seen
 _STRONG = 2.5  # colour from which noise cannot be told from detail
 _OUTLIER = 5.0  # standard deviations from the nearest neighbour
 _OUTLIERS = 0.1  # of the variance of the noise, from which they matter
+_CUBE = 4  # samples along each axis of a local mean
+_MARGIN = 0.1  # of the range of levels, beyond which a variance is extrapolated
+_LOST = 0.05  # share of the samples
+_EXTRAPOLATED = 0.2  # share of the variance that may be
 _TABLE = 129  # levels of `Noise.variances`
 _MANY = 20_000  # places from which correlation can be measured
 _FEWEST = 100  # places from which a variance can be estimated
@@ -62,7 +68,6 @@ _CUTS = 2.0  # `Noise.jump` from which a background cuts through objects
 _TAPER = 3  # power of the sine that is a block's taper: the higher, the less low frequencies leak to high ones
 _AVERAGED = 2, 4  # samples along an axis whose means show low frequencies, and lower ones
 _CELLS = 32  # of frequencies along an axis, about
-_OMEGA = np.linspace(0, np.pi, 65)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +138,7 @@ class Noise:
     levels: tuple[float, ...] = field(default=(), repr=False)
     variances: tuple[float, ...] = field(default=(), repr=False)
     offsets: tuple[float, ...] = field(default=(), repr=False)
+    rms: float = 0.0
     doubt: str = ""
     spectrum: Spectrum = field(default=None, compare=False, repr=False)  # type: ignore[assignment]  # `estimate` always sets it
 
@@ -192,13 +198,16 @@ def estimate(samples: NDArray[Any]) -> Noise:
         found = _found(blocks, background, zero, (values.astype(np.float64) - base, counts))
         kind = found.kind
     variance, colour, curve = found.variance, found.colour, found.curve
-    total = variance * math.prod(float(colour_power(ratio, _OMEGA).mean()) for ratio in colour)
+    total = variance * math.prod((1 + ratio) / 2 for ratio in colour)
     cells, part = _cells(blocks), variance * (1 - float(background.mean()))
+    if max(colour) > _SIGNAL:  # in doubt it is detail, which must not be smoothed away
+        colour = facts["colour"]
     for factor in _AVERAGED if part > 0 and len(blocks) > 1 else ():
         factors = [min(factor, max(n // _BLOCK[data.ndim], 1)) for n in data.shape]
         cells = _finer(cells, _averages(data, factors, low, high), factors, part, colour)
     spectrum = _spectrum(cells, part, colour)
-    facts |= {"gain": 0.0, "colour": colour[::-1], "spectrum": spectrum}
+    facts |= {"gain": 0.0, "colour": found.colour[::-1], "spectrum": spectrum}
+    facts["rms"] = float(math.sqrt(total) * unit)
     if curve is not None:
         at = np.linspace(curve.levels[0], curve.levels[-1], _TABLE)
         facts["gain"] = float(curve.slope * unit)
@@ -206,8 +215,9 @@ def estimate(samples: NDArray[Any]) -> Noise:
         facts["variances"] = tuple((curve(at) * float(unit) ** 2).tolist())
         facts["offsets"] = tuple((np.interp(at, curve.levels, curve.offsets) * float(unit)).tolist())
         total = curve.sigma**2 or total
-    if variance > 0:
-        facts["doubt"] = _doubt(found, blocks)
+    if variance > _SLIGHT:
+        lost = same & ((blocks == values[0] - values[most]) | (blocks == values[-1] - values[most]))
+        facts["doubt"] = _doubt(found, blocks, float(lost.mean()))
     return Noise(float(math.sqrt(total) * unit), kind, **facts)
 
 
@@ -429,6 +439,7 @@ class _Found:
     gain: float = 0.0
     curve: Curve | None = None
     places: int = 0  # white cells; 0 if there are too few
+    beyond: float = 0.0  # share of the variance at levels that no white cell has
 
 
 def _found(
@@ -496,7 +507,7 @@ def _found(
     plain = cells.white
     if len(plain.variance) >= max(_CELLS_ENOUGH, _WHITE_SHARE * len(cells.variance)):
         limits = _limits(*histogram, math.sqrt(float(plain.variance.max())))
-        return _by_value(plain, cells, mean, zero, limits, white)
+        return _by_value(plain, _local_means(blocks, background), mean, zero, limits, white)
     alike = cells.lower.size > 0 and len(cells.variance) >= _CELLS_ENOUGH and _alike(cells)
     if len(axes) > 1 and len(level) >= _MANY:
         for i, axis in enumerate(axes):
@@ -517,16 +528,19 @@ def _found(
 
 
 def _by_value(
-    plain: Cells, cells: Cells, mean: float, zero: float | None, limits: tuple[float, float], white: tuple[float, ...]
+    plain: Cells, levels: Array, mean: float, zero: float | None, limits: tuple[float, float], white: tuple[float, ...]
 ) -> _Found:
-    """The simplest model that holds in the white cells `plain`; `mean` is the variance of white noise."""
+    """The simplest model that holds in the white cells `plain`; `levels` are local means, `mean` the variance if white."""
     classes = classes_of(plain)
+    if not classes.level.size:
+        return _Found("white", mean, white)
     least, most = float(np.nanmin(plain.level)), float(np.nanmax(plain.level))
-    count = len(plain.variance)
+    count, margin = len(plain.variance), _MARGIN * (most - least)
 
     def of(kind: str, curve: Curve) -> _Found:
-        there = ~np.isnan(cells.square)
-        return _Found(kind, float(curve(cells.level[there]).mean()), white, curve.slope, curve, count)
+        variances = curve(levels)
+        beyond = variances[(levels < classes.level[0] - margin) | (levels > classes.level[-1] + margin)].sum() / variances.sum()
+        return _Found(kind, float(variances.mean()), white, curve.slope, curve, count, float(beyond))
 
     curves = [polynomial(classes, degree, least, most) for degree in range(3)]
     left = [curve.misfit(plain) for curve in curves]
@@ -536,8 +550,8 @@ def _by_value(
         if curve.misfit(plain) <= _CLIPPED * left[best]:
             return of("clipped", curve)
     if zero is not None and least - zero < _RAYLEIGH * math.sqrt(float(plain.variance.max())):
-        curve = magnitude(plain, zero)
-        away = float(np.quantile(plain.level.mean(1), 0.05)) - zero  # at least the mean of noise alone
+        away = float(np.quantile(plain.level.mean(1), 0.1)) - zero  # at least the mean of noise alone
+        curve = magnitude(plain, zero, away)
         if _RAYLEIGH_LEAST * curve.sigma < away < _RAYLEIGH_SURE * curve.sigma and curve.misfit(plain) <= _SIMPLER * left[best]:
             return of("magnitude", curve)
     if left[best] > _HOLDS:
@@ -547,22 +561,40 @@ def _by_value(
     return of("signal-dependent", replace(curves[best], slope=curves[1].slope))
 
 
+def _local_means(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> Array:
+    """Means of cubes of blocks without background."""
+    edges = [min(n, _CUBE) for n in blocks.shape[1:]]
+    shape = [len(blocks)]
+    for n, edge in zip(blocks.shape[1:], edges, strict=True):
+        shape += [n // edge, edge]
+    part = (slice(None), *(slice(n // e * e) for n, e in zip(blocks.shape[1:], edges, strict=True)))
+    inner = tuple(range(2, len(shape), 2))
+    means = blocks[part].reshape(shape).mean(inner, dtype=np.float64)
+    return np.asarray(means[~background[part].reshape(shape).any(inner)])
+
+
 def _limits(values: Array, counts: NDArray[np.int64], sigma: float) -> tuple[float, float]:
     """The least and the greatest value, infinite where noise is not clipped: far more samples have it than a value beside it."""
 
     def spike(away: Array, counts: NDArray[np.int64]) -> bool:
         step = float(away[1]) if len(away) > 1 else 0.0
+        if step > _COARSE * sigma:  # few counts
+            return False
         beside = int(counts[(away > 0) & (away <= max(step, _BESIDE * sigma))].sum())
-        return bool(counts[0] > max(_SPIKE * beside, _AT_LIMIT * counts.sum()))
+        return bool(counts[0] > max(_SPIKE * beside, _AT_LIMIT))
 
     low, high = float(values[0]), float(values[-1])
     return (low if spike(values - low, counts) else -math.inf, high if spike(high - values[::-1], counts[::-1]) else math.inf)
 
 
-def _doubt(found: _Found, blocks: NDArray[np.float32]) -> str:
-    """Why errors cannot be predicted from the noise; empty if they can."""
+def _doubt(found: _Found, blocks: NDArray[np.float32], lost: float) -> str:
+    """Why errors cannot be predicted from the noise; empty if they can. `lost` is the share of samples in regions at a limit."""
     if found.kind == "correlated" and max(found.colour) > _STRONG:
         return "neighbouring samples share their noise, which cannot be told from detail"
+    if found.kind == "clipped" and lost > _LOST:
+        return f"{lost:.0%} of them lie in regions that are clipped, so that what was there is lost"
+    if found.beyond > _EXTRAPOLATED:
+        return "it changes with the value, and many values have no even place that shows how much"
     variance = max(found.variance, 0.0 if found.curve is None else float(found.curve.variances.max()))
     axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= 3]
     inner = tuple(slice(1, -1) if axis in axes else slice(None) for axis in range(blocks.ndim))
@@ -584,8 +616,8 @@ def _doubt(found: _Found, blocks: NDArray[np.float32]) -> str:
 
 def _alike(cells: Cells) -> bool:
     """Whether all cells have the same colour, as noise has and detail has not."""
-    least, middle = np.quantile(cells.ratios.max(0), (0.05, 0.5))
-    return bool(middle < _ALIKE * least)
+    least, low, middle, high = np.quantile(cells.ratios, (0.05, 0.25, 0.5, 0.75))
+    return bool(middle < _ALIKE * least or high < _ALIKE * low)  # edges have less colour than noise, waves more
 
 
 def _line(levels: Array, variances: Array, counts: Array) -> tuple[float, float]:

@@ -7,8 +7,8 @@ over the value are compared by what they leave:
 
 - a polynomial of degree 0 (white noise), 1 (counts and a camera's noise), 2 (noise that is proportional to the value);
 - the magnitude of a complex value with white noise (Gudbjartsson and Patz, *The Rician distribution of noisy MRI data*, 1995),
-  whose mean exceeds the true value; inverted as by Koay and Basser (*Analytically exact correction scheme for signal extraction from
-  noisy magnitude MR signals*, 2006);
+  whose mean exceeds the true value; inverted as by Koay and Basser (*Analytically exact correction scheme for signal extraction
+  from noisy magnitude MR signals*, 2006);
 - white noise, clipped at a limit, which also changes the mean.
 
 If no model holds, the noise is *uneven*: its variance depends on the place.
@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from statistics import NormalDist
 
 import numpy as np
@@ -34,6 +34,9 @@ _WHITE = 1.6  # largest ratio of the powers of bands of a white cell, and its in
 _QUIET = 1e-3  # of the strongest noise; less counts as that much
 _TURNS = 12  # of reweighting
 _MOST = 6.0  # standard errors; larger residuals count as that much
+_AS_GOOD = 1.2  # times a misfit
+_SOME = 0.05  # of the cells
+_ALONE = 0.1  # relative difference from the mean of noise alone
 _NOTHING = 1e-30
 _CLOSE = 0.02  # relative error of a model, beside that of its data
 _CLASSES = 24
@@ -68,20 +71,25 @@ class Cells:
         """The relative standard error of a variance."""
         return error(self.square.shape[1])
 
-    @property
+    @cached_property
     def floor(self) -> float:
-        """A variance that is negligible beside those of other cells."""
-        return max(_QUIET * float(np.quantile(self.variance, 0.9)), _NOTHING)
+        """A variance that is negligible beside the noise of other cells."""
+        noise = self.variance[self._balanced(_NOTHING) & (self.variance > _NOTHING)]
+        many = len(noise) > _SOME * len(self.variance)  # edges are seldom white
+        return max(_QUIET * float(np.quantile(noise, 0.75)), _NOTHING) if many else _NOTHING
+
+    @cached_property
+    def is_white(self) -> NDArray[np.bool_]:
+        """Whether a cell has the same power in all bands, or neither noise nor detail."""
+        return self._balanced(self.floor)
 
     @property
     def ratios(self) -> Array:
-        """Of the lower bands' variances to the highest's, (axes, cells); about 1 where there is neither noise nor detail."""
-        return np.asarray((self.lower + self.floor) / (self.variance + self.floor))
+        """The largest ratio of a lower band's variance to the highest's."""
+        return np.asarray((self.lower / np.maximum(self.variance, _NOTHING)).max(0, initial=0))
 
-    @property
-    def is_white(self) -> NDArray[np.bool_]:
-        """Whether a cell has the same power in all bands."""
-        ratios = self.ratios
+    def _balanced(self, floor: float) -> NDArray[np.bool_]:
+        ratios = (self.lower + floor) / (self.variance + floor)
         return np.asarray((ratios.max(0, initial=0) < _WHITE) & (ratios.min(0, initial=np.inf) > 1 / _WHITE))
 
     @property
@@ -220,15 +228,21 @@ def polynomial(classes: Classes, degree: int, low: float, high: float) -> Curve:
     return Curve(at, values, np.zeros(_POINTS), slope=float(terms[1] / half) if degree == 1 else 0.0)
 
 
-def magnitude(cells: Cells, zero: float) -> Curve:
-    """The Rician noise that fits white cells best; `zero` is the level of magnitude 0."""
+def magnitude(cells: Cells, zero: float, least: float) -> Curve:
+    """The Rician noise that fits white cells best; `zero` is the level of magnitude 0, `least` the lowest magnitude.
+
+    If that is close to the mean of noise alone, it is a more accurate measure of σ than variances.
+    """
     mean, variance = _rician()
     true = np.linspace(0, _FAR, _CURVE)
 
     def at(sigma: float) -> Curve:
         return Curve(zero + sigma * mean, sigma**2 * variance, sigma * (mean - true), sigma)
 
-    return _fitted(at, cells)
+    best = _fitted(at, cells)
+    alone = at(least / mean[0])
+    near = abs(alone.sigma / best.sigma - 1) < _ALONE
+    return alone if near and alone.misfit(cells) < _AS_GOOD * best.misfit(cells) else best
 
 
 def clipped(cells: Cells, low: float, high: float) -> Curve:
