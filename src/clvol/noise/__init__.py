@@ -37,11 +37,15 @@ _GROWS = 1.5  # factor by which it grows between the extreme classes, at least
 _COLOURED = 1.5  # ratio of the powers of two octaves above which noise is correlated
 _SIGNAL = 8.0  # ratio above which the lower octave shows the signal, unless all cells are alike
 _CELLS_ENOUGH = 6  # cells that show how noise depends on the value
+_CELLS_ALIKE = 20  # cells whose colour is compared
+_CELLS_MANY = 48  # cells from which a model that hardly holds is trusted
 _WHITE_SHARE = 0.05  # of the cells, at least, in white noise
 _SIMPLER = 1.25  # times the misfit of a more complicated model
+_HARDLY = 1.5  # standard errors: misfit of a model that hardly holds
 _HOLDS = 2.0  # standard errors: misfit of a model that holds
 _RAYLEIGH = 4.0  # standard deviations from 0, within which magnitudes differ from white noise
 _RAYLEIGH_LEAST, _RAYLEIGH_SURE = 1.15, 2.5  # the same, known from a fit; the mean of noise alone is 1.25
+_COLOUR = 1.75  # median ratio of the bands of cells in correlated noise, at least
 _ALIKE = 2.0  # ratio of the colours of cells
 _CLIPPED = 1.4  # times the misfit of a model without limits
 _BESIDE = 0.25  # standard deviations from a limit
@@ -57,7 +61,7 @@ _MARGIN = 0.1  # of the range of levels, beyond which a variance is extrapolated
 _LOST = 0.05  # share of the samples
 _EXTRAPOLATED = 0.2  # share of the variance that may be
 _TABLE = 129  # levels of `Noise.variances`
-_MANY = 20_000  # places from which correlation can be measured
+_MANY = 20_000  # places from which correlation can be measured, unless all cells are alike
 _FEWEST = 100  # places from which a variance can be estimated
 _BACKGROUND = 0.05  # share of samples from which the most common value may be a background
 _EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
@@ -438,7 +442,6 @@ class _Found:
     colour: tuple[float, ...] = ()
     gain: float = 0.0
     curve: Curve | None = None
-    places: int = 0  # white cells; 0 if there are too few
     beyond: float = 0.0  # share of the variance at levels that no white cell has
 
 
@@ -505,11 +508,11 @@ def _found(
     if mean <= _NEGLIGIBLE:
         return _Found(colour=white)
     plain = cells.white
-    if len(plain.variance) >= max(_CELLS_ENOUGH, _WHITE_SHARE * len(cells.variance)):
+    alike = cells.lower.size > 0 and len(cells.variance) >= _CELLS_ALIKE and _alike(cells)
+    if not alike and len(plain.variance) >= max(_CELLS_ENOUGH, _WHITE_SHARE * len(cells.variance)):
         limits = _limits(*histogram, math.sqrt(float(plain.variance.max())))
         return _by_value(plain, _local_means(blocks, background), mean, zero, limits, white)
-    alike = cells.lower.size > 0 and len(cells.variance) >= _CELLS_ENOUGH and _alike(cells)
-    if len(axes) > 1 and len(level) >= _MANY:
+    if len(axes) > 1 and (alike or len(level) >= _MANY):
         for i, axis in enumerate(axes):
             lower = np.array([power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes])
             ratio = _middle(lower / np.maximum(variances, _FLAT**2), counts)
@@ -535,16 +538,19 @@ def _by_value(
     if not classes.level.size:
         return _Found("white", mean, white)
     least, most = float(np.nanmin(plain.level)), float(np.nanmax(plain.level))
-    count, margin = len(plain.variance), _MARGIN * (most - least)
+    margin = _MARGIN * (most - least)
 
     def of(kind: str, curve: Curve) -> _Found:
         variances = curve(levels)
         beyond = variances[(levels < classes.level[0] - margin) | (levels > classes.level[-1] + margin)].sum() / variances.sum()
-        return _Found(kind, float(variances.mean()), white, curve.slope, curve, count, float(beyond))
+        return _Found(
+            kind, float(variances.mean()), white, curve.slope, curve, max(float(beyond), float(few and kind == "signal-dependent"))
+        )
 
     curves = [polynomial(classes, degree, least, most) for degree in range(3)]
     left = [curve.misfit(plain) for curve in curves]
     best = next(degree for degree in range(3) if left[degree] <= _SIMPLER * min(left))
+    few = len(plain.variance) < _CELLS_MANY and left[best] > _HARDLY
     if np.isfinite(limits).any():
         curve = clipped(plain, *limits)
         if curve.misfit(plain) <= _CLIPPED * left[best]:
@@ -555,9 +561,9 @@ def _by_value(
         if _RAYLEIGH_LEAST * curve.sigma < away < _RAYLEIGH_SURE * curve.sigma and curve.misfit(plain) <= _SIMPLER * left[best]:
             return of("magnitude", curve)
     if left[best] > _HOLDS:
-        return _Found("uneven", float(plain.variance.mean()), white, places=count)
+        return _Found("uneven", float(plain.power.mean()), white, beyond=float(few))
     if best == 0:
-        return _Found("white", mean, white, places=count)
+        return _Found("white", mean, white)
     return of("signal-dependent", replace(curves[best], slope=curves[1].slope))
 
 
@@ -594,7 +600,7 @@ def _doubt(found: _Found, blocks: NDArray[np.float32], lost: float) -> str:
     if found.kind == "clipped" and lost > _LOST:
         return f"{lost:.0%} of them lie in regions that are clipped, so that what was there is lost"
     if found.beyond > _EXTRAPOLATED:
-        return "it changes with the value, and many values have no even place that shows how much"
+        return "its strength changes, and too few even places show how"
     variance = max(found.variance, 0.0 if found.curve is None else float(found.curve.variances.max()))
     axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= 3]
     inner = tuple(slice(1, -1) if axis in axes else slice(None) for axis in range(blocks.ndim))
@@ -615,9 +621,11 @@ def _doubt(found: _Found, blocks: NDArray[np.float32], lost: float) -> str:
 
 
 def _alike(cells: Cells) -> bool:
-    """Whether all cells have the same colour, as noise has and detail has not."""
+    """Whether all cells have the same colour, not white, as noise has and detail has not."""
     least, low, middle, high = np.quantile(cells.ratios, (0.05, 0.25, 0.5, 0.75))
-    return bool(middle < _ALIKE * least or high < _ALIKE * low)  # edges have less colour than noise, waves more
+    return bool(
+        middle > _COLOUR and (middle < _ALIKE * least or high < _ALIKE * low)
+    )  # edges have less colour than noise, waves more
 
 
 def _line(levels: Array, variances: Array, counts: Array) -> tuple[float, float]:

@@ -56,7 +56,9 @@ class Cells:
     square, level : ndarray, shape (cells, places)
         Squares in the band that is high along all axes, NaN where they are not used, and the samples' local means.
     variance : ndarray, shape (cells,)
-        From the median of the squares.
+        From the median of the squares, which ignores edges.
+    power : ndarray, shape (cells,)
+        The mean of the squares if it is the same in all bands, as of noise whose variance differs within a cell; else `variance`.
     lower : ndarray, shape (axes, cells)
         The same of the bands that are low along one axis.
     """
@@ -64,6 +66,7 @@ class Cells:
     square: Array
     level: Array
     variance: Array
+    power: Array
     lower: Array
 
     @property
@@ -74,29 +77,25 @@ class Cells:
     @cached_property
     def floor(self) -> float:
         """A variance that is negligible beside the noise of other cells."""
-        noise = self.variance[self._balanced(_NOTHING) & (self.variance > _NOTHING)]
+        noise = self.variance[_balanced(self.variance, self.lower, _NOTHING) & (self.variance > _NOTHING)]
         many = len(noise) > _SOME * len(self.variance)  # edges are seldom white
         return max(_QUIET * float(np.quantile(noise, 0.75)), _NOTHING) if many else _NOTHING
 
     @cached_property
     def is_white(self) -> NDArray[np.bool_]:
         """Whether a cell has the same power in all bands, or neither noise nor detail."""
-        return self._balanced(self.floor)
+        return _balanced(self.variance, self.lower, self.floor)
 
     @property
     def ratios(self) -> Array:
         """The largest ratio of a lower band's variance to the highest's."""
         return np.asarray((self.lower / np.maximum(self.variance, _NOTHING)).max(0, initial=0))
 
-    def _balanced(self, floor: float) -> NDArray[np.bool_]:
-        ratios = (self.lower + floor) / (self.variance + floor)
-        return np.asarray((ratios.max(0, initial=0) < _WHITE) & (ratios.min(0, initial=np.inf) > 1 / _WHITE))
-
     @property
     def white(self) -> Cells:
         """The white cells."""
         chosen = self.is_white
-        return Cells(self.square[chosen], self.level[chosen], self.variance[chosen], self.lower[:, chosen])
+        return Cells(self.square[chosen], self.level[chosen], self.variance[chosen], self.power[chosen], self.lower[:, chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +150,20 @@ def cells_of(split: dict[tuple[int, ...], NDArray[np.float32]], level: NDArray[n
         square = _divided(split[key], count)[enough].astype(np.float64) ** 2
         return np.asarray(np.where(there, square, np.nan))
 
-    def variance(square: Array) -> Array:
-        return np.asarray(np.nanmedian(square, 1)) / MEDIAN_SQUARE if square.size else np.zeros(0)
+    every = [squares(key) for key in (highest, *keys)]
+    if not len(there):
+        none = np.zeros(0)
+        return Cells(every[0], every[0], none, none, np.zeros((len(keys), 0)))
+    variances = np.array([np.nanmedian(square, 1) for square in every]) / MEDIAN_SQUARE
+    means = np.array([np.nanmean(square, 1) for square in every])
+    power = np.where(_balanced(means[0], means[1:], _NOTHING), means[0], variances[0])
+    return Cells(every[0], _divided(level, count)[enough].astype(np.float64), variances[0], power, variances[1:])
 
-    square = squares(highest)
-    lower = np.array([variance(squares(key)) for key in keys]).reshape(len(keys), -1)
-    return Cells(square, _divided(level, count)[enough].astype(np.float64), variance(square), lower)
+
+def _balanced(high: Array, lower: Array, floor: float) -> NDArray[np.bool_]:
+    """Whether bands have the same power, or less than `floor`."""
+    ratios = (lower + floor) / (high + floor)
+    return np.asarray((ratios.max(0, initial=0) < _WHITE) & (ratios.min(0, initial=np.inf) > 1 / _WHITE))
 
 
 def of_blocks(blocks: NDArray[np.float32]) -> Array:
@@ -167,7 +174,7 @@ def of_blocks(blocks: NDArray[np.float32]) -> Array:
     cells = cells_of(split, level, np.ones(level.shape, bool))
     owner = np.repeat(np.arange(len(blocks)), len(cells.variance) // len(blocks))[cells.is_white]
     count = np.bincount(owner, minlength=len(blocks))
-    total = np.bincount(owner, cells.variance[cells.is_white], len(blocks))
+    total = np.bincount(owner, cells.power[cells.is_white], len(blocks))
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
