@@ -110,7 +110,7 @@ def leave_out(
     if sigma is None:
         noise = volume.noise
         share = 1.0 if noise.background is None else 1 - noise.background_share
-        known = 0.0 if max(noise.colour, default=1.0) > 1 else noise.sigma * math.sqrt(share)
+        known = 0.0 if max(noise.colour, default=1.0) > 1 else noise.rms * math.sqrt(share)
     else:
         known = number("sigma", sigma, minimum=0)
     unit = max(abs(v) for v in volume.value_range) or 1.0  # so that no square overflows or underflows

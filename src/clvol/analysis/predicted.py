@@ -32,11 +32,12 @@ from clvol.analysis.comparison import EXACT_SINC, as_compared, settled_compared
 from clvol.analysis.table import Table, column
 from clvol.analysis.theory import error_kernel
 from clvol.base.arrays import Array
-from clvol.base.checks import enough_memory, number, whole
+from clvol.base.checks import enough_memory, number, warn, whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.response import frequency_response
 from clvol.noise import Noise, colour_power
+from clvol.noise.kinds import of_blocks
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
@@ -45,7 +46,8 @@ _BLOCK = 16, 32  # fewest and most samples along each axis of a block, otherwise
 _TAPERED = 8  # samples of the shortest axis that is tapered
 _LEVEL = 0.05  # of a jump; largest difference of its neighbours,
 _QUIET = 3.0  # plus this many standard deviations of the noise
-_STANDS_OUT = 30.0  # standard deviations: the least height of a jump
+_STANDS_OUT = 12.0  # standard deviations: the least height of a jump
+_LOCAL = 5  # samples along each axis whose mean is the level of signal-dependent noise
 _NODES = 256  # frequencies in (0, pi), for quantities that are periodic and smooth
 _SLOW = 1e-3  # frequency at which a wave is a plane
 _ALIASES = 4  # on each side; those of a jump decrease at least with the cube of the frequency
@@ -106,6 +108,8 @@ class PredictedTable(Table[PredictedRow]):
         Number of blocks that the volume holds without overlap.
     seed : int
         Of the resampling.
+    doubt : str
+        Why the errors are uncertain (`Noise.doubt`); empty if they are not.
     """
 
     rows: InitVar[Iterable[PredictedRow]]
@@ -119,6 +123,7 @@ class PredictedTable(Table[PredictedRow]):
     jumps: float
     apart: int
     seed: int
+    doubt: str = ""
 
     def row(self, filter: str) -> PredictedRow:
         """The row of a filter; `OptionError` if it has none."""
@@ -219,8 +224,10 @@ def predict(
     parts = (samples - (low / 2 + high / 2)) / unit
     shape = parts.shape[1:]
     share = _noisy(samples, known)
-    variance = (known.sigma / unit) ** 2 * share
+    variance, offset = _by_block(samples, known, unit, share)
     del samples
+    if known.doubt:
+        warn(f"the predicted errors are uncertain. The samples hold noise, and {known.doubt}")
     omega = [np.asarray(2 * np.pi * np.fft.fftfreq(n), np.float64) for n in shape]
     colours = known.colour[::-1]
     power, white, tilts = _spectra(parts)
@@ -241,7 +248,7 @@ def predict(
             steps[:, a] * _beyond(part) + tilts[:, a] * _on_slopes(part) for a, part in enumerate(along)
         )
         flattened = _flattened(along, volume.shape)
-        bias += flattened * slower
+        bias += flattened * slower + offset
         left = variance * math.prod(_gain(part, ratio) for part, ratio in zip(along, colours, strict=True))
         squares.append(unit**2 * (bias + left))
         slope, gain = np.full(bias.size, np.nan), math.nan
@@ -273,6 +280,7 @@ def predict(
         jumps=min(1.0, float(steps.sum(1).mean()) / total) if total > 0 else 0.0,
         apart=min(len(parts), round(math.prod(n / m for n, m in zip(volume.shape, shape, strict=True)))),
         seed=seed,
+        doubt=known.doubt,
     )
 
 
@@ -378,6 +386,33 @@ def _noisy(samples: Array, noise: Noise) -> Array:
         return np.ones(len(samples))
     weights = _taper(samples.shape[1:]) ** 2
     return np.asarray(((samples != noise.background) * weights).reshape(len(samples), -1).mean(1))
+
+
+def _by_block(samples: Array, noise: Noise, unit: float, share: Array) -> tuple[Array, Array]:
+    """The variance of each block's noise, and the mean square of the distance of its mean from the truth; in squared units."""
+    nothing = np.zeros(len(samples))
+    if noise.kind == "uneven":
+        low = float(samples.min())
+        found = of_blocks(((samples - low) / unit).astype(np.float32))
+        return np.where(np.isnan(found), np.nanmean(found), found) * share, nothing
+    if not noise.levels:
+        return (noise.sigma / unit) ** 2 * share, nothing
+    at = samples
+    for axis in range(1, samples.ndim):
+        at = _mean_along(at, axis)
+    weights = _taper(samples.shape[1:]) ** 2 * (1.0 if noise.background is None else samples != noise.background)
+    axes = tuple(range(1, samples.ndim))
+    variances, offsets = (np.interp(at, noise.levels, values) for values in (noise.variances, noise.offsets))
+    return (variances / unit**2 * weights).mean(axes), ((offsets / unit) ** 2 * weights).mean(axes)
+
+
+def _mean_along(array: Array, axis: int) -> Array:
+    """Means of `_LOCAL` samples along an axis, fewer at its ends."""
+    n = array.shape[axis]
+    sums = np.concatenate([np.zeros_like(np.take(array, [0], axis)), np.cumsum(array, axis)], axis)
+    first, last = (np.arange(n) - _LOCAL // 2).clip(0), (np.arange(n) + _LOCAL // 2 + 1).clip(None, n)
+    shape = [-1 if i == axis else 1 for i in range(array.ndim)]
+    return np.asarray((np.take(sums, last, axis) - np.take(sums, first, axis)) / (last - first).reshape(shape))
 
 
 def _steps(parts: Array, sigma: Array) -> Array:

@@ -26,6 +26,7 @@ from clvol.figures.style import require_matplotlib
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.march.options import PanelOptions
+from clvol.noise import Noise
 from clvol.reports import html, spectrum
 from clvol.reports.advice import ADVISED, Advice, advise, settled_once
 from clvol.reports.pictures import Cards, cards
@@ -171,7 +172,7 @@ def report(
     low, high = volume.value_range
     drawn = None
     if low < high:
-        best = next(row for row in chosen if row.name == advice.filter)
+        best = next((row for row in chosen if row.name == advice.filter), chosen[-1])  # differences need a reference
         drawn = cards(volume, chosen, best, pixels, rule, _FACTOR, on, part_of(progress, _SHARE, 0.97), {**options})
     made = Report(file, table, advice, left_out, turned)
     text = _page(name, volume, middle, made, spectrum.spectra(middle), drawn)
@@ -185,6 +186,21 @@ def report(
     return made
 
 
+def _in_words(noise: Noise) -> str:
+    """The kind of noise, its standard deviation and gain, and why nothing is predicted from it."""
+    if noise.sigma == 0:
+        return "none found"
+    kinds = {
+        "magnitude": "of magnitudes (Rician), standard deviation of the complex values' parts",
+        "clipped": "clipped, standard deviation before",
+        "uneven": "uneven from place to place, root mean square",
+        "signal-dependent": "signal-dependent, root mean square",
+    }
+    says = f"{kinds.get(noise.kind, f'{noise.kind}, standard deviation')} {noise.sigma:.3g}"
+    says += f", variance grows by {noise.gain:.3g} per unit of the value" if noise.gain else ""
+    return says + (f"; no error is predicted: {noise.doubt}" if noise.doubt else "")
+
+
 def _page(name: str, volume: Volume, middle: Volume, made: Report, found: spectrum.Spectra, drawn: Cards | None) -> str:
     """The page; `drawn` is None for constant data."""
     table, expected, noise = made.table, made.advice.expected, volume.noise
@@ -194,7 +210,7 @@ def _page(name: str, volume: Volume, middle: Volume, made: Report, found: spectr
         ("samples", " × ".join(map(str, volume.size)) + f", {volume.data.dtype}"),
         ("spacing", " × ".join(f"{s:.4g}" for s in volume.spacing) + f" {volume.units or ''}".rstrip()),
         ("range", f"{low:.6g} to {high:.6g}"),
-        ("noise", "none found" if noise.sigma == 0 else f"{noise.kind}, standard deviation {noise.sigma:.3g}"),
+        ("noise", _in_words(noise)),
         ("isovalue by default", f"{isovalue:.6g}, {reason}"),
         ("measured", f"{' × '.join(map(str, middle.size))} samples" + ("" if middle is volume else ", the middle of the volume")),
         ("every second sample", f"against {table.against}"),

@@ -55,7 +55,13 @@ _DETAIL = (  # share of the squared differences above half of Nyquist; at a step
 )
 _NOTHING = 0.1  # of the variance; less is within the uncertainty of the estimated noise
 _STEPS = 0.5  # share of the squared differences in jumps
-_KINDS = {"correlated": ", correlated from sample to sample", "signal-dependent": ", more where values are higher"}
+_KINDS = {
+    "correlated": ", correlated from sample to sample",
+    "signal-dependent": ", whose variance changes with the value",
+    "magnitude": " of magnitudes (Rician), which raises low values",
+    "clipped": ", clipped at a limit, which shifts values beside it",
+    "uneven": ", uneven from place to place",
+}
 
 
 @dataclass(frozen=True)
@@ -64,15 +70,15 @@ class Advice:
 
     Attributes
     ----------
-    filter : str
-        Name of the filter recommended.
+    filter : str or None
+        Name of the filter recommended; None if the noise cannot be told from detail.
     sentences : list of str
-        The recommendation first.
+        The recommendation first, or why there is none.
     expected : PredictedTable or None
-        The errors that it is based on; None for constant data and for labels.
+        The errors that it is based on; None for constant data, for labels, and without a recommendation.
     """
 
-    filter: str
+    filter: str | None
     sentences: list[str]
     expected: PredictedTable | None = None
 
@@ -119,6 +125,8 @@ def advise(
     known = volume.noise if noise is None else noise
     if isinstance(known, Noise) and known.kind == "labels" and "nearest" in by_name:
         return Advice("nearest", _labels(known))
+    if isinstance(known, Noise) and known.doubt:
+        return Advice(None, _silent(known))
     smooth = settled(PICTURE_FILTER, volume).name
     if isinstance(known, Noise) and known.kind == "rounded" and smooth in by_name:
         return Advice(smooth, _rounded(smooth, known))
@@ -176,6 +184,13 @@ def _rounded(smooth: str, noise: Noise) -> list[str]:
     ]
 
 
+def _silent(noise: Noise) -> list[str]:
+    return [
+        f"No filter is recommended: the samples hold noise, and {noise.doubt}.",
+        "Errors measured on the samples themselves count this noise as detail. If the noise is known, pass it as noise=.",
+    ]
+
+
 def _pure_noise(smooth: str, expected: PredictedTable) -> list[str]:
     left = _percent(expected.row(smooth).noise / expected.sigma)
     return [
@@ -189,7 +204,8 @@ def _noise(expected: PredictedTable, known: Noise | float, best: str, rows: dict
         return []
     kind = _KINDS.get(known.kind, "") if isinstance(known, Noise) else ""
     share = _percent(expected.sigma / span)
-    says = [f"The samples hold noise{kind}: its standard deviation is {expected.sigma:.3g}, {share} of their range."]
+    gain = f" (by {known.gain:.3g} per unit)" if isinstance(known, Noise) and known.gain else ""
+    says = [f"The samples hold noise{kind}{gain}: its standard deviation is {expected.sigma:.3g}, {share} of their range."]
     if expected.detail is None:
         says.append("It explains nearly all of the differences between neighbouring samples.")
     row = expected.row(best)

@@ -148,7 +148,7 @@ def _facts(facts: Sequence[tuple[str, str]]) -> str:
     return '<table class="facts">' + "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts) + "</table>"
 
 
-def _table(table: Table[Any], chosen: str, without: Sequence[str] = ()) -> str:
+def _table(table: Table[Any], chosen: str | None, without: Sequence[str] = ()) -> str:
     """Rows with readable numbers; columns that are empty in all rows are omitted."""
     header, *lines = table.texts()
     records = table.records()
@@ -182,7 +182,7 @@ class _Expected(PredictedRow):
     seconds: float | None = column("s / million", ".3g")
 
 
-def _expected(expected: PredictedTable, table: ErrorTable, chosen: str) -> str:
+def _expected(expected: PredictedTable, table: ErrorTable, chosen: str | None) -> str:
     measured = {row.filter: row for row in table}
     others = [{name: getattr(measured[row.filter], name) for name in ("overshoot", "seconds")} for row in expected]
     return _table(Table(_Expected(**vars(row), **other) for row, other in zip(expected, others, strict=True)), chosen)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ def measured(
 
     rows: list[Filter] = [settled(name, volume) for name in filters]
     noise = volume.noise
-    sigma = 0.0 if max(noise.colour, default=1.0) > 1 else noise.sigma
+    sigma = 0.0 if max(noise.colour, default=1.0) > 1 else noise.rms
     squares: list[dict[str, list[float]]] = [{axis: [] for axis in "xyz"} for _ in rows]
     used = 0
     for part in _blocks(volume):
@@ -80,10 +81,10 @@ def measured(
                     square[axis].append(error_along**2)
     if stop():
         return {}
-    try:
-        expected: list[float | None] = [row.rms for row in predict(volume, rows, blocks=_PREDICTED)]
-    except ClvolError:  # of volumes that are too small
-        expected = [None] * len(rows)
+    expected: list[float | None] = [None] * len(rows)
+    if not noise.doubt:
+        with suppress(ClvolError):  # of volumes that are too small
+            expected = [row.rms for row in predict(volume, rows, blocks=_PREDICTED)]
     low, high = volume.value_range
     span = (high - low) or 1.0
     measures = []

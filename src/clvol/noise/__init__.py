@@ -11,47 +11,57 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DataError
+from clvol.noise.kinds import Cells, Curve, cells_of, classes_of, clipped, magnitude, polynomial
+from clvol.noise.wavelet import HIGH, LOW, MEDIAN_SQUARE, Array, bands, error
 
 __all__ = ["MOST_LABELS", "Noise", "estimate"]
 
 MOST_LABELS = 256
 """Largest number of distinct values recognised as labels."""
 
-Array: TypeAlias = NDArray[np.float64]
-
 _SAMPLES = 1 << 20  # samples used; a larger volume contributes blocks
 _SHORT = 256  # longest cosine transform computed with a matrix, in samples
 _BLOCK = {2: 256, 3: 32}  # samples along each axis of a block
-# Daubechies' extremal phase wavelet with four vanishing moments (Ten Lectures on Wavelets, table 6.1): the low-pass
-_LOW = np.array(
-    [
-        0.2303778133088964,
-        0.7148465705529154,
-        0.6308807679298587,
-        -0.0279837694168599,
-        -0.1870348117190931,
-        0.0308413818355607,
-        0.0328830116668852,
-        -0.0105974017850690,
-    ]
-)
-_HIGH = _LOW[::-1] * (-1.0) ** np.arange(len(_LOW))
-_MEDIAN_SQUARE = 0.45493642311957283  # median square of a normal variable with variance 1
 _FLAT = 1e-6  # relative to the range of values: smaller band values are rounding of equal samples
 _NEGLIGIBLE = 1e-10  # variance over the squared range
 _LEVELS = 8  # classes of the local mean in which the variance is estimated
 _CONFIDENT = 4.0  # standard errors by which the variance of signal-dependent noise grows, at least
 _GROWS = 1.5  # factor by which it grows between the extreme classes, at least
 _COLOURED = 1.5  # ratio of the powers of two octaves above which noise is correlated
-_SIGNAL = 8.0  # ratio above which the lower octave shows the signal
-_MANY = 20_000  # places from which correlation can be measured
+_SIGNAL = 8.0  # ratio above which the lower octave shows the signal, unless all cells are alike
+_CELLS_ENOUGH = 6  # cells that show how noise depends on the value
+_CELLS_ALIKE = 20  # cells whose colour is compared
+_CELLS_MANY = 48  # cells from which a model that hardly holds is trusted
+_WHITE_SHARE = 0.05  # of the cells, at least, in white noise
+_SIMPLER = 1.25  # times the misfit of a more complicated model
+_HARDLY = 1.5  # standard errors: misfit of a model that hardly holds
+_HOLDS = 2.0  # standard errors: misfit of a model that holds
+_RAYLEIGH = 4.0  # standard deviations from 0, within which magnitudes differ from white noise
+_RAYLEIGH_LEAST, _RAYLEIGH_SURE = 1.15, 2.5  # the same, known from a fit; the mean of noise alone is 1.25
+_COLOUR = 1.75  # median ratio of the bands of cells in correlated noise, at least
+_ALIKE = 2.0  # ratio of the colours of cells
+_CLIPPED = 1.4  # times the misfit of a model without limits
+_BESIDE = 0.25  # standard deviations from a limit
+_COARSE = 0.3  # standard deviations; rounding to larger steps hides clipping
+_SPIKE = 1.5  # times the samples beside a limit that are at it if it clips
+_AT_LIMIT = 20  # samples at a limit, at least
+_SLIGHT = 1e-6  # variance over the squared range that cannot be seen
+_STRONG = 2.5  # colour from which noise cannot be told from detail
+_OUTLIER = 5.0  # standard deviations from the nearest neighbour
+_OUTLIERS = 0.1  # of the variance of the noise, from which they matter
+_CUBE = 4  # samples along each axis of a local mean
+_MARGIN = 0.1  # of the range of levels, beyond which a variance is extrapolated
+_LOST = 0.05  # share of the samples
+_EXTRAPOLATED = 0.2  # share of the variance that may be
+_TABLE = 129  # levels of `Noise.variances`
+_MANY = 20_000  # places from which correlation can be measured, unless all cells are alike
 _FEWEST = 100  # places from which a variance can be estimated
 _BACKGROUND = 0.05  # share of samples from which the most common value may be a background
 _EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
@@ -62,7 +72,6 @@ _CUTS = 2.0  # `Noise.jump` from which a background cuts through objects
 _TAPER = 3  # power of the sine that is a block's taper: the higher, the less low frequencies leak to high ones
 _AVERAGED = 2, 4  # samples along an axis whose means show low frequencies, and lower ones
 _CELLS = 32  # of frequencies along an axis, about
-_OMEGA = np.linspace(0, np.pi, 65)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +101,13 @@ class Noise:
     ----------
     sigma : float
         Standard deviation of additive noise, in units of the data: the root of the mean variance if it varies, without samples
-        of a `background`. Noise without power in the highest octave, as in a magnified scan, is not detected.
+        of a `background`; before it was clipped or its magnitude was taken. Noise without power in the highest octave, as in a
+        magnified scan, is not detected.
     kind : str
-        "none"; "white"; "correlated" along an axis (`colour`); "signal-dependent", if it grows with the value (`gain`), as for
-        counts; "binary", "labels" and "rounded", if few values fill regions without noise: neighbouring regions of rounded
-        data differ by one step, those of labels arbitrarily.
+        "none"; "white"; "correlated" along an axis (`colour`); "signal-dependent", if it changes with the value (`gain`), as for
+        counts; "magnitude" of complex values, as in MR (Rician); "clipped" at the least or the largest value; "uneven", if it
+        changes from place to place; "binary", "labels" and "rounded", if few values fill regions without noise: neighbouring
+        regions of rounded data differ by one step, those of labels arbitrarily.
     gain : float
         Slope of the variance over the value (for photon counts, the data's units per photon); 0 if none is detected.
     colour : tuple of float
@@ -128,6 +139,11 @@ class Noise:
     background_share: float = 0.0
     jump: float = 0.0
     clipped: tuple[float, float] = (0.0, 0.0)
+    levels: tuple[float, ...] = field(default=(), repr=False)
+    variances: tuple[float, ...] = field(default=(), repr=False)
+    offsets: tuple[float, ...] = field(default=(), repr=False)
+    rms: float = 0.0
+    doubt: str = ""
     spectrum: Spectrum = field(default=None, compare=False, repr=False)  # type: ignore[assignment]  # `estimate` always sets it
 
     @property
@@ -185,20 +201,35 @@ def estimate(samples: NDArray[Any], missing: NDArray[np.bool_] | None = None) ->
     if gone is not None:
         background |= gone
     even = float(same[~background].mean())
-    kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
+    kind, found = "none", _Found(colour=facts["colour"])
+    base = float(values[most])
     if len(values) <= MOST_LABELS and alone < _ALONE and _fill_regions(values - values[most], counts, blocks, same):
         kind = "binary" if len(values) == 2 else "rounded" if _by_steps(values - values[most], blocks) else "labels"
     elif even < _EVEN:
-        variance, gain, colour = _variance(blocks, background)
-        if variance > 0:
-            kind = "correlated" if max(colour) > 1 else "signal-dependent" if gain > 0 else "white"
-    total = variance * math.prod(float(colour_power(ratio, _OMEGA).mean()) for ratio in colour)
+        zero = float(-(np.longdouble(low) / unit)) - base if low >= 0 else None
+        found = _found(blocks, background, zero, (values.astype(np.float64) - base, counts))
+        kind = found.kind
+    variance, colour, curve = found.variance, found.colour, found.curve
+    total = variance * math.prod((1 + ratio) / 2 for ratio in colour)
     cells, part = _cells(blocks), variance * (1 - float(background.mean()))
+    if max(colour) > _SIGNAL:  # in doubt it is detail, which must not be smoothed away
+        colour = facts["colour"]
     for factor in _AVERAGED if part > 0 and len(blocks) > 1 else ():
         factors = [min(factor, max(n // _BLOCK[data.ndim], 1)) for n in data.shape]
         cells = _finer(cells, _averages(data, factors, low, high), factors, part, colour)
     spectrum = _spectrum(cells, part, colour)
-    facts |= {"gain": float(gain * unit), "colour": colour[::-1], "spectrum": spectrum}
+    facts |= {"gain": 0.0, "colour": found.colour[::-1], "spectrum": spectrum}
+    facts["rms"] = float(math.sqrt(total) * unit)
+    if curve is not None:
+        at = np.linspace(curve.levels[0], curve.levels[-1], _TABLE)
+        facts["gain"] = float(curve.slope * unit)
+        facts["levels"] = tuple((float(low) + (at + base) * float(unit)).tolist())
+        facts["variances"] = tuple((curve(at) * float(unit) ** 2).tolist())
+        facts["offsets"] = tuple((np.interp(at, curve.levels, curve.offsets) * float(unit)).tolist())
+        total = curve.sigma**2 or total
+    if variance > _SLIGHT:
+        lost = same & ((blocks == values[0] - values[most]) | (blocks == values[-1] - values[most]))
+        facts["doubt"] = _doubt(found, blocks, float(lost.mean()))
     return Noise(float(math.sqrt(total) * unit), kind, **facts)
 
 
@@ -413,27 +444,42 @@ def _by_steps(values: Array, blocks: NDArray[np.float32]) -> bool:
     return nexts >= (1 - _EDGES_BEYOND) * differs
 
 
-def _variance(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> tuple[float, float, tuple[float, ...]]:
-    """The mean variance of the noise in the highest octave, its slope over the value, and its colour along each axis.
+@dataclass(frozen=True)
+class _Found:
+    """Noise in units of the range: its kind, mean variance in the highest octave, colour along each axis, and `Curve`."""
 
-    0 if there are too few places to measure.
+    kind: str = "none"
+    variance: float = 0.0
+    colour: tuple[float, ...] = ()
+    gain: float = 0.0
+    curve: Curve | None = None
+    beyond: float = 0.0  # share of the variance at levels that no white cell has
+
+
+def _found(
+    blocks: NDArray[np.float32], background: NDArray[np.bool_], zero: float | None, histogram: tuple[Array, NDArray[np.int64]]
+) -> _Found:
+    """The noise of blocks; none if there are too few places to measure.
+
+    `zero` is the level of the value 0 if no sample is less; `histogram` has the distinct values and their counts.
     """
-    axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(_LOW)]
+    axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(LOW)]
     white = (1.0,) * (blocks.ndim - 1)
     if not axes:
-        return 0.0, 0.0, white
-    bands = _bands(blocks, axes)
+        return _Found(colour=white)
+    split = bands(blocks, axes)
     highest = (1,) * len(axes)
     lowest = (0,) * len(axes)
-    del bands[lowest]
+    del split[lowest]
     # the mean, with the weights of the squared high-pass
-    level = _bands(blocks, axes, (_HIGH**2,))[lowest]
-    used = np.logical_or.reduce([np.abs(band) > _FLAT for band in bands.values()])
+    level = bands(blocks, axes, (HIGH**2,))[lowest]
+    used = np.logical_or.reduce([np.abs(band) > _FLAT for band in split.values()])
     if background.any():  # exclude places that overlap a background, which has no noise
-        used &= _bands(background.astype(np.float32), axes, (np.ones(len(_LOW)),))[lowest] < 0.5
+        used &= bands(background.astype(np.float32), axes, (np.ones(len(LOW)),))[lowest] < 0.5
     if used.sum() < _FEWEST:
-        return 0.0, 0.0, white
-    squares = {key: band**2 for key, band in bands.items()}
+        return _Found(colour=white)
+    cells = cells_of(split, level, used)
+    squares = {key: band**2 for key, band in split.items()}
     around = np.sum(list(squares.values()), 0)  # power of all bands, then summed over neighbours
     for axis in axes:
         n = around.shape[axis]
@@ -451,10 +497,10 @@ def _variance(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> tup
         found = float(np.median(square[order[:count]]))
         while count >= 2 * _FEWEST:  # while this lowers the power significantly
             less = float(np.median(square[order[: count // 2]]))
-            if less > found * (1 - 2 * _error(count // 2)):
+            if less > found * (1 - 2 * error(count // 2)):
                 break
             found, count = less, count // 2
-        return found / _MEDIAN_SQUARE
+        return found / MEDIAN_SQUARE
 
     # classes of equal width in value, each with nearly constant variance
     least, most = np.quantile(level, (0.005, 0.995))
@@ -469,19 +515,128 @@ def _variance(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> tup
     variances = np.array([power(highest, places) for places in classes])
     counts = np.array([float(len(places)) for places in classes])
     levels = np.array([float(level[places].mean()) for places in classes])
-    mean, gain = _middle(variances, counts), 0.0
-    at, slope = _line(levels, variances, counts)
-    first, last = at + slope * levels[0], at + slope * levels[-1]
-    if last > _GROWS * first and last - first > _CONFIDENT * mean * _error(len(level) // (2 * len(classes))):
-        mean, gain = max(0.0, at + slope * float(blocks[~background].mean())), slope
-    colour = list(white)
-    if len(axes) > 1 and len(level) >= _MANY:
+    mean, colour = _middle(variances, counts), list(white)
+    if mean <= _NEGLIGIBLE:
+        return _Found(colour=white)
+    plain = cells.white
+    alike = cells.lower.size > 0 and len(cells.variance) >= _CELLS_ALIKE and _alike(cells)
+    if not alike and len(plain.variance) >= max(_CELLS_ENOUGH, _WHITE_SHARE * len(cells.variance)):
+        limits = _limits(*histogram, math.sqrt(float(plain.variance.max())))
+        return _by_value(plain, _local_means(blocks, background), mean, zero, limits, white)
+    if len(axes) > 1 and (alike or len(level) >= _MANY):
         for i, axis in enumerate(axes):
             lower = np.array([power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes])
             ratio = _middle(lower / np.maximum(variances, _FLAT**2), counts)
-            if _COLOURED < ratio < _SIGNAL:
+            if _COLOURED < ratio < (np.inf if alike else _SIGNAL):
                 colour[axis - 1] = ratio
-    return (mean, gain, tuple(colour)) if mean > _NEGLIGIBLE else (0.0, 0.0, white)
+    if max(colour) > 1:
+        return _Found("correlated", mean, tuple(colour))
+    at, slope = _line(levels, variances, counts)
+    first, last = at + slope * levels[0], at + slope * levels[-1]
+    if last > _GROWS * first and last - first > _CONFIDENT * mean * error(len(level) // (2 * len(classes))):
+        ends = np.array([float(blocks.min()), float(blocks.max())])
+        curve = Curve(ends, (at + slope * ends).clip(0), np.zeros(2), slope=slope)
+        mean = max(0.0, at + slope * float(blocks[~background].mean()))
+        return _Found("signal-dependent", mean, white, slope, curve)
+    return _Found("white", mean, white)
+
+
+def _by_value(
+    plain: Cells, levels: Array, mean: float, zero: float | None, limits: tuple[float, float], white: tuple[float, ...]
+) -> _Found:
+    """The simplest model that holds in the white cells `plain`; `levels` are local means, `mean` the variance if white."""
+    classes = classes_of(plain)
+    if not classes.level.size:
+        return _Found("white", mean, white)
+    least, most = float(np.nanmin(plain.level)), float(np.nanmax(plain.level))
+    margin = _MARGIN * (most - least)
+
+    def of(kind: str, curve: Curve) -> _Found:
+        variances = curve(levels)
+        beyond = variances[(levels < classes.level[0] - margin) | (levels > classes.level[-1] + margin)].sum() / variances.sum()
+        return _Found(
+            kind, float(variances.mean()), white, curve.slope, curve, max(float(beyond), float(few and kind == "signal-dependent"))
+        )
+
+    curves = [polynomial(classes, degree, least, most) for degree in range(3)]
+    left = [curve.misfit(plain) for curve in curves]
+    best = next(degree for degree in range(3) if left[degree] <= _SIMPLER * min(left))
+    few = len(plain.variance) < _CELLS_MANY and left[best] > _HARDLY
+    if np.isfinite(limits).any():
+        curve = clipped(plain, *limits)
+        if curve.misfit(plain) <= _CLIPPED * left[best]:
+            return of("clipped", curve)
+    if zero is not None and least - zero < _RAYLEIGH * math.sqrt(float(plain.variance.max())):
+        away = float(np.quantile(plain.level.mean(1), 0.1)) - zero  # at least the mean of noise alone
+        curve = magnitude(plain, zero, away)
+        if _RAYLEIGH_LEAST * curve.sigma < away < _RAYLEIGH_SURE * curve.sigma and curve.misfit(plain) <= _SIMPLER * left[best]:
+            return of("magnitude", curve)
+    if left[best] > _HOLDS:
+        return _Found("uneven", float(plain.power.mean()), white, beyond=float(few))
+    if best == 0:
+        return _Found("white", mean, white)
+    return of("signal-dependent", replace(curves[best], slope=curves[1].slope))
+
+
+def _local_means(blocks: NDArray[np.float32], background: NDArray[np.bool_]) -> Array:
+    """Means of cubes of blocks without background."""
+    edges = [min(n, _CUBE) for n in blocks.shape[1:]]
+    shape = [len(blocks)]
+    for n, edge in zip(blocks.shape[1:], edges, strict=True):
+        shape += [n // edge, edge]
+    part = (slice(None), *(slice(n // e * e) for n, e in zip(blocks.shape[1:], edges, strict=True)))
+    inner = tuple(range(2, len(shape), 2))
+    means = blocks[part].reshape(shape).mean(inner, dtype=np.float64)
+    return np.asarray(means[~background[part].reshape(shape).any(inner)])
+
+
+def _limits(values: Array, counts: NDArray[np.int64], sigma: float) -> tuple[float, float]:
+    """The least and the greatest value, infinite where noise is not clipped: far more samples have it than a value beside it."""
+
+    def spike(away: Array, counts: NDArray[np.int64]) -> bool:
+        step = float(away[1]) if len(away) > 1 else 0.0
+        if step > _COARSE * sigma:  # few counts
+            return False
+        beside = int(counts[(away > 0) & (away <= max(step, _BESIDE * sigma))].sum())
+        return bool(counts[0] > max(_SPIKE * beside, _AT_LIMIT))
+
+    low, high = float(values[0]), float(values[-1])
+    return (low if spike(values - low, counts) else -math.inf, high if spike(high - values[::-1], counts[::-1]) else math.inf)
+
+
+def _doubt(found: _Found, blocks: NDArray[np.float32], lost: float) -> str:
+    """Why errors cannot be predicted from the noise; empty if they can. `lost` is the share of samples in regions at a limit."""
+    if found.kind == "correlated" and max(found.colour) > _STRONG:
+        return "neighbouring samples share their noise, which cannot be told from detail"
+    if found.kind == "clipped" and lost > _LOST:
+        return f"{lost:.0%} of them lie in regions that are clipped, so that what was there is lost"
+    if found.beyond > _EXTRAPOLATED:
+        return "its strength changes, and too few even places show how"
+    variance = max(found.variance, 0.0 if found.curve is None else float(found.curve.variances.max()))
+    axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= 3]
+    inner = tuple(slice(1, -1) if axis in axes else slice(None) for axis in range(blocks.ndim))
+    middle = blocks[inner]
+    highest, lowest = np.full_like(middle, -np.inf), np.full_like(middle, np.inf)
+    for axis in axes:
+        for side in (slice(0, -2), slice(2, None)):
+            other = blocks[(*inner[:axis], side, *inner[axis + 1 :])]
+            np.maximum(highest, other, out=highest)
+            np.minimum(lowest, other, out=lowest)
+    beyond = np.maximum(middle - highest, lowest - middle)
+    outside = beyond[beyond > _OUTLIER * math.sqrt(variance)].astype(np.float64)
+    if float((outside**2).sum()) > _OUTLIERS * found.variance * middle.size:
+        return (
+            f"{outside.size / middle.size:.1%} of the samples are far from all their neighbours: remove them, as by a median filter"
+        )
+    return ""
+
+
+def _alike(cells: Cells) -> bool:
+    """Whether all cells have the same colour, not white, as noise has and detail has not."""
+    least, low, middle, high = np.quantile(cells.ratios, (0.05, 0.25, 0.5, 0.75))
+    return bool(
+        middle > _COLOUR and (middle < _ALIKE * least or high < _ALIKE * low)
+    )  # edges have less colour than noise, waves more
 
 
 def _line(levels: Array, variances: Array, counts: Array) -> tuple[float, float]:
@@ -504,30 +659,3 @@ def _middle(values: Array, weights: Array, low: float = 0.25, high: float = 0.75
     until = np.cumsum(shares)
     inner = (np.minimum(until, high) - np.maximum(until - shares, low)).clip(0)
     return float(inner @ values[order] / inner.sum())
-
-
-def _error(count: int) -> float:
-    """The relative standard error of a variance from the median of `count` squares of a normal variable."""
-    return 2.33 / math.sqrt(count)
-
-
-def _bands(
-    blocks: NDArray[np.float32], axes: list[int], filters: Sequence[Array] = (_LOW, _HIGH)
-) -> dict[tuple[int, ...], NDArray[np.float32]]:
-    """Filter and decimate blocks by 2 along each axis; a key has the index of the filter along each axis.
-
-    The edges of blocks are left out.
-    """
-    bands: dict[tuple[int, ...], NDArray[np.float32]] = {(): blocks}
-    for axis in axes:
-        count = (blocks.shape[axis] - len(_LOW)) // 2 + 1
-        split = {}
-        for key, band in bands.items():
-            shifted = [band[(slice(None),) * axis + (slice(j, j + 2 * count - 1, 2),)] for j in range(len(_LOW))]
-            for half, taps in enumerate(filters):
-                total = np.zeros_like(shifted[0])
-                for tap, samples in zip(taps, shifted, strict=True):
-                    total += np.float32(tap) * samples
-                split[(*key, half)] = total
-        bands = split
-    return bands
