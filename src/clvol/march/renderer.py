@@ -58,8 +58,8 @@ class Renderer:
     Parameters
     ----------
     scene : Scene, Medium, Volume, LazyVolume, Field, BrickedField or array-like, 3-D
-        What to draw. A Field's coefficients are used as they are, and stay when the renderer is closed. A LazyVolume is read by
-        bricks (`BrickedField`), and so is a volume whose coefficients do not fit on the device.
+        What to draw. A Field's coefficients are used as they are, and outlive the renderer. A LazyVolume is read by bricks
+        (`BrickedField`), and so is a volume whose coefficients do not fit on the device.
     filter, boundary : str, Filter, Boundary, optional
         How a volume is reconstructed between its samples; a medium, a scene or a field has its own. By default the boundary is
         "mirror" and the filter "bspline3(auto)", which smooths the noise that it finds; "bspline3" in modes that show extremes,
@@ -71,9 +71,8 @@ class Renderer:
     mask : array-like of bool, shape of the volume, optional
         True where a sample is missing, as where it is NaN or infinite. Missing samples are transparent: see the notes of `Missing`.
     cluster : distributed.Client, str or int, optional
-        Processes that draw together, by bricks: those of a dask client, of the scheduler at an address, or n processes of this
-        machine. Each reads some of the bricks from where the volume was opened, within `memory`; each uses a GPU of its own if
-        a host has several. A volume in memory is sent to them. A pickle holds the scheduler's address, or the number of processes.
+        Processes that draw together, by bricks: those of a dask client, of the scheduler at an address, or n of this machine.
+        Each reads bricks from where the volume was opened, within `memory`, and uses a GPU of its own if its host has several.
     merge : {"order", "tree"}
         How rays go through the bricks of a cluster. "order": front to back, from process to process; the picture is that of one
         process with the same bricks, bit for bit. "tree": through all at once, merged in pairs, which waits for nobody but cannot
@@ -86,7 +85,6 @@ class Renderer:
         or device than a field's beside the field; a field that is closed or of double precision.
     GeometryError
         The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples.
-        (Whether spacings that differ by less are too unequal depends on the view: see `render`.)
     DataError
         No sample is finite, or one of a LazyVolume is not; or one is too large: for float64, or a label by "nearest" for float32.
     DeviceError
@@ -107,10 +105,9 @@ class Renderer:
         cluster: ClusterLike | None = None,
         merge: Merge = "order",
     ) -> None:
-        if isinstance(scene, Source):
-            source = scene
-        else:
-            source = source_of(scene, filter, boundary, device, memory=memory, mask=mask, cluster=cluster, merge=merge)
+        source = scene
+        if not isinstance(source, Source):
+            source = source_of(source, filter, boundary, device, memory=memory, mask=mask, cluster=cluster, merge=merge)
         self._source, self._lease = source, source.lease
         self.scene: Scene = source.scene
         self.field: Field | BrickedField = source.field
@@ -239,8 +236,7 @@ class Renderer:
         GeometryError
             The camera stands on its target or further away than 10²⁰ mean spacings, `clip` is no box, or a picture spans more than
             2¹⁸ voxels from the volume's centre to its own corners (fov near 180°, zoom near 0, or very unequal spacings), where
-            float32 would miss the rays. It may span 16 times as many where rounding moves samples along their rays alone, as in a
-            volume that is thin along the view.
+            float32 would miss the rays; 16 times as many in a volume that is thin along the view.
         DeviceError
             The device failed, or cannot do what its `limits` ask for: images, or paired fetches from a sampler that interpolates.
         OutOfMemoryError
@@ -254,10 +250,9 @@ class Renderer:
 
         Notes
         -----
-        "uncertainty" bounds 95 % of the errors: it is 1.96 times the root of the expected mean square, from what the filter does
-        between samples and from the noise; `clvol.march.uncertainty` says how. It is to first order, and cannot know more than the
-        samples hold: it is too small where noise alone makes surfaces, where smoothing removed a detail, and where the samples
-        were too far apart to hold it.
+        "uncertainty" bounds 95 % of the errors: 1.96 times the root of the expected mean square, from what the filter does between
+        samples and from the noise (see `clvol.march.uncertainty`). It is of first order, and too small where noise alone makes
+        surfaces, and where smoothing or sparse samples lost a detail.
         """
         wanted = as_outputs(outputs)
         chosen = chosen_mode(mode, options, wanted)
