@@ -622,6 +622,18 @@ def test_a_scheduler_that_stops_during_a_picture(tmp_path: Any, how: str, volume
         scheduler.kill()  # so that leaving waits for nobody
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_a_scheduler_killed_between_pictures_is_one_error(tmp_path: Any, volume: Any, caplog: pytest.LogCaptureFixture) -> None:
+    with processes(tmp_path) as (address, (scheduler, _)):
+        with Renderer(volume, "linear", cluster=address) as renderer:
+            renderer.render(None, "mip", (16, 16))
+            scheduler.kill()
+            scheduler.wait()
+            with pytest.raises(ClusterError, match="is gone, or has dropped this work"):
+                renderer.render(None, "mip", (16, 16))
+    assert not [record for record in caplog.records if record.name == "distributed.client" and record.exc_info]
+
+
 def test_the_command_renders_by_a_cluster(cluster: Cluster, tmp_path: Any) -> None:
     command = ["render", "phantom:marschner-lobb:24", "--size", "48", "40", "--mode", "mip"]
     for name, options in (("a", ["--by-bricks"]), ("b", ["--scheduler", cluster.address])):

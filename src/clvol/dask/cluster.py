@@ -110,7 +110,10 @@ class Cluster:
         """Their addresses, sorted by host and port."""
         if self.client.status != "running":
             raise self._gone()
-        return tuple(sorted(self._census(), key=_host_and_port))
+        try:
+            return tuple(sorted(self._census(), key=_host_and_port))
+        except OSError as error:
+            raise self._gone() from error
 
     def local_ranks(self) -> dict[str, int]:
         """Each worker's index among those of its host, which chooses between the host's GPUs."""
@@ -276,9 +279,13 @@ def _identity(value: Any) -> Any:
 
 
 def _close(things: list[Any]) -> None:
+    log = logging.getLogger("distributed.client")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)  # an interrupted reconnection to a scheduler that is gone is logged with its tracebacks
     for thing in things:
         with contextlib.suppress(Exception):  # the other side may be gone
             thing.close()
+    log.setLevel(level)
 
 
 def _host_and_port(address: str) -> tuple[str, int]:
