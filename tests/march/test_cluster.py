@@ -624,13 +624,12 @@ def test_a_scheduler_that_stops_during_a_picture(tmp_path: Any, how: str, volume
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 def test_a_scheduler_killed_between_pictures_is_one_error(tmp_path: Any, volume: Any, caplog: pytest.LogCaptureFixture) -> None:
-    with processes(tmp_path) as (address, (scheduler, _)):
-        with Renderer(volume, "linear", cluster=address) as renderer:
+    with processes(tmp_path) as (address, (scheduler, _)), Renderer(volume, "linear", cluster=address) as renderer:
+        renderer.render(None, "mip", (16, 16))
+        scheduler.kill()
+        scheduler.wait()
+        with pytest.raises(ClusterError, match="is gone, or has dropped this work"):
             renderer.render(None, "mip", (16, 16))
-            scheduler.kill()
-            scheduler.wait()
-            with pytest.raises(ClusterError, match="is gone, or has dropped this work"):
-                renderer.render(None, "mip", (16, 16))
     assert not [record for record in caplog.records if record.name == "distributed.client" and record.exc_info]
 
 
