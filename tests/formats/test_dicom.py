@@ -152,6 +152,15 @@ def test_a_mosaic_without_its_header_is_refused(tmp_path: Path) -> None:
         read(tmp_path / "v.dcm")
 
 
+@pytest.mark.parametrize("name", ["0.dcm", "1.dcm"])
+def test_a_mosaic_that_does_not_divide_is_refused(name: str) -> None:
+    path = Path(pytest.importorskip("nibabel.nicom").__file__).parent / "tests" / "data" / name
+    if not path.exists():
+        pytest.skip("nibabel was installed without its test files")
+    with pytest.raises(FormatError, match=r"mosaic of 48 slices.* multiples of 7; it has 256 and 256"):
+        read(path)
+
+
 def test_geometry_is_that_of_dcm2niix(tmp_path: Path) -> None:
     nibabel, dcm2niix = pytest.importorskip("nibabel"), pytest.importorskip("dcm2niix")
     turn = [0.8, 0.6, 0, 0, 0, -1]
@@ -327,6 +336,39 @@ def test_a_film_has_times_not_slices(tmp_path: Path) -> None:
     assert (film.axes, film.shape, film.grid.header["time_step"]) == (("time",), (4, 1, *SHAPE), 69.47)
 
 
+def test_floating_samples_stay_floating(tmp_path: Path) -> None:
+    made = pydicom.dcmread(save(tmp_path / "v.dcm", np.zeros(SHAPE, np.uint16)))
+    for name in ("PixelData", "BitsStored", "HighBit", "PixelRepresentation"):
+        del made[name]
+    values = np.linspace(-3.5, 0.75, 12).reshape(SHAPE)
+    for dtype, element in (("f4", "FloatPixelData"), ("f8", "DoubleFloatPixelData")):
+        made.BitsAllocated = 8 * np.dtype(dtype).itemsize
+        setattr(made, element, values.astype(dtype).tobytes())
+        made.save_as(tmp_path / f"{dtype}.dcm")
+        volume = read(tmp_path / f"{dtype}.dcm")
+        np.testing.assert_array_equal(volume.data[0], values.astype(dtype))
+        assert volume.data.dtype == dtype
+        del made[element]
+
+
+def test_a_table_beside_a_slope_wraps_nothing(tmp_path: Path) -> None:
+    table = item(LUTDescriptor=[4, 0, 16], LUTData=np.array([10, 500, 30, 7], "<u2").tobytes(), ModalityLUTType="US")
+    save(tmp_path / "0.dcm", np.ones(SHAPE, np.uint16), ModalityLUTSequence=[table])
+    save(tmp_path / "1.dcm", np.full(SHAPE, 3000, np.uint16), ImagePositionPatient=[0, 0, 2], RescaleSlope=-1.5, RescaleIntercept=0)
+    assert read(tmp_path).data[:, 0, 0].tolist() == [500, -4500]
+
+
+def test_more_bits_than_the_header_says_wrap_nothing(tmp_path: Path) -> None:
+    """As JPEG 2000 decodes them; native samples are masked, as pydicom masks them."""
+    data = np.full((64, 64), 30000, np.uint16)
+    made = pydicom.dcmread(save(tmp_path / "v.dcm", data, RescaleSlope=1, RescaleIntercept=-1024))
+    made.compress("1.2.840.10008.1.2.5")
+    made.BitsStored, made.HighBit = 12, 11
+    made.save_as(tmp_path / "v.dcm")
+    expected = pixels.apply_modality_lut(pixels.pixel_array(pydicom.dcmread(tmp_path / "v.dcm")), made)
+    np.testing.assert_array_equal(read(tmp_path / "v.dcm").data[0], expected)
+
+
 # -- which frames make a volume ------------------------------------------------------------------------------------------
 
 
@@ -338,6 +380,8 @@ def test_a_film_has_times_not_slices(tmp_path: Path) -> None:
         ("AcquisitionNumber", (1, 2), "volume"),
         ("DiffusionBValue", (0.0, 1000.0), "volume"),
         ("TriggerTime", (10, 35), "time"),
+        ("FlipAngle", (5.0, 25.0), "volume"),
+        ("ContentTime", ("101500", "101530"), "time"),
         ("ImageType", (["ORIGINAL", "PRIMARY", "M"], ["ORIGINAL", "PRIMARY", "P"]), "volume"),
     ],
 )
@@ -354,7 +398,10 @@ def test_images_of_one_place_are_told_apart(tmp_path: Path, element: str, values
     every = read_all(tmp_path)
     assert every.axes == (axis,)
     np.testing.assert_array_equal(every, data.reshape(3, 2, *SHAPE).swapaxes(0, 1))
-    assert str(values[1][2] if element == "ImageType" else f"{values[1]:g}") in every.names[1]
+    assert (
+        str(values[1][2] if element == "ImageType" else f"{values[1]:g}" if isinstance(values[1], (int, float)) else values[1])
+        in every.names[1]
+    )
 
 
 @pytest.mark.filterwarnings("error::clvol.ClvolWarning")
@@ -398,6 +445,12 @@ def test_films_in_a_folder_are_not_jumbled(tmp_path: Path) -> None:
 
 
 # -- segmentations -------------------------------------------------------------------------------------------------------
+
+
+def test_segments_whose_frames_share_bytes(tmp_path: Path) -> None:
+    masks = np.random.default_rng(1).integers(0, 2, (3, 3, 5)).astype(np.uint8)
+    volume = read(segmentation(tmp_path / "v.dcm", masks, [0, 2, 4], [1, 1, 1]))
+    np.testing.assert_array_equal(volume.data, masks)
 
 
 def segmentation(path: Path, masks: np.ndarray, places: list[float], segments: list[int], kind: str = "BINARY") -> Path:

@@ -110,7 +110,9 @@ def test_meshes_are_rejected_with_a_route(tmp_path: Path) -> None:
 def test_image_data_in_hdf5(tmp_path: Path, suffix: str) -> None:
     """With its geometry, which would be lost if it were any HDF5."""
     pytest.importorskip("h5py")
-    from vtkmodules.vtkIOHDF import vtkHDFWriter
+    vtkHDFWriter = getattr(pytest.importorskip("vtkmodules.vtkIOHDF"), "vtkHDFWriter", None)
+    if vtkHDFWriter is None:
+        pytest.skip("VTK before 9.4 writes no such files")
 
     grid = image()
     grid.direction_matrix = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]

@@ -177,7 +177,8 @@ def _values_shown(
     estimated = some.shape != volume.shape and getattr(volume, "statistics", None) is None
     settled_mode = mode.settled(some)
     if settled_mode.surface is not None:
-        name, values, chosen = "isovalue", [settled_mode.surface], mode.surface is None
+        given = mode.surface is not None or getattr(mode, "isovalue", None) is not None  # such as "3sigma"
+        name, values, chosen = "isovalue", [settled_mode.surface], not given
     else:
         low, high = (transfer or settled_mode.transfer(some)).value_range
         name, values, chosen = "window", [(low + high) / 2, high - low], transfer is None

@@ -219,7 +219,8 @@ def chosen_mode(mode: str | Mode, options: Mapping[str, Any], outputs: Collectio
 
     `OptionError` names one that is unknown, or that changes nothing in these outputs.
     """
-    chosen = as_mode(mode, {name: value for name, value in options.items() if name not in KEYWORDS}, KEYWORDS)
+    of_mode = {name: value for name, value in options.items() if name not in KEYWORDS}
+    chosen = as_mode(mode, of_mode, (*KEYWORDS, *RendererOptions.__annotations__))
     reasons = unheard(chosen, options, outputs)
     require_heard(chosen, reasons, reasons)
     return chosen

@@ -227,7 +227,7 @@ def estimate(samples: NDArray[Any], missing: NDArray[np.bool_] | None = None) ->
         facts["variances"] = tuple((curve(at) * float(unit) ** 2).tolist())
         facts["offsets"] = tuple((np.interp(at, curve.levels, curve.offsets) * float(unit)).tolist())
         total = curve.sigma**2 or total
-    if variance > _SLIGHT:
+    if facts["rms"] > math.sqrt(_SLIGHT) * unit:  # of correlated noise little is in the highest octave
         lost = same & ((blocks == values[0] - values[most]) | (blocks == values[-1] - values[most]))
         facts["doubt"] = _doubt(found, blocks, float(lost.mean()))
     return Noise(float(math.sqrt(total) * unit), kind, **facts)

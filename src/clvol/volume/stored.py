@@ -77,13 +77,13 @@ class Stored:
             least, most = (int(v) for v in volume.limits)
             offset = float(_whole_offset(least, most, kind))
             if offset and beyond is not None:
-                offset = _with_exact(beyond, offset, kind)
+                offset = _with_exact(float(round(beyond)), offset, kind)
             return cls(offset) if offset and offset.is_integer() else AS_THEY_ARE
         low, high = (float(v) for v in volume.limits)
         start = _offset(low, high, kind) if movable else 0.0
         ends = [low - start, high - start]
-        if start and beyond is not None:
-            start = _with_exact(beyond, start, kind)
+        if movable and beyond is not None:
+            start = _with_exact(beyond, start, kind) if start else 0.0
             ends = [low - start, high - start, beyond - start]
         exponent = math.frexp(max(map(abs, ends)))[1]
         limits = _LIMITS[kind]

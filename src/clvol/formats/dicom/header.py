@@ -63,10 +63,16 @@ _KEYS = {
     "inversion time": ("InversionTimes", "InversionTime"),
     "b-value": ("DiffusionBValue",),
     "gradient": ("DiffusionGradientOrientation",),
+    "flip angle": ("FlipAngle",),
+    "repetition time": ("RepetitionTime",),
+    "kVp": ("KVP",),
+    "cardiac phase": ("NominalPercentageOfCardiacPhase",),
     "acquisition": ("AcquisitionNumber",),
+    "sequence": ("SequenceName", "PulseSequenceName"),
     "acquisition time": ("FrameAcquisitionDateTime", "AcquisitionDateTime", "AcquisitionTime"),
+    "content time": ("ContentTime",),
 }
-TIMES = ("time", "trigger time", "acquisition time")
+TIMES = ("time", "trigger time", "cardiac phase", "acquisition time", "content time")
 # Makers' own b-values: creator and element, PS3.15 E.3.10 and the makers' conformance statements.
 _B_VALUES = ((0x0019, "SIEMENS MR HEADER", 0x0C), (0x2001, "Philips Imaging DD 001", 0x03), (0x0043, "GEMS_PARM_01", 0x39))
 
@@ -334,16 +340,15 @@ def _tiles(header: Any, mosaic: Frame) -> list[Frame]:
     csa = csareader.get_csa_header(header) or {"tags": {}}
     count = csareader.get_n_mosaic(csa) if csa["tags"] else None
     normal = csareader.get_slice_normal(csa) if csa["tags"] else None
-    if (
-        not count
-        or normal is None
-        or not mosaic.position
-        or not mosaic.orientation
-        or not mosaic.pixels
-        or np.isnan(mosaic.between)
-    ):
+    placed = mosaic.position and mosaic.orientation and mosaic.pixels and not np.isnan(mosaic.between)
+    if not count or normal is None or not placed:
         raise FormatError(f"{mosaic.path} is a mosaic of slices, without the CSA header that says how many and where they lie")
     edge = int(np.ceil(np.sqrt(count)))
+    if mosaic.kind[0] % edge or mosaic.kind[1] % edge:
+        raise FormatError(
+            f"{mosaic.path} is a mosaic of {count} slices: its rows and columns must be multiples of {edge}; it has "
+            f"{mosaic.kind[0]} and {mosaic.kind[1]}"
+        )
     rows, columns = mosaic.kind[0] // edge, mosaic.kind[1] // edge
     # The position is that of a single picture of the mosaic's size around the centre of the slice (nibabel, "Siemens mosaic").
     shift = np.multiply((mosaic.kind[1] - columns, mosaic.kind[0] - rows), mosaic.pixels[::-1]) / 2

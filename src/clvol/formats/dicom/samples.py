@@ -31,8 +31,8 @@ _PIXELS = 0x7FE0  # group of the samples
 
 def samples_of(frames: Sequence[Frame]) -> NDArray[Any]:
     """The values of frames, [frame, y, x] or [frame, y, x, channel], each by its own scale, in a dtype that holds all."""
-    dtype = None if any(frame.dtype is None for frame in frames) else np.result_type(*{frame.dtype for frame in frames})
-    result = empty((0,), np.uint8)
+    known = {frame.dtype for frame in frames if frame.dtype is not None}
+    result: NDArray[Any] | None = None
     at: dict[tuple[Path, int], list[int]] = defaultdict(list)
     for n, frame in enumerate(frames):
         at[frame.path, frame.index].append(n)
@@ -41,10 +41,29 @@ def samples_of(frames: Sequence[Frame]) -> NDArray[Any]:
         for index, (stored, header) in zip(indices, decoded(path, indices), strict=True):
             for n in at[path, index]:
                 values = _values(frames[n], stored[frames[n].tile], header)
-                if not len(result):
-                    result = empty((len(frames), *values.shape), dtype or values.dtype)
+                if result is None:
+                    dtype = np.result_type(*known) if known else values.dtype
+                    result = empty((len(frames), *values.shape), dtype if _holds(dtype, values) else _smallest(values))
+                if not _holds(result.dtype, values):
+                    wider = empty(result.shape, np.result_type(result.dtype, _smallest(values)))
+                    np.copyto(wider, result)
+                    result = wider
                 result[n] = values
+    assert result is not None  # there are frames
     return result
+
+
+def _holds(dtype: np.dtype[Any], values: NDArray[Any]) -> bool:
+    """Whether a dtype holds values: headers may promise fewer bits than there are, and do not say what tables and floats hold."""
+    if dtype.kind in "iu" and values.dtype.kind in "iu":
+        return bool(np.iinfo(dtype).min <= values.min() and values.max() <= np.iinfo(dtype).max)
+    return np.can_cast(values.dtype, dtype) or dtype == np.float64
+
+
+def _smallest(values: NDArray[Any]) -> np.dtype[Any]:
+    if values.dtype.kind not in "iu":
+        return values.dtype
+    return np.result_type(np.min_scalar_type(int(values.min())), np.min_scalar_type(int(values.max())))
 
 
 def decoded(path: Path, indices: Sequence[int]) -> Iterator[tuple[NDArray[Any], Any]]:
@@ -62,6 +81,9 @@ def decoded(path: Path, indices: Sequence[int]) -> Iterator[tuple[NDArray[Any], 
                     f"{path.name} is damaged: its frames take {needed} bytes, it holds {found}, one frame more or several"
                 )
         frames = pydicom().pixels.iter_pixels(whole, indices=list(indices))
+        if whole.get("BitsAllocated") == 1 and whole.Rows * whole.Columns % 8:  # frames that share bytes: iter_pixels mistakes them
+            every = pydicom().pixels.pixel_array(whole).reshape(-1, whole.Rows, whole.Columns)
+            frames = (every[index] for index in indices)
         try:
             yield next(frames), whole
         except (RuntimeError, NotImplementedError):  # none of pydicom's decoders reads it
