@@ -112,7 +112,7 @@ CALLS: list[Callable[[Given], Any]] = [
     lambda g: clvol.save(np.zeros((4, 4, 9)), g.folder / "a.png"),
     # invalid samples
     lambda g: clvol.Field(HOLED, device=g.device),
-    lambda g: clvol.render(HOLED, device=g.device),
+    lambda g: clvol.render(np.full_like(DATA, np.nan), device=g.device),
     lambda g: clvol.prefilter(HOLED, device=g.device),
     lambda g: clvol.resize(HOLED, (4, 4, 4), order=3, device=g.device),
     lambda g: ndimage.spline_filter(HOLED, nan="error", device=g.device),

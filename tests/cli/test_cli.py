@@ -690,7 +690,10 @@ def test_missing_samples_of_a_store_are_rejected_or_filled(clvol_command: Comman
     data[5, 6, 7] = np.nan
     zarr.save("nan.zarr", data)
     own = ("render", "nan.zarr", "-o", "a.png", *SMALL, *options)
-    clvol_command(*own).fails(1, "NaN", "--fill-nan VALUE")
+    if options:  # by bricks; in memory they are transparent
+        clvol_command(*own).fails(1, "NaN", "--fill-nan VALUE")
+    else:
+        assert clvol_command(*own).code == 0
     assert clvol_command(*own, "--fill-nan", "0.5").code == 0
     assert clvol_command(*own, "--fill-nan", "smoothly").code == 0
 
@@ -1110,7 +1113,9 @@ def test_the_look_options_reach_render(clvol_command: Command) -> None:
 
 def test_errors_and_notes_name_the_shells_options(clvol_command: Command) -> None:
     np.save("gap.npy", np.array([[[1, np.nan, 3]]]))
-    clvol_command("render", "gap.npy", "-o", "a.png").fails(1, "clvol: samples must be finite", "with --fill-nan VALUE")
+    clvol_command("resample", "gap.npy", "-o", "a.npz", "--to-shape", "1", "1", "3").fails(
+        1, "clvol: samples must be finite", "with --fill-nan VALUE"
+    )
     np.zeros(24, np.uint8).tofile("a.raw")
     clvol_command("info", "a.raw").fails(1, "give --shape NZ NY NX and --dtype\n")
     for option, value, words in (

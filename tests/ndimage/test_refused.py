@@ -237,8 +237,11 @@ def test_shapes(name: str) -> None:
 
 def test_results_that_are_too_large() -> None:
     agree(OutOfMemoryError, "out of memory: a result of 10000000 × 10000000 samples", "affine_transform", A, EYE, 0, (10**7, 10**7))
-    agree(OutOfMemoryError, "the result must have a size that can be addressed", "affine_transform", A, EYE, 0, (10**12, 10**12))
-    agree(OutOfMemoryError, "the result must have a size that can be addressed", "zoom", A, 1e9)
+    for name, arguments in (("affine_transform", (A, EYE, 0, (10**12, 10**12))), ("zoom", (A, 1e9))):
+        ours, theirs = both(name, *arguments)
+        assert type(ours) is OutOfMemoryError
+        assert isinstance(theirs, (ValueError, MemoryError))
+        assert "the result must have a size that can be addressed; got " in str(ours)
 
 
 def test_coordinates() -> None:

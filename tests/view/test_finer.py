@@ -265,7 +265,7 @@ def test_an_intermediate_level_matches_the_copied_program(device: Device, monkey
         view.close()
 
 
-def test_the_resident_level_uses_the_filter_of_its_bounds(device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_resident_uses_the_filter_of_its_bounds(device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clvol.pyramid(Volume(noisy(64, 0)), tmp_path / "ball.zarr", filter="catmull-rom", boundary="wrap", chunks=16)
     lazy = clvol.open(tmp_path / "ball.zarr")
     with monkeypatch.context() as patch:

@@ -136,7 +136,8 @@ def _hidden_folder(target: Path) -> tuple[Path, int]:
 
 def _remove(folder: Path, number: int) -> None:
     os.close(number)  # Windows removes no open file
-    shutil.rmtree(folder, ignore_errors=True)
+    with contextlib.suppress(OSError):  # an interrupt between two steps makes rmtree close a folder twice
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _refuse_to_overwrite_anothers(data_file: Path, header: Path) -> None:

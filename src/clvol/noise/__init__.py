@@ -41,8 +41,9 @@ _CELLS_ALIKE = 20  # cells whose colour is compared
 _CELLS_MANY = 48  # cells from which a model that hardly holds is trusted
 _WHITE_SHARE = 0.05  # of the cells, at least, in white noise
 _SIMPLER = 1.25  # times the misfit of a more complicated model
-_HARDLY = 1.5  # standard errors: misfit of a model that hardly holds
-_HOLDS = 2.0  # standard errors: misfit of a model that holds
+_EDGES = 1.6  # likewise, of white noise: edges of bright parts raise their variance, by 1.5 at most; counts by 3 and more
+_HARDLY = 1.4  # standard errors: misfit of a model that hardly holds
+_HOLDS = 2.2  # standard errors: misfit of a model that holds
 _RAYLEIGH = 4.0  # standard deviations from 0, within which magnitudes differ from white noise
 _RAYLEIGH_LEAST, _RAYLEIGH_SURE = 1.15, 2.5  # the same, known from a fit; the mean of noise alone is 1.25
 _COLOUR = 1.75  # median ratio of the bands of cells in correlated noise, at least
@@ -515,14 +516,17 @@ def _found(
     variances = np.array([power(highest, places) for places in classes])
     counts = np.array([float(len(places)) for places in classes])
     levels = np.array([float(level[places].mean()) for places in classes])
-    mean, colour = _middle(variances, counts), list(white)
+    mean, colour, few_cells = _middle(variances, counts), list(white), 0.0
     if mean <= _NEGLIGIBLE:
         return _Found(colour=white)
     plain = cells.white
     alike = cells.lower.size > 0 and len(cells.variance) >= _CELLS_ALIKE and _alike(cells)
     if not alike and len(plain.variance) >= max(_CELLS_ENOUGH, _WHITE_SHARE * len(cells.variance)):
         limits = _limits(*histogram, math.sqrt(float(plain.variance.max())))
-        return _by_value(plain, _local_means(blocks, background), mean, zero, limits, white)
+        found = _by_value(plain, _local_means(blocks, background), mean, zero, limits, white)
+        if found.kind != "signal-dependent" or found.beyond < 1:
+            return found
+        few_cells = 1.0  # a model that hardly holds in few cells: that of values alone, in which edges count less, and a doubt
     if len(axes) > 1 and (alike or len(level) >= _MANY):
         for i, axis in enumerate(axes):
             lower = np.array([power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes])
@@ -537,7 +541,7 @@ def _found(
         ends = np.array([float(blocks.min()), float(blocks.max())])
         curve = Curve(ends, (at + slope * ends).clip(0), np.zeros(2), slope=slope)
         mean = max(0.0, at + slope * float(blocks[~background].mean()))
-        return _Found("signal-dependent", mean, white, slope, curve)
+        return _Found("signal-dependent", mean, white, slope, curve, few_cells)
     return _Found("white", mean, white)
 
 
@@ -560,7 +564,7 @@ def _by_value(
 
     curves = [polynomial(classes, degree, least, most) for degree in range(3)]
     left = [curve.misfit(plain) for curve in curves]
-    best = next(degree for degree in range(3) if left[degree] <= _SIMPLER * min(left))
+    best = next(degree for degree in range(3) if left[degree] <= (_SIMPLER if degree else _EDGES) * min(left))
     few = len(plain.variance) < _CELLS_MANY and left[best] > _HARDLY
     if np.isfinite(limits).any():
         curve = clipped(plain, *limits)
