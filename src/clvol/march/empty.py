@@ -75,7 +75,7 @@ def _unseen(look: ResolvedLook, limits: tuple[float, float] | None) -> str:
     if limits is not None and surface is not None and not limits[0] <= surface <= limits[1]:
         return f"nothing is seen: isovalue {surface:g} is outside the samples, which are from {limits[0]:g} to {limits[1]:g}"
     values = "" if limits is None else f", whose samples are from {limits[0]:g} to {limits[1]:g}"
-    return f"nothing is seen of the volume{values}: what the camera and the clip box leave of it looks like the background"
+    return f"nothing is seen of the volume{values}: all that the picture shows has the colour of the background"
 
 
 def _is_empty(look: ResolvedLook, rgba: NDArray[np.floating[Any]]) -> bool:

@@ -41,6 +41,7 @@ __all__ = ["COMPRESSORS", "VERSIONS", "pyramid"]
 
 VERSIONS = ("0.4", "0.5")
 COMPRESSORS = ("lz4", "zstd", "none")
+_STATISTICS = 128 << 20  # bytes that estimating the noise takes
 _SUFFIXES = (".zarr",)
 _CHUNK = 64
 _BLOCKS = 32  # blocks of bounds along an edge of a chunk
@@ -101,7 +102,7 @@ def pyramid(
         Of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
     memory : int, optional
         Bytes of memory beyond what Python takes. Default: 2 GiB or half of the memory available, whichever is less, but enough to
-        unpack a chunk of the source.
+        unpack a chunk of the source. Below some 200 MiB no statistics for automatic looks are stored.
     overwrite : bool
         Whether to replace what is at `path`, and what another unfinished call left beside it.
     device : Device, str or int, optional
@@ -563,7 +564,7 @@ class _Writing:
             own["direction"] = grid.direction.tolist()
         if grid.space:
             own["space"] = grid.space
-        if not plan.labels:
+        if not plan.labels and self._room >= _STATISTICS:
             own["statistics"] = Statistics.of(root["0"], ranges[0] or _range_of(root["0"])).json()
         own["levels"] = [self._level(root, number, found) for number, found in enumerate(ranges)]
         root.attrs.update(({"ome": ome} if plan.storage.version == "0.5" else ome) | {KEY: own})
