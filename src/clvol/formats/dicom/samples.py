@@ -33,13 +33,13 @@ def samples_of(frames: Sequence[Frame]) -> NDArray[Any]:
     """The values of frames, [frame, y, x] or [frame, y, x, channel], each by its own scale, in a dtype that holds all."""
     known = {frame.dtype for frame in frames if frame.dtype is not None}
     result: NDArray[Any] | None = None
-    at: dict[tuple[Path, int], list[int]] = defaultdict(list)
+    places: dict[Path, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
     for n, frame in enumerate(frames):
-        at[frame.path, frame.index].append(n)
-    for path in dict.fromkeys(frame.path for frame in frames):
-        indices = sorted(index for one, index in at if one == path)
+        places[frame.path][frame.index].append(n)
+    for path, at in places.items():
+        indices = sorted(at)
         for index, (stored, header) in zip(indices, decoded(path, indices), strict=True):
-            for n in at[path, index]:
+            for n in at[index]:
                 values = _values(frames[n], stored[frames[n].tile], header)
                 if result is None:
                     dtype = np.result_type(*known) if known else values.dtype
