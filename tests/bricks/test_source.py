@@ -6,6 +6,7 @@ import itertools
 import os
 import pickle
 import shutil
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 
 import clvol
 from clvol import LazyVolume
-from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
+from clvol.base.errors import ClvolError, ClvolWarning, DataError, FormatError, OptionError
 from clvol.bricks.sliced import MappedFile
 from clvol.bricks.source import known_of
 from clvol.device import Device
@@ -356,3 +357,25 @@ def test_empty_chunks_count_as_none() -> None:
     volume = clvol.LazyVolume(Odd(data), limits=(0, 1), labels=False)
     assert volume.chunks is None
     np.testing.assert_array_equal(clvol.resample(volume, (9, 9, 9), filter="linear").data, data)
+
+
+def test_many_damaged_chunks_are_replaced_and_each_is_named_once(tmp_path: Path) -> None:
+    """65 of them were an error despite `missing`, and one that was met in several parts was named in each."""
+    zarr = pytest.importorskip("zarr")
+    data = np.arange(20**3, dtype=np.uint16).reshape(20, 20, 20) + 1
+    zarr.create_array(tmp_path / "v.zarr", data=data, chunks=(4, 4, 4))
+    for chunk in (tmp_path / "v.zarr" / "c").glob("[0-3]/*/*"):
+        chunk.write_bytes(b"damaged")
+    for lazy in (clvol.open(tmp_path / "v.zarr", missing=7), LazyVolume(zarr.open_array(tmp_path / "v.zarr"), missing=7)):
+        with pytest.warns(ClvolWarning, match="c/3|cannot read"):
+            whole = lazy.whole().data
+        assert (whole[:16] == 7).all()
+        assert np.array_equal(whole[16:], data[16:])
+    with pytest.warns(ClvolWarning, match="99 more chunks"):
+        assert clvol.open(tmp_path / "v.zarr").limits == (data[16:].min(), data[16:].max())
+    lazy = clvol.open(tmp_path / "v.zarr", missing=7)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        lazy.read((0, 0, 12), (4, 4, 20))
+        lazy.read((0, 0, 12), (3, 2, 19))
+    assert len(found) == 1

@@ -1382,3 +1382,28 @@ def test_words_of_other_programs_stand_for_options_that_exist() -> None:
     assert ours <= flags | set(commands)
     assert checks.meant_by("iso", ["isovalue", "step"]) == "isovalue"
     assert checks.meant_by("iso", ["step"]) == ""
+
+
+def test_one_corrupt_chunk_leaves_the_others(clvol_command: Command) -> None:
+    """`info` and `render` of a small store stopped at it, with --clip and --fill-nan too; truth: the samples that were stored."""
+    z, y, x = np.ogrid[:96, :96, :96]
+    data = (1000 * np.exp(-((z - 48) ** 2 + (y - 48) ** 2 + (x - 48) ** 2) / 800)).astype(np.uint16)
+    zarr.create_array("v.zarr", data=data, chunks=(32, 32, 32))
+    Path("v.zarr/c/0/0/1").write_bytes(b"damaged")
+    about = clvol_command("info", "v.zarr", "--json").json
+    assert about["value_range"] == [0, int(data.max())]
+    assert len(about["damaged"]) == 1
+    assert "c/0/0/1" in about["damaged"][0]
+    assert "damaged: " in clvol_command("info", "v.zarr").out
+    seen = ("render", "v.zarr", *SMALL, "--mode", "mip", "-o", "v.png")
+    clipped = clvol_command(*seen, "--clip", "70", "70", "70", "95", "95", "95")
+    assert clipped.code == 0, clipped.err
+    assert clipped.err.count("c/0/0/1") == 1
+    assert iio.imread("v.png").max() > 0
+    filled = clvol_command(*seen, "--fill-nan", "0")
+    assert filled.code == 0, filled.err
+    assert filled.err.count("c/0/0/1") == 1
+    assert clvol_command("convert", "v.zarr", "-o", "v.npz", "--fill-nan", "0").code == 0
+    expected = data.copy()
+    expected[:32, :32, 32:64] = 0
+    assert np.array_equal(clvol.read("v.npz").data, expected)

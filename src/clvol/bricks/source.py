@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -54,14 +54,23 @@ Box: TypeAlias = tuple[slice, slice, slice]
 BUDGET = 2 << 30
 """Bytes that work by parts may take where nothing is said."""
 
-_Gaps: TypeAlias = list[tuple[Box, ChunkError]]
+
+class _Gap(NamedTuple):
+    """A place, in the part that is read, where a damaged chunk leaves samples out."""
+
+    place: Box
+    error: ChunkError
+    chunk: tuple[int, ...]
+
+
+_Gaps: TypeAlias = list[_Gap]
 
 _PREVIEWED = 1 << 21  # samples from which looks are decided, about
 _PART = 128  # samples along an edge of the part whose noise is estimated
 _CHUNKS_LOOKED_INTO = 6  # along an axis, where there is no smaller copy to look at
 _SMALL = 1 << 26  # samples of which all are looked at for their range
 _PIECE = 4 << 20  # bytes that are read at a time of what is looked at, unless a chunk has more
-_DAMAGED = 64  # chunks of which none can be read: then the error is not of a chunk
+_DAMAGED = 64  # chunks that a library cannot read: then the error is not of a chunk
 _ALONE = ("clvol", "h5py", "tensorstore", "zarr")  # whose arrays ask no cluster
 
 
@@ -211,7 +220,7 @@ class LazyVolume(_Placed):
         self.bounds = bounds
         self.statistics = statistics
         self.levels = tuple(levels)
-        self._damage: set[str] = set()
+        self._damage: dict[tuple[int, ...], str] = {}
         self._again: Callable[[], LazyVolume] | None = None
         self._for_tasks = False
         self._lock = threading.RLock()
@@ -405,6 +414,11 @@ class LazyVolume(_Placed):
         return bool(self._damage)
 
     @property
+    def damages(self) -> tuple[str, ...]:
+        """What is wrong with each damaged chunk that was met."""
+        return tuple(self._damage.values())
+
+    @property
     def noise(self) -> Noise:
         """Of all samples, if it is kept beside them, else of those in the middle; the spectrum is of the latter."""
         found = self.part().noise
@@ -444,8 +458,8 @@ def _filled_at(volume: LazyVolume, place: Box, error: ChunkError) -> NDArray[Any
         raise ChunkError(f"{error}: LazyVolume(..., missing=value) replaces them") from error
     part, gaps = _piecewise(volume, partial(_samples_at, volume), [place], place)
     _note(volume, gaps, f"{volume.missing:g} stands for their samples")
-    for gap, _ in gaps:
-        part[gap] = volume.missing
+    for gap in gaps:
+        part[gap.place] = volume.missing
     return part
 
 
@@ -538,7 +552,7 @@ def _intact(volume: LazyVolume, read: Callable[[Box], NDArray[Any]], box: Box, g
         samples = read(box)
     except ChunkError as error:
         lines = lines_of(volume.data)
-        if lines is None or len(gaps) == _DAMAGED:
+        if lines is None or _too_many(volume, gaps, error):
             raise
         cuts = [
             np.unique([one.start, one.stop, *line[(line > one.start) & (line < one.stop)]])
@@ -547,13 +561,24 @@ def _intact(volume: LazyVolume, read: Callable[[Box], NDArray[Any]], box: Box, g
         z, y, x = ([slice(int(a), int(b)) for a, b in itertools.pairwise(cut)] for cut in cuts)
         chunks = list(itertools.product(z, y, x))
         if len(chunks) == 1:
-            gaps.append((box, error))
+            gaps.append(_Gap(box, error, _chunk_at(lines, box)))
             return
     else:
         yield box, samples
         return
     for chunk in chunks:
         yield from _intact(volume, read, chunk, gaps)
+
+
+def _too_many(volume: LazyVolume, gaps: _Gaps, error: ChunkError) -> bool:
+    """Whether so many chunks fail, by what a library says, that its disk or server is out of reach; nothing stands for them."""
+    return len(gaps) >= _DAMAGED and volume.missing is None and not isinstance(error.__cause__, ClvolError)
+
+
+def _chunk_at(lines: Sequence[NDArray[np.int64]] | None, place: Box) -> tuple[int, ...]:
+    """The chunk of a place in it: its number along each axis."""
+    first = [one.start for one in place]
+    return tuple(first if lines is None else [int(np.searchsorted(a, n, "right")) - 1 for a, n in zip(lines, first, strict=True)])
 
 
 def _piecewise(
@@ -565,22 +590,22 @@ def _piecewise(
     for box in boxes:
         for part, samples in _intact(volume, read, box, gaps):
             data[_from(part, place)] = samples
-    return data, [(_from(gap, place), error) for gap, error in gaps]
+    return data, [gap._replace(place=_from(gap.place, place)) for gap in gaps]
 
 
 def _note(volume: LazyVolume, gaps: _Gaps, instead: str) -> None:
     """Warn of damaged chunks that were not met before."""
-    new = {str(error): error for _, error in gaps if str(error) not in volume._damage}
+    new = {gap.chunk: str(gap.error) for gap in gaps if gap.chunk not in volume._damage}
     volume._damage.update(new)
     if new:
         more = f", and {len(new) - 1} more chunks" if len(new) > 1 else ""
-        warn(f"{next(iter(new))}{more}; {instead}")
+        warn(f"{next(iter(new.values()))}{more}; {instead}")
 
 
 def _note_look(volume: LazyVolume, data: NDArray[Any], gaps: _Gaps) -> None:
     """The same for samples that are looked at; raise if there are none."""
-    if sum(data[gap].size for gap, _ in gaps) == data.size:
-        raise gaps[0][1]
+    if sum(data[gap.place].size for gap in gaps) == data.size:
+        raise gaps[0].error
     _note(volume, gaps, "until then what needs them is an error, and limits, noise and looks are those of the other samples")
 
 
@@ -597,8 +622,8 @@ def _bridged(data: NDArray[Any], gaps: _Gaps) -> NDArray[Any]:
     from scipy.ndimage import distance_transform_edt  # slow to import, and rarely needed
 
     missing = np.zeros(data.shape, bool)
-    for gap, _ in gaps:
-        missing[gap] = True
+    for gap in gaps:
+        missing[gap.place] = True
     return np.asarray(data[tuple(distance_transform_edt(missing, return_distances=False, return_indices=True))])
 
 
@@ -621,7 +646,7 @@ def _of_part(volume: LazyVolume, low: Sequence[int], high: Sequence[int]) -> Vol
     data, gaps = _piecewise(volume, volume.at, _pieces(volume, (z, y, x)), (z, y, x))
     _note_look(volume, data, gaps)
     kept = [slice(0, n) for n in data.shape]
-    for gap, _ in gaps:
+    for gap, *_ in gaps:
         if all(a.start < b.stop and b.start < a.stop for a, b in zip(gap, kept, strict=True)):
             sides = [
                 [*kept[:axis], side, *kept[axis + 1 :]]
@@ -630,7 +655,7 @@ def _of_part(volume: LazyVolume, low: Sequence[int], high: Sequence[int]) -> Vol
             ]
             kept = max(sides, key=lambda box: math.prod(max(0, one.stop - one.start) for one in box))
     if any(one.start >= one.stop for one in kept):
-        raise gaps[0][1]
+        raise gaps[0].error
     return replace(volume.grid, data=data[tuple(kept)])
 
 
@@ -650,13 +675,14 @@ def _thinned(volume: LazyVolume) -> Volume:
     data, gaps = np.empty([axis[-1] for axis in ends], volume.dtype), _Gaps()
     planes, rows, columns = ([slice(a, b) for a, b in itertools.pairwise(axis)] for axis in ends)
     for target, (z, y, x) in zip(itertools.product(planes, rows, columns), itertools.product(*runs[::-1]), strict=True):
+        place = slice(z[0], z[-1] + 1), slice(y[0], y[-1] + 1), slice(x[0], x[-1] + 1)
         try:
-            part = volume.read((x[0], y[0], z[0]), (x[-1] + 1, y[-1] + 1, z[-1] + 1))
+            part = volume.at(place)
             data[target] = part[:: z.step, :: y.step, :: x.step]
         except ChunkError as error:
-            if len(gaps) == _DAMAGED:
+            if _too_many(volume, gaps, error):
                 raise
-            gaps.append((target, error))
+            gaps.append(_Gap(target, error, _chunk_at(lines_of(volume.data), place)))
     _note_look(volume, data, gaps)
     spacing = tuple(s * step for s, step in zip(volume.spacing, steps, strict=True))
     first = volume.index_to_world([(step - 1) / 2 for step in steps])  # of the same domain

@@ -33,6 +33,7 @@ from clvol.cli.options import (
 )
 from clvol.cli.root import DATA, command
 from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
+from clvol.cli.words import in_the_shell
 from clvol.formats import WRITTEN, series_of
 from clvol.volume.histogram import isovalue_of
 from clvol.volume.smoothing import choose
@@ -72,8 +73,9 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
         if not remote:
             warnings.simplefilter("ignore", ClvolWarning)  # the result says what there is
         lazy = reader.by_parts(source, wanted)
-        known = _listed(lazy or reader.read(source), leading, json)
-    say(json, known | (levels_of(lazy, json) if lazy else {}))
+        volume = lazy or reader.intact(source)
+        known = _listed(volume, leading, json)
+    say(json, known | (levels_of(volume, json) if isinstance(volume, clvol.LazyVolume) else {}))
 
 
 def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: bool) -> dict[str, Any]:
@@ -98,6 +100,7 @@ def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: 
         **_range(volume, as_json),
         "clim": grid.clim if as_json else _clim_text(grid),
         "labels": _labels(middle) if as_json else _labels_text(middle),
+        **_damages(volume, as_json),
         "finite": finite if known else None if as_json else "",
         "bytes": grid.data.nbytes,
         "noise": noise.kind if noise else None,
@@ -129,6 +132,12 @@ def _range(volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, 
     if as_json:
         return {"value_range": [low, high]} | ({"value_range_estimated": True} if estimated else {})
     return {"value_range": range_text(low, high) + (" (estimated)" if estimated else "")}
+
+
+def _damages(volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
+    """What is wrong with chunks that could not be read, if there are any."""
+    found = [in_the_shell(text, ["info"]) for text in volume.damages] if isinstance(volume, clvol.LazyVolume) else []
+    return {"damaged": found if as_json else "; ".join(found)} if found else {}
 
 
 def _places(leading: Leading) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import CoercionError, Group, Parameter, Token
 
 import clvol
-from clvol.base.errors import OptionError
+from clvol.base.errors import ChunkError, OptionError
 from clvol.device import as_device
 from clvol.formats.opening import WholeOnlyError, opened_if
 from clvol.march.options import unheard
@@ -158,12 +158,22 @@ class Input:
 
     def read(self, source: str | Path) -> clvol.Volume:
         """The volume, or the chosen one of several."""
+        volume = self.intact(source)
+        return volume if isinstance(volume, clvol.Volume) else volume.whole()
+
+    def intact(self, source: str | Path) -> clvol.Volume | clvol.LazyVolume:
+        """As `read`; but what is at an address, or has damaged chunks, is opened: its other samples can be read."""
         self._require_one()
         if is_address(source):
-            return self._remote(source).whole()
+            return self._remote(source)
         if (phantom := self._phantom(source)) is not None:
             return phantom
-        return self._filled(clvol.read(source, **self._given()))
+        try:
+            return self._filled(clvol.read(source, **self._given()))
+        except ChunkError:
+            if isinstance(self.fill_nan, str):
+                raise
+            return self._opened(source)
 
     def open(self, source: str | Path) -> clvol.LazyVolume | clvol.Volume:
         """The volume, or the chosen one of several; no samples are read yet, if the file allows that."""

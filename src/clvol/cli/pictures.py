@@ -351,8 +351,10 @@ def _volume(
 
     lazy = reader.by_parts(source, wanted)
     if lazy is None:
-        volume = reader.read(source)
-        return as_lazy(volume) if by_bricks else volume
+        volume = reader.intact(source)
+        if isinstance(volume, clvol.Volume):
+            return as_lazy(volume) if by_bricks else volume
+        lazy = volume
     memory_for(lazy, memory)  # before it is looked at
     return lazy
 
