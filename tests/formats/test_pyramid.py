@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import itertools
 import json
 import math
@@ -906,3 +907,21 @@ def test_memory_stays_within_the_budget(tmp_path: Path, deep: int) -> None:
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     grown, budget = map(int, done.stdout.split())
     assert grown < budget
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_is_told_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """It said "[Errno 28] No space left on device" as the store's fault."""
+    from zarr.storage import LocalStore
+
+    set_chunk = LocalStore.set
+
+    async def full(self: Any, key: str, value: Any) -> None:
+        if "/c/" in key:
+            raise OSError(number, os.strerror(number))
+        await set_chunk(self, key, value)
+
+    monkeypatch.setattr(LocalStore, "set", full)
+    words = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the quota of the disk is used up"}[number]
+    with pytest.raises(FormatError, match=f"cannot write .*v.zarr: {words}"):
+        clvol.pyramid(scan(), tmp_path / "v.zarr")

@@ -15,7 +15,7 @@ from clvol.base.checks import as_path
 from clvol.base.errors import ClvolError, FormatError
 from clvol.base.locked import LOCK, locked_folder, remove_abandoned
 
-__all__ = ["MAX_HEADER", "require_folder", "require_suffix", "staged"]
+__all__ = ["MAX_HEADER", "full_disk", "require_folder", "require_suffix", "staged"]
 
 MAX_HEADER = 1 << 20
 """Largest text header, in bytes. No valid one is longer, and libraries overflow their stack on headers of megabytes."""
@@ -78,7 +78,7 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
         written.replace(target)
         _sync_folder(target.parent)
     except (OSError, ValueError) as error:
-        if full := _full(error, folder):
+        if full := full_disk(error, folder):
             raise FormatError(f"cannot write {path}: {full}") from error
         if isinstance(error, ClvolError):
             raise
@@ -87,7 +87,7 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
         _remove(folder, number)
 
 
-def _full(error: BaseException | None, folder: Path) -> str:
+def full_disk(error: BaseException | None, folder: Path) -> str:
     """In words that a disk is full, if that is why writing to a folder failed: not all libraries say so."""
     while error is not None and not (isinstance(error, OSError) and error.errno in _FULL):
         error = error.__cause__

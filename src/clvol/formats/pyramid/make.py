@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.checks import as_path, flag, if_image, one_of, several, whole
 from clvol.base.errors import DataError, MissingDependencyError, OptionError
-from clvol.base.files import require_suffix
+from clvol.base.files import full_disk, require_suffix
 from clvol.base.rounding import wide
 from clvol.base.units import ome_unit
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
@@ -165,7 +165,11 @@ def pyramid(
     plan = _Plan(row, rule, how, sizes, storage, bounds, as_device(device), labels)
     if plan.bounds:
         Bricks.edge_for(plan.filter, room)
-    with foreign_errors(f"write {path}"), Journal(target, plan.command(volume), flag("overwrite", overwrite)) as journal:
+
+    def why(error: Exception) -> str:
+        return full_disk(error, target.parent) or str(error)
+
+    with foreign_errors(f"write {path}", why), Journal(target, plan.command(volume), flag("overwrite", overwrite)) as journal:
         if not journal.finished:
             _Writing(volume, plan, journal, room, progress, cache).run()
             journal.complete()
