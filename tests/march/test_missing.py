@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import pickle
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import clvol
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
+from clvol.bricks.continued import continued as in_parts
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume
 from clvol.device import Device
@@ -279,12 +283,61 @@ def test_a_field_with_gaps_is_drawn_as_its_volume_is(device: Device) -> None:
     assert np.isnan(values).tolist() == [False, True]
 
 
-def test_a_lazy_volume_says_what_to_do(device: Device) -> None:
-    lazy = LazyVolume(holes().data)
-    with pytest.raises(DataError, match=r"missing=value.*a picture of volume.whole\(\) leaves them out"):
-        render(lazy, device=device)
+@pytest.mark.parametrize("mode", ["composite", "isosurface", "mip"])
+def test_a_lazy_volume_is_drawn_as_in_memory(mode: str, device: Device, tmp_path: Path) -> None:
+    """It was refused. Coefficients of bricks differ from those of the whole volume by 1e-6, as without missing samples."""
+    zarr = pytest.importorskip("zarr")
+    data = ball()
+    options = suited(mode, {**OPTIONS, "transfer": FULL, "isovalue": 16.0})
+    stored = LazyVolume(zarr.create_array(tmp_path / "v.zarr", data=data, chunks=(8, 8, 8)))
+    with (
+        Renderer(data, "bspline3", device=device) as renderer,
+        Renderer(stored, "bspline3", device=device) as whole,
+        BrickedField(in_parts(stored), "bspline3", device=device, edge=8) as field,
+        BrickedField(by_parts(Volume(data)), "bspline3", device=device, edge=8) as expected,
+        Renderer(field) as parts,
+        Renderer(expected) as filled,
+    ):
+        drawn = (one.render(CAMERA, mode, SIZE, 0.8, **options)["rgba"] for one in (renderer, whole, parts, filled))
+        want, got, bricks, same = drawn
+        points = np.random.default_rng(0).uniform(-1, 20, (2000, 3))
+        values = renderer.field(points)
+        for one in (field, expected, whole.field):  # the second gave extrapolated values
+            np.testing.assert_array_equal(np.isnan(one(points)), np.isnan(values))
+            np.testing.assert_allclose(one(points), values, atol=1e-4)
+        grid = clvol.resample(field, shape=(12, 12, 12)).data
+        np.testing.assert_array_equal(np.isnan(grid), np.isnan(clvol.resample(renderer.field, shape=(12, 12, 12)).data))
+    assert want[..., 3].max() > 0
+    assert 0 < np.isnan(values).sum() < len(values)
+    np.testing.assert_allclose(bricks, same, atol=1e-6)
+    np.testing.assert_allclose(got, want, atol=1e-4)
+    np.testing.assert_allclose(bricks, want, atol=1e-3)
+
+
+def test_each_size_of_a_lazy_volume_knows_where_it_lacks_samples(device: Device) -> None:
+    """Truth: each size in memory; automatic isovalue, window, camera and smoothing are those of the finest."""
+    data = ball()
+    coarse = LazyVolume(data[::2, ::2, ::2], (2, 2, 2))
+    lazy = LazyVolume(data, levels=[coarse])
+    again = pickle.loads(pickle.dumps(in_parts(lazy)))
+    want = render(data, size=(32, 32), device=device)
+    for volume in (lazy, again):
+        np.testing.assert_allclose(render(volume, size=(32, 32), lod=0, device=device), want, atol=1e-4)
+    options: dict[str, Any] = suited("mip", {**OPTIONS, "transfer": FULL, "outputs": "rgba"})
+    options |= {"filter": "linear", "device": device}
+    camera = Camera(position=(50, 35, 25), target=(11, 11, 11))
+    got = render(lazy, camera, "mip", SIZE, 0.1, lod=1, **options)
+    want = render(Volume(coarse.data, (2, 2, 2)), camera, "mip", SIZE, 0.1, **options)
+    shown, expected = (np.asarray(one)[..., 3] > 0 for one in (got, want))
+    assert expected.mean() > 0.1
+    assert (shown != expected).mean() < 0.01  # rays are sampled from the finest one's faces on
+
+
+def test_a_lazy_volume_says_what_it_does_not_do(device: Device) -> None:
     with pytest.raises(OptionError, match="mask takes a volume in memory; got a LazyVolume"):
-        render(lazy, mask=np.isnan(holes().data), device=device)
+        render(LazyVolume(holes().data), mask=np.isnan(holes().data), device=device)
+    with pytest.raises(DataError, match=r"missing=value"):
+        LazyVolume(np.full((4, 4, 4), np.nan)).whole()
 
 
 def test_slices_leave_missing_samples_out(device: Device) -> None:

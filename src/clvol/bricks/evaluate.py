@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,10 +136,25 @@ class ByBricks:
                     part = np.empty((len(some), results.shape[1]), np.float32)
                     sample_into(own.coefficients, DIRECT, local, part, move, derivative)
                     results[some] = part
+                    results[some[self._absent(places[some])]] = np.nan
                 if progress:
                     progress(last / len(wanted))
         finally:
             store.forget_ahead()
+
+    def _absent(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether places in one brick are missing, as in pictures."""
+        where = self._volume.where
+        if where is None:
+            return np.zeros(len(places), bool)
+        from scipy import ndimage
+
+        places = np.clip(places, 0, np.asarray(self._volume.size) - 1)
+        first, last = np.floor(places.min(0)).astype(int), np.ceil(places.max(0)).astype(int)
+        x, y, z = (slice(int(a), int(b) + 1) for a, b in zip(first, last, strict=True))
+        mask = where[z, y, x].astype(np.float32)
+        order: Literal[0, 1] = 0 if self._filter.support == 1 else 1
+        return np.asarray(ndimage.map_coordinates(mask, list((places - first).T[::-1]), order=order, mode="nearest") > 0.5)
 
     # -- on grids ----------------------------------------------------------------------------------------------------------
 
@@ -150,7 +165,7 @@ class ByBricks:
 
     def parts(self, target: Target) -> Iterator[Part]:
         """The parts of a grid, without anti-aliasing."""
-        if target.chain is None and no_shear(target.matrix, target.shape):
+        if target.chain is None and self._volume.where is None and no_shear(target.matrix, target.shape):
             yield from self._along_axes(target)
         else:
             yield from self._in_blocks(target)

@@ -28,6 +28,7 @@ from clvol.volume.gridded import Gridded
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
+    from clvol.bricks.continued import Absent
     from clvol.noise import Noise
     from clvol.volume.statistics import Statistics
 
@@ -158,7 +159,7 @@ class LazyVolume(_Placed):
         The smallest and the largest sample, if these are known. Otherwise they are estimated from what is looked at.
     missing : float, optional
         What stands for samples that are NaN or infinite, or of damaged chunks; without it these are an error once they are read. (A
-        picture of `whole` leaves NaN out.)
+        picture leaves NaN out, see `Missing`, if `preview` or `part` has some.)
     bounds : Bounds, optional
         Minima and maxima of the function, if they are kept beside the samples.
     statistics : Statistics, optional
@@ -189,7 +190,7 @@ class LazyVolume(_Placed):
 
     in_parts: ClassVar[bool] = True
     grid: Volume
-    where: NDArray[np.bool_] | None = None
+    where: NDArray[np.bool_] | Absent | None = None
     """Samples that pictures leave out: those that were missing before they were filled."""
 
     def __init__(
@@ -261,6 +262,15 @@ class LazyVolume(_Placed):
         made._limits = limits
         if made.grid.labels is None:
             made.grid = replace(made.grid, labels=labels)
+        return made
+
+    def in_place_of(
+        self, read: Callable[[LazyVolume], Sliced], where: Callable[[LazyVolume], Absent], again: Callable[[], LazyVolume] | None
+    ) -> LazyVolume:
+        """The same read another way, and so are its levels, with where each lacks samples; what is looked at stays."""
+        made = self.with_levels([level.in_place_of(read, where, None) for level in self.levels])
+        made.data, made.where, made._again = read(self), where(self), again
+        made._preview, made._part, made._limits = self.preview(), self.part(), self.limits
         return made
 
     def for_tasks(self) -> LazyVolume:
@@ -352,6 +362,10 @@ class LazyVolume(_Placed):
         except ChunkError as error:
             return _filled_at(self, place, error)
 
+    def as_is(self, place: Box) -> NDArray[Any]:
+        """As `at`, with NaN and infinities that nothing stands for."""
+        return self.at(place) if self.missing is not None else _samples_at(self, place, finite=False)
+
     # -- what is known of them -------------------------------------------------------------------------------------------
 
     def preview(self) -> Volume:
@@ -433,7 +447,7 @@ class LazyVolume(_Placed):
         raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
 
 
-def _samples_at(volume: LazyVolume, place: Box) -> NDArray[Any]:
+def _samples_at(volume: LazyVolume, place: Box, *, finite: bool = True) -> NDArray[Any]:
     """As `LazyVolume.at`, but nothing stands for damaged chunks."""
     z, y, x = place
     words = f"samples [{z.start}:{z.stop}, {y.start}:{y.stop}, {x.start}:{x.stop}] of {_title(volume)}"
@@ -449,7 +463,7 @@ def _samples_at(volume: LazyVolume, place: Box) -> NDArray[Any]:
         raise FormatError(
             f"cannot read {words}: they must be {volume.dtype} of shape {expected}; got {part.dtype} of shape {part.shape}"
         )
-    return _finite(part, volume.missing, words, place)
+    return _finite(part, volume.missing, words, place) if finite else part
 
 
 def _filled_at(volume: LazyVolume, place: Box, error: ChunkError) -> NDArray[Any]:
@@ -635,7 +649,7 @@ def _everything(volume: LazyVolume) -> Box:
 def _of_all(volume: LazyVolume) -> Volume:
     """All samples of a small volume."""
     place = _everything(volume)
-    data, gaps = _piecewise(volume, volume.at, _pieces(volume, place), place)
+    data, gaps = _piecewise(volume, volume.as_is, _pieces(volume, place), place)
     _note_look(volume, data, gaps)
     return replace(volume.grid, data=_bridged(data, gaps))
 
@@ -643,7 +657,7 @@ def _of_all(volume: LazyVolume) -> Volume:
 def _of_part(volume: LazyVolume, low: Sequence[int], high: Sequence[int]) -> Volume:
     """The samples of a part, or of a large box in it that no damaged chunk meets."""
     z, y, x = (slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
-    data, gaps = _piecewise(volume, volume.at, _pieces(volume, (z, y, x)), (z, y, x))
+    data, gaps = _piecewise(volume, volume.as_is, _pieces(volume, (z, y, x)), (z, y, x))
     _note_look(volume, data, gaps)
     kept = [slice(0, n) for n in data.shape]
     for gap, *_ in gaps:
@@ -677,7 +691,7 @@ def _thinned(volume: LazyVolume) -> Volume:
     for target, (z, y, x) in zip(itertools.product(planes, rows, columns), itertools.product(*runs[::-1]), strict=True):
         place = slice(z[0], z[-1] + 1), slice(y[0], y[-1] + 1), slice(x[0], x[-1] + 1)
         try:
-            part = volume.at(place)
+            part = volume.as_is(place)
             data[target] = part[:: z.step, :: y.step, :: x.step]
         except ChunkError as error:
             if _too_many(volume, gaps, error):
@@ -715,6 +729,8 @@ def _limits_of(volume: LazyVolume) -> tuple[float, float]:
     if volume.statistics is not None:
         return volume.statistics.value_range
     if not _few(volume):
+        return volume.preview().value_range
+    if not all(map(math.isfinite, volume.preview().limits)):
         return volume.preview().value_range
     parts = (volume.at(box) for box in _pieces(volume, _everything(volume)))
     ends = [(float(part.min()), float(part.max())) for part in parts]

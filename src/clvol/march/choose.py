@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from clvol.base.checks import one_of, whole
 from clvol.base.errors import OptionError, OutOfMemoryError
+from clvol.bricks.continued import continued
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
@@ -59,6 +60,7 @@ def source_of(
         return _of_field(given, filter, boundary, device, memory)
     if isinstance(given, LazyVolume):
         memory_for(given, memory)  # before anything is read
+        given = continued(given)
         row = filter if usual is None else row_for(given, filter, usual)
         field = BrickedField(
             given, usual_filter(given) if row is None else row, boundary, device, memory=memory, at_once=cluster is None

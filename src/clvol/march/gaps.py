@@ -14,6 +14,7 @@ from clvol.spline.lease import release
 
 if TYPE_CHECKING:
     from clvol.base.uniform import Values
+    from clvol.bricks.continued import Absent
     from clvol.device import Device
 
 __all__ = ["GAPS", "Gaps", "gaps_block"]
@@ -25,7 +26,7 @@ _RIM = 2  # samples beyond a brick, and beyond those a step away
 class Gaps:
     """The missing samples of a 3-D volume, `where`, [z, y, x]; and on the device, once a picture in memory needs them."""
 
-    def __init__(self, where: NDArray[np.bool_], device: Device) -> None:
+    def __init__(self, where: NDArray[np.bool_] | Absent, device: Device) -> None:
         self.where, self._device = where, device
         self._buffer: Any = None
 
@@ -58,13 +59,13 @@ def gaps_block(gaps: Gaps | None) -> Values:
     return GAPS(first=0, cubes=[n + 1 for n in gaps.where.shape[::-1]] if gaps else 0)
 
 
-def _cubes(where: NDArray[np.bool_], first: list[int], past: list[int]) -> NDArray[np.uint8]:
+def _cubes(where: NDArray[np.bool_] | Absent, first: list[int], past: list[int]) -> NDArray[np.uint8]:
     """A byte for each cube between neighbours of samples from `first` to before `past`, and for those before and after them."""
     memory.require(4 * math.prod(b - a for a, b in zip(first, past, strict=True)), "where samples are missing")
     # samples beyond the part are those of the volume, and beyond its faces those on them
     before = [(1 if a == 0 else 0, 1 if b == n else 0) for a, b, n in zip(first[::-1], past[::-1], where.shape, strict=True)]
     inner = tuple(slice(max(a - 1, 0), min(b + 1, n)) for a, b, n in zip(first[::-1], past[::-1], where.shape, strict=True))
-    bits = np.pad(where[inner].view(np.uint8), before, mode="edge")
+    bits: NDArray[np.uint8] = np.pad(where[inner].view(np.uint8), before, mode="edge")
     for axis, shift in ((2, 1), (1, 2), (0, 4)):
         lines = np.moveaxis(bits, axis, 0)
         bits = np.moveaxis(lines[:-1] | lines[1:] << np.uint8(shift), 0, axis)

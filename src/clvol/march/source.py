@@ -206,8 +206,6 @@ class ByBricks(Source):
     ) -> None:
         super().__init__(scene, field, preview, arguments)
         self._workers = workers
-        where = field.volume.where
-        self._gaps = None if where is None else Gaps(where, field.device)
         if workers is not None:
             self.lease.frees(workers.close)
 
@@ -275,7 +273,8 @@ class ByBricks(Source):
             )
         with field.in_use():
             own = look.of_level(field.coefficients.volume, field.boundary)
-            frame = Subject(own, field.coefficients, None, DIRECT, self._gaps).frame(fine.size, fine.step, guides=guides)
+            gaps = None if field.volume.where is None else Gaps(field.volume.where, field.device)
+            frame = Subject(own, field.coefficients, None, DIRECT, gaps).frame(fine.size, fine.step, guides=guides)
             view = own.view(fine.size)
             make = BrickedDrawing if self._workers is None else self._workers.drawing
             drawing = make(frame, fine.rays, fine.filter, field, view, skipping=look.skipping)

@@ -81,7 +81,8 @@ class Missing:
     balls of values with radii of 3 to 10 voxels: the outline is wrong in half as many pixels as with whole voxels, 2 to 3 %
     against 5 to 6 %; the edge lies 0.2 voxels off, in the median, against 0.3.) A `Field` with the rule "local" is drawn with
     its own fill, and cut in the same way, whatever share it allows; with a share of 1 nothing of it is missing. Volumes that
-    are read by parts (`LazyVolume`) must have no missing samples.
+    are read by parts (`LazyVolume`) are drawn likewise if the samples that are looked at first (`preview`, `part`) show that
+    some are missing; where only others are, they are an error once they are read.
     """
 
     rule: NanRule = "local"
