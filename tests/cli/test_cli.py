@@ -628,13 +628,13 @@ def test_info_reads_few_samples_of_a_large_volume(
     monkeypatch.setattr("clvol.bricks.source._PREVIEWED", 20_000)
     monkeypatch.setattr("clvol.bricks.source._PART", 24)
     asked = []
-    at = clvol.LazyVolume.at
+    as_is = clvol.LazyVolume.as_is
 
     def read(volume: clvol.LazyVolume, place: Any) -> Any:
         asked.append((volume.shape, tuple(one.stop for one in place)))
-        return at(volume, place)
+        return as_is(volume, place)
 
-    monkeypatch.setattr(clvol.LazyVolume, "at", read)
+    monkeypatch.setattr(clvol.LazyVolume, "as_is", read)
     told = clvol_command("info", "plain.zarr")
     assert re.search(r"\nvalue range: \d+ \d+ \(estimated\)\n", told.out)
     assert "\nbounds: none\n" in told.out

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.bricks.chunks import stored_in_one
+from clvol.bricks.source import in_place_of
 from clvol.volume.missing import EXTRAPOLATED, extrapolated
 
 if TYPE_CHECKING:
@@ -56,4 +57,4 @@ def continued(volume: LazyVolume) -> LazyVolume:
     if all(np.isfinite(some.data).all() for some in (volume.preview(), volume.part())):
         return volume
     low, high = volume.limits
-    return volume.in_place_of(partial(_Continued, middle=low / 2 + high / 2), Absent, partial(continued, volume))
+    return in_place_of(volume, partial(_Continued, middle=low / 2 + high / 2), Absent, partial(continued, volume))

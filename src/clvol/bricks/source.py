@@ -38,6 +38,7 @@ __all__ = [
     "LazyVolume",
     "Sliced",
     "by_bricks",
+    "in_place_of",
     "known_of",
     "may_be_read_ahead",
     "memory_for",
@@ -264,15 +265,6 @@ class LazyVolume(_Placed):
             made.grid = replace(made.grid, labels=labels)
         return made
 
-    def in_place_of(
-        self, read: Callable[[LazyVolume], Sliced], where: Callable[[LazyVolume], Absent], again: Callable[[], LazyVolume] | None
-    ) -> LazyVolume:
-        """The same read another way, and so are its levels, with where each lacks samples; what is looked at stays."""
-        made = self.with_levels([level.in_place_of(read, where, None) for level in self.levels])
-        made.data, made.where, made._again = read(self), where(self), again
-        made._preview, made._part, made._limits = self.preview(), self.part(), self.limits
-        return made
-
     def for_tasks(self) -> LazyVolume:
         """The same for tasks of a cluster of dask.
 
@@ -445,6 +437,19 @@ class LazyVolume(_Placed):
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
+
+
+def in_place_of(
+    volume: LazyVolume,
+    read: Callable[[LazyVolume], Sliced],
+    where: Callable[[LazyVolume], Absent],
+    again: Callable[[], LazyVolume] | None,
+) -> LazyVolume:
+    """The same read another way, and so are its levels, with where each lacks samples; what is looked at stays."""
+    made = volume.with_levels([in_place_of(level, read, where, None) for level in volume.levels])
+    made.data, made.where, made._again = read(volume), where(volume), again
+    made._preview, made._part, made._limits = volume.preview(), volume.part(), volume.limits
+    return made
 
 
 def _samples_at(volume: LazyVolume, place: Box, *, finite: bool = True) -> NDArray[Any]:

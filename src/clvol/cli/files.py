@@ -75,7 +75,7 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
         lazy = reader.by_parts(source, wanted)
         volume = lazy or reader.intact(source)
         known = _listed(volume, leading, json)
-    say(json, known | (levels_of(volume, json) if isinstance(volume, clvol.LazyVolume) else {}))
+    say(json, known | ({} if isinstance(volume, clvol.Volume) else levels_of(volume, json)))
 
 
 def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: bool) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def _range(volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, 
 
 def _damages(volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
     """What is wrong with chunks that could not be read, if there are any."""
-    found = [in_the_shell(text, ["info"]) for text in volume.damages] if isinstance(volume, clvol.LazyVolume) else []
+    found = [in_the_shell(text, ["info"]) for text in getattr(volume, "damages", ())]  # of a LazyVolume
     return {"damaged": found if as_json else "; ".join(found)} if found else {}
 
 
