@@ -92,6 +92,41 @@ def test_damaged_files_raise(tmp_path: Path, binary: bool) -> None:
             clvol.read(tmp_path / "v.vtk")
 
 
+@pytest.mark.parametrize("binary", [True, False], ids=["binary", "ascii"])
+def test_strings_are_passed_over_and_bits_are_masks(tmp_path: Path, binary: bool) -> None:
+    """Strings of each length of VTK's numbers before them, with line ends; the arrays around them are VTK's."""
+    vtk = pytest.importorskip("vtk")
+    grid, strings, bits = image(), vtk.vtkStringArray(), vtk.vtkBitArray()
+    strings.SetName("note")
+    for text in ("one\ntwo", "", "x" * 63, "y" * 64, "z" * 20000, "POINT_DATA 7\n", "caf\u00e9 %"):
+        strings.InsertNextValue(text)
+    grid.GetFieldData().AddArray(strings)
+    names = vtk.vtkStringArray()
+    names.SetName("names")
+    bits.SetName("mask")
+    for n in range(120):
+        names.InsertNextValue(f"p {n}")
+        bits.InsertNextValue(n % 7 % 3 == 0)
+    for array in (names, bits):
+        grid.GetPointData().AddArray(array)
+    grid["after"] = np.arange(120, dtype="i2")
+    writer = vtk.vtkDataSetWriter()
+    writer.SetFileName(str(tmp_path / "v.vtk"))
+    writer.SetInputData(grid)
+    writer.SetFileType(2 if binary else 1)
+    writer.Write()
+    truth = pv.read(tmp_path / "v.vtk")  # of a text, with the digits it has
+    for name in ("heat", "after"):
+        np.testing.assert_array_equal(clvol.read(tmp_path / "v.vtk", series=name).data.ravel(), truth[name])
+    mask = clvol.read(tmp_path / "v.vtk", series="mask").data
+    np.testing.assert_array_equal(mask.ravel(), [bits.GetValue(n) for n in range(120)])
+    if binary:
+        cut = (tmp_path / "v.vtk").read_bytes()
+        (tmp_path / "cut.vtk").write_bytes(cut[: cut.index(b"z" * 100) + 50])
+        with pytest.raises(FormatError):
+            clvol.read(tmp_path / "cut.vtk")
+
+
 def test_meshes_are_rejected_with_a_route(tmp_path: Path) -> None:
     """The route that the message names works."""
     sphere = pv.Sphere()

@@ -278,6 +278,25 @@ def test_uneven_coordinates_are_rejected_where_positions_matter() -> None:
     assert clvol.resize(array, (4, 5, 12)).shape == (4, 5, 12)
 
 
+@pytest.mark.parametrize(
+    "dims", [("y", "x", "c"), ("time", "y", "x"), ("band", "lat", "lon"), ("lon", "t", "lat"), ("y", "x", "rgb")], ids="-".join
+)
+def test_times_and_channels_of_xarray_are_not_z(dims: tuple[str, ...]) -> None:
+    """Each image is xarray's own selection, transposed to [y, x], at its coordinates."""
+    xarray = pytest.importorskip("xarray")
+    y, x = (next(d for d in dims if d in names) for names in (("y", "lat"), ("x", "lon")))
+    (other,) = set(dims) - {x, y}
+    array = xarray.DataArray(np.random.default_rng(0).random((3, 4, 5)), dims=dims)
+    array = array.assign_coords({x: 7 + 2.0 * np.arange(array.sizes[x])})
+    with pytest.raises(DataError, match="one volume"):
+        clvol.Volume(array)
+    images = clvol.Volumes(array)
+    assert len(images) == array.sizes[other]
+    for n, image in enumerate(images):
+        np.testing.assert_array_equal(np.squeeze(image.data), array.isel({other: n}).transpose(y, x).values)
+        assert (image.spacing[:2], image.origin[:2]) == ((2.0, 1.0), (7.0, 0.0))
+
+
 def test_xarray_with_four_dimensions() -> None:
     xarray = pytest.importorskip("xarray")
     data = samples((2, 3, *SHAPE))
@@ -290,7 +309,9 @@ def test_xarray_with_four_dimensions() -> None:
         clvol.Volume(array)
     with pytest.raises(DataError, match="told apart"):
         clvol.Volumes(array.rename(time="a", c="b"))
-    frames = clvol.Volumes(array[:, 0, 0])  # as any array of three axes
+    frames = clvol.Volumes(array[:, 0, 0])
+    assert (frames.axes, frames.grid.shape, frames.grid.spacing) == (("time",), (5, 6), (2, 1))
+    frames = clvol.Volumes(array[:, 0, 0].rename(time="a"))  # as any array of three axes
     assert (frames.axes, frames.grid.shape) == (("volume",), (5, 6))
 
 

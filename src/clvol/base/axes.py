@@ -12,7 +12,7 @@ _WORDS = {
     "y": ("y", "lat", "latitude", "row", "rows", "northing", "length", "height"),
     "z": ("z", "depth", "lev", "level", "plev", "altitude", "slice", "slices", "plane"),
     "time": ("t", "time", "frame", "frames"),
-    "channel": ("c", "ch", "channel", "channels", "band", "s", "sample", "component"),
+    "channel": ("c", "ch", "channel", "channels", "band", "s", "sample", "component", "bands", "rgb", "rgba"),
     "position": ("p", "position", "scene"),
     "volume": ("volume",),
 }

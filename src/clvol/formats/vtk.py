@@ -29,6 +29,7 @@ _LINE, _AT_ONCE = 1 << 12, 1 << 26  # bytes of a line between arrays, and of num
 _SIZES = {"i1": "char signed_char", "i2": "short", "i4": "int vtkIdType", "i8": "long vtktypeint64", "f4": "float", "f8": "double"}
 _SIZES |= {"u1": "unsigned_char", "u2": "unsigned_short", "u4": "unsigned_int", "u8": "unsigned_long vtktypeuint64"}
 _DTYPES = {name.lower(): np.dtype(kind) for kind, names in _SIZES.items() for name in names.split()}
+_DTYPES["bit"] = np.dtype(bool)
 _COMPONENTS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6, "GLOBAL_IDS": 1, "PEDIGREE_IDS": 1, "EDGE_FLAGS": 1}
 
 
@@ -172,6 +173,9 @@ class _File:
                 f"{self.path.name} must have fields of a name, two numbers and a type; found {' '.join(words)[:80]!r}"
             )
         components, tuples = whole(self.path.name, words[0], " ".join(words[1:3]), 0, 2)
+        if words[3].lower() == "string":
+            self._skip_strings(stream, components * tuples)
+            return
         dtype = self._dtype(words[0], words[3])
         samples = self._numbers(stream, components * tuples, dtype)
         if self._cells is not None and components:
@@ -211,8 +215,28 @@ class _File:
             )
         return _DTYPES[text.lower()]
 
+    def _skip_strings(self, stream: IO[bytes], count: int) -> None:
+        """Pass over strings: lines of a text; or bytes behind their number, whose first two bits say how many bytes it has."""
+        require_bytes(self.path.name, self._end - stream.tell(), (count,), np.dtype("u1"))
+        for _ in range(count):
+            if not self._binary:
+                while (text := stream.readline(_LINE)) and not text.endswith(b"\n"):
+                    pass
+                continue
+            first = stream.read(1)
+            more = (7, 3, 1, 0)[first[0] >> 6] if first else 0
+            length = int.from_bytes(bytes([first[0] & 63]) + stream.read(more), "big") if first else 1
+            require_bytes(self.path.name, self._end - stream.tell(), (length,), np.dtype("u1"))
+            stream.seek(length, 1)
+
     def _numbers(self, stream: IO[bytes], count: int, dtype: np.dtype[Any]) -> NDArray[Any] | int:
         """The next numbers, or their first byte; the stream is behind them then."""
+        if dtype.kind == "b":  # eight to a byte
+            bits = self._numbers(stream, -(-count // 8) if self._binary else count, np.dtype("u1"))
+            if not isinstance(bits, int):
+                return bits.astype(bool)
+            packed = np.fromfile(self.path, np.uint8, -(-count // 8), offset=bits)
+            return np.unpackbits(packed, count=count).astype(bool)
         name, start = self.path.name, stream.tell()
         require_bytes(name, self._end - start, (count,), dtype if self._binary else "u1")
         if self._binary:

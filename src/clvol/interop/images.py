@@ -69,7 +69,7 @@ def read_array(source: Any, *, placed: bool = True) -> Content:
 def read_several(source: Any) -> Content:
     """As `read_array`, and images that hold several volumes; those have the arguments of `Leading` under the key "leading"."""
     kind = _kind_of(source)
-    if kind is LABELLED and source.ndim < 4:  # the first of three dimensions may count volumes
+    if kind is LABELLED and len(kind.shape(source)) == source.ndim:  # the first of three dimensions may count volumes
         return _read_other(in_order(source))
     if kind is None:
         return _read_other(source)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.arrays import as_array
-from clvol.base.axes import meaning
+from clvol.base.axes import AXES, meaning
 from clvol.base.errors import GeometryError, MissingDependencyError
 from clvol.base.units import axes_unit
 from clvol.interop.kinds import Kind, leading_axes
@@ -147,10 +147,20 @@ def is_labelled(source: Any) -> bool:
     return all(hasattr(source, name) for name in ("dims", "coords", "attrs", "isel", "dtype"))
 
 
-def _describe_labelled(array: Any) -> dict[str, Any]:
-    """Coordinates of the last two or three dimensions are places if they are numbers; other dimensions count from 0."""
+def _dimensions(array: Any) -> int:
+    """How many of the last dimensions of an array in order are space: times, channels and the like are not, by their names."""
+    return 2 if array.ndim > 2 and meaning(str(array.dims[-3])) in AXES else min(array.ndim, 3)
+
+
+def _labelled_shape(array: Any) -> tuple[int, ...]:
     array = in_order(array)
-    d = min(array.ndim, 3)
+    return tuple(int(n) for n in array.shape[-_dimensions(array) :])
+
+
+def _describe_labelled(array: Any) -> dict[str, Any]:
+    """Coordinates of the dimensions of space are places if they are numbers; other dimensions count from 0."""
+    array = in_order(array)
+    d = _dimensions(array)
     spacing, origin, direction, units = np.ones(d), np.zeros(d), np.eye(d), []
     for axis, dim in enumerate(array.dims[: -1 - d : -1]):
         if dim not in array.coords or array.coords[dim].dtype.kind not in "iuf":
@@ -182,4 +192,4 @@ def _describe_labelled(array: Any) -> dict[str, Any]:
     return about
 
 
-LABELLED = Kind(is_labelled, _describe_labelled, lambda array: tuple(int(n) for n in in_order(array).shape[-3:]), _samples)
+LABELLED = Kind(is_labelled, _describe_labelled, _labelled_shape, _samples)
