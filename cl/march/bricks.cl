@@ -12,18 +12,6 @@
 #define SHOWN_FIELDS (SHOWN_NORMALS + (GUIDES ? 3 : 0))
 #define SHOWN_AT(field) shown[KEPT_AT(field)]
 
-// The index of the tile whose first pixel is (left, top), among those stored.
-INLINE int number_of_tile(constant frame_t *frame, const int left, const int top)
-{
-    const int across = (frame->picture.kept[0] + TILE_WIDTH - 1) / TILE_WIDTH;
-    return (top - frame->picture.kept_from[1]) / TILE_HEIGHT * across + (left - frame->picture.kept_from[0]) / TILE_WIDTH;
-}
-
-// Whether rays of this work-item's tile are unfinished: areas are boxes of tiles, and starting a tile's rays takes long.
-#define TILE_IS_GOING                                                                                                   \
-    ((int)get_global_id(0) * TILE_WIDTH < frame->picture.width && (int)get_global_id(1) * TILE_HEIGHT < frame->picture.height && \
-     going[number_of_tile(frame, (int)get_global_id(0) * TILE_WIDTH, (int)get_global_id(1) * TILE_HEIGHT)])
-
 // Before the first brick. `going`: for each tile whether some of its rays are unfinished.
 kernel void begin_states(constant frame_t *frame, global const float2 *places, global float *states, global uchar *going)
 {

@@ -75,16 +75,32 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
     ray.hits = ray.enter <= ray.leave;
 
     // Samples lie where the ray crosses equally spaced planes perpendicular to one axis of the volume ...
-    const real along_axis = axis_of(ray.direction, planes->axis), length = square_root(dot3(ray.direction, ray.direction));
+    real3 from = ray.origin, rail = ray.direction;   // in its samples
+    real start = ray.enter;
+#if SEVERAL
+    // ... of one of several media; all others take theirs at the same t
+    {
+        constant rails_block *camera = &frame->rails;
+        from = real3_of(AT_PIXEL(origin, 0), AT_PIXEL(origin, 1), AT_PIXEL(origin, 2));
+        rail = scale3(real3_of(AT_PIXEL(direction, 0), AT_PIXEL(direction, 1), AT_PIXEL(direction, 2)), per_unit);
+    }
+    real end = NOWHERE;
+    start = camera->orthographic ? -NOWHERE : -ray.ahead;
+    clip_axis(from.x, rail.x, frame->rails.low[0], frame->rails.high[0], &start, &end);
+    clip_axis(from.y, rail.y, frame->rails.low[1], frame->rails.high[1], &start, &end);
+    clip_axis(from.z, rail.z, frame->rails.low[2], frame->rails.high[2], &start, &end);
+#endif
+    const real along_axis = axis_of(rail, planes->axis), length = square_root(dot3(rail, rail));
     const mask oblique = magnitude(along_axis) < planes->oblique * length;
     ray.planar = !oblique;
     const real d = choose(oblique, (real)(1.0f), along_axis);
     const real plane = choose(d > 0.0f, (real)(planes->first), (real)(planes->last));
-    // ... or, on rays too oblique to them, at equal steps along the ray from where it enters
+    // ... or, on rays too oblique to these planes, at equal steps along the ray from where it enters
     const real own = planes->stride / length;
     ray.step = choose(oblique, own, planes->spacing / magnitude(d));
-    ray.first = choose(oblique, ray.enter + 0.5f * own, (plane - axis_of(ray.origin, planes->axis)) / d);
-    ray.begin = choose(oblique, (real)(0.0f), MAX((real)(0.0f), -round_down((ray.first - ray.enter) / ray.step)));
+    ray.first = choose(oblique, start + 0.5f * own, (plane - axis_of(from, planes->axis)) / d);
+    ray.begin = MAX((real)(0.0f), -round_down((ray.first - ray.enter) / ray.step));
+    ray.begin = choose(oblique & (mask)(SEVERAL ? 0 : ~0), (real)(0.0f), ray.begin);
     ray.end = round_down((ray.leave - ray.first) / ray.step);
     ray.end = choose(oblique, ray.end, MIN(ray.end, (real)(planes->count - 1.0f)));
 

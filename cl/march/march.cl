@@ -23,6 +23,7 @@
 //   STRETCHES                     1: instead of samples, which `gather` takes, the intervals between them are searched (walk.cl)
 //
 // Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED, MISSING,
+// SEVERAL (whether samples lie on planes of another medium: rails), ADDED (whether they are added to a slab's: add.cl),
 // FINISHED_THERE (whether a mode's `finish` reads coefficients, at place_of), and what is included.
 
 // Twice as many rays if registers hold sixteen numbers. (Otherwise PoCL 3.0 aborts on float16 on some CPUs.)
@@ -93,7 +94,7 @@ INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, co
         up &= (ray->planar & (along > 0.0f)) | !going;
         down &= (ray->planar & (along < 0.0f)) | !going;
     }
-    tile->planar = PLANES && !frame->picture.listed && (!any_lane(!up) || !any_lane(!down));
+    tile->planar = PLANES && !frame->picture.listed && (!SEVERAL || frame->rails.aligned) && (!any_lane(!up) || !any_lane(!down));
     tile->way = any_lane(!up) ? -1.0f : 1.0f;
 }
 
@@ -103,7 +104,9 @@ OUT_OF_LINE void make_plane(plane_t *plane, COEFFICIENTS coefficients, const int
                             const int left, const int top, float way, float n)
 {
     const int right = MIN(left + TILE_WIDTH, frame->picture.width) - 1, bottom = MIN(top + TILE_HEIGHT, frame->picture.height) - 1;
-    const float across = plane_at(&frame->planes, way, n);
+    float across = plane_at(&frame->planes, way, n);
+    if (SEVERAL)
+        across = madd(across, frame->rails.scale, frame->rails.shift);
     float2 u, v;
     plane->made = 1;
     if (tile_footprint(frame, left, top, right, bottom, way, across, &u, &v))

@@ -3,10 +3,17 @@
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
 #include "march/light.cl"
+#include "march/slots.cl"
 
 // Opacity is accumulated with its rounding error (Kahan), so that sums of thousands of thin samples are exact.
-typedef struct { real red, green, blue, opacity, rest, depth; } state_t;
+typedef struct {
+    real red, green, blue, opacity, rest, depth;
+#if ADDED
+    slots_t slots;   // where samples are added to those of other media, which nothing here hides
+#endif
+} state_t;
 
+#define OPACITY_FIELD 3   // of the state, followed by the rest
 #define REACH 0.0f
 #define ANY_ORDER 0
 #define PROMISE(low, high) 0.0f
@@ -28,6 +35,22 @@ INLINE void add_opacity(state_t *s, real share, mask active)
     s->opacity = choose(active, opacity, s->opacity);
 }
 
+// A stretch of matter of this colour that begins at `start`; `through` is the base-2 logarithm of its transmittance.
+INLINE void absorb(state_t *s, const color_t color, const real through, const real start, const real length, const mask seen)
+{
+    const real light = transmittance(s);
+    const real share = light * one_less_exp_2(through);
+    s->red = choose(seen, madd(share, color.red, s->red), s->red);
+    s->green = choose(seen, madd(share, color.green, s->green), s->green);
+    s->blue = choose(seen, madd(share, color.blue, s->blue), s->blue);
+    add_opacity(s, share, seen);
+    const mask halved = seen & (transmittance(s) <= 0.5f) & (light > 0.5f);   // half of the light is absorbed
+    if (any_lane(halved)) {
+        const real past = log_2(2.0f * light) / -through;   // the position in the stretch, if it were homogeneous
+        s->depth = choose(halved, madd(MIN(past, (real)(1.0f)), length, start), s->depth);
+    }
+}
+
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
     return !transparent(frame, table, low, high);
@@ -47,18 +70,12 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
 #if MISSING
     stretch_to_edges(sample->missing, frame, sample->ray, t, seen, &before, &behind);
 #endif
-    const real length = before + behind, light = transmittance(s);
+    const real length = before + behind;
     const real through = log_light(color, length * frame->transfer.per_unit_distance);
-    const real share = light * one_less_exp_2(through);
-    s->red = choose(seen, madd(share, color.red, s->red), s->red);
-    s->green = choose(seen, madd(share, color.green, s->green), s->green);
-    s->blue = choose(seen, madd(share, color.blue, s->blue), s->blue);
-    add_opacity(s, share, seen);
-    const mask halved = seen & (transmittance(s) <= 0.5f) & (light > 0.5f);   // half of the light is absorbed
-    if (any_lane(halved)) {
-        const real past = log_2(2.0f * light) / -through;   // the position in the stretch, if it were homogeneous
-        s->depth = choose(halved, madd(MIN(past, (real)(1.0f)), length, t - before), s->depth);
-    }
+#if ADDED
+    add_sample(&s->slots, sample->number, color, through, seen);
+#endif
+    absorb(s, color, through, t - before, length, seen);
     return finished(s, frame);
 }
 

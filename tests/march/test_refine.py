@@ -176,7 +176,7 @@ def captured(renderer: Renderer, rays: int) -> list[Drawing]:
                 made.append(self)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "Drawing", Kept)
+        patch.setattr(refine, "drawing_of", Kept)
         list(renderer.refine(CAMERA, size=SIZE, rays=rays, seconds=HUGE))
     return made
 
@@ -230,7 +230,7 @@ def test_measured_times_are_remembered(device: Device, monkeypatch: pytest.Monke
             sizes.append(frame.size)
             super().__init__(frame, *others)
 
-    monkeypatch.setattr(refine, "Drawing", Counted)
+    monkeypatch.setattr(refine, "drawing_of", Counted)
 
     def drawn(camera: Camera, **look: Any) -> int:
         sizes.clear()

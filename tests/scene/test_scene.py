@@ -10,7 +10,7 @@ import pytest
 
 import clvol
 from clvol import Camera, Light, Material, Medium, Scene, TransferFunction, Volume
-from clvol.base.errors import ClvolError, GeometryError, OptionError
+from clvol.base.errors import ClvolError, DataError, GeometryError, OptionError
 from clvol.device import Device
 from clvol.scene.scene import as_scene
 
@@ -84,12 +84,25 @@ def test_a_field_is_used_as_is_and_stays_open(device: Device) -> None:
         clvol.Renderer(field)
 
 
-ONE = "a scene must have exactly one medium so far; got "
+COUNT = "a scene must have 1 to 8 media; got "
+LABELS = np.arange(DATA.size).reshape(DATA.shape) % 3
 REFUSED: dict[str, tuple[Any, type[ClvolError], str]] = {
-    "two media": (lambda: Scene([Medium(DATA), Medium(DATA)]), OptionError, ONE + "2"),
-    "two volumes": (lambda: Scene([Volume(DATA), Volume(DATA)]), OptionError, ONE + "2"),
-    "two arrays": (lambda: Scene((DATA, DATA)), OptionError, ONE + "2"),
-    "no medium": (lambda: Scene([]), OptionError, ONE + "0"),
+    "nine media": (lambda: Scene([DATA] * 9), OptionError, COUNT + "9"),
+    "no medium": (lambda: Scene([]), OptionError, COUNT + "0"),
+    "two worlds": (
+        lambda: Scene([Volume(DATA, space="LPS"), Volume(DATA, space="image")]),
+        GeometryError,
+        "must be in one world; got volumes in LPS and image",
+    ),
+    "a way to mix": (lambda: Scene([DATA, DATA], mix="under"), OptionError, "mix must be one of add, over; got 'under'"),
+    "where without a mask": (lambda: Medium(DATA, where=3), OptionError, "where names labels of a mask; got where=3 and no mask"),
+    "labels without where": (lambda: Medium(DATA, mask=LABELS), OptionError, "a mask of labels takes where="),
+    "labels that are not there": (
+        lambda: Medium(DATA, mask=LABELS, where=[1, 7]),
+        OptionError,
+        r"where must name labels of the mask, which has 0, 1, 2; got \[7\]",
+    ),
+    "a mask of another shape": (lambda: Medium(DATA, mask=LABELS[1:], where=1), DataError, "mask must"),
     "five lights": (lambda: Scene(DATA, lights=[Light()] * 5), OptionError, "there may be up to 4 lights; got 5"),
     "an image": (lambda: Medium(DATA[0]), OptionError, "rendering takes a volume with 3 axes"),
     "a filter": (lambda: Medium(DATA, filter="cubix"), OptionError, "filter must be one of .*; got 'cubix'"),

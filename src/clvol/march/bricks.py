@@ -10,7 +10,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -99,7 +99,7 @@ class BrickedDrawing(Drawing):
         while self.cast_rays < last:
             first, past = self.cast_rays, min(last, self.cast_rays + together)
             memory.require((past - first) * each, f"the states of {(past - first) * width * height} rays")
-            frames = [replace(frame, values=frame.sampled(*self._pattern[i], i, self.rays)) for i in range(first, past)]
+            frames = [frame.sampled(*self._pattern[i], i, self.rays) for i in range(first, past)]
             part = part_of(progress, first / last, past / last)
             self._sweep([(one, None) for one in frames], self.arrays, part, begun=first > 0)
             self.cast_rays = past

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.march.source import Drawable, Source
 
 
-from clvol.march.source import ByBricks, InMemory, by_parts, lacks_samples, row_for, single, usual_filter
+from clvol.march.source import ByBricks, InMemory, Several, by_parts, lacks_samples, row_for, single, usual_filter
 
 __all__ = ["source_of"]
 
@@ -72,6 +72,8 @@ def source_of(
         if memory is not None:  # which has no effect where the coefficients fit on the device
             memory = whole("memory", memory, 1)
         scene = _scene(given, filter, boundary, usual)
+        if len(scene.media) > 1:
+            return _of_several(scene, device, memory, cluster)
         (medium,) = scene.media
         arguments, preview = (scene, None, None), medium.volume
         row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
@@ -90,6 +92,14 @@ def source_of(
 
     workers = Workers(cluster, merge, device, memory)
     return ByBricks(scene, workers.shared_out(field), preview, arguments, workers)
+
+
+def _of_several(scene: Scene, device: Device | str | int | None, memory: int | None, cluster: ClusterLike | None) -> Source:
+    """The source of several media, all of whose coefficients fit on the device."""
+    for name, value in (("cluster", cluster), ("memory", memory)):
+        if value is not None:
+            raise OptionError(f"{name} takes one medium, which is read by bricks; several are drawn in memory. Got {value!r}")
+    return Several(scene, device)
 
 
 def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | None, usual: str | None) -> Scene:
@@ -114,6 +124,8 @@ def _masked(given: Any, mask: ArrayLike) -> Volume | Medium | Scene:
         )
     if not isinstance(given, (Scene, Medium)):
         return masked(as_volume(given), mask)
+    if len(as_scene(given).media) > 1:
+        raise OptionError("mask must be left to the media of a scene of several: Medium(..., mask=...)")
     (medium,) = as_scene(given).media
     medium = replace(medium, volume=masked(medium.volume, mask))
     return medium if isinstance(given, Medium) else replace(given, media=(medium,))

@@ -14,6 +14,7 @@ from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device import Tile
 from clvol.march.gaps import GAPS, gaps_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
+from clvol.march.rails import RAILS, Rails
 from clvol.scene.camera import Viewpoint
 from clvol.scene.light import LIGHTS, Material, lights_block
 from clvol.scene.scene import CLIP, Medium, clip_block
@@ -77,6 +78,7 @@ def frame_block(mode: Block) -> tuple[Block, str]:
         geometry=Medium.BLOCK,
         clip=CLIP,
         planes=Planes.BLOCK,
+        rails=RAILS,
         transfer=TransferFunction.BLOCK,
         material=Material.BLOCK,
         lights=LIGHTS,
@@ -107,6 +109,8 @@ class Frame:
     guides: bool  # are wanted too
     values: Values  # the parameter block
     table: NDArray[np.float32]  # the transfer function's nodes or pieces
+    media: tuple[Frame, ...] = ()  # of several media in one picture, of which this is the first, but all of their domain
+    several: bool = False  # whether samples lie on planes that several media share
 
     @property
     def device(self) -> Device:
@@ -124,28 +128,31 @@ class Frame:
         picture = self.values["picture"]
         return int(picture["width"]), int(picture["height"])
 
-    def sampled(self, offset: NDArray[np.float64], weight: float, number: int, passes: int) -> Values:
-        """The parameter block for ray `number` of each pixel, at `offset` from its corner, with this weight."""
+    def sampled(self, offset: NDArray[np.float64], weight: float, number: int, passes: int) -> Frame:
+        """The frame for ray `number` of each pixel, at `offset` from its corner, with this weight."""
         return self._set(offset=offset, weight=weight, last_pass=passes - 1, **{"pass": number})
 
     def of_rays(self, width: int, height: int) -> Frame:
         """The frame of a list of rays through this picture, one for each pixel of another, with premultiplied colours."""
         size = width, height
-        return replace(self, values=self._set(listed=True, width=width, height=height, last_pass=1, kept=size))
+        return self._set(listed=True, width=width, height=height, last_pass=1, kept=size)
 
     def kept(self, x: int, y: int, width: int, height: int) -> Frame:
         """The same frame, with states only for an area of whole tiles."""
-        return replace(self, values=self._set(kept_from=(x, y), kept=(width, height)))
+        return self._set(kept_from=(x, y), kept=(width, height))
 
-    def _set(self, **changes: Any) -> Values:
-        """A copy of the parameter block with changes in its picture's block."""
+    def _set(self, **changes: Any) -> Frame:
+        """A copy with changes in its picture's block, and in those of its media."""
         values = self.values.copy()
         for name, value in changes.items():
             values["picture"][name] = value
-        return values
+        return replace(self, values=values, media=tuple(medium._set(**changes) for medium in self.media))
 
-    def program(self, name: str, *, windowed: bool = False) -> Program:
-        """A kernel file of the ray loop, specialised for this frame; `windowed`: for one brick of the volume at a time."""
+    def program(self, name: str, *, windowed: bool = False, added: bool = False) -> Program:
+        """A kernel file of the ray loop, specialised for this frame.
+
+        `windowed`: for one brick of the volume at a time; `added`: samples are added to those of other media.
+        """
         tile, mode = self.tile, self.mode
         defines: Mapping[str, Any] = {
             **self.coefficients.defines(self.evaluator),
@@ -163,6 +170,8 @@ class Frame:
             "SLAB": SLAB,
             "FINISHED_THERE": int(mode.finished_there),
             "WINDOWED": int(windowed),
+            "SEVERAL": int(self.several),
+            "ADDED": int(added),
             "MISSING": int(self.gaps is not None),
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
@@ -180,11 +189,17 @@ class Subject:
     minmax: MinMax | None
     evaluator: Evaluator
     gaps: Gaps | None = None
+    others: tuple[Subject, ...] = ()  # media of the same picture; the grid of the first one leads
 
     @property
     def central(self) -> bool:
         """Whether gradients are central differences."""
         return self.look.central or not self.coefficients.filter.has_gradient
+
+    @property
+    def medium(self) -> Medium:
+        """The medium of the look."""
+        return self.look.scene.media[0]
 
     def frame(
         self,
@@ -201,23 +216,41 @@ class Subject:
         during long computations, and may raise.
         """
         aspect = size[0] / size[1] if aspect is None else aspect
-        look, coefficients, minmax = self.look.placed(aspect), self.coefficients, self.minmax
-        scene, mode, stored = look.scene, look.mode, coefficients.stored
-        (medium,), (width, height) = scene.media, size
-        volume = medium.volume
+        look, volume = self.look.placed(aspect), self.medium.volume
         view = look.camera.view(volume, aspect)
-        planes = Planes(volume, view, aspect, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
+        if self.others:
+            media = self, *self.others
+            rails = Rails.across([one.medium for one in media], view, aspect, step)
+            frames = tuple(one._frame(size, guides, aspect, view, rails) for one in media)
+            values = frames[0].values.copy()
+            values["geometry"]["low"], values["geometry"]["high"] = rails.low, rails.high
+            return replace(frames[0], values=values, media=frames)
+        rails = Rails.along(volume, Planes(volume, view, aspect, *(_STRETCHES if look.mode.stretches else (step, SEGMENT))))
+        made = replace(self, look=look)._frame(size, guides, aspect, view, rails)
+        if self.minmax is None or (surface := made.surface) is None:
+            return made
+        return replace(made, sides=self.minmax.sides(surface, progress))
+
+    def _frame(self, size: tuple[int, int], guides: bool, aspect: float, view: Viewpoint, rails: Rails) -> Frame:
+        """The frame of this medium alone, with samples on these rails."""
+        look, coefficients, minmax = self.look, self.coefficients, self.minmax
+        scene, mode, stored, medium = look.scene, look.mode, coefficients.stored, self.medium
+        (width, height), volume, unit = size, medium.volume, rails.volume.mean_spacing
+        transfer = look.transfer
+        if transfer.unit_distance is None:
+            transfer = replace(transfer, unit_distance=volume.mean_spacing)
         block, _ = frame_block(mode.BLOCK)
         values = block(
-            camera=view.block(volume, width, height, aspect),
-            geometry=medium.block(stored),
-            clip=clip_block(scene.clip, volume),
-            planes=planes.block(),
-            transfer=look.transfer.block(volume.mean_spacing, stored),
+            camera=view.block(volume, width, height, aspect, rails=rails.volume),
+            geometry=medium.block(stored, unit),
+            clip=clip_block(scene.clip, volume, unit),
+            planes=rails.planes.block(),
+            rails=rails.block(volume, view, width, height, aspect),
+            transfer=transfer.block(unit, stored),
             material=medium.material.block(),
             lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
-            minmax=minmax_block(minmax, volume, planes.margin),
+            minmax=minmax_block(minmax, volume, rails.margin(volume, view, aspect)),
             window=np.zeros((), WINDOW.dtype),
             gaps=gaps_block(self.gaps),
             picture=PICTURE(
@@ -233,7 +266,7 @@ class Subject:
                 **{"pass": 0, "last_pass": 0},
             ),
         )
-        made = Frame(
+        return Frame(
             coefficients,
             minmax,
             self.gaps,
@@ -241,17 +274,15 @@ class Subject:
             mode,
             look.transfer,
             self.evaluator,
-            planes,
+            rails.planes,
             tile_of(coefficients.device, self.evaluator),
             self.central,
             volume.is_labels and not coefficients.filter.has_gradient,
             guides,
             values,
             look.transfer.table(stored),
+            several=rails.several,
         )
-        if minmax is None or (surface := made.surface) is None:
-            return made
-        return replace(made, sides=minmax.sides(surface, progress))
 
     def placed(self, aspect: float) -> Subject:
         """The same with a fitted camera, if its position was left open."""

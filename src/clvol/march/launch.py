@@ -26,11 +26,13 @@ __all__ = [
     "BEFORE_EDGES",
     "CHANNELS",
     "Drawing",
+    "Inputs",
     "Picture",
     "States",
     "draw",
     "drawn",
     "finish_states",
+    "launch",
     "launched_over",
     "lent_pictures",
     "march_rays",
@@ -105,7 +107,7 @@ class Drawing:
 
     def _make_ready(self) -> None:
         """Build the kernel and upload its inputs."""
-        self._kernel, self._inputs = self.frame.program("march/draw.cl").kernel("draw"), _Inputs(self.frame)
+        self._kernel, self._inputs = self.frame.program("march/draw.cl").kernel("draw"), Inputs(self.frame)
 
     def cast(self, rays: int, progress: Progress | None = None, until: float = math.inf) -> bool:
         """Cast `rays` more rays for each pixel; returns whether it finished.
@@ -117,7 +119,7 @@ class Drawing:
         with lent_pictures(frame, self.arrays, begun=self.cast_rays > 0 or self._areas is not None) as buffers:
             while self.cast_rays < last:
                 i = self.cast_rays
-                block = frame.device.buffers.upload(frame.sampled(*self._pattern[i], i, self.rays)[None])
+                block = frame.device.buffers.upload(frame.sampled(*self._pattern[i], i, self.rays).values[None])
                 if self._areas is None:
                     self._areas = self._budget.tiles(width, height)
                 arguments = *self._inputs.of_rays(block), self._inputs.table, *buffers
@@ -234,7 +236,7 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     Samples count from the first plane that a ray of the picture may cross. `states`, those after the samples before `first`, are
     updated and returned. By default rays start fresh; a mode that compares adjacent samples then also takes those before `first`.
     """
-    kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), _Inputs(frame)
+    kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), Inputs(frame)
     carried, states = states is not None, States(frame) if states is None else states
     buffer = states.argument(frame)
     block = frame.device.buffers.upload(frame.values[None])
@@ -257,25 +259,25 @@ def merge_states(front: States, back: States) -> States:
     buffers = front.argument(frame), back.argument(frame)
     kernel = frame.program("march/split.cl").kernel("merge_states")
     block = frame.device.buffers.upload(frame.values[None])
-    _launch(frame, kernel, (0, 0, *frame.size), block, *buffers)
+    launch(frame, kernel, (0, 0, *frame.size), block, *buffers)
     return front
 
 
 def finish_states(states: States) -> dict[str, Picture]:
     """The picture of rays in these states, and its guides, as from `draw`."""
     frame, buffer = states.frame, states.argument(states.frame)
-    kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), _Inputs(frame)
+    kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), Inputs(frame)
     block = frame.device.buffers.upload(frame.values[None])
     arrays = pictures_of(frame)
     with lent_pictures(frame, arrays) as buffers:
-        _launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, buffer, *buffers)
+        launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, buffer, *buffers)
     return _in_world(frame, arrays)
 
 
 # -- launches ----------------------------------------------------------------------------------------------
 
 
-class _Inputs:
+class Inputs:
     """The inputs of a frame's kernels, on the device."""
 
     def __init__(self, frame: Frame) -> None:
@@ -312,7 +314,7 @@ def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
     return arrays
 
 
-def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any, long: bool = False) -> None:
+def launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any, long: bool = False) -> None:
     """Launch over the pixels of an area (x, y, width, height) that begins at a tile, and wait; `long` if it may take long."""
     (x, y, w, h), tile, device = area, frame.tile, frame.device
     shape = (1, 1) if tile.shared else (_GROUP, _GROUP)
@@ -332,7 +334,7 @@ def _launched(
     """Launch over each area, and yield it when done."""
     for area in areas:
         pixels, started = area[2] * area[3], time.perf_counter()
-        _launch(frame, kernel, area, *arguments, long=budget.exceeded(pixels))
+        launch(frame, kernel, area, *arguments, long=budget.exceeded(pixels))
         budget.spent(pixels, time.perf_counter() - started)
         yield area
 
@@ -400,6 +402,11 @@ class _Budget:
     def slow_down(self, times: float) -> None:
         """Expect the next areas to take `times` as long, at first."""
         self._per_pixel *= times
+
+    @property
+    def least(self) -> tuple[int, int]:
+        """Pixels across and down of the smallest area, whole tiles."""
+        return self._across, self._down
 
     @property
     def _pixels(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import EllipsisType
@@ -321,10 +322,17 @@ class ResolvedLook:
     central: bool  # gradients are central differences
     skipping: bool
     preview: Volume  # samples to which the camera is fitted
+    others: tuple[ResolvedLook, ...] = ()  # of the scene's other visible media; the grid of the first one leads
 
     @classmethod
     def of(cls, scene: Scene, preview: Volume, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
-        """The look of a scene; options left open are chosen from the samples of its preview."""
+        """The look of a scene; options left open are chosen from the samples of its preview.
+
+        Of several media it is the look of the first in an order that does not depend on the scene's; they have previews of their
+        own.
+        """
+        if len(scene.media) > 1:
+            return cls._of_several(scene, camera, mode, options)
         camera = Camera.orbit() if camera is None else camera
         instance("camera", camera, Camera)
         skipping, gradient = options.get("skipping", True), options.get("gradient", "analytic")
@@ -335,9 +343,27 @@ class ResolvedLook:
         transfer = scene.media[0].transfer or mode.transfer(preview)
         return cls(camera, mode.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
 
+    @classmethod
+    def _of_several(cls, scene: Scene, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
+        own = [name for name in ("transfer", *WORDS, "material") if options.get(name) is not None]
+        if own:
+            raise OptionError(f"{' and '.join(own)} must be left to the media of a scene of several: Medium(..., {own[0]}=...)")
+        if mode.shows in ("matter", "surface") and scene.mix != "add":
+            raise OptionError(f'mix="{scene.mix}" changes nothing in {mode.name}: it is for projections')
+        media = [medium for medium in scene.media if medium.visible]
+        if not media:
+            raise OptionError(f"a picture must show a medium; none of the scene's {len(scene.media)} is visible")
+        looks = [cls.of(replace(scene, media=(one,)), one.volume, camera, mode, options) for one in media]
+        if mode.shows == "matter":
+            looks.sort(key=lambda look: _rank(look.scene.media[0], look.transfer))
+        return replace(looks[0], others=tuple(looks[1:]))
+
     def placed(self, aspect: float) -> ResolvedLook:
         """The same with the camera fitted to a picture of this aspect, if its position was left open."""
-        camera = fitted(self.camera, self.preview, self.mode, self.transfer, self.scene.clip, aspect)
+        camera, others = self.camera, tuple((look.preview, look.mode, look.transfer) for look in self.others)
+        if others:
+            camera = camera.in_world(max((self.preview, *(one for one, _, _ in others)), key=lambda volume: volume.space))
+        camera = fitted(camera, self.preview, self.mode, self.transfer, self.scene.clip, aspect, others=others)
         return self if camera is self.camera else replace(self, camera=camera)
 
     def view(self, size: tuple[int, int]) -> Viewpoint:
@@ -367,6 +393,14 @@ class ResolvedLook:
             camera = replace(camera, target=target, radius=radius)
         seen = Medium(volume, medium.transfer, medium.material, medium.filter, boundary)
         return replace(self, scene=replace(self.scene, media=(seen,)), camera=camera, transfer=transfer)
+
+
+def _rank(medium: Medium, transfer: TransferFunction) -> tuple[Any, ...]:
+    """A key by which media are in one order, whatever their list's: the finest grid is first."""
+    volume = medium.volume
+    place = volume.mean_spacing, volume.spacing, volume.size, volume.origin, tuple(np.ravel(volume.direction))
+    look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, medium.material, medium.filter, medium.boundary))
+    return place, look, zlib.crc32(np.ascontiguousarray(volume.data).view(np.uint8).data)
 
 
 def transfer_of(preview: Volume, mode: Mode, options: Mapping[str, Any]) -> TransferFunction | None:

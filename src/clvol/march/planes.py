@@ -21,6 +21,8 @@ from clvol.base.uniform import FLOAT, INT, Block
 from clvol.spline.minmax import BLOCK
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from clvol.base.uniform import Values
     from clvol.scene.camera import Viewpoint
     from clvol.volume.volume import Volume
@@ -36,6 +38,8 @@ _MAX_STEP = 1e30  # voxels; longer steps make no difference
 
 class Planes:
     """The planes on which a view is sampled: see the module.
+
+    `span` are the corners, in samples, of a box that the planes cross; they then lie where those of the volume alone would.
 
     A ray advances by at most `step` voxels between samples, and a segment of a ray crosses `segment` voxels at most. `count` planes
     lie `spacing` voxels apart along `axis` (0 for x); `oblique` says whether some rays step along themselves; the rounding error of
@@ -62,7 +66,15 @@ class Planes:
         axis=INT,
     )
 
-    def __init__(self, volume: Volume, view: Viewpoint, aspect: float, step: float, segment: float = SEGMENT) -> None:
+    def __init__(
+        self,
+        volume: Volume,
+        view: Viewpoint,
+        aspect: float,
+        step: float,
+        segment: float = SEGMENT,
+        span: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    ) -> None:
         self.step = step = min(step, _MAX_STEP)
         self._segment = segment
         inverse = volume.world_to_index_matrix
@@ -80,14 +92,22 @@ class Planes:
             raise OptionError(f"step must give no more than {_MAX_PLANES} planes; {step:g} would give {wanted:.3g}")
         if self.oblique and math.hypot(*volume.size) > _MAX_PLANES * step:
             raise OptionError(f"step must give no more than {_MAX_PLANES} samples a ray; got {step:g} for oblique rays")
-        self.count = max(1, math.ceil(wanted - 1e-9))
-        self.spacing = self._samples / self.count
+        own = max(1, math.ceil(wanted - 1e-9))
+        self.spacing = self._samples / own
+        low, high = (-0.5, self._samples - 0.5) if span is None else (float(corner[self.axis]) for corner in span)
+        self._before = max(0, math.ceil((-0.5 - low) / self.spacing - 1e-9))
+        self._behind = max(0, math.ceil((high - self._samples + 0.5) / self.spacing - 1e-9))
+        self.count = self._before + own + self._behind
+        longest = 0.0 if span is None else float(np.linalg.norm(span[1] - span[0])) / step
+        self.most = max(self.count, math.ceil(longest) + 1 if self.oblique else 0)
+        if self.most > _MAX_PLANES:
+            raise OptionError(f"step must give no more than {_MAX_PLANES} samples a ray through all media; got {step:g}")
 
     def block(self) -> Values:
         """The kernels' parameters: the planes from both ends, and the samples of a segment."""
         return self.BLOCK(
-            first=-0.5 + self.spacing / 2,
-            last=self._samples - 0.5 - self.spacing / 2,
+            first=-0.5 + (0.5 - self._before) * self.spacing,
+            last=self._samples - 0.5 + (self._behind - 0.5) * self.spacing,
             spacing=self.spacing,
             stride=self.step,
             count=self.count,

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.progress import part_of
-from clvol.march.launch import BEFORE_EDGES, Drawing
+from clvol.march.launch import BEFORE_EDGES
+from clvol.march.media import drawing_of
 from clvol.show.picture import Picture
 
 if TYPE_CHECKING:
@@ -94,14 +95,23 @@ class Wanted:
         """A key that pictures with comparable times share: how they are drawn."""
         subject, drawn = self.subject, self.subject.coefficients
         mode, tile = subject.look.mode, drawn.device.limits.tile
-        return mode.file, mode.shaded, drawn.filter, subject.evaluator, subject.central, subject.minmax is None, tile
+        return (
+            mode.file,
+            mode.shaded,
+            drawn.filter,
+            subject.evaluator,
+            subject.central,
+            subject.minmax is None,
+            tile,
+            len(subject.others),
+        )
 
     @property
     def shown(self) -> tuple[Any, ...]:
         """A further key of pictures that take about as long from the same view."""
         look, clip = self.subject.look, self.subject.look.scene.clip
         box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)  # arrays compare by element
-        return look.mode, look.transfer, box
+        return look.mode, look.transfer, box, *(one.look.transfer for one in self.subject.others)
 
     @property
     def long_steps(self) -> list[float]:
@@ -246,7 +256,7 @@ class Refinement:
         full = wanted.subject.frame(wanted.size, wanted.step, progress=self._asked.require_wanted)
         self._asked.require_wanted()
         self._view, self._rate = _view_of(full), self._rates.get(wanted.kind)
-        self._whole = Drawing(full, wanted.rays, wanted.filter, self._expected(self._pixels, wanted.step))
+        self._whole = drawing_of(full, wanted.rays, wanted.filter, self._expected(self._pixels, wanted.step))
         yield from self._first()
         yield from self._between()
         yield from self._last()
@@ -345,7 +355,7 @@ class Refinement:
         """A picture with fewer pixels, which also updates the rate; None if it was not in time."""
         begun = time.perf_counter()
         frame = self._wanted.subject.frame(size, step, aspect=self._aspect, progress=self._asked.require_wanted)
-        drawing = Drawing(frame, 1, self._wanted.filter, self._expected(size[0] * size[1], step))
+        drawing = drawing_of(frame, 1, self._wanted.filter, self._expected(size[0] * size[1], step))
         if not drawing.cast(1, self._asked.require_wanted, until):
             return None
         self._learn(size[0] * size[1], step, time.perf_counter() - begun, first=not self._shown)

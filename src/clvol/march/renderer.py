@@ -259,7 +259,7 @@ class Renderer:
         self.device.require_usable()
         with self._source.in_use():
             require_callback("progress", progress)
-            self._source.require_heard(chosen, options)
+            self._source.require_heard(chosen, options, wanted)
             noise = noise_of(self.volume, options.get("sigma")) if "uncertainty" in wanted else None
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, wanted, edges=fine.rays == "auto")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.checks import whole
 from clvol.base.errors import DataError, OptionError
+from clvol.base.progress import part_of
 from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import LazyVolume
 from clvol.filter.table import PICTURE_FILTER, as_filter
@@ -21,6 +22,8 @@ from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.frame import Subject
 from clvol.march.gaps import Gaps
+from clvol.march.media import MediaDrawing
+from clvol.march.mixed import mixed, nearest, over
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
 from clvol.scene.scene import Medium, Scene
@@ -29,7 +32,7 @@ from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
 from clvol.volume.missing import Missing, extrapolated
-from clvol.volume.smoothing import filter_for
+from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import RENUMBER, names_beyond
 from clvol.volume.volume import Volume
 
@@ -44,7 +47,18 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.scene.mode import Mode
     from clvol.spline.evaluator import Evaluator
 
-__all__ = ["ByBricks", "Drawable", "InMemory", "Source", "by_parts", "lacks_samples", "row_for", "single", "usual_filter"]
+__all__ = [
+    "ByBricks",
+    "Drawable",
+    "InMemory",
+    "Several",
+    "Source",
+    "by_parts",
+    "lacks_samples",
+    "row_for",
+    "single",
+    "usual_filter",
+]
 
 Drawable: TypeAlias = Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike
 """Inputs of a `Renderer`."""
@@ -89,8 +103,8 @@ class Source(ABC):
             return self.field.filter
         return filter_for(self.scene.media[0].volume, None, mode.picture_filter)
 
-    def require_heard(self, mode: Mode, options: RefineOptions) -> None:
-        """Raise `OptionError` if an option of a picture changes nothing for this function."""
+    def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:  # noqa: ARG002
+        """Raise `OptionError` if an option of a picture changes nothing for this function, or an output does not exist."""
         row = self.filter_of(mode)
         if "gradient" in options and not row.has_gradient:
             raise OptionError(f"gradient changes nothing with {row.name}, which has no slopes; leave it out")
@@ -194,6 +208,94 @@ class InMemory(Source):
                 self._uncertainty = Uncertainty(field)
                 self.lease.frees(self._uncertainty.release)
             return self._uncertainty
+
+
+class Several(Source):
+    """Functions of several media, all in memory."""
+
+    field: Field
+
+    def __init__(self, scene: Scene, device: Device | str | int | None) -> None:
+        self.parts: dict[int, InMemory] = {}
+        fields: dict[tuple[Any, ...], Field] = {}
+        try:
+            for medium in scene.media:
+                row = settled(filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.volume)
+                key = id(medium.volume), row, medium.boundary  # looks of one volume share its coefficients
+                if key not in fields:
+                    fields[key] = single(medium.volume, row, medium.boundary, device)
+                    device = fields[key].device
+                one = replace(scene, media=(medium,))
+                self.parts[id(medium)] = InMemory(one, fields[key], medium.volume, (fields[key],))
+            super().__init__(scene, self.parts[id(scene.media[0])].field, scene.media[0].volume, (scene, None, None))
+        except BaseException:
+            for field in fields.values():
+                field.close()
+            raise
+        self._rates: dict[tuple[Any, ...], Rate] = {}
+        self._owned = True
+        for close in (*(one.close for one in fields.values()), *(part.lease.close for part in self.parts.values())):
+            self.lease.frees(close)
+
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        with ExitStack() as held:
+            held.enter_context(self.lease.held())
+            for part in self.parts.values():
+                held.enter_context(part.in_use())
+            yield
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        return None
+
+    def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:
+        for part in self.parts.values():
+            part.require_heard(mode, options)
+        projected = "depth", "normal", "position", "visited"
+        without = {"matter": ("normal", "visited"), "surface": ("visited",)}.get(mode.shows, projected)
+        refused = [name for name in outputs if name in without]
+        if refused:
+            raise OptionError(f"{' and '.join(refused)} of several media in {mode.name} would be of which? Draw one of them")
+
+    def function(self, mode: Mode, level: int = 0) -> Field:
+        return self._part(self.scene.media[0]).function(mode, level)
+
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        if not look.others:
+            return self._part(look.scene.media[0]).draw(look, fine, guides, progress)
+        if look.mode.shows == "matter":
+            frame = self._subject(look).frame(fine.size, fine.step, guides=guides)
+            return launch.drawn(MediaDrawing(frame, fine.rays, fine.filter), fine.rays, progress)
+        looks, surfaces = (look, *look.others), look.mode.shows == "surface"
+        camera, background = look.placed(fine.size[0] / fine.size[1]).camera, look.scene.background
+        pictures = []
+        for i, one in enumerate(looks):
+            own = replace(one, camera=camera, others=(), scene=replace(one.scene, background=None))
+            part = part_of(progress, i / len(looks), (i + 1) / len(looks))
+            pictures.append(self._part(one.scene.media[0]).draw(own, fine, guides or surfaces, part))
+        together = nearest(pictures) if surfaces else {"rgba": mixed([one["rgba"] for one in pictures], self.scene.mix)}
+        return {**together, "rgba": over(background, together["rgba"])}
+
+    def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
+        if look.mode.shows == "matter" and look.others:
+            wanted = Wanted(self._subject(look), fine.size, fine.step, fine.rays, fine.filter)
+            return Refinement(wanted, asked, self._rates).pictures(self.in_use)
+
+        def draw(level: int, report: Progress) -> launch.Picture:  # noqa: ARG001  # there is one
+            return self.draw(look, fine, False, report)["rgba"]
+
+        return refined_by_levels(draw, range(1), fine.step, asked, self.in_use)
+
+    def uncertainty(self, mode: Mode) -> Uncertainty:  # noqa: ARG002
+        raise OptionError('the output "uncertainty" takes a scene of one medium')
+
+    def _subject(self, look: ResolvedLook) -> Subject:
+        first, *others = (self._part(one.scene.media[0])._subject(one) for one in (look, *look.others))
+        return replace(first, others=tuple(others))
+
+    def _part(self, medium: Medium) -> InMemory:
+        return self.parts[id(medium)]
 
 
 class ByBricks(Source):

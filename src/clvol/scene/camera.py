@@ -117,22 +117,23 @@ class Viewpoint:
         """The eye in samples, rounded as in kernels, for decisions that must agree on host and device."""
         return volume.world_to_index(self.eye).astype(np.float32)
 
-    def block(self, volume: Volume, width: int, height: int, aspect: float | None = None) -> Values:
+    def block(self, volume: Volume, width: int, height: int, aspect: float | None = None, *, rails: Volume | None = None) -> Values:
         """The block for kernels: rays in index space as linear functions of the pixel, (0, 0) top left.
 
         Pixels are square unless `aspect` is given: the ``width / height`` of a full picture, from which a smaller one may
         differ by rounding.
 
         Rays start on the plane through the volume's centre that faces the camera, where float32 is most precise. Lengths are
-        in mean spacings, so that none is too large or too small for float32.
+        in mean spacings, so that none is too large or too small for float32. With `rails`, another volume, both are that one's.
         """
+        lead = rails or volume
         aspect = width / height if aspect is None else aspect
         inverse, origin = volume.world_to_index_matrix, np.asarray(volume.origin)
         # picture coordinates: -1 to 1 along `right` and along `up`
         across, down = self.right * self.half_height * aspect, -self.up * self.half_height
         corner, per_x, per_y = -across - down, 2 * across / width, 2 * down / height
-        unit = volume.mean_spacing
-        ahead = float((volume.center - self.eye) @ self.forward)
+        unit = lead.mean_spacing
+        ahead = float((lead.center - self.eye) @ self.forward)
         start = inverse @ (self.eye + ahead * self.forward - origin)
         spread = 1.0 if self.orthographic else ahead
         fan = 0.0 if self.orthographic else unit
@@ -309,6 +310,14 @@ class Camera:
         if camera.position == camera.target:
             raise GeometryError(f"position and target must differ, to define a direction of view; got {position} twice")
         return camera
+
+    def in_world(self, volume: Volume) -> Camera:
+        """The same camera with its directions in the world, where they are in the viewing frame of this volume (`upright`)."""
+        if not self.upright:
+            return self
+        frame = _FRAMES.get(volume.space, _WORLD)
+        up, direction = (_vector("direction", frame @ np.asarray(way)) for way in (self.up, self.direction))
+        return replace(self, up=up, direction=direction, upright=False)
 
     def zoomed(self, factor: float) -> Camera:
         """A copy with the zoom multiplied by `factor`."""

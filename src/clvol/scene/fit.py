@@ -9,6 +9,7 @@ that an orbiting camera keeps its distance, and they stay near the middle.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
@@ -22,9 +23,11 @@ from clvol.scene.scene import Box
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.volume import Volume
 
-__all__ = ["Sphere", "fitted", "sphere_of_matter"]
+__all__ = ["Seen", "Sphere", "fitted", "sphere_of_matter"]
 
 Bools: TypeAlias = NDArray[np.bool_]
+Seen: TypeAlias = tuple[Volume, Mode, TransferFunction]
+"""A volume, with the mode and the transfer function that show it."""
 
 _SAMPLES = 64  # samples read along each axis
 _FAINT = 0.02  # relative to the largest opacity: less is barely visible
@@ -58,16 +61,29 @@ def spread(volume: Volume, most: int) -> tuple[NDArray[Any], list[int], list[int
 
 
 def fitted(
-    camera: Camera, volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None, aspect: float = 1.0
+    camera: Camera,
+    volume: Volume,
+    mode: Mode,
+    transfer: TransferFunction,
+    clip: Box | None = None,
+    aspect: float = 1.0,
+    *,
+    others: Sequence[Seen] = (),
 ) -> Camera:
     """The camera with target and radius, if it must be fitted to visible matter: see `Camera`. Modes must be settled.
 
-    `aspect` is the picture's width over its height.
+    `aspect` is the picture's width over its height; `others` are the other volumes of the picture. A camera that is not fitted to
+    matter sees one volume as its `Camera.view` says, and several as the sphere around them all.
     """
-    given = (camera.position, camera.target, camera.distance, camera.radius)
+    seen, given = ((volume, mode, transfer), *others), (camera.position, camera.target, camera.distance, camera.radius)
     if camera.fit != "matter" or any(value is not None for value in given):
-        return camera
-    sphere = sphere_of_matter(volume, mode, transfer, clip)
+        if not others or (camera.target is not None and camera.radius is not None):
+            return camera
+        corners = np.concatenate([one.corners for one, _, _ in seen])
+        middle = corners.min(0) / 2 + corners.max(0) / 2
+        radius = float(np.linalg.norm(corners - middle, axis=1).max())
+        return replace(camera, target=camera.target or tuple(map(float, middle)), radius=camera.radius or radius)  # type: ignore[arg-type]  # three
+    sphere = _around([sphere_of_matter(*one, clip) for one in seen])
     center, radius = np.asarray(sphere.center), sphere.radius
     if sphere.outer is not None:
         view = camera.view(volume, aspect)
@@ -87,6 +103,29 @@ def fitted(
             radius *= min(1.0, reach / furthest)
     x, y, z = (float(v) for v in center)
     return replace(camera, target=(x, y, z), radius=radius)
+
+
+def _around(spheres: list[Sphere]) -> Sphere:
+    """A sphere around spheres."""
+    if len(spheres) == 1:
+        return spheres[0]
+    whole = any(sphere.outer is None for sphere in spheres)
+    points = np.concatenate([np.asarray(one.center) + (_ends(one) if one.outer is None else one.outer) for one in spheres])
+    center = _middle(points)
+    radius = max(math.dist(one.center, center) + one.radius for one in spheres)
+    return Sphere(tuple(map(float, center)), radius, None if whole else points - center)  # type: ignore[arg-type]  # three
+
+
+def _ends(sphere: Sphere) -> NDArray[np.float64]:
+    return sphere.radius * np.concatenate([np.eye(3), -np.eye(3)])
+
+
+def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The centre of the smallest sphere around points."""
+    center: NDArray[np.float64] = points.mean(0)
+    for i in range(1, _STEPS):  # Badoiu and Clarkson, 2003
+        center += (points[((points - center) ** 2).sum(1).argmax()] - center) / (i + 1)
+    return center
 
 
 def _swept(points: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -144,9 +183,7 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     ends = lines.argmax(1), lines.shape[1] - 1 - lines[:, ::-1].argmax(1)  # samples between them are inside any sphere around them
     points = np.concatenate([np.stack([x, y, z], 1) for x in ends]) @ matrix.T + start
     outer = points[np.unique((points @ _sphere_directions()).argmax(0))]
-    center = outer.mean(0)
-    for i in range(1, _STEPS):  # Badoiu and Clarkson, 2003
-        center += (outer[((outer - center) ** 2).sum(1).argmax()] - center) / (i + 1)
+    center = _middle(outer)
     beyond = 0.0 if surface else float(np.linalg.norm(matrix, axis=0).max()) / 2  # surfaces are between the samples on both sides
     radius = _MARGIN * unit * (math.sqrt(float(((points - center) ** 2).sum(1).max())) + beyond)
     if not radius < volume.radius:

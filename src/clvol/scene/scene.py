@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import InitVar, dataclass
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import if_image, instance
+from clvol.base.checks import if_image, instance, one_of
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
@@ -20,7 +20,7 @@ from clvol.filter.table import as_filter
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import AS_THEY_ARE, Stored
-from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volume import Volume, as_volume, masked
 
 __all__ = ["CLIP", "ROUNDING", "Medium", "Scene", "as_scene", "clip_block"]
 
@@ -31,6 +31,9 @@ in the last place. Filters fitted by polynomials of degree 12 exceed it up to ei
 
 CLIP = Block("clip_block", low=(FLOAT, 3), high=(FLOAT, 3), clipped=INT)
 _MAX_ANISOTROPY = 1e6  # largest ratio of spacings, the limit of float32
+
+_MOST_MEDIA = 8
+_MIXES = ("add", "over")
 
 Box = tuple[Sequence[float], Sequence[float]]
 
@@ -50,6 +53,13 @@ class Medium:
     filter : str or Filter, optional
         Reconstruction filter; the default depends on the mode of the picture: "bspline3(auto)", or "bspline3"
         in modes that show extremes (`Mode.picture_filter`).
+    visible : bool
+        Whether pictures show it; the look of all others does not depend on it.
+    mask : array-like, shape of the volume, optional
+        Where the medium is: labels, of which `where` names those that show it; or of bool, True where its samples are missing.
+        Missing samples are transparent, as where they are NaN.
+    where : label or sequence of labels, optional
+        The labels of `mask` in which the medium is shown.
     boundary : str or Boundary
         Boundary rule outside its samples. The domain ends half a voxel outside the outer samples, or at the outer samples
         for "constant" and "overlap", where the function changes there.
@@ -69,6 +79,9 @@ class Medium:
     material: Material = Material()  # noqa: RUF009  # frozen
     filter: Filter | None = None
     boundary: Boundary = DEFAULT_BOUNDARY  # type: ignore[assignment]  # __post_init__ looks names up
+    visible: bool = True
+    mask: InitVar[ArrayLike | None] = None
+    where: InitVar[ArrayLike | None] = None
 
     BLOCK: ClassVar[Block] = Block(
         "geometry_block",
@@ -81,8 +94,12 @@ class Medium:
         rounding=FLOAT,
     )
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "volume", as_volume(self.volume))
+    def __post_init__(self, mask: ArrayLike | None, where: ArrayLike | None) -> None:
+        volume = as_volume(self.volume)
+        if mask is not None or where is not None:
+            volume = masked(volume, _outside(mask, where))
+        object.__setattr__(self, "volume", volume)
+        instance("visible", self.visible, bool, np.bool_)
         if self.filter is not None:
             object.__setattr__(self, "filter", as_filter(self.filter))
         object.__setattr__(self, "boundary", as_boundary(self.boundary))
@@ -103,11 +120,21 @@ class Medium:
                 f"{self.volume.shape}: render parts of it (Volume.crop), or use clvol.sample"
             )
 
-    def block(self, stored: Stored = AS_THEY_ARE) -> Values:
-        """The block for kernels: the domain, its map to the world and back for gradients, and the rounding error of gradients."""
+    @property
+    def domain(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The corners of the domain, in samples."""
+        last = np.asarray(self.volume.size, np.float64) - 1
+        return np.full(3, -self.boundary.edge), last + self.boundary.edge
+
+    def block(self, stored: Stored = AS_THEY_ARE, unit: float | None = None) -> Values:
+        """The block for kernels: the domain, its map to the world and back for gradients, and the rounding error of gradients.
+
+        `unit` is their unit of length in world units; by default the mean spacing.
+        """
         volume = self.volume
         low, high = (float(v) for v in stored(volume.value_range))
-        unit, inverse = volume.mean_spacing, volume.world_to_index_matrix
+        unit, inverse = unit or volume.mean_spacing, volume.world_to_index_matrix
+        first, last = self.domain
         # The unit of gradients lets float32 hold their squares, from 2¹³ times the largest value per voxel, more than any
         # filter gives, down to 2⁻¹¹² of it: one voxel may be 1e30 times as bright as all visible matter.
         largest = max(high - low, high, -low)
@@ -119,8 +146,8 @@ class Medium:
             index_to_world=volume.index_to_world_matrix.ravel() / unit,
             gradient=gradient.ravel(),
             center=(np.asarray(volume.size) - 1) / 2,
-            low=-self.boundary.edge,
-            high=np.asarray(volume.size) - 1 + self.boundary.edge,
+            low=first,
+            high=last,
             unit=unit,
             rounding=ROUNDING * steepest,
         )
@@ -133,35 +160,61 @@ class Scene:
     Parameters
     ----------
     media : Medium, Volume, array-like, or a sequence of these
-        The media to render; so far one. (Give a Field directly to a `Renderer`.)
+        The media to render, 1 to 8, on one grid or on several. (Give a Field directly to a `Renderer`.)
     lights : Light or sequence of Light
         Up to 4; default: key light, fill light and headlight, which move with the camera (`clvol.scene.light.KIT`).
     background : three numbers, a name, or None
         Colour behind the media. None: transparent, with colours that are not premultiplied.
     clip : (low, high), optional
         Box in world coordinates (x, y, z); matter outside is not rendered.
+    mix : {"add", "over"}
+        How the projections of several media go together. "add": their colours add up, as those of a microscope's channels do.
+        "over": each covers those after it in the list as far as it is bright.
 
     Raises
     ------
     OptionError
-        There is no medium or several, an entry of `lights` is not a light, there are more than 4, or `background` is not a
+        There is no medium or more than 8, an entry of `lights` is not a light, there are more than 4, or `background` is not a
         colour.
     GeometryError
-        `clip` is not a box.
+        `clip` is not a box; or media are in worlds of different orientation, as those of a patient and of a stack of images.
+
+    Notes
+    -----
+    In "composite" the media share the samples of each ray: their extinctions add, colours are weighted by extinction, and one
+    exponential of the sum says how much light is left, so that the order of the list does not change a bit. Samples lie on planes
+    of the finest grid; steps count its voxels. An opacity without a `unit_distance` is that of one voxel of its own grid.
+    "isosurface" shows the nearest surface of all; projections are mixed.
+
+    Examples
+    --------
+    >>> import numpy as np, clvol
+    >>> x, y, z = np.mgrid[-1:1:24j, -1:1:24j, -1:1:24j]
+    >>> ball = clvol.Volume(1 - np.sqrt(x**2 + y**2 + z**2))
+    >>> shell = clvol.Medium(ball, clvol.TransferFunction([(0, "white")], [(0.1, 0), (0.3, 0.1), (0.5, 0)]))
+    >>> core = clvol.Medium(ball, clvol.TransferFunction([(0, "red")], [(0.6, 0), (0.7, 0.8)]))
+    >>> clvol.render(clvol.Scene([shell, core]), size=(64, 48)).shape
+    (48, 64, 4)
     """
 
     media: tuple[Medium, ...]
     lights: tuple[Light, ...] = KIT
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
     clip: Box | None = None
+    mix: Literal["add", "over"] = "add"
 
     def __post_init__(self) -> None:
         media: Any = self.media
         if not isinstance(media, (list, tuple)) or (media and not any(isinstance(m, (Medium, Volume, np.ndarray)) for m in media)):
             media = (media,)  # a volume or an array, possibly nested lists
-        if len(media) != 1:
-            raise OptionError(f"a scene must have exactly one medium so far; got {len(media)}")
-        media = (as_medium(media[0]),)
+        if not 1 <= len(media) <= _MOST_MEDIA:
+            raise OptionError(f"a scene must have 1 to {_MOST_MEDIA} media; got {len(media)}")
+        media = tuple(map(as_medium, media))
+        worlds = {medium.volume.space for medium in media if medium.volume.space}
+        if len(worlds) > 1:
+            raise GeometryError(f"the media of a scene must be in one world; got volumes in {' and '.join(sorted(worlds))}")
+        if self.mix not in _MIXES:
+            raise one_of("mix", self.mix, _MIXES)
         object.__setattr__(self, "media", media)
         object.__setattr__(self, "lights", as_lights(self.lights))
         if self.background is not None:
@@ -180,12 +233,33 @@ def as_scene(choice: Scene | Medium | Volume | ArrayLike) -> Scene:
     return choice if isinstance(choice, Scene) else Scene((as_medium(choice),))
 
 
-def clip_block(clip: Box | None, volume: Volume) -> Values:
-    """The block of a clip box for kernels: relative to the volume's origin, in mean spacings."""
+def clip_block(clip: Box | None, volume: Volume, unit: float) -> Values:
+    """The block of a clip box for kernels: relative to the volume's origin, in their unit of length."""
     if clip is None:
         return CLIP(low=0.0, high=0.0, clipped=0)
-    low, high = ((np.asarray(corner) - np.asarray(volume.origin)) / volume.mean_spacing for corner in clip)
+    low, high = ((np.asarray(corner) - np.asarray(volume.origin)) / unit for corner in clip)
     return CLIP(low=low, high=high, clipped=1)
+
+
+def _outside(mask: ArrayLike | None, where: ArrayLike | None) -> NDArray[np.bool_]:
+    """Where a medium's samples are missing."""
+    if mask is None:
+        raise OptionError(f"where names labels of a mask; got where={where!r} and no mask")
+    labels = np.asarray(mask.data if isinstance(mask, Volume) else mask)
+    if where is None:
+        if labels.dtype != np.bool_:
+            raise OptionError(f"a mask of labels takes where=, those that show the medium; got {labels.dtype} and no where")
+        return labels
+    wanted = np.atleast_1d(np.asarray(where))
+    absent = [label for label in wanted.tolist() if not (labels == label).any()]
+    if absent:
+        raise OptionError(f"where must name labels of the mask, which has {_some(np.unique(labels))}; got {absent}")
+    return ~np.isin(labels, wanted)
+
+
+def _some(labels: NDArray[Any]) -> str:
+    named = ", ".join(f"{label:g}" for label in labels[:8])
+    return f"{named}, ... ({len(labels)} in all)" if len(labels) > 8 else named
 
 
 def _box(clip: Box) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,0 +1,138 @@
+"""Pictures of several media in float64, by the documentation of `clvol.Scene`: extinctions add at the samples of each ray."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base.arrays import Array
+from clvol.filter.table import DEFAULT_FILTER, as_filter
+from clvol.reference.march.march import flat_below, planes_across, shade
+from clvol.reference.march.rays import Rays, camera_rays
+from clvol.reference.spline.points import sample
+from clvol.scene.camera import Camera, Viewpoint
+from clvol.scene.scene import Medium, Scene
+from clvol.volume.stored import Stored
+from clvol.volume.volume import Volume
+
+__all__ = ["render_media"]
+
+
+def render_media(
+    scene: Scene, camera: Camera, size: tuple[int, int], step: float = 0.5, *, lead: int = 0, shading: bool = True
+) -> dict[str, Array]:
+    """The picture of a scene's media in "composite", without termination, and its depth.
+
+    The camera has a target and a radius, or a position; all media have a transfer function. The grid of medium number `lead` has
+    the planes of the samples, whose stretches are half a step to either side, except from where a ray enters a medium to the first
+    of its samples, and from the last to where it leaves. A ray that meets none has a sample in its middle, at the next plane's
+    place.
+    """
+    width, height = size
+    volume = scene.media[lead].volume
+    view = camera.view(volume, width / height)
+    t, world_step = _places(scene, volume, view, size, step)
+    optical, light = np.zeros(t.shape), np.zeros((*t.shape, 3))
+    for medium in scene.media:
+        rays = camera_rays(medium.volume, view, size, (0.5, 0.5), scene.clip, medium.boundary.edge)
+        which, slot, at, length = _samples(rays, t, world_step)
+        stopped, rgb = _matter(medium, scene, rays, view, which, at, shading)
+        unit = (medium.transfer and medium.transfer.unit_distance) or medium.volume.mean_spacing
+        thickness = np.multiply(stopped, length / unit, out=np.zeros_like(stopped), where=length > 0)
+        np.add.at(optical, (which, slot), thickness)
+        np.add.at(light, (which, slot), thickness[:, None] * rgb)
+    opacity = -np.expm1(-optical)
+    after = np.cumprod(1 - opacity, axis=1)
+    before = np.concatenate([np.ones((len(after), 1)), after[:, :-1]], 1)
+    share = before * opacity
+    rgb = np.divide(light, optical[..., None], out=np.zeros_like(light), where=optical[..., None] > 0)
+    colors, cover = np.einsum("nk,nkc->nc", share, rgb), share.sum(1)
+    half = after <= 0.5
+    depth = np.full(len(t), math.inf)
+    some = np.flatnonzero(half.any(1))
+    first = some, half[some].argmax(1)
+    depth[some] = t[first] + (np.log(2 * before[first]) / optical[first] - 0.5) * world_step[some]
+    if scene.background is None:
+        colors = np.divide(colors, cover[:, None], out=np.zeros_like(colors), where=cover[:, None] > 0)
+    else:
+        colors, cover = colors + (1 - cover[:, None]) * np.asarray(scene.background), np.ones_like(cover)
+    rgba = np.clip(np.concatenate([colors, cover[:, None]], 1), 0, 1)
+    return {"rgba": rgba.reshape(height, width, 4), "depth": depth.reshape(height, width)}
+
+
+def _places(scene: Scene, volume: Volume, view: Viewpoint, size: tuple[int, int], step: float) -> tuple[Array, Array]:
+    """Distances of all samples of each ray, in order, (N, M), and each ray's world step, (N,)."""
+    axis, planes = planes_across(volume, view, size[0] / size[1], step)
+    rays = camera_rays(volume, view, size, (0.5, 0.5), None, 0.5)
+    corners = np.concatenate([volume.world_to_index(_corners(medium)) for medium in scene.media])
+    low, high = corners.min(0), corners.max(0)
+    spacing = volume.size[axis] / planes
+    start = volume.world_to_index(rays.origin)
+    slope = rays.direction @ volume.world_to_index_matrix.T
+    length = np.linalg.norm(slope, axis=1)
+    steep = np.abs(slope[:, axis]) >= 0.5 * length
+    numbers = np.arange(math.floor((low[axis] + 0.5) / spacing - 1), math.ceil((high[axis] + 0.5) / spacing + 1))
+    along = np.where(steep, slope[:, axis], 1.0)
+    t = np.sort((-0.5 + (numbers + 0.5) * spacing - start[:, axis, None]) / along[:, None], axis=1)
+    own = step / length
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([(low - start) / slope, (high - start) / slope])
+    enter = np.fmin(ends[0], ends[1]).max(1)
+    if not view.orthographic:
+        enter = np.maximum(enter, 0.0)
+    count = 1 + math.ceil(float(np.linalg.norm(high - low)) / step)
+    oblique = enter[:, None] + (np.arange(count) + 0.5) * own[:, None]
+    every = np.full((len(t), max(len(numbers), count)), math.inf)
+    every[steep, : len(numbers)] = t[steep]
+    every[~steep, :count] = oblique[~steep]
+    return every, np.where(steep, spacing / np.abs(along), own)
+
+
+def _corners(medium: Medium) -> Array:
+    low, high = -medium.boundary.edge, np.asarray(medium.volume.size) - 1 + medium.boundary.edge
+    return medium.volume.index_to_world(low + np.array(list(itertools.product((0, 1), repeat=3))) * (high - low))
+
+
+def _samples(rays: Rays, t: Array, step: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
+    """Of each sample of a medium its ray, its place among the ray's, its distance and the length of its stretch."""
+    hit = rays.enter <= rays.leave
+    inside = hit[:, None] & (t >= rays.enter[:, None]) & (t <= rays.leave[:, None])
+    ends = np.where(np.isfinite(t), t, 0.0)
+    near, far = ends - step[:, None] / 2, ends + step[:, None] / 2
+    some = np.flatnonzero(inside.any(1))
+    near[some, inside[some].argmax(1)] = rays.enter[some]
+    far[some, inside.shape[1] - 1 - inside[some, ::-1].argmax(1)] = rays.leave[some]
+    which, slot = np.nonzero(inside)
+    alone = np.flatnonzero(hit & ~inside.any(1))
+    following = (t[alone] < rays.enter[alone, None]).sum(1)
+    middle = (rays.enter[alone] + rays.leave[alone]) / 2
+    return (
+        np.concatenate([which, alone]),
+        np.concatenate([slot, following]),
+        np.concatenate([t[which, slot], middle]),
+        np.concatenate([(far - near)[which, slot], rays.leave[alone] - rays.enter[alone]]),
+    )
+
+
+def _matter(
+    medium: Medium, scene: Scene, rays: Rays, view: Viewpoint, which: NDArray[np.intp], t: Array, shading: bool
+) -> tuple[Array, Array]:
+    """The extinction of a unit distance of a medium at samples, and its colour."""
+    volume, row = medium.volume, as_filter(medium.filter or DEFAULT_FILTER)
+    rule = medium.boundary if medium.boundary.edge else "mirror"
+    points = rays.at(t, which)
+    values = sample(volume, points, row, rule)
+    assert medium.transfer is not None
+    shades = medium.transfer(values)
+    rgb = shades[:, :3]
+    seen = shades[:, 3] > 0
+    if shading:
+        flat = flat_below(volume, values[seen] - Stored.of(volume, row, medium.boundary).offset)
+        lights = [light.placed(view) for light in scene.lights]
+        gradient = sample(volume, points[seen], row, rule, 1)
+        rgb[seen] = shade(gradient, rgb[seen], rays.direction[which[seen]], medium.material, lights, flat)
+    with np.errstate(divide="ignore"):
+        return -np.log1p(-shades[:, 3]), rgb

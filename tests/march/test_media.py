@@ -1,0 +1,198 @@
+"""Several media in one picture: the reference's, whatever their grids, filters and order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import clvol
+from clvol import Camera, Medium, Scene, TransferFunction, Volume
+from clvol.base.errors import ClvolError, OptionError
+from clvol.device import Device
+from clvol.reference.march.media import render_media
+from tests.march.looks import TILES
+
+SIZE = (40, 30)
+TURNED = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+
+
+def blobs(seed: int, *shape: int, **place: Any) -> Volume:
+    data = gaussian_filter(np.random.default_rng(seed).normal(size=shape), 2.5)
+    return Volume(((data - data.min()) / np.ptp(data)).astype(np.float32), **place)
+
+
+def soft(color: str, start: float) -> TransferFunction:
+    return TransferFunction([(0, "black"), (start, color), (1, "white")], [(start, 0), (1, 0.25)])
+
+
+FIRST = Medium(blobs(1, 20, 22, 24), soft("red", 0.45), filter="bspline3")
+MEDIA = {
+    "one grid": Medium(blobs(2, 20, 22, 24), soft("lime", 0.5), filter="mitchell"),
+    "other spacings": Medium(blobs(3, 9, 14, 12, spacing=(2.1, 1.7, 2.3), origin=(-4, 1, 2)), soft("blue", 0.4), filter="bspline3"),
+    "turned": Medium(
+        blobs(4, 18, 12, 22, spacing=(1.1, 1.2, 1.5), origin=(8, 4, 3), direction=TURNED), soft("yellow", 0.45), filter="linear"
+    ),
+    "a slice": Medium(
+        blobs(5, 1, 12, 22, spacing=(1.1, 1.2, 1.1), origin=(8, 4, 9.3), direction=TURNED), soft("white", 0.2), filter="linear"
+    ),
+}
+VIEWS: dict[str, dict[str, Any]] = {
+    "perspective": {"azimuth": 30, "elevation": 20},
+    "orthographic": {"azimuth": 80, "elevation": 5, "projection": "orthographic"},
+    "wide": {"azimuth": 40, "elevation": 60, "fov": 100, "distance": 9.0},  # rays too oblique to share planes
+}
+
+
+def camera(view: str) -> Camera:
+    return Camera.orbit(target=(12, 11, 10), radius=19, **VIEWS[view])
+
+
+def errors(scene: Scene, view: str, device: Device) -> tuple[float, float, float]:
+    """Largest and RMS error of colours, and the largest of depths, relative to the mean."""
+    want = render_media(scene, camera(view), SIZE, 0.7)
+    got = clvol.render(scene, camera(view), size=SIZE, step=0.7, rays=1, termination=0, outputs=("rgba", "depth"), device=device)
+    apart = np.abs(got["rgba"] - want["rgba"])
+    both = np.isfinite(want["depth"]) & np.isfinite(got["depth"])
+    assert (np.isfinite(want["depth"]) != np.isfinite(got["depth"])).sum() <= 1
+    deep = np.abs(got["depth"][both] - want["depth"][both]).max() / want["depth"][both].mean()
+    return float(apart.max()), float(np.sqrt((apart**2).mean())), float(deep)
+
+
+@pytest.mark.parametrize("tile", TILES)
+@pytest.mark.parametrize("other", MEDIA)
+def test_two_media_are_the_references(device: Device, other: str, tile: str) -> None:
+    with device.limited(tile=TILES[tile]):
+        largest, rms, deep = errors(Scene([FIRST, MEDIA[other]]), "perspective", device)
+    assert largest < 1e-5
+    assert rms < 1e-6
+    assert deep < 1e-5
+
+
+@pytest.mark.parametrize("view", ["orthographic", "wide"])
+def test_all_media_are_the_references(device: Device, view: str) -> None:
+    largest, rms, deep = errors(Scene([FIRST, *MEDIA.values()]), view, device)
+    assert largest < 2e-3  # a sample on the face of a turned grid is in or out by rounding
+    assert rms < 5e-5
+    assert deep < 1e-4
+
+
+def test_the_order_changes_no_bit(device: Device) -> None:
+    media = [FIRST, *MEDIA.values(), replace(FIRST, volume=MEDIA["one grid"].volume)]
+    want = clvol.render(Scene(media), camera("perspective"), size=SIZE, device=device)
+    for turn in (1, 3):
+        turned = media[turn:] + media[:turn]
+        np.testing.assert_array_equal(clvol.render(Scene(turned[::-1]), camera("perspective"), size=SIZE, device=device), want)
+
+
+def test_no_bit_depends_on_skipping(device: Device) -> None:
+    scene = Scene([FIRST, *MEDIA.values()])
+    with clvol.Renderer(scene, device=device) as renderer:
+        want = renderer.render(camera("perspective"), size=SIZE)
+        np.testing.assert_array_equal(renderer.render(camera("perspective"), size=SIZE, skipping=False), want)
+
+
+@pytest.mark.parametrize("rays", ["auto", 4])
+def test_pictures_of_many_areas(device: Device, rays: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene([FIRST, MEDIA["turned"]])
+    want = clvol.render(scene, camera("perspective"), size=(70, 50), rays=rays, device=device)
+    monkeypatch.setattr("clvol.march.media._ROOM", {"cpu": 1, "gpu": 1})  # a tile at a time
+    monkeypatch.setattr("clvol.march.media._BATCH", 5)
+    got = clvol.render(scene, camera("perspective"), size=(70, 50), rays=rays, device=device)
+    np.testing.assert_allclose(got, want, atol=1e-3)  # what `termination` leaves
+
+
+def test_media_without_opacity_change_nothing(device: Device) -> None:
+    clear = TransferFunction([(0, "white")], [(0, 0)])
+    one = replace(FIRST, transfer=soft("red", 0.3))
+    want = clvol.render(Scene(one), camera("perspective"), size=SIZE, device=device)
+    for other in MEDIA.values():
+        if other.volume.mean_spacing > one.volume.mean_spacing:  # whose planes do not lead
+            scene = Scene([replace(other, transfer=clear), one])
+            np.testing.assert_allclose(clvol.render(scene, camera("perspective"), size=SIZE, device=device), want, atol=2e-6)
+    hidden = Scene([one, replace(MEDIA["turned"], visible=False)])
+    np.testing.assert_array_equal(clvol.render(hidden, camera("perspective"), size=SIZE, device=device), want)
+
+
+def test_extinctions_add(device: Device) -> None:
+    """Two media of opacity 1 - sqrt(1 - a) are one of opacity a."""
+    points = np.linspace(0, 1, 129)
+    whole = [(v, 0.3 * v**2) for v in points]
+    half = [(v, 1 - math.sqrt(1 - a)) for v, a in whole]
+    one, two = (replace(FIRST, transfer=TransferFunction([(0, "white")], points)) for points in (whole, half))
+    want = clvol.render(Scene(one), camera("perspective"), size=SIZE, device=device)
+    np.testing.assert_allclose(clvol.render(Scene([two, two]), camera("perspective"), size=SIZE, device=device), want, atol=2e-5)
+
+
+@pytest.mark.parametrize("mode", ["mip", "mean"])
+def test_projections_add(device: Device, mode: str) -> None:
+    red, green = (Medium(blobs(seed, 20, 22, 24, color=color)) for seed, color in ((1, "red"), (2, "lime")))
+    got, *alone = (
+        clvol.render(Scene(media), camera("perspective"), mode=mode, size=SIZE, background=None, device=device)
+        for media in ([red, green], red, green)
+    )
+    np.testing.assert_allclose(got[..., :3], np.clip(alone[0][..., :3] + alone[1][..., :3], 0, 1), atol=1e-6)
+    over = clvol.render(Scene([red, green], mix="over"), camera("perspective"), mode=mode, size=SIZE, device=device)
+    np.testing.assert_allclose(over[..., 1], (1 - alone[0][..., 0]) * alone[1][..., 1], atol=1e-6)
+
+
+def test_the_nearest_surface_is_seen(device: Device) -> None:
+    z, y, x = np.mgrid[:24, :24, :24]
+    balls = [Volume(np.float32(8 - np.hypot(np.hypot(x - at, y - 12), z - 12)), color=c) for at, c in ((7, "red"), (15, "lime"))]
+    look = {"mode": "isosurface", "size": SIZE, "isovalue": 1.0, "outputs": ("rgba", "depth"), "device": device}
+    together = clvol.render(Scene([Medium(ball) for ball in balls]), Camera.orbit(70, 0, target=(11, 12, 12), radius=15), **look)
+    alone = [clvol.render(ball, Camera.orbit(70, 0, target=(11, 12, 12), radius=15), **look) for ball in balls]
+    nearest = np.fmin(*(one["depth"] for one in alone))
+    np.testing.assert_array_equal(together["depth"], nearest)
+    assert (np.isfinite(alone[0]["depth"]) & np.isfinite(alone[1]["depth"])).sum() > 50
+
+
+def test_labels_say_where_a_medium_is(device: Device) -> None:
+    labels = np.zeros(FIRST.volume.shape, np.uint8)
+    labels[:, :, 12:] = 3
+    some = Medium(FIRST.volume, FIRST.transfer, filter="bspline3", mask=labels, where=3)
+    masked = Medium(FIRST.volume, FIRST.transfer, filter="bspline3", mask=labels != 3)
+    look = {"camera": camera("perspective"), "size": SIZE, "device": device}
+    want = clvol.render(Scene(masked), **look)
+    np.testing.assert_array_equal(clvol.render(Scene(some), **look), want)
+    assert not np.array_equal(clvol.render(Scene(FIRST), **look), want)
+    two = clvol.render(Scene([some, Medium(FIRST.volume, FIRST.transfer, filter="bspline3", mask=labels, where=[0])]), **look)
+    whole = clvol.render(Scene(FIRST), **look)
+    assert np.abs(two - whole).mean() < 0.01  # but where the halves meet, which each continues by itself
+
+
+def test_refined_pictures_end_with_the_whole_one(device: Device) -> None:
+    for mode in ("composite", "mip"):
+        with clvol.Renderer(Scene([FIRST, MEDIA["turned"]]), device=device) as renderer:
+            *_, last = renderer.refine(camera("perspective"), mode, (80, 60))
+            np.testing.assert_array_equal(last, renderer.render(camera("perspective"), mode, (80, 60)))
+
+
+TWO = Scene([FIRST, MEDIA["one grid"]])
+REFUSED: dict[str, tuple[Any, str]] = {
+    "a transfer function of which": (lambda: clvol.render(TWO, transfer=soft("red", 0.1)), "transfer must be left to the media"),
+    "a colour map of which": (lambda: clvol.render(TWO, cmap="bone"), "cmap must be left to the media of a scene"),
+    "normals of which": (lambda: clvol.render(TWO, outputs="normal"), "normal of several media in composite would be of which"),
+    "the depth of a sum": (lambda: clvol.render(TWO, mode="mip", outputs="depth"), "depth of several media in mip"),
+    "nothing visible": (
+        lambda: clvol.render(Scene([replace(medium, visible=False) for medium in TWO.media])),
+        "none of the scene's 2 is visible",
+    ),
+    "a mix of matter": (lambda: clvol.render(replace(TWO, mix="over")), 'mix="over" changes nothing in composite'),
+    "by bricks": (lambda: clvol.Renderer(TWO, memory=1 << 26), "memory takes one medium"),
+    "on a cluster": (lambda: clvol.Renderer(TWO, cluster=2), "cluster takes one medium"),
+    "a mask for which": (lambda: clvol.Renderer(TWO, mask=np.zeros((20, 22, 24), bool)), "mask must be left to the media"),
+    "uncertainty": (lambda: clvol.render(TWO, mode="isosurface", outputs="uncertainty"), "takes a scene of one medium"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_makes_no_sense_is_refused(case: str) -> None:
+    make, message = REFUSED[case]
+    with pytest.raises(ClvolError, match=message) as caught:
+        make()
+    assert isinstance(caught.value, OptionError)
