@@ -379,7 +379,7 @@ def sum_along(
 ) -> NDArray[Any]:
     """Replace axes of an array, of any layout, by sums along them; `kind` is the type of the result and of what is between.
 
-    `outside` is the constant outside. Axes are summed in the order of `sums`: sums of a part equal those of the whole to the last bit
+    `outside` is the constant outside. Axes are summed in the order of `sums`: sums of a part are those of the whole to the last bit
     if it is the same; see `in_order`. Where samples lie `far` from zero, and `kind` is float64, each sum is that of differences.
     """
     far = far and kind == np.float64
