@@ -501,3 +501,61 @@ def test_the_reference_renders_the_same(device: Device) -> None:
         got = clvol.render(data, mode=mode, device=device, **look, **options)
         expected = render(data, mode=mode, **look, **options)
         assert_allclose(got, expected["rgba"] if isinstance(expected, dict) else expected, rtol=0, atol=2e-3, err_msg=mode)
+
+
+@pytest.mark.parametrize("how", ["gaussian", "least-squares"])
+def test_sums_far_from_zero_keep_every_digit_that_samples_have(device: Device, how: Any) -> None:
+    """Samples of 1e12 have 13 binary digits of a range of 1, and sums along an axis round once."""
+    if not device.has_double:
+        pytest.skip("needs doubles")
+    above = np.random.default_rng(5).integers(0, 2**13, (20, 22, 24)) / 2.0**13
+    far, shape = 1e12 + above, (10, 11, 12)
+    grid = tuple((0.0, 2.0, n) for n in shape)
+    if how == "gaussian":
+        exact = ndimage.gaussian_filter(above, 0.5, mode="mirror")[::2, ::2, ::2]
+        parts = ndimage.gaussian_filter(above, 0.5, mode="mirror")
+        zoomed = np.asarray(ndimage.zoom(parts, 0.5, order=1, mode="mirror", grid_mode=False))
+    else:
+        exact = zoomed = reference.nearest_spline(above, grid, "linear", "mirror")
+    options: Any = {"filter": "linear", "boundary": "mirror", "anti_aliasing": how}
+    allowed = 4 * 2.0**-14  # four roundings
+    made = clvol.resample(far, spacing=2.0, anchor="origin", device=device, **options).data
+    assert_allclose(made - 1e12, exact, rtol=0, atol=allowed)
+    bricks = clvol.resample(clvol.LazyVolume(far), spacing=2.0, anchor="origin", device=device, **options).data
+    assert_allclose(bricks - 1e12, exact, rtol=0, atol=allowed)
+    if how == "gaussian":
+        found = clvol.ndimage.zoom(far, 0.5, order=1, mode="mirror", anti_aliasing="gaussian", device=device)
+        assert_allclose(found - 1e12, zoomed, rtol=0, atol=allowed)
+
+
+@pytest.mark.parametrize("how", [None, "gaussian", "least-squares"])
+@pytest.mark.parametrize(("offset", "scale"), [(1e12, 1.0), (0.0, 1e300), (0.0, 1e-300), (3e9, None), (0.0, 1.0)])
+def test_arrays_of_dask_keep_what_one_array_keeps(device: Device, how: Any, offset: float, scale: float | None) -> None:
+    """By default, and of types that float32 does not hold; otherwise as stated. `scale` None: 64-bit integers."""
+    da = pytest.importorskip("dask.array")
+    if not device.has_double:
+        pytest.skip("needs doubles")
+    data: NDArray[Any] = np.random.default_rng(6).normal(size=(20, 18, 22))
+    data = (1000 * data + offset).astype(np.int64) if scale is None else data * scale + offset
+    options: Any = {"spacing": 2.0 if how else 0.7, "anti_aliasing": how or False, "boundary": "mirror", "device": device}
+    exact = clvol.resample(data, precision="double", **options).data
+    made = clvol.resample(da.from_array(data, chunks=9), **options)
+    got = made.compute()
+    assert made.dtype == got.dtype == np.float64
+    assert_allclose(got, exact, rtol=0, atol=1e-6 * float(np.ptp(data)) + 2 * np.spacing(offset))
+    if not how:
+        finer = clvol.magnify(da.from_array(data, chunks=9), 2, boundary="mirror", device=device)
+        sizes = clvol.magnify(data, 2, boundary="mirror", device=device).data
+        assert_allclose(finer.compute(), sizes, rtol=0, atol=1e-6 * float(np.ptp(data)) + 2 * np.spacing(offset))
+
+
+def test_zooms_of_dask_by_least_squares_keep_far_samples(device: Device) -> None:
+    da = pytest.importorskip("dask.array")
+    if not device.has_double:
+        pytest.skip("needs doubles")
+    above = np.random.default_rng(7).integers(0, 2**13, (20, 18, 22)) / 2.0**13
+    made = clvol.ndimage.zoom(
+        da.from_array(1e12 + above, chunks=9), 0.5, mode="mirror", anti_aliasing="least-squares", device=device
+    )
+    exact = clvol.ndimage.zoom(above, 0.5, mode="mirror", anti_aliasing="least-squares", precision="double", device=device)
+    assert_allclose(made.compute() - 1e12, exact, rtol=0, atol=3 * 2.0**-14)

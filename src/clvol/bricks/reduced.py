@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
 from clvol.spline.levels import GAP, Rows, gathered
-from clvol.spline.reduce import order_of, sum_along
+from clvol.spline.reduce import in_order, sum_along
+from clvol.volume.stored import is_far
 
 if TYPE_CHECKING:
     from clvol.bricks.source import Box, LazyVolume
@@ -62,7 +63,8 @@ class Reduced:
         beside: int,
     ) -> None:
         self._volume, self._sums, self._device, self._outside = volume, dict(sums), device, outside
-        self._order, self._read, self._beside = order_of(sums), read, beside
+        self._far = kind == np.float64 and is_far(*map(float, volume.limits))
+        self._order, self._read, self._beside = list(in_order(sums)), read, beside
         self._counted: dict[int, list[int]] = {}
         self.shape = tuple(len(sums[axis].places) if axis in sums else n for axis, n in enumerate(volume.shape))
         self.dtype = np.dtype(kind)
@@ -80,13 +82,13 @@ class Reduced:
                 runs[last] = ((low, min(low + self._deep(rows, last), past)),)
                 data = gathered(self._read, runs)
                 others = {axis: sums[axis] for axis in before}
-                slabs.append(self._summed(data, others, before) if before else np.ascontiguousarray(data, self.dtype))
+                slabs.append(self._summed(data, others) if before else np.ascontiguousarray(data, self.dtype))
         together = slabs[0] if len(slabs) == 1 else np.concatenate(slabs, last)
         del slabs
-        return self._summed(together, {last: sums[last]}, [last])
+        return self._summed(together, {last: sums[last]})
 
-    def _summed(self, data: NDArray[Any], sums: Mapping[int, Sums], order: Sequence[int]) -> NDArray[Any]:
-        return sum_along(data, sums, self.dtype.type, self._device, self._outside, order=order)
+    def _summed(self, data: NDArray[Any], sums: Mapping[int, Sums]) -> NDArray[Any]:
+        return sum_along(data, sums, self.dtype.type, self._device, self._outside, far=self._far)
 
     @staticmethod
     def _deep(rows: Sequence[Rows], last: int) -> int:

@@ -130,12 +130,12 @@ class _Ends:
     device: Any
     dtype: np.dtype[Any]
 
-    def begin(self, samples: Array, block: OutputBlock) -> type[np.generic]:
-        """The type of sums."""
+    def begin(self, samples: Array, block: OutputBlock) -> tuple[type[np.generic], bool]:
+        """The type of sums, as `clvol.pyramid` makes them."""
         with located(samples, block, "samples must be finite"):
             for index in np.ndindex(samples.shape[: -self.count]):
                 Volume(samples[index]).require_finite()
-        return precision_kind("single" if self.wide and not as_device(self.device).has_double else self.precision)
+        return precision_kind("single" if self.wide and not as_device(self.device).has_double else self.precision), False
 
     def end(self, values: Array, _: OutputBlock) -> Array:
         """Rounded to the volume's type."""

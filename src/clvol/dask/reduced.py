@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
+from clvol.base.rounding import wide
 from clvol.dask.blocks import Array, OutputBlock, Span, blockwise
 from clvol.device import as_device
 from clvol.spline.reduce import TRUNCATE, Sums, sum_along
@@ -27,8 +28,11 @@ Axis: TypeAlias = tuple[int, Callable[[], Sums | None]]
 class Ends(Protocol):
     """How sums begin, and what becomes of them."""
 
-    def begin(self, samples: Array, block: OutputBlock) -> type[np.generic]:
-        """From the samples that a block reads to the type that sums are made in; refuses samples that are not finite."""
+    def begin(self, samples: Array, block: OutputBlock) -> tuple[type[np.generic], bool]:
+        """From the samples that a block reads to the type that sums are made in, and whether they lie far from zero.
+
+        Refuses samples that are not finite.
+        """
 
     def end(self, values: Array, block: OutputBlock) -> Array:
         """From sums along all axes to a block of the result."""
@@ -52,17 +56,18 @@ def axis_by_axis(
     row that it lies in, and the next axis has fewer blocks.
 
     `axes` are in the order in which they are summed up; without any, blocks begin and end as they are. `kind` is that of sums, as
-    far as it is known before samples are; `outside` the samples where a boundary rule puts none.
+    far as it is known before samples are (between axes float64 holds those of samples that float32 does not); `outside` the samples
+    where a boundary rule puts none.
     """
     if not axes:
         return blockwise(name, source, chunks, dtype, lambda _, where: (where, None), _Unsummed(ends), identity)
-    made = source
+    made, between = source, np.dtype(np.float64 if wide(source.dtype) else kind)
     for number, (axis, sums) in enumerate(axes, 1):
         last = number == len(axes)
         sizes = chunks if last else (*made.chunks[:axis], chunks[axis], *made.chunks[axis + 1 :])
         stage = _Stage(axis, sums, outside, device, ends, number == 1, last)
         about = [*identity, axis, number, len(axes)]
-        made = blockwise(f"{name}-along-{axis}", made, sizes, dtype if last else np.dtype(kind), stage.plan, stage, about)
+        made = blockwise(f"{name}-along-{axis}", made, sizes, dtype if last else between, stage.plan, stage, about)
     return made
 
 
@@ -84,10 +89,11 @@ class _Stage:
 
     def __call__(self, samples: Array, block: OutputBlock) -> Array:
         assert block.spans is not None
-        kind = self.ends.begin(samples, block) if self.first else samples.dtype.type
+        wider = self.first or samples.dtype == np.float64
+        kind, far = self.ends.begin(samples, block) if wider else (np.float32, False)
         place = block.place[self.axis]
         sums = {self.axis: _sums_within(self._all(), place, block.spans[self.axis])}
-        values = sum_along(samples, sums, kind, as_device(self.device), self.outside)
+        values = sum_along(samples, sums, kind, as_device(self.device), self.outside, far=far)
         return self.ends.end(values, block) if self.last else values
 
     def _all(self) -> Sums:
@@ -103,7 +109,7 @@ class _Unsummed:
     ends: Ends
 
     def __call__(self, samples: Array, block: OutputBlock) -> Array:
-        return self.ends.end(np.asarray(samples, self.ends.begin(samples, block)), block)
+        return self.ends.end(np.asarray(samples, self.ends.begin(samples, block)[0]), block)
 
 
 def _span_of(sums: Sums, place: Span) -> Span:

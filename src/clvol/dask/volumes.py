@@ -46,7 +46,7 @@ from clvol.spline.field import Precision, coefficients_of, precision_kind
 from clvol.spline.function import fill_value
 from clvol.spline.grids import Anchor, beyond, grid_for
 from clvol.spline.points import Given
-from clvol.spline.reduce import AntiAliasing, Sums, as_anti_aliasing, least_squares, low_passed
+from clvol.spline.reduce import AntiAliasing, Sums, as_anti_aliasing, least_squares, lies_far, low_passed
 from clvol.spline.resample import along_axes, resample_axes, resample_coefficients
 from clvol.volume.smoothing import settled
 from clvol.volume.stored import wide_enough
@@ -181,7 +181,8 @@ class _Work:
         if kind is not None and kind.kind != "f" and fill is not None and np.isnan(fill):
             raise OptionError(f"fill must be a number that {kind} holds; got {fill!r}")
         more = precision is None and kind is not None and wide(kind)
-        made = np.dtype(precision_kind(precision or "single"))
+        wider = precision == "double" or (precision is None and wide(source.dtype))
+        made = np.dtype(np.float64 if wider else precision_kind(precision or "single"))
         chosen: Precision = "double" if more else precision or "single"
         return cls(
             row,
@@ -288,15 +289,16 @@ class _LeastSquares:
     work: _Work
     past: list[NDArray[np.bool_]] | None
 
-    def begin(self, samples: Array, block: OutputBlock) -> type[np.generic]:
-        """The type of sums: float64 where float32 would lose digits of the samples."""
-        _, kind = self.work.here()
+    def begin(self, samples: Array, block: OutputBlock) -> tuple[type[np.generic], bool]:
+        """The type of sums: float64 where float32 would lose digits of the samples; and whether some lie far from zero."""
+        (_, kind), far = self.work.here(), False
         with located(samples, block, "samples must be finite"):
             for index in np.ndindex(samples.shape[: -self.work.count]):
                 volume = Volume(samples[index])
                 volume.require_finite()
                 kind = wide_enough(kind, volume, self.work.filter, self.work.boundary)
-        return kind
+                far |= lies_far(volume)
+        return kind, far
 
     def end(self, values: Array, block: OutputBlock) -> Array:
         """A block of the result."""

@@ -13,7 +13,7 @@ from clvol.device import as_device
 from clvol.filter.make import bspline
 from clvol.ndimage import engine
 from clvol.ndimage.arguments import Array, Spline
-from clvol.spline.reduce import Sums, gaussian, least_squares, sum_along
+from clvol.spline.reduce import Sums, gaussian, in_order, least_squares, sum_along
 
 __all__ = ["low_passed", "nearest_along", "nearest_splines", "nearest_sums", "widths"]
 
@@ -33,7 +33,8 @@ def low_passed(data: Array, sigma: Mapping[int, float], spline: Spline) -> Array
     sums = {axis: gaussian(float(s), data.shape[axis], boundary) for axis, s in sigma.items() if s > 0}
     if not sums or data.size == 0:
         return data
-    return sum_along(data, sums, engine.kind_for(spline.precision, data, data, device), device, float(spline.cval.real))
+    kind = engine.kind_for(spline.precision, data, data, device)
+    return sum_along(data, in_order(sums), kind, device, float(spline.cval.real), far=engine.lies_far(data))
 
 
 def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], output: Array, spline: Spline) -> None:
@@ -49,9 +50,8 @@ def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], o
         return
     device = as_device(spline.device)
     kind = engine.kind_for(spline.precision, data, output, device)
-    made = sum_along(
-        data, nearest_sums(data.shape, positions, spline, kind), kind, device, float(spline.cval.real), spline.progress
-    )
+    sums, outside = in_order(nearest_sums(data.shape, positions, spline, kind)), float(spline.cval.real)
+    made = sum_along(data, sums, kind, device, outside, spline.progress, far=engine.lies_far(data))
     output[...] = engine.converted(made, output.dtype)
 
 

@@ -276,11 +276,12 @@ class _Ends:
     spline: Spline
     dtype: np.dtype[Any]
 
-    def begin(self, samples: Array, block: OutputBlock) -> type[np.generic]:
-        """The type of sums: double precision where single would lose digits of the samples."""
+    def begin(self, samples: Array, block: OutputBlock) -> tuple[type[np.generic], bool]:
+        """The type of sums: double precision where single would lose digits of the samples; and whether these lie far from zero."""
         with located(samples, block, FINITE):
             require_finite(samples, self.spline.nan)
-        return engine.kind_for(self.spline.precision, samples, np.empty(0, self.dtype), as_device(self.spline.device))
+        kind = engine.kind_for(self.spline.precision, samples, np.empty(0, self.dtype), as_device(self.spline.device))
+        return kind, engine.lies_far(samples)
 
     def end(self, values: Array, _: OutputBlock) -> Array:
         """In the type of the result."""

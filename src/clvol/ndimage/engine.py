@@ -25,13 +25,25 @@ from clvol.spline.field import precision_kind
 from clvol.spline.points import Given, Transform, sample_grid, sample_into
 from clvol.spline.prefilter import gain_along, prefilter_in_place
 from clvol.spline.resample import resample_axes
+from clvol.volume.stored import is_far
 
-__all__ = ["FILTERED_AS", "Affine", "Axes", "Points", "Target", "coefficients", "converted", "evaluate", "kind_for", "row_of"]
+__all__ = [
+    "FILTERED_AS",
+    "Affine",
+    "Axes",
+    "Points",
+    "Target",
+    "coefficients",
+    "converted",
+    "evaluate",
+    "kind_for",
+    "lies_far",
+    "row_of",
+]
 
 _PART = 1 << 25  # bytes of results converted at a time
 _PADS = 12  # samples that a boundary rule pads an axis with, at most
 _PROBES = 8  # samples along each axis that are inspected
-_FAR = 8  # distance of samples from zero, in units of their range, from which float32 is not enough
 _LEAST, _MOST = 2.0**-90, 2.0**90  # magnitudes that float32 holds through the prefilter and derivatives
 
 
@@ -168,13 +180,22 @@ def kind_for(precision: str, data: Array, output: Array, device: Device) -> type
     return precision_kind(precision)
 
 
-def _beyond_float32(data: Array) -> bool:
+def lies_far(data: Array) -> bool:
+    """Whether samples, of which a few are inspected, lie far from zero compared with their range."""
+    return is_far(*_ends(data))
+
+
+def _ends(data: Array) -> tuple[float, float]:
     some = data[tuple(slice(None, None, max(1, n // _PROBES)) for n in data.shape)]
-    low, high = float(some.min()), float(some.max())
+    return float(some.min()), float(some.max())
+
+
+def _beyond_float32(data: Array) -> bool:
+    low, high = _ends(data)
     most = max(-low, high)
     if not math.isfinite(most) or most == 0 or data.dtype.kind == "b":
         return False
-    return ((low > 0 or high < 0) and most > _FAR * (high - low)) or not _LEAST < most < _MOST
+    return is_far(low, high) or not _LEAST < most < _MOST
 
 
 @lru_cache

@@ -644,10 +644,11 @@ def resample(
     -----
     A block of an array of dask reads the samples in the support of its own, the margin that the prefilter needs, and with
     `anti_aliasing` the reach of the low-pass. Nothing is read before it is computed, so `filter` is "bspline3" by default also for
-    labels, its smoothing is not "auto", and results are float64 only in double precision. Where the filter has no prefilter the
-    result is bit for bit that in one piece; where it has one, coefficients differ as those of `prefilter` do. With "least-squares"
-    no bit differs either, but where samples lie so far from zero that single precision would lose digits of some blocks and not of
-    others: there sums differ by rounding.
+    labels, and its smoothing is not "auto". Results are float64 in double precision and, where no precision is given, of types that
+    float32 does not hold (float64, integers of 32 and 64 bits): so samples that are large, or far from zero, keep their digits, as
+    in memory. Where the filter has no prefilter the result is bit for bit that in one piece; where it has one, coefficients differ
+    as those of `prefilter` do. With "least-squares" no bit differs either, but where samples lie so far from zero that single
+    precision would lose digits of some blocks and not of others: there sums differ by rounding.
     """
     require_lazy("volume", chunks=chunks, dimensions=dimensions)
     results: tuple[int, ...] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,7 +20,7 @@ from clvol.base.errors import DeviceError, OptionError
 from clvol.filter.make import bspline
 from clvol.spline.build import scalar_defines
 from clvol.volume.smoothing import settled
-from clvol.volume.stored import wide_enough
+from clvol.volume.stored import is_far, wide_enough
 
 if TYPE_CHECKING:
     from clvol.device import Device
@@ -34,12 +34,13 @@ __all__ = [
     "as_anti_aliasing",
     "gaussian",
     "gaussian_sums",
+    "in_order",
     "interpolated",
     "least_squares",
+    "lies_far",
     "low_passed",
     "nearest_spline",
     "nearest_sums",
-    "order_of",
     "smoothed",
     "steps_along",
     "sum_along",
@@ -55,6 +56,7 @@ _WIDTH = 32  # lines that reduce.cl processes side by side
 _ITEMS_A_CORE = 8
 _SLAB = 1 << 20  # samples converted at a time
 _NO_STEP = 1e-9  # samples
+_NEARLY = 1e-6  # distance from 1 of a sum of weights that is 1 but for what was cut
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,12 @@ class Sums:
         if weights.shape[1] <= n + 1:
             return made
         return cls(n, np.tile(np.arange(n + 1, dtype=np.int32), (len(first), 1)), made.matrix())
+
+    def differences(self, kind: type[np.generic]) -> tuple[NDArray[np.int32], NDArray[Any]]:
+        """For each sum the sample of the largest weight, from which others differ little, and the sum of the weights."""
+        totals = self.weights.sum(1)
+        totals[np.abs(totals - 1) < _NEARLY] = 1
+        return np.take_along_axis(self.places, np.abs(self.weights).argmax(1)[:, None], 1)[:, 0], totals.astype(kind)
 
     def matrix(self) -> Array:
         """As a matrix, shape (m, n + 1); the last column is for the constant outside."""
@@ -266,10 +274,11 @@ def low_passed(volume: Volume, steps: Array, boundary: Boundary, kind: type[np.g
     Along an axis with a step of more than one, the standard deviation is (step - 1) / 2 samples, as in scikit-image.
     """
     volume.require_finite()
-    sums = gaussian_sums(volume.shape, steps, boundary)
+    sums = in_order(gaussian_sums(volume.shape, steps, boundary))
     if not sums:
         return volume
-    made = sum_along(volume.data, sums, wide_enough(kind, volume, bspline(1), boundary), device, boundary.cval)
+    kind, far = wide_enough(kind, volume, bspline(1), boundary), lies_far(volume)
+    made = sum_along(volume.data, sums, kind, device, boundary.cval, far=far)
     return replace(volume, data=made)
 
 
@@ -320,7 +329,7 @@ def nearest_spline(
     """
     volume.require_finite()
     sums, kind = nearest_sums(volume, settled(filter, volume), boundary, kind, matrix, offset, shape)
-    return sum_along(volume.data, sums, kind, device, boundary.cval, progress)
+    return sum_along(volume.data, in_order(sums), kind, device, boundary.cval, progress, far=lies_far(volume))
 
 
 def nearest_sums(
@@ -345,6 +354,11 @@ def nearest_sums(
     return sums, kind
 
 
+def lies_far(volume: Volume) -> bool:
+    """Whether sums of samples are made of their differences, for all samples lie far from zero compared with their range."""
+    return is_far(*map(float, volume.limits))
+
+
 def steps_along(matrix: Array) -> Array:
     """The distance of a grid's points along each axis of a volume, in samples; the root sum of squares for a rotated grid."""
     return np.asarray(np.linalg.norm(matrix, axis=1))
@@ -360,72 +374,75 @@ def sum_along(
     device: Device,
     outside: float = 0.0,
     progress: Callable[[float], Any] | None = None,
-    order: Sequence[int] | None = None,
+    *,
+    far: bool = False,
 ) -> NDArray[Any]:
     """Replace axes of an array, of any layout, by sums along them; `kind` is the type of the result and of what is between.
 
-    `outside` is the constant outside. Sums of a part equal sums of the whole to the last bit if the `order` of the axes is the
-    same; by default it is `order_of`.
+    `outside` is the constant outside. Axes are summed in the order of `sums`: sums of a part are those of the whole to the last bit
+    if it is the same; see `in_order`. Where samples lie `far` from zero, and `kind` is float64, each sum is that of differences.
     """
+    far = far and kind == np.float64
     if kind == np.float64 and not device.has_double:
         raise DeviceError(f"sums of float64 need a device with double precision; got {device.name!r}, which has none")
-    order = order_of(sums) if order is None else order
     shape, counts = list(data.shape), []
-    for axis in order:
+    for axis in sums:
         shape[axis] = len(sums[axis].places)
         counts.append(math.prod(shape))
     most = max((a + b for a, b in itertools.pairwise([0, *counts])), default=data.size)  # two arrays exist at a time
     memory.require(np.dtype(kind).itemsize * most, f"a result of {' × '.join(map(str, shape))} sums")
-    for done, axis in enumerate(order, 1):
+    for done, axis in enumerate(sums, 1):
         # in place: the kernel gathers lines into scratch first
         if done > 1 and device.shares_memory and len(sums[axis].places) == sums[axis].n:
-            _launch(data, axis, data, sums[axis], kind, outside, device)
+            _launch(data, axis, data, sums[axis], outside, device, far)
         else:
-            data = _sum_axis(data, axis, sums[axis], kind, outside, device)
+            data = _sum_axis(data, axis, sums[axis], kind, outside, device, far)
         if progress is not None:
-            progress(done / len(order))
+            progress(done / len(sums))
     return np.ascontiguousarray(data, kind)
 
 
-def order_of(sums: Mapping[int, Sums]) -> list[int]:
+def in_order(sums: Mapping[int, Sums]) -> dict[int, Sums]:
     """The order in which axes are summed: the axis that shrinks most is first."""
-    return sorted(sums, key=lambda axis: len(sums[axis].places) / sums[axis].n)
+    return dict(sorted(sums.items(), key=lambda one: len(one[1].places) / one[1].n))
 
 
-def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: type[np.generic], outside: float, device: Device) -> NDArray[Any]:
+def _sum_axis(
+    data: NDArray[Any], axis: int, sums: Sums, kind: type[np.generic], outside: float, device: Device, far: bool
+) -> NDArray[Any]:
     m = len(sums.places)
     result = np.empty((*data.shape[:axis], m, *data.shape[axis + 1 :]), kind)
     if data.dtype == kind and data.flags.c_contiguous:
-        _launch(data, axis, result, sums, kind, outside, device)
+        _launch(data, axis, result, sums, outside, device, far)
         return result
     # converted in parts, without a second array of the input's size
     across = next((i for i in range(data.ndim) if i != axis and data.shape[i] > 1), None)
     if across is None:
-        _launch(np.ascontiguousarray(data, kind), axis, result, sums, kind, outside, device)
+        _launch(np.ascontiguousarray(data, kind), axis, result, sums, outside, device, far)
         return result
     some = max(1, _SLAB * data.shape[across] // max(1, data.size))
     for start in range(0, data.shape[across], some):
         slab = (slice(None),) * across + (slice(start, start + some),)
         part = np.ascontiguousarray(data[slab], kind)
         made = np.empty((*part.shape[:axis], m, *part.shape[axis + 1 :]), kind)
-        _launch(part, axis, made, sums, kind, outside, device)
+        _launch(part, axis, made, sums, outside, device, far)
         result[slab] = made
     return result
 
 
-def _launch(
-    data: NDArray[Any], axis: int, result: NDArray[Any], sums: Sums, kind: type[np.generic], outside: float, device: Device
-) -> None:
+def _launch(data: NDArray[Any], axis: int, result: NDArray[Any], sums: Sums, outside: float, device: Device, far: bool) -> None:
     """Run the kernel on a contiguous array; `result` may be the same array if it has as many sums as samples."""
     if not result.size:
         return
+    kind: type[np.generic] = result.dtype.type
     m, taps = sums.places.shape
     n, outer, inner = sums.n, math.prod(data.shape[:axis]), math.prod(data.shape[axis + 1 :])
     units = -(-outer // _WIDTH) if inner == 1 else outer * -(-inner // _WIDTH)
     items = min(units, _ITEMS_A_CORE * device.units)
     scratch = device.buffers.allocate(data.dtype.itemsize * items * (n + 1) * _WIDTH)
     tables = device.buffers.upload(sums.places), device.buffers.upload(sums.weights.astype(kind))
-    defines = {"ALONG": int(inner == 1), "WIDTH": _WIDTH, "COORD_DOUBLE": 0, **scalar_defines(kind)}
+    uploaded = [device.buffers.upload(one) for one in sums.differences(kind)] if far else []
+    defines = {"ALONG": int(inner == 1), "FAR": int(far), "WIDTH": _WIDTH, "COORD_DOUBLE": 0, **scalar_defines(kind)}
     kernel = device.build("spline/reduce.cl", defines).kernel("sum_along_axis")
     some = max(1, device.limits.launch_taps * 32 // (m * taps * _WIDTH))
     try:
@@ -447,6 +464,7 @@ def _launch(
                         np.int32(count),
                         scratch,
                         made,
+                        *uploaded,
                     )
                 device.finish()
     finally:

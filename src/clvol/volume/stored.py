@@ -17,7 +17,7 @@ from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.volume.volume import Volume
 
-__all__ = ["AS_THEY_ARE", "RENUMBER", "Stored", "differences", "names_beyond", "wide_enough"]
+__all__ = ["AS_THEY_ARE", "RENUMBER", "Stored", "differences", "is_far", "names_beyond", "wide_enough"]
 
 _FAR = 8  # distance from zero, in ranges of the samples, that needs an offset: the float32 error is then 1e-6 of the range
 _ROUNDING = 1e-12
@@ -181,11 +181,9 @@ def _offset(low: float, high: float, kind: type[np.generic]) -> float:
     It has no digits below the largest power of two in the range, so that short numbers have short differences: tenths
     or integers stay so. Differences are exact in float64, because the offset is close to all samples (Sterbenz).
     """
-    if low <= 0 <= high:
-        return 0.0
     span = high - low
     with np.errstate(over="ignore"):
-        if max(-low, high) <= _FAR * span or (span == 0 and float(kind(low)) == low):
+        if not is_far(low, high) or (span == 0 and float(kind(low)) == low):
             return 0.0
     if span == 0:
         return low
@@ -198,6 +196,11 @@ def _with_exact(beyond: float, offset: float, kind: type[np.generic]) -> float:
     apart = beyond - offset
     last = math.frexp(apart)[1] - _LIMITS[kind].digits
     return beyond - math.ldexp(round(math.ldexp(apart, -last)), last)
+
+
+def is_far(low: float, high: float) -> bool:
+    """Whether samples from `low` to `high` lie far from zero compared with their range."""
+    return not low <= 0 <= high and max(-low, high) > _FAR * (high - low)
 
 
 # -- whether float32 is enough -----------------------------------------------------------------------------------------

@@ -161,11 +161,10 @@ class Reduction:
 
     def _flat(self, read: NDArray[Any], rows: list[Rows]) -> NDArray[Any]:
         """Planes reduced along y and x."""
-        sums = {axis: own for axis, row in ((1, rows[1]), (2, rows[0])) if (own := row.sums) is not None}
+        sums = {axis: own for axis in ORDER if axis and (own := rows[2 - axis].sums) is not None}
         if not sums:
             return read.astype(self._kind)
-        order = [axis for axis in ORDER if axis in sums]
-        return sum_along(read, sums, self._kind, self._device, self._cval, order=order)
+        return sum_along(read, sums, self._kind, self._device, self._cval)
 
     def _made(
         self, kept: dict[int, NDArray[Any]], along: Rows, tile: Tile, rows: list[Rows]
