@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.progress import part_of
 from clvol.march.launch import BEFORE_EDGES, Drawing
+from clvol.scene.clip import cuts_of
 from clvol.show.picture import Picture
 
 if TYPE_CHECKING:
@@ -100,8 +101,7 @@ class Wanted:
     def shown(self) -> tuple[Any, ...]:
         """A further key of pictures that take about as long from the same view."""
         look, clip = self.subject.look, self.subject.look.scene.clip
-        box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)  # arrays compare by element
-        return look.mode, look.transfer, box
+        return look.mode, look.transfer, cuts_of(clip)  # arrays compare by element
 
     @property
     def long_steps(self) -> list[float]:

@@ -20,7 +20,7 @@ from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import share_of
 from clvol.base.shown import Named
-from clvol.base.uniform import FLOAT, Block, Values
+from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, as_filter
 from clvol.scene.preset import diverging
 from clvol.scene.transfer import TransferFunction
@@ -115,6 +115,11 @@ class Mode:
         return bool(getattr(self, "shading", False))
 
     @property
+    def capped(self) -> bool:
+        """Whether it shows the slice on the faces of a cut."""
+        return False
+
+    @property
     def surface(self) -> float | None:
         """The isovalue of a settled mode; None for modes that show no surface."""
         return None
@@ -186,20 +191,30 @@ class Composite(Mode):
     termination : float
         A ray ends when its transmittance falls to this value, at least 0 and less than 1. The error of colours is at
         most this times the brightest colour behind.
+    cap : bool, optional
+        Whether the faces of a cut (`clip`) show the slice: the colours of the values there, unlit, as opaque as matter of 16 unit
+        distances. By default where matter is lit (`shading`): light has no meaning on such a face, and shows the noise.
     """
 
     shading: bool = True
     termination: float = 1e-3
+    cap: bool | None = None
 
     name: ClassVar[str] = "composite"
     description: ClassVar[str] = "emission and absorption, front to back"
     state_fields: ClassVar[int] = 6
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "matter"
-    BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT)
+    BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT, cap=INT)
 
     def __post_init__(self) -> None:
         _set(self, shading=_switch("shading", self.shading))
         _set(self, termination=number("termination", self.termination, minimum=0, below=1))
+        if self.cap is not None:
+            _set(self, cap=_switch("cap", self.cap))
+
+    @property
+    def capped(self) -> bool:
+        return self.shading if self.cap is None else self.cap
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:
         return transfer.opacity_within(low, high) > 0
@@ -211,7 +226,7 @@ class Composite(Mode):
         return "the depth and normals of matter, which depend on transmittance" if guides else ""
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
-        return self.BLOCK(termination=self.termination)
+        return self.BLOCK(termination=self.termination, cap=self.capped)
 
 
 @dataclass(frozen=True)
@@ -238,6 +253,9 @@ class Isosurface(Mode):
     tolerance : float
         For "stepped": tolerance of the function at the surface, relative to the difference between the two samples
         around it, 0 to 1.
+    cap : bool, three numbers or a name
+        Closes what a cut (`clip`) opens, where values are not below the isovalue, with an unlit face. True: it shows the slice,
+        in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
     """
 
     isovalue: float | str | None = None
@@ -245,6 +263,7 @@ class Isosurface(Mode):
     shading: bool = True
     method: Literal["exact", "stepped"] = "exact"
     tolerance: float = 1e-4
+    cap: bool | Sequence[float] | str = False
 
     name: ClassVar[str] = "isosurface"
     description: ClassVar[str] = "the first isosurface along the ray, shaded"
@@ -252,7 +271,7 @@ class Isosurface(Mode):
     endpoints: ClassVar[bool] = True
     finished_there: ClassVar[bool] = True
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "surface"
-    BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3))
+    BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3), cap=INT, cap_color=(FLOAT, 3))
 
     def __post_init__(self) -> None:
         if isinstance(self.isovalue, str):
@@ -263,6 +282,7 @@ class Isosurface(Mode):
         _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
         if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
             raise one_of("method", self.method, ("exact", "stepped"))
+        _set(self, cap=bool(self.cap) if isinstance(self.cap, (bool, np.bool_)) else color_of("cap", self.cap))
         if self.method == "stepped":
             _set(self, state_fields=4)  # with the last sample
 
@@ -275,18 +295,23 @@ class Isosurface(Mode):
         return self.method == "exact"
 
     @property
+    def capped(self) -> bool:
+        return self.cap is not False
+
+    @property
     def surface(self) -> float | None:
         return None if isinstance(self.isovalue, str) else self.isovalue
 
     @property
     def unheard(self) -> Mapping[str, str]:
-        words = dict.fromkeys(("transfer", "preset", "window", "cmap", "opacity"), "a surface is opaque and of one color")
+        colors = () if self.cap is True else ("transfer", "preset", "window", "cmap")
+        words = dict.fromkeys((*colors, "opacity"), "a surface is opaque and of one color")
         exact = {"tolerance": 'method="exact" needs none'} if self.method == "exact" else {}
         return {**super().unheard, **words, **exact}
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
         assert isinstance(self.isovalue, float)  # settled
-        return low <= self.isovalue <= high
+        return low <= self.isovalue <= high or (self.capped and high >= self.isovalue)
 
     def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002
         return "" if self.stretches else "stepped surfaces"
@@ -303,7 +328,9 @@ class Isosurface(Mode):
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         assert isinstance(self.isovalue, float)  # settled
-        return self.BLOCK(isovalue=stored(self.isovalue), tolerance=self.tolerance, color=self.color)
+        cap, color = (int(self.cap), 0.0) if isinstance(self.cap, bool) else (2, self.cap)
+        surface = stored(self.isovalue)
+        return self.BLOCK(isovalue=surface, tolerance=self.tolerance, color=self.color, cap=cap, cap_color=color)
 
 
 @dataclass(frozen=True)

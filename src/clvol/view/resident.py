@@ -128,6 +128,8 @@ class Resident:
         row = filter_for(self.catalog.volume_of(state), state.filter, mode.picture_filter)
         if not row.has_gradient:
             left_out |= {"gradient"}
+        if state.clip is None:
+            left_out |= {"cap"}
         return {name: value for name, value in given.items() if name not in left_out}
 
     def finer_picture(self, state: State, shown: PaneSize, name: str, size: tuple[int, int]) -> Wanted | None:
