@@ -71,7 +71,9 @@ class Plane:
         if not largest > 0:
             raise GeometryError(f"a plane's normal must have a direction, so one of its numbers must not be 0; got {self.normal!r}")
         length = math.hypot(*(v / largest for v in normal))
-        object.__setattr__(self, "normal", tuple(v / largest / length for v in normal))
+        if abs(math.hypot(*normal) - 1) > 1e-15:  # normalized again it might differ in the last bit
+            normal = tuple(v / largest / length for v in normal)  # type: ignore[assignment]  # three
+        object.__setattr__(self, "normal", normal)
         object.__setattr__(self, "point", point)
 
 

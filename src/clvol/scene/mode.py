@@ -165,9 +165,12 @@ class Mode:
         """The same for values, from black to white between `clim`, (low, high), if it is given."""
         if self.shows == "matter":
             return TransferFunction.automatic(volume, clim)
-        projection = "max" if self.shows == "surface" else self.shows
-        low, high = clim or (volume.clim if self.shows != "mean" else None) or clims_of(volume)[projection]
         matter = matter_of(volume)
+        if self.shows == "surface":  # whose caps are slices: from the background to the brightest
+            usual = matter.value(matter.top, -1 if matter.signed else 1), matter.value(matter.top if matter.signed else 0)
+            low, high = clim or volume.clim or sorted(usual)
+        else:
+            low, high = clim or (volume.clim if self.shows != "mean" else None) or clims_of(volume)[self.shows]
         if matter.signed and clim is None and self.shows == "mean":
             return TransferFunction(diverging((low, high), matter.value(0)), ((low, 1.0),))
         color = volume.color or (1.0, 1.0, 1.0)
