@@ -31,7 +31,8 @@ CLIP = Block(
 )
 
 Triple: TypeAlias = tuple[float, float, float]
-Box: TypeAlias = tuple[Sequence[float] | NDArray[np.float64], Sequence[float] | NDArray[np.float64]]
+Vector: TypeAlias = Sequence[float] | NDArray[np.float64]
+Box: TypeAlias = tuple[Vector, Vector]
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,8 @@ class Plane:
     >>> picture = clvol.render(volume, mode="isosurface", clip=front, cap=True)
     """
 
-    normal: Triple
-    point: Triple
+    normal: Vector
+    point: Vector
 
     def __post_init__(self) -> None:
         normal, point = (_numbers(f"a plane's {name}", getattr(self, name)) for name in ("normal", "point"))
@@ -102,8 +103,8 @@ class Corner:
     >>> picture = clvol.render(volume, clvol.Camera.orbit(45, 30), clip=octant)
     """
 
-    low: Triple
-    high: Triple
+    low: Vector
+    high: Vector
 
     def __post_init__(self) -> None:
         low, high = _box("a corner", (self.low, self.high))
@@ -177,7 +178,7 @@ def _block(cuts: Cuts, origin: Triple, unit: float) -> Values:
     for i, cut in enumerate(cuts.planes):
         plane[i] = *cut.normal, local(cut.point) @ np.array(cut.normal)
     for i, hole in enumerate(cuts.corners):
-        corner[i] = local((hole.low, hole.high))
+        corner[i] = local(hole.low), local(hole.high)
     low, high = local(cuts.box or ((-math.inf,) * 3, (math.inf,) * 3))
     return CLIP(
         low=low,
@@ -228,5 +229,5 @@ def _triple(values: Sequence[float] | NDArray[np.float64]) -> Triple:
     return x, y, z
 
 
-def _within(at: NDArray[np.float64], low: Triple, high: Triple) -> NDArray[np.bool_]:
+def _within(at: NDArray[np.float64], low: Vector, high: Vector) -> NDArray[np.bool_]:
     return np.asarray(((at >= low) & (at <= high)).all(-1))

@@ -73,6 +73,8 @@ class Mode:
         more samples, a thousandth of a step inside.
     skips : bool
         Whether some values can be irrelevant to it, so that space is skipped.
+    capped : bool
+        Whether it shows something on the faces of a cut.
     finished_there : bool
         Whether its kernel computes the colour at the end of a ray from the coefficients there.
     picture_filter : str
@@ -92,6 +94,7 @@ class Mode:
     state_fields: ClassVar[int]
     endpoints: ClassVar[bool] = False
     skips: ClassVar[bool] = True
+    capped: ClassVar[bool] = False
     finished_there: ClassVar[bool] = False
     picture_filter: ClassVar[str] = PICTURE_FILTER
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "max"
@@ -113,11 +116,6 @@ class Mode:
     def shaded(self) -> bool:
         """Whether it uses gradient shading."""
         return bool(getattr(self, "shading", False))
-
-    @property
-    def capped(self) -> bool:
-        """Whether it shows the slice on the faces of a cut."""
-        return False
 
     @property
     def surface(self) -> float | None:
@@ -214,10 +212,7 @@ class Composite(Mode):
         _set(self, termination=number("termination", self.termination, minimum=0, below=1))
         if self.cap is not None:
             _set(self, cap=_switch("cap", self.cap))
-
-    @property
-    def capped(self) -> bool:
-        return self.shading if self.cap is None else self.cap
+        _set(self, capped=self.shading if self.cap is None else self.cap)
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:
         return transfer.opacity_within(low, high) > 0
@@ -286,6 +281,7 @@ class Isosurface(Mode):
         if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
             raise one_of("method", self.method, ("exact", "stepped"))
         _set(self, cap=bool(self.cap) if isinstance(self.cap, (bool, np.bool_)) else color_of("cap", self.cap))
+        _set(self, capped=self.cap is not False)
         if self.method == "stepped":
             _set(self, state_fields=4)  # with the last sample
 
@@ -296,10 +292,6 @@ class Isosurface(Mode):
     @property
     def stretches(self) -> bool:
         return self.method == "exact"
-
-    @property
-    def capped(self) -> bool:
-        return self.cap is not False
 
     @property
     def surface(self) -> float | None:

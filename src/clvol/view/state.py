@@ -329,7 +329,7 @@ def _cut_of(what: str, value: object) -> Plane | Corner:
         if "normal" in given:
             return Plane(given["normal"], given.get("point"))  # type: ignore[arg-type]  # it is checked
         ends = zip((given.get("low"), given.get("high")), (-math.inf, math.inf), strict=True)
-        return Corner(*(tuple(end if v is None else v for v in corner) for corner, end in ends))  # type: ignore[arg-type, union-attr]
+        return Corner(*(tuple(end if v is None else v for v in corner) for corner, end in ends))  # type: ignore[union-attr]
     except (ClvolError, TypeError) as error:
         raise OptionError(f"{what}: {error}") from None
 
