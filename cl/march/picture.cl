@@ -73,7 +73,8 @@ INLINE void store_packet(constant frame_t *frame, const ray_t *ray, const color_
                     (float3)(nx.each[i], ny.each[i], nz.each[i]), (float3)(x_.each[i], y_.each[i], z_.each[i]), pictures);
     if (GUIDES && frame->picture.pass == 0) {
         const real samples = ray->end - ray->begin + 1.0f + 2.0f * MARGIN;
-        const lanes_u share = { choose(ray->hits & (samples > 0.0f), gathered / samples, (real)(NAN)) };
+        // parts of a ray (pixel_ray) have more ends
+        const lanes_u share = { choose(ray->hits & (samples > 0.0f), MIN(gathered / samples, (real)(1.0f)), (real)(NAN)) };
         EACH_PIXEL(x, y)
             pictures->visited[(size_t)(y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS] = share.each[i];
     }
