@@ -47,7 +47,7 @@
 
 #ifndef FACES
 #define FACES(frame) 0
-#define gather_face(state, coefficients, sample, value, active) NONE
+#define gather_face(state, coefficients, sample, value, active) ((void)(value), NONE)
 #endif
 #ifndef FACE_MATTERS
 #define FACE_MATTERS(frame, low, high) 0
