@@ -143,7 +143,7 @@ INLINE void show(COEFFICIENTS coefficients, const sample_t *sample, const state_
         }
 #endif
     if (GUIDES && frame->picture.pass == 0) {
-        const real3 normal = normals_at(coefficients, sample, place_of(state), changed);
+        const real3 normal = normals_at(coefficients, sample, state, place_of(state), changed);
         const lanes_u nx = { normal.x }, ny = { normal.y }, nz = { normal.z };
         EACH_PIXEL(x, y)
             if (wanted.each[i]) {

@@ -22,6 +22,7 @@
 //                                 PROMISE(low, high) is largest come first
 //   STRETCHES                     1: instead of samples, which `gather` takes, the intervals between them are searched (walk.cl)
 //   FACES(frame)                  whether it shows the faces of cuts; then also
+//   ON_FACE(state)                the lanes whose place may be on a face
 //   gather_face(state, coefficients, sample, value, active)
 //                                 the face at which the active lanes enter; returns the lanes that need no more
 //   FACE_MATTERS(frame, low, high)
@@ -47,6 +48,7 @@
 
 #ifndef FACES
 #define FACES(frame) 0
+#define ON_FACE(state) NONE
 #define gather_face(state, coefficients, sample, value, active) ((void)(value), NONE)
 #endif
 #ifndef FACE_MATTERS

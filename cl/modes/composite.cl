@@ -63,6 +63,7 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
 }
 
 #define FACES(frame) ((frame)->mode.cap)
+#define ON_FACE(state) ((state)->depth < NOWHERE)
 #define FACE 16.0f   // unit distances of matter as opaque as the face of a cut
 
 // The slice on the face of a cut is not lit: there, gradients are those of the noise.

@@ -31,6 +31,7 @@ INLINE void merge(state_t *front, const state_t *back)
 }
 
 #define CAPPED ((real)(2.0f))   // side of rays that ended at a cap
+#define ON_FACE(state) ((state)->side == CAPPED)
 #define RESTARTS 1
 
 INLINE void restart(state_t *s, mask active) { s->side = choose(active, (real)(0.0f), s->side); }

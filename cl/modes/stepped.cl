@@ -81,6 +81,7 @@ INLINE void merge(state_t *front, const state_t *back)
 }
 
 #define CAPPED NOWHERE   // t of the sample before, where rays ended at a cap
+#define ON_FACE(state) ((state)->before_t == CAPPED)
 #define RESTARTS 1
 
 INLINE void restart(state_t *s, mask active) { s->started = s->started & !active; }

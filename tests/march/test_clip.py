@@ -92,11 +92,25 @@ def test_parity_with_the_reference(renderer: Renderer, case: str, clip: str, vie
     """RMS 2e-4 and greatest 3e-3 of premultiplied colours, but for rays that graze the edge of a cut or of a surface: 1 %."""
     mode, options = MODES[case]
     want = reference.render(
-        VOLUME, CAMERAS[view], mode, "bspline3", size=SIZE, step=0.37, clip=CLIPS[clip], rays=1, background=None, **options
+        VOLUME,
+        CAMERAS[view],
+        mode,
+        "bspline3",
+        size=SIZE,
+        step=0.37,
+        clip=CLIPS[clip],
+        rays=1,
+        background=None,
+        outputs=("rgba", "normal"),
+        **options,
     )
+    guides = want["normal"], np.isfinite(want["normal"]).all(-1)
+    want = want["rgba"]
     for tile in TILES.values():
         with renderer.device.limited(tile=tile):
-            got = np.asarray(drawn(renderer, case, view, CLIPS[clip]), np.float64)
+            made = drawn(renderer, case, view, CLIPS[clip], outputs=("rgba", "normal"))
+        got, turned = np.asarray(made["rgba"], np.float64), np.abs(made["normal"] - guides[0])[guides[1]].max(-1)
+        assert (~(turned <= 0.01)).sum() <= 0.02 * turned.size
         off = np.abs(got[..., :3] * got[..., 3:] - want[..., :3] * want[..., 3:]).max(-1) + np.abs(got[..., 3] - want[..., 3])
         near = off <= 3e-3
         assert (~near).mean() <= 0.01, (off.max(), (~near).sum())
@@ -201,7 +215,7 @@ def test_the_slice_on_a_face_is_the_value_there(device: Device) -> None:
                 clip=face,
                 transfer=grey,
                 device=device,
-                outputs=("rgba", "position"),
+                outputs=("rgba", "position", "normal"),
                 rays=1,
                 **options,
             )
@@ -211,6 +225,7 @@ def test_the_slice_on_a_face_is_the_value_there(device: Device) -> None:
             assert on.mean() > 0.3, (mode, cap)
             distance = np.linalg.norm(at - volume.center, axis=-1)
             np.testing.assert_allclose(shown["rgba"][on][:, 0], distance[on] / 40, atol=0.01)
+            np.testing.assert_allclose(shown["normal"][on], np.broadcast_to(face.normal, (on.sum(), 3)), atol=1e-6)
 
 
 def test_caps_close_a_surface(device: Device) -> None:

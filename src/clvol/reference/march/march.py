@@ -23,7 +23,7 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.missing import continued, is_missing
-from clvol.reference.march.rays import Rays, camera_rays, kept_parts
+from clvol.reference.march.rays import Rays, camera_rays, face_normals, kept_parts
 from clvol.reference.march.roots import first_crossings
 from clvol.reference.spline.points import sample
 from clvol.scene.camera import Camera, Viewpoint
@@ -366,6 +366,9 @@ def render(
             normal = np.full((depth.size, 3), math.nan)
             flat = flat_below(volume, value(place[somewhere]) - taken_off)
             normal[somewhere], _ = facing(slope(place[somewhere]), cast.direction[somewhere], flat)
+            for part in parts:
+                on = part.face & (depth == part.rays.enter)
+                normal[on] = face_normals(place[on], cast.direction[on], cuts)
             guides = {"depth": depth, "normal": normal, "position": place}
     premultiplied, cover = total[:, :3], total[:, 3:]
     if background is None:

@@ -15,7 +15,7 @@ from clvol.scene.camera import Viewpoint
 from clvol.scene.clip import Cuts
 from clvol.volume.volume import Volume
 
-__all__ = ["Rays", "camera_rays", "kept_parts"]
+__all__ = ["Rays", "camera_rays", "face_normals", "kept_parts"]
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,7 @@ def kept_parts(rays: Rays, cuts: Cuts) -> list[tuple[Rays, NDArray[np.bool_]]]:
     A ray crosses the planes of all faces; between two successive crossings everything is kept, or nothing: that in the middle
     decides.
     """
-    planes = [(np.array(plane.normal), np.array(plane.point)) for plane in cuts.planes]
-    for low, high in (*([cuts.box] if cuts.box else []), *((corner.low, corner.high) for corner in cuts.corners)):
-        planes += [
-            (axis, end * axis) for ends in (low, high) for axis, end in zip(np.eye(3), ends, strict=True) if math.isfinite(end)
-        ]
+    planes = _planes_of(cuts)
     met = rays.enter <= rays.leave
     enter, leave = np.where(met, rays.enter, 0.0), np.where(met, rays.leave, 0.0)
     crossings = [enter, leave]
@@ -107,6 +103,30 @@ def kept_parts(rays: Rays, cuts: Cuts) -> list[tuple[Rays, NDArray[np.bool_]]]:
         number += some & inside & ~kept[:, j]
         inside = np.where(some, kept[:, j], inside)
     return [(replace(rays, enter=begin, leave=end), (begin <= end) & (begin > rays.enter)) for begin, end in parts]
+
+
+def face_normals(points: Array, direction: Array, cuts: Cuts) -> Array:
+    """The unit normals of the faces of cuts on which points lie, (N, 3), against the rays' directions.
+
+    A plane through a point is a face there if cuts keep one side of it only.
+    """
+    normals = np.full(points.shape, math.nan)
+    for normal, point in _planes_of(cuts):
+        aside = 1e-6 * normal * (1 + np.abs(points).max(initial=0))
+        on = np.abs((points - point) @ normal) <= np.linalg.norm(aside)
+        face = on & (cuts.keep(points - 10 * aside) != cuts.keep(points + 10 * aside))
+        normals[face] = normal
+    return np.asarray(np.where(((normals * direction).sum(-1) > 0)[:, None], -normals, normals))
+
+
+def _planes_of(cuts: Cuts) -> list[tuple[Array, Array]]:
+    """The normal and a point of the plane of each face."""
+    planes = [(np.array(plane.normal), np.array(plane.point)) for plane in cuts.planes]
+    for low, high in (*([cuts.box] if cuts.box else []), *((corner.low, corner.high) for corner in cuts.corners)):
+        planes += [
+            (axis, end * axis) for ends in (low, high) for axis, end in zip(np.eye(3), ends, strict=True) if math.isfinite(end)
+        ]
+    return planes
 
 
 def _slabs(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
