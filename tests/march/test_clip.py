@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import dask.array as da
@@ -135,6 +136,22 @@ def test_skipping_and_bricks_change_no_bit(device: Device, case: str, clip: str)
             for got in (whole.render(view, mode, skipping=False, **look), bricked.render(view, mode, **look)):
                 for name in outputs:
                     np.testing.assert_array_equal(got[name], want[name], err_msg=name)
+
+
+@pytest.mark.parametrize("case", ["composite", "cap of values"])
+def test_faces_have_holes_where_samples_are_missing(device: Device, case: str) -> None:
+    """As in the reference: within 1e-3, but for a pixel at the edge of the hole."""
+    data = VOLUME.data.copy()
+    z, y, x = np.indices(data.shape)
+    data[(x - 8) ** 2 + (y - 9) ** 2 + (z - 9) ** 2 < 16] = np.nan
+    holes = replace(VOLUME, data=data)
+    mode, options = MODES[case]
+    look: dict[str, Any] = {"size": SIZE, "step": 0.37, "clip": CLIPS["everything"], "rays": 1, **options}
+    got = np.asarray(clvol.render(holes, CAMERAS["across"], mode, filter="bspline3", device=device, **look), np.float64)
+    want = reference.render(holes, CAMERAS["across"], mode, "bspline3", **look)
+    assert (np.abs(got - want).max(-1) > 1e-3).sum() <= 1
+    whole = clvol.render(VOLUME, CAMERAS["across"], mode, filter="bspline3", device=device, **look)
+    assert (np.abs(got - whole).max(-1) > 0.05).sum() > 20
 
 
 def untouched(view: Camera, clip: Any) -> NDArray[np.bool_]:
