@@ -28,7 +28,7 @@ typedef struct {
     real enter, leave;      // t where the ray is inside the domain and what cuts keep
     real first, step;       // sample n lies at t = first + n * step
     real begin, end;        // the samples are those with begin <= n <= end
-    mask cut;               // whether it enters at the face of a cut
+    mask cut, more;         // whether it enters at the face of a cut; whether further parts may follow (pixel_ray)
     mask hits, planar;      // whether it meets the volume; whether its samples lie on the planes ...
     mask alone;             // ... but for a ray that leaves before the next plane: it has one sample, in its middle
 } ray_t;
@@ -114,7 +114,7 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py, const int part
     clip_axis(ray.origin.z, ray.direction.z, geometry->low[2], geometry->high[2], &ray.enter, &ray.leave);
     const real uncut = ray.enter, end = ray.leave;
     real whole = uncut;   // without corners
-    ray.cut = NONE;
+    ray.cut = ray.more = NONE;
     if (frame->clip.clipped) {
         const real3 from = matrix3(geometry->index_to_world, ray.origin);
         const real least = planes->margin / length;   // less may be rounding
@@ -126,8 +126,11 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py, const int part
         ray.enter = choose(ray.enter <= uncut + least, uncut, ray.enter);
         ray.leave = choose(ray.leave >= end - least, end, ray.leave);
         whole = ray.enter;
-        if (part >= 0 && frame->clip.corners)
+        if (part >= 0 && frame->clip.corners) {
+            const real last = ray.leave;
             keep_part(&frame->clip, from, ray.world, part, least, &ray.enter, &ray.leave);
+            ray.more = (ray.enter <= ray.leave) & (ray.leave < last);
+        }
         ray.cut = ray.enter > uncut;
     }
     ray.hits = ray.enter <= ray.leave;

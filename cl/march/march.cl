@@ -241,7 +241,11 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
 // `part` begins with -1, and the rays are whole again at the end.
 INLINE int next_part_of(tile_t *tile, constant frame_t *frame, global const float2 *places, int *part)
 {
-    const int corners = frame->clip.corners, more = ++*part <= corners;
+    const int corners = frame->clip.corners;
+    int more = *part < 0;
+    for (int g = 0; g < PACKETS && !more; ++g)
+        more = any_lane(tile->rays[g].more & !finished(tile->states + g, frame));
+    ++*part;
     if (corners) {
         aim_tile(tile, frame, tile->left, tile->top, places, more ? *part : -1);
         for (int g = 0; g < PACKETS; ++g)
