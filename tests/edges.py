@@ -94,8 +94,9 @@ def sorted_points(rules: Iterable[str]) -> None:
 
 
 def pictures(names: Iterable[str], size: tuple[int, int] = (17, 15)) -> None:
-    """Every mode for slabs, lines and single voxels; guides, clipping, lists of rays, tiles of rays and single rays."""
+    """Every mode for slabs, lines and single voxels; guides, cuts, lists of rays, tiles of rays and single rays."""
     low, high = (2.0, 1.0, 1.0), (9.0, 7.0, 3.0)
+    cuts = [clvol.Plane((1, 2, 3), (5, 5, 2)), clvol.Corner((-9, 2, -9), (9, 4, 9)), clvol.Corner((5, -9, 0), (6, 99, np.inf))]
     for name, shape in itertools.product(names, ((9, 12, 20), (3, 30, 9), (1, 2, 33), (1, 1, 1))):
         with clvol.Renderer(noise(*shape), filter=name) as renderer:
             for camera, mode, step in itertools.product(LOOKS, modes(), (0.6, 8, 300)):
@@ -105,6 +106,8 @@ def pictures(names: Iterable[str], size: tuple[int, int] = (17, 15)) -> None:
                     LOOKS[0], mode, size, outputs=("rgba", "depth", "normal", "position", "visited"), clip=(low, high)
                 )
                 assert np.isfinite(made["rgba"]).all()
+                for camera in LOOKS:
+                    assert np.isfinite(renderer.render(camera, mode, size, 0.6, clip=cuts, cap=True)).all()
                 with renderer.device.limited(tile=BY_RAYS):
                     assert np.isfinite(renderer.render(LOOKS[0], mode, size, 0.8, gradient="central")).all()
 
@@ -120,6 +123,7 @@ def bricks(names: Iterable[str], size: tuple[int, int] = (17, 15), seen: Iterabl
                 assert np.isfinite(renderer.render(camera, mode, size, step)).all()
             for mode in {"composite", "isosurface"} & {*seen}:
                 made = renderer.render(LOOKS[0], mode, size, outputs=("rgba", "depth", "normal", "position", "visited"))
+                assert np.isfinite(renderer.render(LOOKS[0], mode, size, clip=clvol.Corner((3, 2, 1), (9, 7, 5)), cap=True)).all()
                 assert np.isfinite(made["rgba"]).all()
                 with renderer.device.limited(tile=renderer.device.limits.tile if few else BY_RAYS):
                     field.drop()
@@ -178,6 +182,18 @@ def adjoints() -> None:
             assert np.isfinite(clvol.adjoint(np.ones(len(at)), at, shape, name, "zero", precision=precision)).all()
 
 
+def media() -> None:
+    """Two media of other sizes and places in one picture, whole and cut."""
+    shown = clvol.TransferFunction([(0, "red")], [(-0.5, 0), (1, 0.5)])
+    for first, second in (((9, 12, 20), (1, 2, 33)), ((1, 1, 1), (3, 30, 9))):
+        other = clvol.Medium(clvol.Volume(noise(*second), (1.3, 0.7, 2), (3, -4, 1)), shown, filter="linear")
+        scene = clvol.Scene([clvol.Medium(noise(*first), shown), other])
+        with clvol.Renderer(scene) as renderer:
+            for look in LOOKS:
+                for clip in (None, clvol.Corner((5, -9, 0), (6, 99, np.inf))):
+                    assert np.isfinite(renderer.render(look, size=(19, 21), clip=clip)).all()
+
+
 def uncertainty() -> None:
     """Uncertainty of surfaces in volumes hardly larger than the stencils."""
     for shape in ((9, 12, 20), (2, 3, 9)):
@@ -199,6 +215,7 @@ GUARDED: dict[str, Callable[[], None]] = {
     "arrays": arrays,
     "chains": chains,
     "adjoints": adjoints,
+    "media": media,
 }
 ALL: dict[str, Callable[[], None]] = {
     "points by every rule": lambda: points((*RULES, "constant(3)"), ("bspline3", "linear")),
@@ -211,6 +228,7 @@ ALL: dict[str, Callable[[], None]] = {
     "arrays": arrays,
     "chains": chains,
     "adjoints": adjoints,
+    "media": media,
     "uncertainty": uncertainty,
 }
 

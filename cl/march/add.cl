@@ -13,10 +13,6 @@ kernel void add_medium(COEFFICIENTS coefficients, const int4 extent, global cons
     if (!TILE_IS_GOING)
         return;
     TILE_OF_THIS_ITEM(places);
-    tile.first = MAX(tile.first, from);
-    tile.last = MIN(tile.last, to);
-    if (!(tile.first <= tile.last))
-        return;
     const size_t number = number_of_tile(frame, left, top), tiles = number_of_tiles(frame);
     for (int g = 0; g < PACKETS; ++g) {
         const int x = PACKET_X(left, g), y = PACKET_Y(top, g);
@@ -31,5 +27,10 @@ kernel void add_medium(COEFFICIENTS coefficients, const int4 extent, global cons
         state->slots = slots_of(sums, touched, number, tiles, g, PACKETS, from);
         tile.going[g] &= !finished(state, frame);
     }
-    march_tile(&tile, coefficients, extent, minmax, sides, frame, table AND_MISSING);
+    for (int part = -1; next_part_of(&tile, frame, places, &part);) {
+        enter_tile(&tile, coefficients, extent, frame, table, part, from + 1.0f, to + 1.0f AND_MISSING);   // faces have the number before
+        tile.first = MAX(tile.first, from);
+        tile.last = MIN(tile.last, to);
+        march_tile(&tile, coefficients, extent, minmax, sides, frame, table AND_MISSING);
+    }
 }

@@ -107,7 +107,8 @@ kernel void ask_brick(constant frame_t *frame, global const float4 *table, globa
         real enter, leave;
         stretch_in_window(frame, tile.rays + g, &enter, &leave);
         const mask inside = tile.going[g] & !finished(tile.states + g, frame) & (enter <= leave);
-        some = any_lane(inside) && matters(tile.states + g, frame, table, low, high, enter, inside);
+        some = any_lane(inside) && ((frame->clip.clipped && FACE_MATTERS(frame, low, high)) ||
+                                    matters(tile.states + g, frame, table, low, high, enter, inside));
     }
     if (some)
         *wanted = 1;   // all writers write the same value
@@ -130,7 +131,7 @@ INLINE void show(COEFFICIENTS coefficients, const sample_t *sample, const state_
         }
 #endif
     if (GUIDES && frame->picture.pass == 0) {
-        const real3 normal = normals_at(coefficients, sample, place_of(state), changed);
+        const real3 normal = normals_at(coefficients, sample, state, place_of(state), changed);
         const lanes_u nx = { normal.x }, ny = { normal.y }, nz = { normal.z };
         EACH_PIXEL(x, y)
             if (wanted.each[i]) {
@@ -157,10 +158,17 @@ kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global con
         tile.going[g] &= !finished(tile.states + g, frame);
         before[g] = place_of(tile.states + g);
     }
-    if (!enter_window(&tile, frame))
-        return;
     global const float *whole = whole_pointer(coefficients, extent, frame);
-    march_tile(&tile, whole, extent, minmax, sides, frame, table AND_MISSING);
+    int met = 0;
+    for (int part = -1; next_part_of(&tile, frame, places, &part);) {
+        if (!enter_window(&tile, frame))
+            continue;
+        met = 1;
+        enter_tile(&tile, whole, extent, frame, table, part, -INFINITY, INFINITY AND_MISSING);
+        march_tile(&tile, whole, extent, minmax, sides, frame, table AND_MISSING);
+    }
+    if (!met)
+        return;
     store_states(&tile, frame, states);
     plane_t none;   // no sample is being gathered
     none.usable = 0;

@@ -25,9 +25,10 @@
 typedef struct {
     real3 origin, direction, world;
     real ahead;             // t of that plane, counted from the camera
-    real enter, leave;      // t where the ray is inside the domain and the clipping box
+    real enter, leave;      // t where the ray is inside the domain and what cuts keep
     real first, step;       // sample n lies at t = first + n * step
     real begin, end;        // the samples are those with begin <= n <= end
+    mask cut, more;         // whether it enters at the face of a cut; whether further parts may follow (pixel_ray)
     mask hits, planar;      // whether it meets the volume; whether its samples lie on the planes ...
     mask alone;             // ... but for a ray that leaves before the next plane: it has one sample, in its middle
 } ray_t;
@@ -42,12 +43,55 @@ INLINE void clip_axis(real origin, real direction, float low, float high, real *
     *leave = MIN(*leave, choose(inside, NOWHERE, MAX(a, b)));
 }
 
+// Keeps the side of a plane (normal, offset) that its normal points away from.
+INLINE void clip_plane(real3 origin, real3 direction, constant float *plane, real *enter, real *leave)
+{
+    const real3 normal = real3_of((real)(plane[0]), (real)(plane[1]), (real)(plane[2]));
+    const real beyond = dot3(origin, normal) - plane[3], slope = dot3(direction, normal);
+    const mask along = magnitude(slope) < 1e-12f;
+    const real t = -beyond / choose(along, (real)(1.0f), slope);
+    const mask gone = along & (beyond > 0.0f);
+    *enter = MAX(*enter, choose(gone, NOWHERE, choose(!along & (slope < 0.0f), t, -NOWHERE)));
+    *leave = MIN(*leave, choose(gone, -NOWHERE, choose(!along & (slope > 0.0f), t, NOWHERE)));
+}
+
+#define MAX_CORNERS 8
+
+// Part number `part`, counted from 0, of what the corners leave of rays from `enter` to `leave`; neither the parts nor the holes between
+// them are shorter than `least`. Where there are fewer parts, `enter` is past `leave`.
+INLINE void keep_part(constant clip_block *clip, real3 origin, real3 direction, const int part, const real least, real *enter, real *leave)
+{
+    real from[MAX_CORNERS], past[MAX_CORNERS], at = *enter, end = *leave;
+    for (int i = 0; i < clip->corners; ++i) {
+        constant float *low = clip->corner + 6 * i, *high = low + 3;
+        from[i] = *enter;
+        past[i] = *leave;
+        clip_axis(origin.x, direction.x, low[0], high[0], from + i, past + i);
+        clip_axis(origin.y, direction.y, low[1], high[1], from + i, past + i);
+        clip_axis(origin.z, direction.z, low[2], high[2], from + i, past + i);
+        from[i] = choose(past[i] > from[i] + least, from[i], NOWHERE);
+    }
+    for (int k = 0; k <= part; ++k) {
+        at = k ? end : at;
+        for (int pass = 0; pass < clip->corners; ++pass)   // corners may overlap, in any order
+            for (int i = 0; i < clip->corners; ++i)
+                at = choose((from[i] <= at + least) & (at < past[i]), past[i], at);
+        end = *leave;
+        for (int i = 0; i < clip->corners; ++i)
+            end = choose(from[i] > at, MIN(end, from[i]), end);
+    }
+    const mask none = (*enter > *leave) | ((at > *leave - least) & ((at > *enter) | (mask)(part ? ~0 : 0)));
+    *enter = choose(none, (real)(1.0f), at);
+    *leave = choose(none, (real)(0.0f), end);
+}
+
 INLINE real axis_of(real3 v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
 
 // Component i of a ray's origin or direction at pixel (px, py): a linear function of both. (For numbers and for vectors.)
 #define AT_PIXEL(field, i) madd(px, camera->field##_u[i], madd(py, camera->field##_v[i], camera->field[i]))
 
-INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
+// The ray through a pixel; of what corners leave of it, the part of this number, or with -1 all, as if there were none.
+INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py, const int part)
 {
     constant camera_block *camera = &frame->camera;
     constant geometry_block *geometry = &frame->geometry;
@@ -60,23 +104,40 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
     ray.direction = scale3(along, per_unit);
     ray.world = scale3(world, per_unit);
 
+    const real length = square_root(dot3(ray.direction, ray.direction));
+
     ray.ahead = camera->ahead * stretch;
     ray.enter = camera->orthographic ? -NOWHERE : -ray.ahead;   // nothing is visible behind a perspective camera
     ray.leave = NOWHERE;
     clip_axis(ray.origin.x, ray.direction.x, geometry->low[0], geometry->high[0], &ray.enter, &ray.leave);
     clip_axis(ray.origin.y, ray.direction.y, geometry->low[1], geometry->high[1], &ray.enter, &ray.leave);
     clip_axis(ray.origin.z, ray.direction.z, geometry->low[2], geometry->high[2], &ray.enter, &ray.leave);
+    const real uncut = ray.enter, end = ray.leave;
+    real whole = uncut;   // without corners
+    ray.cut = ray.more = NONE;
     if (frame->clip.clipped) {
         const real3 from = matrix3(geometry->index_to_world, ray.origin);
+        const real least = planes->margin / length;   // less may be rounding
         clip_axis(from.x, ray.world.x, frame->clip.low[0], frame->clip.high[0], &ray.enter, &ray.leave);
         clip_axis(from.y, ray.world.y, frame->clip.low[1], frame->clip.high[1], &ray.enter, &ray.leave);
         clip_axis(from.z, ray.world.z, frame->clip.low[2], frame->clip.high[2], &ray.enter, &ray.leave);
+        for (int i = 0; i < frame->clip.planes; ++i)
+            clip_plane(from, ray.world, frame->clip.plane + 4 * i, &ray.enter, &ray.leave);
+        ray.enter = choose(ray.enter <= uncut + least, uncut, ray.enter);
+        ray.leave = choose(ray.leave >= end - least, end, ray.leave);
+        whole = ray.enter;
+        if (part >= 0 && frame->clip.corners) {
+            const real last = ray.leave;
+            keep_part(&frame->clip, from, ray.world, part, least, &ray.enter, &ray.leave);
+            ray.more = (ray.enter <= ray.leave) & (ray.leave < last);
+        }
+        ray.cut = ray.enter > uncut;
     }
     ray.hits = ray.enter <= ray.leave;
 
     // Samples lie where the ray crosses equally spaced planes perpendicular to one axis of the volume ...
     real3 from = ray.origin, rail = ray.direction;   // in its samples
-    real start = ray.enter;
+    real start = whole, span = length;
 #if SEVERAL
     // ... of one of several media; all others take theirs at the same t
     {
@@ -84,23 +145,24 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
         from = real3_of(AT_PIXEL(origin, 0), AT_PIXEL(origin, 1), AT_PIXEL(origin, 2));
         rail = scale3(real3_of(AT_PIXEL(direction, 0), AT_PIXEL(direction, 1), AT_PIXEL(direction, 2)), per_unit);
     }
-    real end = NOWHERE;
+    span = square_root(dot3(rail, rail));
+    real past = NOWHERE;
     start = camera->orthographic ? -NOWHERE : -ray.ahead;
-    clip_axis(from.x, rail.x, frame->rails.low[0], frame->rails.high[0], &start, &end);
-    clip_axis(from.y, rail.y, frame->rails.low[1], frame->rails.high[1], &start, &end);
-    clip_axis(from.z, rail.z, frame->rails.low[2], frame->rails.high[2], &start, &end);
+    clip_axis(from.x, rail.x, frame->rails.low[0], frame->rails.high[0], &start, &past);
+    clip_axis(from.y, rail.y, frame->rails.low[1], frame->rails.high[1], &start, &past);
+    clip_axis(from.z, rail.z, frame->rails.low[2], frame->rails.high[2], &start, &past);
 #endif
-    const real along_axis = axis_of(rail, planes->axis), length = square_root(dot3(rail, rail));
-    const mask oblique = magnitude(along_axis) < planes->oblique * length;
+    const real along_axis = axis_of(rail, planes->axis);
+    const mask oblique = magnitude(along_axis) < planes->oblique * span;
     ray.planar = !oblique;
     const real d = choose(oblique, (real)(1.0f), along_axis);
     const real plane = choose(d > 0.0f, (real)(planes->first), (real)(planes->last));
     // ... or, on rays too oblique to these planes, at equal steps along the ray from where it enters
-    const real own = planes->stride / length;
+    const real own = planes->stride / span;
     ray.step = choose(oblique, own, planes->spacing / magnitude(d));
     ray.first = choose(oblique, start + 0.5f * own, (plane - axis_of(from, planes->axis)) / d);
     ray.begin = MAX((real)(0.0f), -round_down((ray.first - ray.enter) / ray.step));
-    ray.begin = choose(oblique & (mask)(SEVERAL ? 0 : ~0), (real)(0.0f), ray.begin);
+    ray.begin = choose(oblique & (ray.enter == whole) & (mask)(SEVERAL ? 0 : ~0), (real)(0.0f), ray.begin);
     ray.end = round_down((ray.leave - ray.first) / ray.step);
     ray.end = choose(oblique, ray.end, MIN(ray.end, (real)(planes->count - 1.0f)));
 

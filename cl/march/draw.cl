@@ -13,6 +13,9 @@ kernel void draw(COEFFICIENTS coefficients, const int4 extent, global const floa
     const pictures_t pictures = { rgba, depth, normals, positions, visited };
     tile_t tile;
     begin_tile(&tile, frame, left, top, places);
-    march_tile(&tile, coefficients, extent, minmax, sides, frame, table AND_MISSING);
+    for (int part = -1; next_part_of(&tile, frame, places, &part);) {
+        enter_tile(&tile, coefficients, extent, frame, table, part, -INFINITY, INFINITY AND_MISSING);
+        march_tile(&tile, coefficients, extent, minmax, sides, frame, table AND_MISSING);
+    }
     finish_tile(&tile, coefficients, extent, frame, table, &pictures);
 }

@@ -21,6 +21,13 @@
 //   ANY_ORDER                     whether samples may be gathered in any order: then the segments where
 //                                 PROMISE(low, high) is largest come first
 //   STRETCHES                     1: instead of samples, which `gather` takes, the intervals between them are searched (walk.cl)
+//   FACES(frame)                  whether it shows the faces of cuts; then also
+//   ON_FACE(state)                the lanes whose place may be on a face
+//   gather_face(state, coefficients, sample, value, active)
+//                                 the face at which the active lanes enter; returns the lanes that need no more
+//   FACE_MATTERS(frame, low, high)
+//                                 whether a face with a value from low to high could change a result, where `matters` may say no
+//   restart(state, active)        if samples are dependent (RESTARTS 1): the next ones lie behind a gap
 //
 // Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED, MISSING,
 // SEVERAL (whether samples lie on planes of another medium: rails), ADDED (whether they are added to a slab's: add.cl),
@@ -39,6 +46,18 @@
 #include "march/light.cl"
 #include "march/sample.cl"
 #include "mode.cl"
+
+#ifndef FACES
+#define FACES(frame) 0
+#define ON_FACE(state) NONE
+#define gather_face(state, coefficients, sample, value, active) ((void)(value), NONE)
+#endif
+#ifndef FACE_MATTERS
+#define FACE_MATTERS(frame, low, high) 0
+#endif
+#if !RESTARTS
+#define restart(state, active)
+#endif
 
 #define PACKETS_ACROSS (TILE_WIDTH / LANES_ACROSS)
 #define PACKETS (TILE_WIDTH * TILE_HEIGHT / LANES)
@@ -67,9 +86,9 @@ INLINE void listed_places(constant frame_t *frame, const int x, const int y, glo
     *py = down.all;
 }
 
-// The rays of the tile whose first pixel is (left, top), before their first sample. If the frame is listed, the picture is a
-// list of rays, one for each pixel, which cross the real picture at `places`.
-INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, const int top, global const float2 *places)
+// The rays of the tile whose first pixel is (left, top), or this part of them (pixel_ray). If the frame is listed, the picture is
+// a list of rays, one for each pixel, which cross the real picture at `places`.
+INLINE void aim_tile(tile_t *tile, constant frame_t *frame, const int left, const int top, global const float2 *places, const int part)
 {
     tile->left = left;
     tile->top = top;
@@ -81,10 +100,8 @@ INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, co
         real px = x + frame->picture.offset[0], py = y + frame->picture.offset[1];
         if (frame->picture.listed)
             listed_places(frame, PACKET_X(left, g), PACKET_Y(top, g), places, &px, &py);
-        tile->rays[g] = pixel_ray(frame, px, py);
+        tile->rays[g] = pixel_ray(frame, px, py, part);
         const ray_t *ray = tile->rays + g;
-        begin(tile->states + g);
-        tile->gathered[g] = (real)(0.0f);
         const mask going = ray->hits & (x < (real)(frame->picture.width)) & (y < (real)(frame->picture.height));
         tile->going[g] = going;
         const float low = min_lane(choose(going, ray->begin - MARGIN, NOWHERE)), high = max_lane(choose(going, ray->end + MARGIN, -NOWHERE));
@@ -94,8 +111,21 @@ INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, co
         up &= (ray->planar & (along > 0.0f)) | !going;
         down &= (ray->planar & (along < 0.0f)) | !going;
     }
-    tile->planar = PLANES && !frame->picture.listed && (!SEVERAL || frame->rails.aligned) && (!any_lane(!up) || !any_lane(!down));
+    tile->planar = PLANES && !frame->picture.listed && (!any_lane(!up) || !any_lane(!down));
+#if SEVERAL
+    tile->planar &= frame->rails.aligned;
+#endif
     tile->way = any_lane(!up) ? -1.0f : 1.0f;
+}
+
+// The rays of a tile before their first sample.
+INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, const int top, global const float2 *places)
+{
+    aim_tile(tile, frame, left, top, places, -1);
+    for (int g = 0; g < PACKETS; ++g) {
+        begin(tile->states + g);
+        tile->gathered[g] = (real)(0.0f);
+    }
 }
 
 #if PLANES
@@ -105,8 +135,9 @@ OUT_OF_LINE void make_plane(plane_t *plane, COEFFICIENTS coefficients, const int
 {
     const int right = MIN(left + TILE_WIDTH, frame->picture.width) - 1, bottom = MIN(top + TILE_HEIGHT, frame->picture.height) - 1;
     float across = plane_at(&frame->planes, way, n);
-    if (SEVERAL)
-        across = madd(across, frame->rails.scale, frame->rails.shift);
+#if SEVERAL
+    across = madd(across, frame->rails.scale, frame->rails.shift);
+#endif
     float2 u, v;
     plane->made = 1;
     if (tile_footprint(frame, left, top, right, bottom, way, across, &u, &v))
@@ -210,5 +241,53 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
 #else
         take_samples(tile, coefficients, extent, frame, table, wanted, start, stop AND_MISSING);
 #endif
+    }
+}
+
+// The next part of the rays of a tile, where corners cut away leave several: false behind the last one. Its number is counted from 0;
+// `part` begins with -1, and the rays are whole again at the end.
+INLINE int next_part_of(tile_t *tile, constant frame_t *frame, global const float2 *places, int *part)
+{
+    const int corners = frame->clip.corners;
+    int more = *part < 0;
+    for (int g = 0; g < PACKETS && !more; ++g)
+        more = any_lane(tile->rays[g].more & !finished(tile->states + g, frame));
+    ++*part;
+    if (corners) {
+        aim_tile(tile, frame, tile->left, tile->top, places, more ? *part : -1);
+        for (int g = 0; g < PACKETS; ++g)
+            tile->going[g] &= !finished(tile->states + g, frame);
+    }
+    return more;
+}
+
+// Rays enter, or enter again behind a corner, those whose samples then have a number between `from` and `to`: the face of a cut is
+// in front of all samples.
+INLINE void enter_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame, global const float4 *table,
+                       const int part, const float from, const float to MISSING_TOO)
+{
+    plane_t none;   // no sample is being gathered
+    none.usable = 0;
+    if (part == 0 && !(frame->clip.clipped && FACES(frame)))
+        return;
+    for (int g = 0; g < PACKETS; ++g) {
+        const ray_t *ray = tile->rays + g;
+        mask here = tile->going[g] & (ray->begin - MARGIN >= from) & (ray->begin - MARGIN <= to);
+#if WINDOWED
+        here &= in_window(frame, ray, ray->enter);
+#endif
+        if (!any_lane(here))
+            continue;
+        if (part)
+            restart(tile->states + g, here);
+        here &= ray->cut;
+#if MISSING
+        here &= !missing_at(missing, frame, ray, ray->enter, here);
+#endif
+        if (!FACES(frame) || !any_lane(here))
+            continue;
+        const sample_t sample = { frame, table, extent, ray, &none, 0, 0.0f, 0 AND_MISSING };
+        const real value = value_at(coefficients, &sample, ray->enter, here);
+        tile->going[g] &= !gather_face(tile->states + g, coefficients, &sample, value, here);
     }
 }

@@ -5,7 +5,7 @@
 #include "march/states.cl"
 
 // Before any samples. `going`: for each tile whether some of its rays meet any medium; `ends`: its first and last sample's number,
-// and one more: that of a ray which leaves a medium before the next plane, alone in it.
+// and one more on both sides: for the face of a cut, and for a ray that leaves a medium before the next plane, alone in it.
 kernel void begin_media(constant frame_t *frame, global const float2 *places, global float *states, global uchar *going,
                         global float2 *ends)
 {
@@ -16,7 +16,7 @@ kernel void begin_media(constant frame_t *frame, global const float2 *places, gl
         some |= any_lane(tile.going[g]);
     const int number = number_of_tile(frame, left, top);
     going[number] = some;
-    ends[number] = some ? (float2)(tile.first, tile.last + 1.0f) : (float2)(INFINITY, -INFINITY);
+    ends[number] = some ? (float2)(tile.first - 1.0f, tile.last + 1.0f) : (float2)(INFINITY, -INFINITY);
 }
 
 // Samples number `from` to `to`: `count` of them. Leaves all untouched.

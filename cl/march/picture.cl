@@ -34,8 +34,53 @@ INLINE void store_pixel(constant frame_t *frame, const int x, const int y, float
     }
 }
 
+// The face of a cut that is nearest to a place: how far that is from it, and its normal.
+typedef struct { real away; real3 normal; } face_t;
+
+INLINE void nearer_face(face_t *face, const real distance, const real3 normal, const mask here)
+{
+    const mask nearer = here & (magnitude(distance) < face->away);
+    face->away = choose(nearer, magnitude(distance), face->away);
+    face->normal = real3_of(choose(nearer, normal.x, face->normal.x), choose(nearer, normal.y, face->normal.y), choose(nearer, normal.z, face->normal.z));
+}
+
+INLINE void nearer_face_of_box(face_t *face, const real3 at, constant float *low, constant float *high, const real off)
+{
+    mask within[3];   // of its extents along an axis
+    for (int i = 0; i < 3; ++i) {
+        const real place = axis_of(at, i);
+        within[i] = (place >= low[i] - off) & (place <= high[i] + off);
+    }
+    for (int i = 0; i < 3; ++i) {
+        const real3 normal = real3_of((real)(i == 0), (real)(i == 1), (real)(i == 2));
+        const mask beside = within[i == 0 ? 1 : 0] & within[i == 2 ? 1 : 2];
+        nearer_face(face, axis_of(at, i) - low[i], normal, beside);
+        nearer_face(face, axis_of(at, i) - high[i], normal, beside);
+    }
+}
+
+// In lanes that are on the face of a cut at t, up to rounding, its normal instead, towards the viewer.
+INLINE real3 or_face_normals(constant frame_t *frame, const ray_t *ray, const real t, const mask active, const real3 normal)
+{
+    constant clip_block *clip = &frame->clip;
+    const real3 at = matrix3(frame->geometry.index_to_world, at3(ray->origin, ray->direction, t));
+    const float off = frame->planes.margin;
+    face_t face = { (real)(off), normal };
+    for (int i = 0; i < clip->planes; ++i) {
+        constant float *plane = clip->plane + 4 * i;
+        const real3 across = real3_of((real)(plane[0]), (real)(plane[1]), (real)(plane[2]));
+        nearer_face(&face, dot3(at, across) - plane[3], across, active);
+    }
+    nearer_face_of_box(&face, at, clip->low, clip->high, (real)(off));
+    for (int i = 0; i < clip->corners; ++i)
+        nearer_face_of_box(&face, at, clip->corner + 6 * i, clip->corner + 6 * i + 3, (real)(off));
+    const real3 facing = scale3(face.normal, choose(dot3(face.normal, ray->world) > 0.0f, (real)(-1.0f), (real)(1.0f)));
+    const mask on = active & (face.away < off);
+    return real3_of(choose(on, facing.x, normal.x), choose(on, facing.y, normal.y), choose(on, facing.z, normal.z));
+}
+
 // The normals at t, which face the viewer; NaN where there are none, as in lanes that are not active.
-INLINE real3 normals_at(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
+INLINE real3 normals_at(COEFFICIENTS coefficients, const sample_t *sample, const state_t *state, real t, mask active)
 {
     real3 normal = real3_of((real)(NAN), (real)(NAN), (real)(NAN)), facing;
     if (!any_lane(active))
@@ -45,6 +90,9 @@ INLINE real3 normals_at(COEFFICIENTS coefficients, const sample_t *sample, real 
     const real3 g = gradient_at(coefficients, sample, at, active);
     const mask known = active & !flat_or_normal(sample->frame, g, value_at(coefficients, sample, at, active), ray->world, &facing);
     normal = real3_of(choose(known, facing.x, normal.x), choose(known, facing.y, normal.y), choose(known, facing.z, normal.z));
+    const mask met = active & ON_FACE(state);
+    if (sample->frame->clip.clipped && FACES(sample->frame) && any_lane(met))
+        normal = or_face_normals(sample->frame, ray, at, met, normal);
     return normal;
 }
 
@@ -73,7 +121,8 @@ INLINE void store_packet(constant frame_t *frame, const ray_t *ray, const color_
                     (float3)(nx.each[i], ny.each[i], nz.each[i]), (float3)(x_.each[i], y_.each[i], z_.each[i]), pictures);
     if (GUIDES && frame->picture.pass == 0) {
         const real samples = ray->end - ray->begin + 1.0f + 2.0f * MARGIN;
-        const lanes_u share = { choose(ray->hits & (samples > 0.0f), gathered / samples, (real)(NAN)) };
+        // parts of a ray (pixel_ray) have more ends
+        const lanes_u share = { choose(ray->hits & (samples > 0.0f), MIN(gathered / samples, (real)(1.0f)), (real)(NAN)) };
         EACH_PIXEL(x, y)
             pictures->visited[(size_t)(y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS] = share.each[i];
     }
@@ -85,7 +134,7 @@ INLINE void finish_packet(COEFFICIENTS coefficients, const sample_t *sample, con
 {
     const real t = place_of(state);
     const color_t color = finish(state, coefficients, sample);
-    const real3 normal = normals_at(coefficients, sample, t, (t < NOWHERE) & (mask)(GUIDES ? ~0 : 0));
+    const real3 normal = normals_at(coefficients, sample, state, t, (t < NOWHERE) & (mask)(GUIDES ? ~0 : 0));
     store_packet(sample->frame, sample->ray, color, t, normal, gathered, x, y, pictures);
 }
 

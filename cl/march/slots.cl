@@ -47,3 +47,12 @@ INLINE void add_sample(const slots_t *slots, const float number, const color_t c
         sums[3] = light;
     }
 }
+
+// A face in front of all samples, which begin with number `begin`.
+INLINE void add_face(const slots_t *slots, const real begin, const color_t color, const real through, const mask seen)
+{
+    const real number = begin - 1.0f;
+    const float last = max_lane(choose(seen, number, -NOWHERE));
+    for (float n = min_lane(choose(seen, number, NOWHERE)); n <= last; n += 1.0f)
+        add_sample(slots, n, color, through, seen & (number == n));
+}

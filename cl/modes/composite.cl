@@ -79,6 +79,28 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     return finished(s, frame);
 }
 
+#define FACES(frame) ((frame)->mode.cap)
+#define ON_FACE(state) ((state)->depth < NOWHERE)
+#define FACE 16.0f   // unit distances of matter as opaque as the face of a cut
+
+// The slice on the face of a cut is not lit: there, gradients are those of the noise.
+INLINE mask gather_face(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real value, mask active)
+{
+    const color_t color = classify(sample->frame, sample->table, value);
+    const mask seen = active & (color.opacity > 0.0f);
+    const real through = log_light(color, (real)(FACE));
+#if ADDED
+    add_face(&s->slots, sample->ray->begin, color, through, seen);
+#endif
+    const real light = transmittance(s), share = light * one_less_exp_2(through);
+    s->red = choose(seen, madd(share, color.red, s->red), s->red);
+    s->green = choose(seen, madd(share, color.green, s->green), s->green);
+    s->blue = choose(seen, madd(share, color.blue, s->blue), s->blue);
+    add_opacity(s, share, seen);
+    s->depth = choose(seen & (transmittance(s) <= 0.5f) & (light > 0.5f), sample->ray->enter, s->depth);
+    return seen & finished(s, sample->frame);
+}
+
 // The depth is exact if one stretch alone absorbs half of the light; a stretch does not know the transmittance in front of it.
 INLINE void merge(state_t *front, const state_t *back)
 {

@@ -30,9 +30,23 @@ INLINE void merge(state_t *front, const state_t *back)
     front->side = choose(back->side == 0.0f, front->side, back->side);
 }
 
+#define CAPPED ((real)(2.0f))   // side of rays that ended at a cap
+#define ON_FACE(state) ((state)->side == CAPPED)
+#define RESTARTS 1
+
+INLINE void restart(state_t *s, mask active) { s->side = choose(active, (real)(0.0f), s->side); }
+
+INLINE mask gather_face(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real value, mask active)
+{
+    const mask met = meets_cap(sample, value, active);
+    s->hit = choose(met, sample->ray->enter, s->hit);
+    s->side = choose(met, CAPPED, s->side);
+    return met;
+}
+
 INLINE real place_of(const state_t *s) { return s->hit; }
 
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
-    return surface_color(coefficients, sample, s->hit);
+    return surface_color(coefficients, sample, s->hit, s->side == CAPPED);
 }

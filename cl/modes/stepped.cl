@@ -80,9 +80,23 @@ INLINE void merge(state_t *front, const state_t *back)
     front->started = front->started | back->started;
 }
 
+#define CAPPED NOWHERE   // t of the sample before, where rays ended at a cap
+#define ON_FACE(state) ((state)->before_t == CAPPED)
+#define RESTARTS 1
+
+INLINE void restart(state_t *s, mask active) { s->started = s->started & !active; }
+
+INLINE mask gather_face(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real value, mask active)
+{
+    const mask met = meets_cap(sample, value, active);
+    s->hit = choose(met, sample->ray->enter, s->hit);
+    s->before_t = choose(met, CAPPED, s->before_t);
+    return met;
+}
+
 INLINE real place_of(const state_t *s) { return s->hit; }
 
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
-    return surface_color(coefficients, sample, s->hit);
+    return surface_color(coefficients, sample, s->hit, s->before_t == CAPPED);
 }

@@ -65,6 +65,8 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.march.renderer import Renderer as Renderer
     from clvol.march.renderer import render as render
     from clvol.scene.camera import Camera as Camera
+    from clvol.scene.clip import Corner as Corner
+    from clvol.scene.clip import Plane as Plane
     from clvol.scene.light import Light as Light
     from clvol.scene.light import Material as Material
     from clvol.scene.mode import Attenuated as Attenuated
@@ -121,6 +123,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "march.refine": "Refined",
     "march.renderer": "Output Renderer render",
     "scene.camera": "Camera",
+    "scene.clip": "Corner Plane",
     "scene.light": "Light Material",
     "scene.mode": "Attenuated Composite Isosurface Mean Minip Mip Mode modes",
     "scene.preset": "presets",

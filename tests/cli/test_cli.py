@@ -1104,6 +1104,16 @@ def test_the_look_options_reach_render(clvol_command: Command) -> None:
     drawn("--opacity", "-1", "0", "1", "1", transfer=look(volume, "composite", opacity=((-1, 0), (1, 1))))
     drawn("--mode", "isosurface", "--threshold", "0.25", mode="isosurface", isovalue=0.25)
     drawn("--clip", "-1", "-1", "-1", "0", "1", "1", clip=((-1, -1, -1), (0, 1, 1)))
+    half, other, octant = (
+        clvol.Plane((0, -1, 0), (0, -0.2, 0)),
+        clvol.Plane((1, 0, 0.5), (0, 0, 0)),
+        clvol.Corner((0, 0, 0), [np.inf] * 3),
+    )
+    first = ("--clip-plane", "0", "-1", "0", "0", "-0.2", "0")
+    more = ("--clip-plane", "1", "0", "0.5", "0", "0", "0", "--clip-corner", "0", "0", "0", "inf", "inf", "inf")
+    drawn(*first, *more, clip=[half, other, octant])
+    for word, cap in (("values", True), ("none", False), ("red", "red")):
+        drawn(*first, "--mode", "isosurface", "--cap", word, clip=half, mode="isosurface", cap=cap)
     drawn("--fit", "volume", camera=clvol.Camera.orbit(fit="volume"))
     clvol_command("render", SPHERE, "-o", "b.png", "--preset", "bogus").fails(1, "--preset must be one of ct-bone", "'bogus'")
 

@@ -145,6 +145,23 @@ def test_merging_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str
             np.testing.assert_array_equal(many[name], one[name], err_msg=name)
 
 
+@pytest.mark.parametrize(("mode", "options"), [("isosurface", {"cap": True}), ("composite", {}), ("mip", {})])
+def test_cut_open(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
+    """A plane and two corners, which leave three parts of some rays; whole at the mode's tolerances."""
+    x, y, z = volume.grid.center
+    inf = np.inf
+    clip = [
+        clvol.Plane((1, -0.6, 0.3), (x + 9, y, z)),
+        clvol.Corner((x - 9, -inf, -inf), (x - 2, inf, z + 3)),
+        clvol.Corner((x + 3, y - 12, -inf), (inf, y + 3, inf)),
+    ]
+    options = options | ({"termination": 0.0} if mode == "composite" else {})
+    for merge in ("order", "tree"):
+        one, many = both(cluster, merge, volume, "linear", CAMERAS["aslant"], mode, (60, 44), rays=1, clip=clip, **options)
+        np.testing.assert_allclose(many, one, rtol=0, atol=2e-6 if (mode, merge) == ("composite", "tree") else 0)
+        assert one.max() > 0.2
+
+
 def test_a_tree_rejects_unsupported_outputs(cluster: Cluster, volume: clvol.LazyVolume) -> None:
     for name, mode, options in (
         ("linear", "isosurface", {"method": "stepped"}),

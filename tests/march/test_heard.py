@@ -40,10 +40,11 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "method": ("stepped",),
     "tolerance": (0.5,),
     "attenuation": (9.0,),
+    "cap": (True, False),
 }
 CHANGES_NO_BIT = {"skipping"}  # as it says
 OWN: tuple[dict[str, Any], ...] = ({}, {"shading": False}, {"method": "stepped"}, {"preset": "mr-default", "window": (0.4, 0.3)})
-BESIDE = {"rays": 4}
+BESIDE: dict[str, dict[str, Any]] = {"pixel_filter": {"rays": 4}, "cap": {"clip": VALUES["clip"][0]}}
 SIZE = (24, 18)
 COARSE = 2.5  # voxels: long enough for a stepped surface to miss something
 
@@ -68,7 +69,7 @@ def test_an_option_changes_the_picture_or_is_refused(renderer: clvol.Renderer, m
         return
     heard, refused = [], {}
     for name in VALUES.keys() - own.keys():
-        beside = BESIDE if name == "pixel_filter" else {}
+        beside = BESIDE.get(name, {})
         before = renderer.render(None, mode, SIZE, COARSE, **own, **beside) if beside else plain
         try:
             pictures = [renderer.render(None, mode, SIZE, COARSE, **own, **beside, **{name: value}) for value in VALUES[name]]

@@ -19,8 +19,9 @@ from clvol.march.options import ResolvedLook
 from clvol.march.renderer import Renderer
 from clvol.phantoms import marschner_lobb
 from clvol.scene.camera import Camera
+from clvol.scene.clip import Clip, Corner
 from clvol.scene.mode import as_mode, modes
-from clvol.scene.scene import Box, Scene
+from clvol.scene.scene import Scene
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import MinMax
@@ -43,7 +44,7 @@ def renderer(device: Device) -> Iterator[Renderer]:
 
 
 def frame_of(
-    renderer: Renderer, mode: str, camera: Camera, *, skipping: bool = True, termination: float = 0.0, clip: Box | None = None
+    renderer: Renderer, mode: str, camera: Camera, *, skipping: bool = True, termination: float = 0.0, clip: Clip | None = None
 ) -> Frame:
     evaluator = choose_evaluator(renderer.device, renderer.filter)
     chosen = as_mode(mode, suited(mode, {"isovalue": 0.5, "termination": termination}))
@@ -111,6 +112,26 @@ def test_segmented_rays_of_few_samples_make_the_picture_to_the_last_bit(renderer
         with states:
             for name, picture in finish_states(states).items():
                 np.testing.assert_array_equal(picture, whole[name], err_msg=name)
+
+
+@pytest.mark.one_in(3)
+@pytest.mark.parametrize("mode", modes())
+def test_segmented_rays_with_gaps_make_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
+    """Two corners, one thinner than a step, leave three parts of some rays, whose ends share sample numbers."""
+    x, y, z = map(float, renderer.volume.center)
+    thin, inf = 0.3 * renderer.volume.spacing[1], math.inf
+    gaps = [Corner((-inf, y + 0.2, -inf), (inf, y + 0.2 + thin, inf)), Corner((x - 0.4, y - 0.5, -inf), (inf, y - 0.2, z + 0.3))]
+    for camera in CAMERAS.values():
+        frame = frame_of(renderer, mode, camera, clip=gaps)
+        whole, states, first = draw(frame), None, -np.inf
+        for last in (*range(2, 40, 3), np.inf):
+            states = march_rays(frame, first, last, states)
+            first = last + 1
+        assert isinstance(states, States)
+        with states:
+            check(finish_states(states), whole, mode, carried=True)
+        with march_rays(frame, last=11) as front, march_rays(frame, 12) as back:
+            check(finish_states(merge_states(front, back)), whole, mode)
 
 
 @pytest.mark.one_in(3)

@@ -11,7 +11,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import clvol
-from clvol import Camera, Medium, Scene, TransferFunction, Volume
+from clvol import Camera, Corner, Medium, Plane, Scene, TransferFunction, Volume
 from clvol.base.errors import ClvolError, OptionError
 from clvol.device import Device
 from clvol.reference.march.media import render_media
@@ -118,14 +118,26 @@ def test_media_without_opacity_change_nothing(device: Device) -> None:
     np.testing.assert_array_equal(clvol.render(hidden, camera("perspective"), size=SIZE, device=device), want)
 
 
-def test_extinctions_add(device: Device) -> None:
-    """Two media of opacity 1 - sqrt(1 - a) are one of opacity a."""
+CUTS = {
+    "whole": None,
+    "box": ((4, 4, 4), (18, 15, 16)),
+    "plane": Plane((-0.4, -0.7, 0.3), (11, 10, 9)),
+    "corner": Corner((10, -math.inf, 9), (math.inf, 11, math.inf)),
+}
+
+
+@pytest.mark.parametrize("clip", CUTS)
+def test_extinctions_add(device: Device, clip: str) -> None:
+    """Two media of opacity 1 - sqrt(1 - a) are one of opacity a, on the faces of cuts too."""
     points = np.linspace(0, 1, 129)
     whole = [(v, 0.3 * v**2) for v in points]
     half = [(v, 1 - math.sqrt(1 - a)) for v, a in whole]
     one, two = (replace(FIRST, transfer=TransferFunction([(0, "white")], points)) for points in (whole, half))
-    want = clvol.render(Scene(one), camera("perspective"), size=SIZE, device=device)
-    np.testing.assert_allclose(clvol.render(Scene([two, two]), camera("perspective"), size=SIZE, device=device), want, atol=2e-5)
+    got, want = (
+        clvol.render(Scene(media, clip=CUTS[clip]), camera("perspective"), size=SIZE, rays=1, device=device)
+        for media in ([two, two], one)
+    )
+    np.testing.assert_allclose(got, want, atol=2e-5)
 
 
 @pytest.mark.parametrize("mode", ["mip", "mean"])

@@ -183,6 +183,24 @@ def test_a_scene_sets_the_initial_state(volume: Volume, device: Device) -> None:
         assert not field.closed
 
 
+def test_planes_and_corners_cut_a_view_open(volume: Volume, device: Device) -> None:
+    """As in `render`, and in the program and the command that are copied."""
+    x, y, z = map(float, volume.center)
+    inf = float("inf")
+    clip = [clvol.Plane((1, -0.5, 0.2), (x, y, z)), clvol.Corner((-inf, -inf, z), (inf, y, inf))]
+    view = View(volume, clip=clip, mode="isosurface", cap=True, device=device)
+    want = clvol.render(volume, clip=clip, mode="isosurface", cap=True, size=SIZE, device=device)
+    assert np.array_equal(view.picture(SIZE), want)
+    space: dict[str, Any] = {"volume": volume}
+    exec(view.python(SIZE), space)
+    assert np.array_equal(space["picture"], want)
+    client = Client(view)
+    command = client.session.toml().splitlines()[0]
+    client.close()
+    assert f"--clip-plane {' '.join(map(repr, (*clip[0].normal, *clip[0].point)))} --clip-corner -inf -inf" in command
+    view.close()
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

@@ -22,6 +22,7 @@ from tests.view.clients import random_changes
 def test_any_state_round_trips_through_its_text(seed: int) -> None:
     chance = random.Random(seed)
     which = {
+        "cuts": chance.choice([[], [{"normal": [1, -2, 0.3], "point": [5, 6, 7]}, {"low": [1, None, 3], "high": [None, None, 4]}]]),
         "labels": chance.choice([None, {"hidden": chance.sample(range(-9, 99), 3)}, {"shown": chance.sample(range(99), 2)}]),
         "index": chance.choice([{}, {"time": chance.randrange(9), "channel": chance.choice([1, "luminance"])}]),
     }
@@ -62,6 +63,12 @@ def test_any_state_round_trips_through_its_text(seed: int) -> None:
         ({"lights": {}}, "lights must be a list"),
         ({"background": [2, 0, 0]}, "background must be three numbers in 0..1"),
         ({"clip": {"low": [0, 0, 0], "high": [1, 0, 1]}}, "clip must be two corners"),
+        ({"cuts": {}}, "cuts must be a list of planes and corners"),
+        ({"cuts": [{"normal": [0, 0, 0], "point": [1, 2, 3]}]}, "cuts: a plane's normal must have a direction"),
+        ({"cuts": [{"normal": [0, 0, 1]}]}, "cuts: a plane's point must be three finite numbers"),
+        ({"cuts": [{"low": [0, 0, None], "high": [1, 0, None]}]}, "cuts: a corner must be two corners"),
+        ({"cuts": [{"middle": 3}]}, "cuts.middle is no field"),
+        ({"cuts": [{"low": [0, 0, 0], "high": [1, 1, 1]}] * 9}, "cuts: clip may have up to 64 planes and 8 corners"),
         ({"labels": 3}, "labels must be an object"),
         ({"labels": {}}, "labels must have one of hidden and shown; got neither"),
         ({"labels": {"hidden": [1], "shown": [2]}}, "hidden and shown; got both"),

@@ -281,6 +281,7 @@ _MODES = f"{', '.join(clvol.modes())}."
 BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}; with a value, constant(5) or grid-constant(5)."
 Boundary = Annotated[str, Parameter(help=BOUNDARIES, completer=_any_of(clvol.boundaries))]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
+_Six = tuple[float, float, float, float, float, float]
 _Background = Annotated[str, Parameter(help="A name, a hex code, or 'none'.")]
 
 
@@ -312,10 +313,21 @@ class Look:
             consume_multiple=True,
         ),
     ] = None
-    clip: Annotated[
-        tuple[float, float, float, float, float, float] | None,
-        Parameter(help="Show only this box: two corners, x y z x y z, in world units."),
-    ] = None
+    clip: Annotated[_Six | None, Parameter(help="Show only this box: two corners, x y z x y z, in world units.")] = None
+    clip_plane: Annotated[
+        tuple[_Six, ...],
+        Parameter(
+            help="Cut away the half that a plane's normal points to: normal and point, nx ny nz x y z. May be repeated.",
+            show_default=False,
+        ),
+    ] = ()
+    clip_corner: Annotated[
+        tuple[_Six, ...],
+        Parameter(
+            help="Cut away what is in this box: two corners, x y z x y z, which may be inf or -inf. May be repeated.",
+            show_default=False,
+        ),
+    ] = ()
     boundary: Boundary = "mirror"
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = (
         0.5
@@ -350,13 +362,19 @@ class Look:
     def options(self, volume: clvol.Volume) -> dict[str, Any]:
         """Arguments of `clvol.render`."""
         given: dict[str, Any] = {name: getattr(self, name) for name in ("rays", "pixel_filter", "gradient")}
-        given |= {"clip": self.clip and (self.clip[:3], self.clip[3:]), "transfer": self._transfer(volume)}
+        given |= {"clip": self.cuts() or None, "transfer": self._transfer(volume)}
         return {name: value for name, value in given.items() if value is not None} | {
             "camera": self.camera(),
             "mode": self.mode,
             "step": self.step,
             "background": None if self.background == "none" else self.background,
         }
+
+    def cuts(self) -> list[Any]:
+        """What is cut away."""
+        planes = [clvol.Plane(plane[:3], plane[3:]) for plane in self.clip_plane]
+        corners = [clvol.Corner(corner[:3], corner[3:]) for corner in self.clip_corner]
+        return [*([] if self.clip is None else [(self.clip[:3], self.clip[3:])]), *planes, *corners]
 
     def words(self) -> dict[str, Any]:
         """The transfer function in words, as `clvol.render` takes it."""
@@ -426,8 +444,10 @@ class ReportLook(SurfaceLook):
 
 _ALSO = {"isovalue": "--threshold"}
 """Common names of the options of modes."""
-_KINDS = {"isovalue": float | str}
+_KINDS = {"isovalue": float | str, "cap": str}
 """Types that a default does not show."""
+_CAPS = {"values": True, "none": False}
+"""Caps that are no colours, by their names in the shell."""
 
 
 def _flag(name: str) -> tuple[str, Any, None]:
@@ -436,6 +456,7 @@ def _flag(name: str) -> tuple[str, Any, None]:
     defaults = [getattr(mode, name) for mode in having]
     kind: Any = bool if isinstance(defaults[0], bool) else str if isinstance(defaults[0], (str, tuple)) else _KINDS.get(name, float)
     says = [f"{mode_options(mode)[name]} ({mode.name}{_default(getattr(mode, name))})" for mode in having]
+    says += ["Here: values, none or a colour."] if name == "cap" else []
     return name, Annotated[kind | None, Parameter(help=" ".join(says), alias=_ALSO.get(name))], None
 
 
@@ -455,6 +476,8 @@ class Given:
         if isinstance(given.get("color"), str) and re.fullmatch(r"\s*([\d.e+-]+[\s,]+){2}[\d.e+-]+\s*", given["color"]):
             with contextlib.suppress(ValueError):  # 1.2.3 is not a number: it is refused as a name later
                 given["color"] = tuple(float(v) for v in re.split(r"[\s,]+", given["color"].strip()))
+        if "cap" in given:
+            given["cap"] = _CAPS.get(given["cap"], given["cap"])
         return given
 
 

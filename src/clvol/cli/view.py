@@ -157,7 +157,7 @@ def view(
 
     def rehearse() -> None:
         """Build kernels while the file is read."""
-        shown = replace(look, preset=None, clip=None)  # these may not suit another volume
+        shown = replace(look, preset=None, clip=None, clip_plane=(), clip_corner=())  # these may not suit another volume
         with suppress(Exception):  # errors are reported with the volume, or on each page
             _made(phantoms.marschner_lobb(_REHEARSED), None, None, name, filter, device, shown, options).rehearse()
 

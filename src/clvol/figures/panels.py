@@ -26,6 +26,7 @@ from clvol.march.options import WORDS, PanelOptions, transfer_of, unheard
 from clvol.march.renderer import Renderer
 from clvol.reference.march.exact import draw_function
 from clvol.scene.camera import Camera
+from clvol.scene.clip import as_clip
 from clvol.scene.fit import fitted
 from clvol.scene.light import Light, Material
 from clvol.scene.mode import DEFAULT_MODE, as_mode, every_option, require_heard
@@ -282,7 +283,8 @@ def settled(volume: Volume, options: dict[str, Any]) -> dict[str, Any]:
     for word in WORDS:
         look.pop(word, None)
     if isinstance(transfer, TransferFunction):  # an error otherwise, by `render`
-        look["camera"] = fitted(look.get("camera") or Camera.orbit(), volume, mode, transfer, look.get("clip"))
+        clip = None if look.get("clip") is None else as_clip(look["clip"])
+        look["camera"] = fitted(look.get("camera") or Camera.orbit(), volume, mode, transfer, clip)
         look["transfer"] = replace(transfer, unit_distance=transfer.unit_distance or volume.mean_spacing)
     if "transfer" in mode.unheard:
         del look["transfer"]

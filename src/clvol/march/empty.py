@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clvol.base.checks import warn
 from clvol.march.options import WORDS, ResolvedLook, chosen_mode
+from clvol.scene.clip import Cuts, cuts_of
 
 if TYPE_CHECKING:
     from clvol.march.renderer import Renderer
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["warn_if_empty", "warn_of_refined"]
 
+_POINTS = 33  # along each axis, at which it is asked whether cuts keep anything
 _STEP = 16  # pixels between those that are looked at first
 _CHOICES = ("transfer", "isovalue", *WORDS)
 
@@ -68,10 +70,12 @@ def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapp
 
 def _unseen(look: ResolvedLook, limits: tuple[float, float] | None) -> str:
     """Why nothing is seen."""
-    volume, clip, surface = look.scene.media[0].volume, look.scene.clip, look.mode.surface
-    if clip is not None and _outside(clip, volume):
-        low, high = volume.corners.min(0), volume.corners.max(0)
+    volume, surface = look.scene.media[0].volume, look.mode.surface
+    cuts, (low, high) = cuts_of(look.scene.clip), (volume.corners.min(0), volume.corners.max(0))
+    if cuts.box is not None and _outside(cuts.box, volume):
         return f"nothing is seen: clip lies outside the volume, which spans {_point(low)} to {_point(high)}"
+    if cuts != Cuts() and not _some_kept(cuts, volume):
+        return f"nothing is seen: clip cuts away the whole volume, which spans {_point(low)} to {_point(high)}"
     if limits is not None and surface is not None and not limits[0] <= surface <= limits[1]:
         return f"nothing is seen: isovalue {surface:g} is outside the samples, which are from {limits[0]:g} to {limits[1]:g}"
     values = "" if limits is None else f", whose samples are from {limits[0]:g} to {limits[1]:g}"
@@ -99,6 +103,13 @@ def _outside(clip: Any, volume: Volume) -> bool:
     index = volume.world_to_index(corners)
     beside = (high <= first) | (low >= last) | (index.max(0) <= -0.5) | (index.min(0) >= np.asarray(volume.size) - 0.5)
     return bool(beside.any())
+
+
+def _some_kept(cuts: Cuts, volume: Volume) -> bool:
+    """Whether cuts keep some of a grid of points that spans the domain of a volume."""
+    ends = [np.linspace(-0.5, n - 0.5, min(n + 1, _POINTS)) for n in volume.size]
+    index = np.stack(np.meshgrid(*ends, indexing="ij"), -1)
+    return bool(cuts.keep(volume.index_to_world(index)).any())
 
 
 def _point(values: NDArray[np.float64]) -> str:

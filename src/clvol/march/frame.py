@@ -16,8 +16,9 @@ from clvol.march.gaps import GAPS, gaps_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.march.rails import RAILS, Rails
 from clvol.scene.camera import Viewpoint
+from clvol.scene.clip import CLIP, clip_block
 from clvol.scene.light import LIGHTS, Material, lights_block
-from clvol.scene.scene import CLIP, Medium, clip_block
+from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.build import along_defines
 from clvol.spline.evaluator import DIRECT

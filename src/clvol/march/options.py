@@ -29,9 +29,10 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.scene.camera import Viewpoint
+    from clvol.scene.clip import Clip
     from clvol.scene.light import Light, Material
     from clvol.scene.mode import Mode
-    from clvol.scene.scene import Box, Scene
+    from clvol.scene.scene import Scene
     from clvol.scene.transfer import TransferFunction
     from clvol.volume.volume import Volume
 
@@ -92,7 +93,7 @@ class LookOptions(TypedDict, total=False):
         mode's own look, and may be given with the others, but not beside `transfer`. Surfaces have none of them, projections
         no opacity.
     lights, background, clip
-        In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or clip box, None for none.
+        In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or cuts, None for none.
     gradient : {"analytic", "central"}
         "analytic" is the exact derivative of the function drawn. "central" takes differences of one voxel to either side, as many
         other programs do; with `hybrid` one voxel of the magnified grid, half of the volume's. `nearest` has no useful derivative
@@ -107,7 +108,7 @@ class LookOptions(TypedDict, total=False):
     material: Material | None
     lights: Light | Sequence[Light] | None
     background: Sequence[float] | str | EllipsisType | None
-    clip: Box | EllipsisType | None
+    clip: Clip | EllipsisType | None
     gradient: Literal["analytic", "central"]
 
 
@@ -121,6 +122,7 @@ class ModeOptions(TypedDict, total=False):
     method: Literal["exact", "stepped"]
     tolerance: float
     attenuation: float
+    cap: bool | Sequence[float] | str | None
 
 
 class RefineOptions(LookOptions, ModeOptions, total=False):
@@ -317,7 +319,7 @@ class ResolvedLook:
 
     camera: Camera
     mode: Mode  # settled for the volume
-    scene: Scene  # with the picture's transfer function, material, lights, background and clip box, where these were given
+    scene: Scene  # with the picture's transfer function, material, lights, background and cuts, where these were given
     transfer: TransferFunction
     central: bool  # gradients are central differences
     skipping: bool
@@ -340,6 +342,8 @@ class ResolvedLook:
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
         scene = _changed(scene, transfer_of(preview, mode, options), options)
+        if scene.clip is None and getattr(mode, "cap", None) is not getattr(type(mode), "cap", None):
+            require_heard(mode, ("cap",), {"cap": "nothing is cut away by clip"})
         transfer = scene.media[0].transfer or mode.transfer(preview)
         return cls(camera, mode.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
 

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base.progress import part_of
 from clvol.march.launch import BEFORE_EDGES
 from clvol.march.media import drawing_of
+from clvol.scene.clip import cuts_of
 from clvol.show.picture import Picture
 
 if TYPE_CHECKING:
@@ -110,8 +111,12 @@ class Wanted:
     def shown(self) -> tuple[Any, ...]:
         """A further key of pictures that take about as long from the same view."""
         look, clip = self.subject.look, self.subject.look.scene.clip
-        box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)  # arrays compare by element
-        return look.mode, look.transfer, box, *(one.look.transfer for one in self.subject.others)
+        return (
+            look.mode,
+            look.transfer,
+            cuts_of(clip),
+            *(one.look.transfer for one in self.subject.others),
+        )  # arrays compare by element
 
     @property
     def long_steps(self) -> list[float]:

@@ -211,10 +211,10 @@ class Renderer:
         outputs : str or sequence of str
             Of "rgba", "depth", "normal", "position", "visited", "uncertainty"; several give a dictionary. Depth is the world
             distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing; normals face
-            the viewer; positions are in the world. They belong to the ray through the pixel's middle: in "composite" where half of
-            the light is stopped, in projections where the extreme lies; "mean" has none. "visited" is the share of a ray's samples
-            that was evaluated. "uncertainty", of "isosurface" alone, is the distance within which the true surface lies, and the
-            angle in degrees within which its normal lies: see the notes.
+            the viewer, those of the cut on its faces and caps; positions are in the world. They belong to the ray through the
+            pixel's middle: in "composite" where half of the light is stopped, in projections where the extreme lies; "mean" has
+            none. "visited" is the share of a ray's samples that was evaluated. "uncertainty", of "isosurface" alone, is the
+            distance within which the true surface lies, and the angle in degrees within which its normal lies: see the notes.
         progress : callable, optional
             Called with the fraction done.
         **options

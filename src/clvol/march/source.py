@@ -203,6 +203,8 @@ class InMemory(Source):
             raise OptionError(f'the output "uncertainty" is of surfaces: mode must be isosurface; got {mode.name!r}')
         if not field.filter.has_gradient:
             raise OptionError(f'the output "uncertainty" needs a filter that has slopes; got {field.filter.name!r}')
+        if mode.capped:
+            raise OptionError('the output "uncertainty" is of surfaces, and a cap is none: cap must be False')
         with self._lock:
             if self._uncertainty is None:
                 self._uncertainty = Uncertainty(field)

@@ -1,6 +1,6 @@
 """Fit a camera to the visible part of a volume: its bounding sphere, and the space it sweeps as the camera orbits.
 
-The sphere depends only on the volume, the mode, the transfer function and the clip box, not on the view. At most 64
+The sphere depends only on the volume, the mode, the transfer function and the clip box, not on the view or other cuts. At most 64
 samples along each axis are read. The sphere is slightly larger than the visible samples, and never larger than that of the
 volume, which is used if nothing is visible. The visible samples are rotated about the vertical through the sphere's centre, so
 that an orbiting camera keeps its distance, and they stay near the middle.
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.scene.camera import Camera
+from clvol.scene.clip import Clip, cuts_of
 from clvol.scene.mode import Mode
-from clvol.scene.scene import Box
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.volume import Volume
 
@@ -65,7 +65,7 @@ def fitted(
     volume: Volume,
     mode: Mode,
     transfer: TransferFunction,
-    clip: Box | None = None,
+    clip: Clip | None = None,
     aspect: float = 1.0,
     *,
     others: Sequence[Seen] = (),
@@ -137,19 +137,19 @@ def _swept(points: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np
     return np.asarray(along + np.cos(turns)[:, None, None] * off + np.sin(turns)[:, None, None] * across)
 
 
-def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None) -> Sphere:
-    """The sphere around the visible part of a 3-D volume in a settled mode; samples outside `clip` do not count.
+def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Clip | None = None) -> Sphere:
+    """The sphere around the visible part of a 3-D volume in a settled mode; samples outside the box of `clip` do not count.
 
     Surfaces are where neighbouring samples are on both sides of the isovalue. Matter is visible where its opacity is
     more than 2 % of the transfer function's largest; in projections, where colour times opacity is more than
     5 % of the brightest. A few isolated visible samples are noise, and do not count.
     """
     known = _known.setdefault(volume, {})
-    box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)
+    box = cuts_of(clip).box
     key = (mode.surface, None, box) if mode.surface is not None else (mode.shows == "matter", transfer, box)
     found = known.get(key)
     if found is None:
-        found = _sphere(volume, mode, transfer, clip)
+        found = _sphere(volume, mode, transfer, box)
         if len(known) >= _KEPT:  # other threads may clear it as well
             known.clear()
         known[key] = found
@@ -159,7 +159,9 @@ def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, cli
 _known: WeakKeyDictionary[Volume, dict[Any, Sphere]] = WeakKeyDictionary()
 
 
-def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None) -> Sphere:
+def _sphere(
+    volume: Volume, mode: Mode, transfer: TransferFunction, box: tuple[tuple[float, ...], tuple[float, ...]] | None
+) -> Sphere:
     whole = Sphere(tuple(map(float, volume.center)), volume.radius)  # type: ignore[arg-type]  # three
     some, firsts, steps = spread(volume, _SAMPLES)
     some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
@@ -172,8 +174,8 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     matrix = volume.index_to_world_matrix / unit
     start = matrix @ (np.array(firsts) - (np.asarray(volume.size) - 1) / 2)
     matrix = matrix * np.array(steps)
-    if clip is not None:
-        seen &= _inside(seen.shape, matrix, start, [(np.asarray(corner) - volume.center) / unit for corner in clip])
+    if box is not None:
+        seen &= _inside(seen.shape, matrix, start, [(np.asarray(corner) - volume.center) / unit for corner in box])
     seen = _without_specks(seen, _SPECKS[surface])
     rows = seen.any(2)
     if not rows.any():

@@ -20,7 +20,7 @@ from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import share_of
 from clvol.base.shown import Named
-from clvol.base.uniform import FLOAT, Block, Values
+from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, as_filter
 from clvol.scene.preset import diverging
 from clvol.scene.transfer import TransferFunction
@@ -73,6 +73,8 @@ class Mode:
         more samples, a thousandth of a step inside.
     skips : bool
         Whether some values can be irrelevant to it, so that space is skipped.
+    capped : bool
+        Whether it shows something on the faces of a cut.
     finished_there : bool
         Whether its kernel computes the colour at the end of a ray from the coefficients there.
     picture_filter : str
@@ -92,6 +94,7 @@ class Mode:
     state_fields: ClassVar[int]
     endpoints: ClassVar[bool] = False
     skips: ClassVar[bool] = True
+    capped: ClassVar[bool] = False
     finished_there: ClassVar[bool] = False
     picture_filter: ClassVar[str] = PICTURE_FILTER
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "max"
@@ -160,9 +163,12 @@ class Mode:
         """The same for values, from black to white between `clim`, (low, high), if it is given."""
         if self.shows == "matter":
             return TransferFunction.automatic(volume, clim)
-        projection = "max" if self.shows == "surface" else self.shows
-        low, high = clim or (volume.clim if self.shows != "mean" else None) or clims_of(volume)[projection]
         matter = matter_of(volume)
+        if self.shows == "surface":  # whose caps are slices: from the background to the brightest
+            usual = matter.value(matter.top, -1 if matter.signed else 1), matter.value(matter.top if matter.signed else 0)
+            low, high = clim or volume.clim or sorted(usual)
+        else:
+            low, high = clim or (volume.clim if self.shows != "mean" else None) or clims_of(volume)[self.shows]
         if matter.signed and clim is None and self.shows == "mean":
             return TransferFunction(diverging((low, high), matter.value(0)), ((low, 1.0),))
         color = volume.color or (1.0, 1.0, 1.0)
@@ -186,20 +192,27 @@ class Composite(Mode):
     termination : float
         A ray ends when its transmittance falls to this value, at least 0 and less than 1. The error of colours is at
         most this times the brightest colour behind.
+    cap : bool, optional
+        Whether the faces of a cut (`clip`) show the slice: the colours of the values there, unlit, as opaque as matter of 16 unit
+        distances. By default where matter is lit (`shading`): light has no meaning on such a face, and shows the noise.
     """
 
     shading: bool = True
     termination: float = 1e-3
+    cap: bool | None = None
 
     name: ClassVar[str] = "composite"
     description: ClassVar[str] = "emission and absorption, front to back"
     state_fields: ClassVar[int] = 6
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "matter"
-    BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT)
+    BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT, cap=INT)
 
     def __post_init__(self) -> None:
         _set(self, shading=_switch("shading", self.shading))
         _set(self, termination=number("termination", self.termination, minimum=0, below=1))
+        if self.cap is not None:
+            _set(self, cap=_switch("cap", self.cap))
+        _set(self, capped=self.shading if self.cap is None else self.cap)
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:
         return transfer.opacity_within(low, high) > 0
@@ -211,7 +224,7 @@ class Composite(Mode):
         return "the depth and normals of matter, which depend on transmittance" if guides else ""
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
-        return self.BLOCK(termination=self.termination)
+        return self.BLOCK(termination=self.termination, cap=self.capped)
 
 
 @dataclass(frozen=True)
@@ -238,6 +251,9 @@ class Isosurface(Mode):
     tolerance : float
         For "stepped": tolerance of the function at the surface, relative to the difference between the two samples
         around it, 0 to 1.
+    cap : bool, three numbers or a name
+        Closes what a cut (`clip`) opens, where values are not below the isovalue, with an unlit face. True: it shows the slice,
+        in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
     """
 
     isovalue: float | str | None = None
@@ -245,6 +261,7 @@ class Isosurface(Mode):
     shading: bool = True
     method: Literal["exact", "stepped"] = "exact"
     tolerance: float = 1e-4
+    cap: bool | Sequence[float] | str = False
 
     name: ClassVar[str] = "isosurface"
     description: ClassVar[str] = "the first isosurface along the ray, shaded"
@@ -252,7 +269,7 @@ class Isosurface(Mode):
     endpoints: ClassVar[bool] = True
     finished_there: ClassVar[bool] = True
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "surface"
-    BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3))
+    BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3), cap=INT, cap_color=(FLOAT, 3))
 
     def __post_init__(self) -> None:
         if isinstance(self.isovalue, str):
@@ -263,6 +280,8 @@ class Isosurface(Mode):
         _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
         if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
             raise one_of("method", self.method, ("exact", "stepped"))
+        _set(self, cap=bool(self.cap) if isinstance(self.cap, (bool, np.bool_)) else color_of("cap", self.cap))
+        _set(self, capped=self.cap is not False)
         if self.method == "stepped":
             _set(self, state_fields=4)  # with the last sample
 
@@ -280,13 +299,14 @@ class Isosurface(Mode):
 
     @property
     def unheard(self) -> Mapping[str, str]:
-        words = dict.fromkeys(("transfer", "preset", "window", "cmap", "opacity"), "a surface is opaque and of one color")
+        colors = () if self.cap is True else ("transfer", "preset", "window", "cmap")
+        words = dict.fromkeys((*colors, "opacity"), "a surface is opaque and of one color")
         exact = {"tolerance": 'method="exact" needs none'} if self.method == "exact" else {}
         return {**super().unheard, **words, **exact}
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
         assert isinstance(self.isovalue, float)  # settled
-        return low <= self.isovalue <= high
+        return low <= self.isovalue <= high or (self.capped and high >= self.isovalue)
 
     def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002
         return "" if self.stretches else "stepped surfaces"
@@ -303,7 +323,9 @@ class Isosurface(Mode):
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         assert isinstance(self.isovalue, float)  # settled
-        return self.BLOCK(isovalue=stored(self.isovalue), tolerance=self.tolerance, color=self.color)
+        cap, color = (int(self.cap), 0.0) if isinstance(self.cap, bool) else (2, self.cap)
+        surface = stored(self.isovalue)
+        return self.BLOCK(isovalue=surface, tolerance=self.tolerance, color=self.color, cap=cap, cap_color=color)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,8 @@
-"""The content of a picture: media, lights, background and clip box."""
+"""The content of a picture: media, lights, background and what is cut away."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import InitVar, dataclass
 from typing import Any, ClassVar, Literal
 
@@ -13,29 +12,27 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base.checks import if_image, instance, one_of
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
-from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
+from clvol.base.uniform import FLOAT, REACH, Block, Values
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
+from clvol.scene.clip import Box, Clip, as_clip
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume, masked
 
-__all__ = ["CLIP", "ROUNDING", "Medium", "Scene", "as_scene", "clip_block"]
+__all__ = ["ROUNDING", "Box", "Medium", "Scene", "as_scene"]
 
 ROUNDING = 2.0**-19
 """Largest gradient that counts as rounding error and gives no normal, as a fraction of the function's value per voxel. In
 constant volumes, all filters with exact fractions reach a third of it: the prefilter and the sum over taps round by a few units
 in the last place. Filters fitted by polynomials of degree 12 exceed it up to eight times."""
 
-CLIP = Block("clip_block", low=(FLOAT, 3), high=(FLOAT, 3), clipped=INT)
 _MAX_ANISOTROPY = 1e6  # largest ratio of spacings, the limit of float32
 
 _MOST_MEDIA = 8
 _MIXES = ("add", "over")
-
-Box = tuple[Sequence[float], Sequence[float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,8 +162,11 @@ class Scene:
         Up to 4; default: key light, fill light and headlight, which move with the camera (`clvol.scene.light.KIT`).
     background : three numbers, a name, or None
         Colour behind the media. None: transparent, with colours that are not premultiplied.
-    clip : (low, high), optional
-        Box in world coordinates (x, y, z); matter outside is not rendered.
+    clip : (low, high), Plane, Corner, or a list of these, optional
+        What is cut away, in world coordinates (x, y, z): all outside a box, the half that a `Plane` points to, the inside of a
+        `Corner`; of a list, all that any of them cuts away. The camera is fitted to what is in the box; planes and corners do
+        not move it, and change no pixel whose ray misses what they cut away. Matter that is lit shows its slice on the faces of
+        a cut, unlit, and surfaces may have caps there: `cap` of the modes "composite" and "isosurface".
     mix : {"add", "over"}
         How the projections of several media go together. "add": their colours add up, as those of a microscope's channels do.
         "over": each covers those after it in the list as far as it is bright.
@@ -177,7 +177,8 @@ class Scene:
         There is no medium or more than 8, an entry of `lights` is not a light, there are more than 4, or `background` is not a
         colour.
     GeometryError
-        `clip` is not a box; or media are in worlds of different orientation, as those of a patient and of a stack of images.
+        `clip` is none of these, or has more than 64 planes or 8 corners. Media are in worlds of
+        different orientation, as those of a patient and of a stack of images.
 
     Notes
     -----
@@ -200,7 +201,7 @@ class Scene:
     media: tuple[Medium, ...]
     lights: tuple[Light, ...] = KIT
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
-    clip: Box | None = None
+    clip: Clip | None = None
     mix: Literal["add", "over"] = "add"
 
     def __post_init__(self) -> None:
@@ -220,7 +221,7 @@ class Scene:
         if self.background is not None:
             object.__setattr__(self, "background", color_of("background", self.background))
         if self.clip is not None:
-            object.__setattr__(self, "clip", _box(self.clip))
+            object.__setattr__(self, "clip", as_clip(self.clip))
 
 
 def as_medium(choice: Medium | Volume | ArrayLike) -> Medium:
@@ -231,14 +232,6 @@ def as_medium(choice: Medium | Volume | ArrayLike) -> Medium:
 def as_scene(choice: Scene | Medium | Volume | ArrayLike) -> Scene:
     """A scene, or a scene from a medium, a volume or an array."""
     return choice if isinstance(choice, Scene) else Scene((as_medium(choice),))
-
-
-def clip_block(clip: Box | None, volume: Volume, unit: float) -> Values:
-    """The block of a clip box for kernels: relative to the volume's origin, in their unit of length."""
-    if clip is None:
-        return CLIP(low=0.0, high=0.0, clipped=0)
-    low, high = ((np.asarray(corner) - np.asarray(volume.origin)) / unit for corner in clip)
-    return CLIP(low=low, high=high, clipped=1)
 
 
 def _outside(mask: ArrayLike | None, where: ArrayLike | None) -> NDArray[np.bool_]:
@@ -260,16 +253,3 @@ def _outside(mask: ArrayLike | None, where: ArrayLike | None) -> NDArray[np.bool
 def _some(labels: NDArray[Any]) -> str:
     named = ", ".join(f"{label:g}" for label in labels[:8])
     return f"{named}, ... ({len(labels)} in all)" if len(labels) > 8 else named
-
-
-def _box(clip: Box) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    try:
-        low, high = (np.array([float(v) for v in corner]) for corner in clip)
-    except (TypeError, ValueError):
-        raise GeometryError(f"clip must be two corners (x, y, z); got {clip!r}") from None
-    if low.shape != (3,) or high.shape != (3,) or np.isnan(low).any() or np.isnan(high).any() or (low >= high).any():
-        raise GeometryError(
-            f"clip must be two corners (x, y, z), each coordinate of the first less than of the second; got {clip!r}"
-        )
-    low.flags.writeable = high.flags.writeable = False
-    return low, high

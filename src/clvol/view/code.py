@@ -18,6 +18,7 @@ import numpy as np
 from clvol.base.errors import OptionError
 from clvol.base.printable import printable
 from clvol.scene.camera import Camera
+from clvol.scene.clip import Corner, Plane
 from clvol.scene.light import Light, Material
 from clvol.scene.transfer import TransferFunction
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
@@ -163,6 +164,10 @@ def _text(value: Any) -> str:
         return f"clvol.TransferFunction({value.colors!r}, {value.opacities!r}{unit})"
     if isinstance(value, Light):
         return f"clvol.Light({value.direction!r}, {value.color!r}, {value.frame!r})"
+    if isinstance(value, Plane | Corner):
+        return f"clvol.{type(value).__name__}({', '.join(f'{f.name}={_text(getattr(value, f.name))}' for f in fields(value))})"
+    if isinstance(value, float) and math.isinf(value):
+        return f"float('{value}')"
     if isinstance(value, Material):
         return f"clvol.Material({', '.join(f'{f.name}={getattr(value, f.name)!r}' for f in fields(value))})"
     if isinstance(value, (tuple, list)):
@@ -235,6 +240,8 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "window": state.window and list(state.window),
         "background": "none" if state.background is None else "#" + "".join(f"{round(255 * v):02x}" for v in state.background),
         "clip": state.clip and [*state.clip[0], *state.clip[1]],
+        "clip-plane": [[*cut.normal, *cut.point] for cut in state.cuts if isinstance(cut, Plane)] or None,
+        "clip-corner": [[*cut.low, *cut.high] for cut in state.cuts if isinstance(cut, Corner)] or None,
     }
     flags: dict[str, Any] = {flag: value for flag, value in given.items() if value is not None}
     flags |= {flag.replace("_", "-"): _text(value).strip("'") if not isinstance(value, (bool, int, float)) else value
@@ -279,6 +286,8 @@ def _input(source: str | None) -> tuple[str, dict[str, Any]]:
 
 
 def _flag(flag: str, value: Any) -> list[str]:
+    if isinstance(value, list) and isinstance(value[0], list):
+        return [word for one in value for word in _flag(flag, one)]
     word = f"--{flag.replace('_', '-')}"
     if isinstance(value, bool):
         return [word if value else f"--no-{flag.replace('_', '-')}"]

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from clvol.base.checks import if_image, instance
 from clvol.base.color import color_of
-from clvol.base.errors import DataError, OptionError
+from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.bricks.source import LazyVolume
 from clvol.device import Device
 from clvol.march.options import KEYWORDS
 from clvol.scene.camera import Camera
+from clvol.scene.clip import as_clip, cuts_of
 from clvol.scene.look import look
 from clvol.scene.mode import as_mode, modes
 from clvol.scene.scene import Medium, Scene
@@ -105,6 +106,12 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
         values["transfer"] = look(volume, chosen, **{name: values.pop(name, None) for name in WORDS})
     if isinstance(values.get("background"), str):
         values["background"] = color_of("background", values["background"])
+    if values.get("clip") is not None:
+        try:
+            cuts = cuts_of(as_clip(values["clip"]))
+        except GeometryError as error:
+            raise OptionError(str(error)) from None
+        values |= {"clip": cuts.box, "cuts": (*cuts.planes, *cuts.corners)}
     lights = values.get("lights")
     if lights is not None and not isinstance(lights, (list, tuple)):
         values["lights"] = (lights,)

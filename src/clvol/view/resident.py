@@ -103,8 +103,10 @@ class Resident:
         A state keeps what only another mode or filter would show; a picture does not take it.
         """
         given: dict[str, Any] = {"camera": camera_of(state), "mode": state.mode, "step": state.step, **self.beside}
-        words = state.words if state.transfer is None else {"transfer": state.transfer}
+        words: dict[str, Any] = state.words if state.transfer is None else {"transfer": state.transfer}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
+        if state.cuts:
+            words["clip"] = [*([state.clip] if state.clip else []), *state.cuts]
         given |= {name: value for name, value in words.items() if value is not None}
         given["background"] = state.background
         own = {name: tuple(v) if isinstance(v, list) else v for name, v in state.options.items()}
@@ -128,6 +130,8 @@ class Resident:
         row = filter_for(self.catalog.volume_of(state), state.filter, mode.picture_filter)
         if not row.has_gradient:
             left_out |= {"gradient"}
+        if state.clip is None and not state.cuts:
+            left_out |= {"cap"}
         return {name: value for name, value in given.items() if name not in left_out}
 
     def finer_picture(self, state: State, shown: PaneSize, name: str, size: tuple[int, int]) -> Wanted | None:
@@ -243,7 +247,8 @@ def _description(volume: Volume, title: str, axes: list[dict[str, Any]], labels:
 
 def _options(mode: Mode) -> dict[str, Any]:
     says = mode_options(mode)
-    return {f.name: _option(getattr(mode, f.name), f.name, says[f.name]) for f in fields(mode)}
+    settled = {"cap": mode.capped}  # it may follow from another option
+    return {f.name: _option(settled.get(f.name, getattr(mode, f.name)), f.name, says[f.name]) for f in fields(mode)}
 
 
 def _option(default: Any, name: str, says: str) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from clvol.base.checks import instance, number, one_of, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.boundary import as_boundary
 from clvol.filter.table import as_filter
+from clvol.scene.clip import Corner, Plane, as_clip
 from clvol.scene.light import MAX_LIGHTS, Light, Material
 from clvol.scene.mode import as_mode, heard_options
 from clvol.scene.preset import as_preset
@@ -304,6 +305,39 @@ def _clip_of(what: str, value: object) -> tuple[Triple, Triple]:
     return _box(what, (given.get("low"), given.get("high")))
 
 
+def _cuts(what: str, value: Any) -> tuple[Plane | Corner, ...]:
+    cuts = tuple(value)
+    if not all(isinstance(cut, Plane | Corner) for cut in cuts):
+        raise OptionError(f"{what} must be planes and corners; got {value!r:.200}")
+    try:
+        as_clip(cuts)
+    except ClvolError as error:
+        raise OptionError(f"{what}: {error}") from None
+    return cuts
+
+
+def _cuts_of(what: str, value: object) -> tuple[Plane | Corner, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise OptionError(f"{what} must be a list of planes and corners; got {value!r:.200}")
+    return tuple(_cut_of(what, cut) for cut in value)
+
+
+def _cut_of(what: str, value: object) -> Plane | Corner:
+    """JSON has no infinite numbers: in corners null stands for these."""
+    given = _known(what, value, {"normal", "point", "low", "high"})
+    try:
+        if "normal" in given:
+            return Plane(given["normal"], given.get("point"))  # type: ignore[arg-type]  # it is checked
+        ends = zip((given.get("low"), given.get("high")), (-math.inf, math.inf), strict=True)
+        return Corner(*(tuple(end if v is None else v for v in corner) for corner, end in ends))  # type: ignore[union-attr]
+    except (ClvolError, TypeError) as error:
+        raise OptionError(f"{what}: {error}") from None
+
+
+def _cut_json(cut: Plane | Corner) -> dict[str, list[float | None]]:
+    return {each.name: [v if math.isfinite(v) else None for v in getattr(cut, each.name)] for each in fields(cut)}
+
+
 # -- the state -----------------------------------------------------------------------------------------------
 
 
@@ -431,6 +465,8 @@ class State(_Checked):
     background : three numbers in 0..1, or None
     clip : (low, high), optional
         The crop box, in world units.
+    cuts : tuple of Plane and Corner
+        What else is cut away: see `clip` of `clvol.render`.
     labels : LabelState, optional
         Which labels of a label map are seen; others are background.
     crosshair : three numbers, optional
@@ -460,6 +496,7 @@ class State(_Checked):
     material: Material | None = _part(Material)
     background: Triple | None = _of(_color, (0.0, 0.0, 0.0), optional=True)
     clip: tuple[Triple, Triple] | None = _of(_box, None, _clip_of, lambda clip: {"low": list(clip[0]), "high": list(clip[1])})
+    cuts: tuple[Plane | Corner, ...] = _of(_cuts, (), _cuts_of, lambda cuts: [_cut_json(cut) for cut in cuts])
     labels: LabelState | None = _part(LabelState, write=LabelState.json)
     crosshair: Triple | None = _of(_triple, None)
     wiper: Wiper | None = _part(Wiper)

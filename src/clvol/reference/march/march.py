@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -23,10 +23,11 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.missing import continued, is_missing
-from clvol.reference.march.rays import Rays, camera_rays
+from clvol.reference.march.rays import Rays, camera_rays, face_normals, kept_parts
 from clvol.reference.march.roots import first_crossings
 from clvol.reference.spline.points import sample
 from clvol.scene.camera import Camera, Viewpoint
+from clvol.scene.clip import Clip, as_clip, cuts_of
 from clvol.scene.fit import fitted
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode, mode_options
@@ -40,6 +41,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
 _ROUNDING = 2.0**-19  # gradients below this share of the value per voxel may be rounding of the kernels' float32
+_FACE = 16  # unit distances of matter that are as opaque as the face of a cut
 _PAST = 1e-7  # voxels behind a crossing that is not shown
 _BISECTIONS = 38  # to 1e-12 of a step; down to the last bit, rounding could cross a jump again
 
@@ -65,12 +67,15 @@ def planes_across(volume: Volume, view: Viewpoint, aspect: float, step: float) -
     return axis, planes
 
 
-def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: float, ends: bool) -> tuple[Array, Bools, Array]:
+def _sample_distances(
+    volume: Volume, rays: Rays, begin: Array, axis: int, planes: int, step: float, ends: bool
+) -> tuple[Array, Bools, Array]:
     """Distances of the samples in order, (N, M), which of them exist, and each ray's world step, (N,).
 
     Along an axis of n samples, plane k lies at index ``-1/2 + (k + 1/2) n / K``. With `ends`, the points
     where a ray enters and leaves are samples too, a thousandth of a step inside; then no other sample lies
-    nearer to the edge. Without, a ray that meets no plane has one sample, halfway between where it enters and leaves.
+    nearer to the edge. Without, a ray that meets no plane has one sample, halfway between where it enters and leaves. Rays too
+    oblique to the axis step along themselves from `begin`, (N,).
     """
     n = volume.size[axis]
     start = volume.world_to_index(rays.origin)[:, axis]
@@ -83,10 +88,10 @@ def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: 
     t = (-0.5 + (np.arange(planes) + 0.5) * n / planes - start[:, None]) / along[:, None]
     t = np.sort(t, axis=1)
     own = step / length
-    span = np.where(hit & ~steep, rays.leave - rays.enter, 0.0)
+    span = np.where(hit & ~steep, rays.leave - begin, 0.0)
     steps = np.arange(1 + math.floor(float((span / own).max(initial=0.0))))
     with np.errstate(invalid="ignore"):
-        oblique = np.where(hit, rays.enter, 0.0)[:, None] + (steps + 0.5) * own[:, None]
+        oblique = np.where(hit, begin, 0.0)[:, None] + (steps + 0.5) * own[:, None]
     m = max(planes, steps.size)
     every = np.full((t.shape[0], m + 2), math.inf)
     every[steep, 1 : planes + 1] = t[steep]
@@ -180,6 +185,38 @@ def facing(gradient: Array, direction: Array, flat: float | Array) -> tuple[Arra
 
 
 @dataclass(frozen=True)
+class _Part:
+    """The samples of a part of each ray between two cuts, in order."""
+
+    rays: Rays
+    face: Bools  # whether a face is shown where it begins, (N,)
+    t: Array  # (N, M)
+    there: Bools
+    values: Array
+    near: Array  # the stretches of samples
+    far: Array
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """The samples of all parts of each ray in order, (N, M)."""
+
+    parts: list[_Part]
+    rays: Rays  # without cuts
+    t: Array
+    there: Bools
+    values: Array
+    near: Array
+    far: Array
+
+    @classmethod
+    def of(cls, parts: list[_Part], rays: Rays) -> _Samples:
+        """Those of these parts."""
+        t, values, near, far = (np.concatenate([getattr(p, name) for p in parts], 1) for name in ("t", "values", "near", "far"))
+        return cls(parts, rays, t, np.concatenate([part.there for part in parts], 1), values, near, far)
+
+
+@dataclass(frozen=True)
 class _Scene:
     """Inputs of all modes."""
 
@@ -208,7 +245,7 @@ def render(
     material: Material | None = None,
     lights: Light | Sequence[Light] = KIT,
     background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
-    clip: tuple[Sequence[float], Sequence[float]] | None = None,
+    clip: Clip | None = None,
     rays: int = 1,
     pixel_filter: str | Filter = "linear",
     outputs: str | Sequence[str] = "rgba",
@@ -226,9 +263,11 @@ def render(
     long as a step; that of the first sample begins where the ray enters, that of the last ends where it leaves. The depth is
     where half of the light is stopped, if each stretch is of one kind.
 
+    If the mode is `capped`, a ray that enters at the face of a cut has a first sample there: unlit, for 16 unit distances.
+
     ``isosurface``: the first root of the function along the ray (`first_crossings`). With ``method="stepped"`` the
     first pair of neighbouring samples on both sides of the isovalue; the root between them by bisection, the end on
-    the far side.
+    the far side. With a `cap` a ray that enters at the face of a cut ends there if the value is not below the isovalue.
 
     ``mip``, ``minip``: the extreme sample, the first if several are equal; ``mean``: the mean of all, by the lengths of their
     stretches.
@@ -285,6 +324,8 @@ def render(
         return np.asarray(differences @ volume.world_to_index_matrix)
 
     width, height = size
+    clip = None if clip is None else as_clip(clip)
+    cuts = cuts_of(clip)
     view = fitted(camera or Camera.orbit(), volume, chosen, transfer, clip, width / height).view(volume, width / height)
     lit_by = [light.placed(view) for light in as_lights(lights)]
     scene = _Scene(
@@ -302,14 +343,21 @@ def render(
     total = np.zeros((width * height, 4))
     guides: dict[str, Array] = {}
     for offset, weight in pixel_rays(rays, pixel_filter):
-        cast = camera_rays(volume, view, size, offset, clip, rule.edge)
-        t, there, world_step = _sample_distances(volume, cast, axis, planes, step, chosen.endpoints)
-        values = np.full(t.shape, math.nan)
-        which, k = np.nonzero(there)
-        values[there] = value(cast.at(t[which, k], which))
-        if chosen.surface is None:
-            there[there] = ~missing(cast.at(t[which, k], which))
-        rgb, opacity, depth = gather(scene, chosen, cast, t, there, values, world_step)
+        whole = camera_rays(volume, view, size, offset, None, rule.edge)
+        ((convex, _),) = kept_parts(whole, replace(cuts, corners=()))
+        parts = []
+        for cast, cut in kept_parts(whole, cuts):
+            t, there, world_step = _sample_distances(volume, cast, convex.enter, axis, planes, step, chosen.endpoints)
+            values = np.full(t.shape, math.nan)
+            which, k = np.nonzero(there)
+            values[there] = value(cast.at(t[which, k], which))
+            if chosen.surface is None:
+                there[there] = ~missing(cast.at(t[which, k], which))
+            face = cut & chosen.capped
+            face[face] = ~missing(cast.at(cast.enter[face], face))
+            parts.append(_Part(cast, face, t, there, values, *_stretches(scene, cast, t, there, world_step)))
+        cast = whole
+        rgb, opacity, depth = gather(scene, chosen, _Samples.of(parts, whole))
         total += np.concatenate([rgb, opacity[:, None]], 1) * weight
         if not guides:
             somewhere = np.isfinite(depth)
@@ -318,6 +366,9 @@ def render(
             normal = np.full((depth.size, 3), math.nan)
             flat = flat_below(volume, value(place[somewhere]) - taken_off)
             normal[somewhere], _ = facing(slope(place[somewhere]), cast.direction[somewhere], flat)
+            for part in parts:
+                on = part.face & (depth == part.rays.enter)
+                normal[on] = face_normals(place[on], cast.direction[on], cuts)
             guides = {"depth": depth, "normal": normal, "position": place}
     premultiplied, cover = total[:, :3], total[:, 3:]
     if background is None:
@@ -365,17 +416,36 @@ def pixel_rays(count: int, filter: str | Filter) -> list[tuple[tuple[float, floa
 _Gathered: TypeAlias = tuple[Array, Array, Array]
 
 
-def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:
+def _with_faces(scene: _Scene, part: _Part) -> _Part:
+    """The same with a first sample for the face at which it begins, or none."""
+    at = np.where(part.face, part.rays.enter, 0.0)[:, None]
+    value = np.full(at.shape, math.nan)
+    value[part.face, 0] = scene.value(part.rays.at(at[part.face, 0], part.face))
+
+    def first(column: Array, rest: Array) -> Array:
+        return np.concatenate([column, rest], 1)
+
+    there = np.concatenate([part.face[:, None], part.there], 1)
+    return replace(
+        part, t=first(at, part.t), there=there, values=first(value, part.values), near=first(at, part.near), far=first(at, part.far)
+    )
+
+
+def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
+    samples = _Samples.of([_with_faces(scene, part) for part in samples.parts], samples.rays)
+    rays, t, there, values, near, far = (*(samples.rays, samples.t, samples.there, samples.values), *(samples.near, samples.far))
+    firsts = np.cumsum([0, *(part.t.shape[1] for part in samples.parts[:-1])])
+    face = np.zeros(t.shape, np.bool_)
+    face[:, firsts] = True
     classified = scene.transfer(np.where(there, values, 0.0))
     rgb, alpha = classified[..., :3], np.where(there, classified[..., 3], 0.0)
     if mode.shading:
-        which, k = np.nonzero(alpha > 0)
+        which, k = np.nonzero((alpha > 0) & ~face)
         gradient = scene.gradient(rays.at(t[which, k], which))
         rgb[which, k] = scene.lit(gradient, values[which, k], rgb[which, k], rays.direction[which])
-    near, far = _stretches(scene, rays, t, there, step)
     with np.errstate(divide="ignore"):
         stopped = -np.log1p(-alpha)  # a unit distance: inf in opaque matter
-    thickness = (far - near) / scene.unit_distance
+    thickness = np.where(face, _FACE, (far - near) / scene.unit_distance)
     optical = np.multiply(stopped, thickness, out=np.zeros_like(stopped), where=thickness > 0)
     opacity = -np.expm1(-optical)
     after = np.cumprod(1 - opacity, axis=1)
@@ -391,18 +461,27 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
     return np.einsum("nk,nkc->nc", share, rgb), share.sum(1), depth
 
 
-def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered:
     assert isinstance(mode.isovalue, float)  # it is settled
-    if mode.method == "exact":
-        depth = _first_shown(scene, rays, mode.isovalue)
-    else:
-        depth = _stepped(scene, mode.isovalue, rays, t, there, values)
+    rays, depth = samples.rays, np.full(samples.t.shape[0], math.inf)
+    capped = np.zeros(depth.shape, np.bool_)
+    for part in samples.parts:
+        new = ~np.isfinite(depth)
+        if mode.method == "exact":
+            own = _first_shown(scene, part.rays, mode.isovalue)
+        else:
+            own = _stepped(scene, mode.isovalue, part.rays, part.t, part.there, part.values)
+        cap = part.face.copy()
+        cap[cap] = scene.value(part.rays.at(part.rays.enter[cap], cap)) >= mode.isovalue
+        depth = np.where(new, np.where(cap, part.rays.enter, own), depth)
+        capped |= new & cap
     hit = np.flatnonzero(np.isfinite(depth))
-    rgb = np.zeros((t.shape[0], 3))
+    rgb = np.zeros((depth.size, 3))
     rgb[hit] = mode.color
     if mode.shading:
         gradient = scene.gradient(rays.at(depth[hit], hit))
         rgb[hit] = scene.lit(gradient, np.full(hit.size, mode.isovalue), rgb[hit], rays.direction[hit])
+    rgb[capped] = scene.transfer(scene.value(rays.at(depth[capped], capped)))[:, :3] if mode.cap is True else mode.cap
     return rgb, np.isfinite(depth).astype(float), depth
 
 
@@ -436,7 +515,8 @@ def _stepped(scene: _Scene, isovalue: float, rays: Rays, t: Array, there: Bools,
     return depth
 
 
-def _extreme(scene: _Scene, t: Array, there: Bools, ranked: Array, values: Array) -> _Gathered:
+def _extreme(scene: _Scene, samples: _Samples, ranked: Array, values: Array) -> _Gathered:
+    t, there = samples.t, samples.there
     best = np.where(there, ranked, -math.inf).argmax(1)[:, None]
     some: Bools = np.asarray(there.any(1))
     color = scene.transfer(np.where(some, np.take_along_axis(values, best, 1)[:, 0], 0.0))[:, :3]
@@ -444,34 +524,35 @@ def _extreme(scene: _Scene, t: Array, there: Bools, ranked: Array, values: Array
     return color * some[:, None], some.astype(float), depth
 
 
-def _mip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    return _extreme(scene, t, there, values, values)
+def _mip(scene: _Scene, mode: Mode, samples: _Samples) -> _Gathered:  # noqa: ARG001
+    return _extreme(scene, samples, samples.values, samples.values)
 
 
-def _attenuated(scene: _Scene, mode: Attenuated, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+def _attenuated(scene: _Scene, mode: Attenuated, samples: _Samples) -> _Gathered:
     """A ray is half of the sphere's diameter deep where it crosses the plane through the centre that faces the camera."""
+    rays, t = samples.rays, samples.t
     bottom, forward, center = scene.transfer.value_range[0], scene.view.forward, scene.volume.center
     diameter = 2 * np.linalg.norm(scene.volume.corners - center, axis=1).max()
     middle = ((center - rays.origin) @ forward) / (rays.direction @ forward)
     fading = np.exp(-mode.attenuation * np.maximum(0.5 + (t - middle[:, None]) / diameter, 0.0))
-    heights = np.maximum(values - bottom, 0.0) * np.where(there, fading, 0.0)
-    return _extreme(scene, t, there, heights, bottom + heights)
+    heights = np.maximum(samples.values - bottom, 0.0) * np.where(samples.there, fading, 0.0)
+    return _extreme(scene, samples, heights, bottom + heights)
 
 
-def _minip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    return _extreme(scene, t, there, -values, values)
+def _minip(scene: _Scene, mode: Mode, samples: _Samples) -> _Gathered:  # noqa: ARG001
+    return _extreme(scene, samples, -samples.values, samples.values)
 
 
-def _mean(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    near, far = _stretches(scene, rays, t, there, step)
-    length = (far - near).sum(1)
+def _mean(scene: _Scene, mode: Mode, samples: _Samples) -> _Gathered:  # noqa: ARG001
+    lengths = samples.far - samples.near
+    length = lengths.sum(1)
     some: Bools = np.asarray(length > 0)
-    mean = (np.where(there, values, 0.0) * (far - near)).sum(1) / np.where(some, length, 1.0)
+    mean = (np.where(samples.there, samples.values, 0.0) * lengths).sum(1) / np.where(some, length, 1.0)
     color = scene.transfer(mean)[:, :3]
-    return color * some[:, None], some.astype(float), np.full(t.shape[0], math.inf)
+    return color * some[:, None], some.astype(float), np.full(length.size, math.inf)
 
 
-MODES: dict[str, Callable[[_Scene, Any, Rays, Array, Bools, Array, Array], _Gathered]] = {
+MODES: dict[str, Callable[[_Scene, Any, _Samples], _Gathered]] = {
     "composite": _composite,
     "isosurface": _isosurface,
     "mip": _mip,

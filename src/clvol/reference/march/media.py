@@ -14,6 +14,7 @@ from clvol.reference.march.march import flat_below, planes_across, shade
 from clvol.reference.march.rays import Rays, camera_rays
 from clvol.reference.spline.points import sample
 from clvol.scene.camera import Camera, Viewpoint
+from clvol.scene.clip import cuts_of
 from clvol.scene.scene import Medium, Scene
 from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume
@@ -26,10 +27,10 @@ def render_media(
 ) -> dict[str, Array]:
     """The picture of a scene's media in "composite", without termination, and its depth.
 
-    The camera has a target and a radius, or a position; all media have a transfer function. The grid of medium number `lead` has
-    the planes of the samples, whose stretches are half a step to either side, except from where a ray enters a medium to the first
-    of its samples, and from the last to where it leaves. A ray that meets none has a sample in its middle, at the next plane's
-    place.
+    Of cuts it has boxes alone, without faces. The camera has a target and a radius, or a position; all media have a transfer
+    function. The grid of medium number `lead` has the planes of the samples, whose stretches are half a step to either side, except
+    from where a ray enters a medium to the first of its samples, and from the last to where it leaves. A ray that meets none has a
+    sample in its middle, at the next plane's place.
     """
     width, height = size
     volume = scene.media[lead].volume
@@ -37,7 +38,7 @@ def render_media(
     t, world_step = _places(scene, volume, view, size, step)
     optical, light = np.zeros(t.shape), np.zeros((*t.shape, 3))
     for medium in scene.media:
-        rays = camera_rays(medium.volume, view, size, (0.5, 0.5), scene.clip, medium.boundary.edge)
+        rays = camera_rays(medium.volume, view, size, (0.5, 0.5), cuts_of(scene.clip).box, medium.boundary.edge)
         which, slot, at, length = _samples(rays, t, world_step)
         stopped, rgb = _matter(medium, scene, rays, view, which, at, shading)
         unit = (medium.transfer and medium.transfer.unit_distance) or medium.volume.mean_spacing

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from clvol.base.arrays import Array
 from clvol.scene.camera import Viewpoint
+from clvol.scene.clip import Cuts
 from clvol.volume.volume import Volume
 
-__all__ = ["Rays", "camera_rays"]
+__all__ = ["Rays", "camera_rays", "face_normals", "kept_parts"]
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,60 @@ def camera_rays(
         other_enter, other_leave = _slabs(origin, direction, np.asarray(clip[0], float), np.asarray(clip[1], float))
         enter, leave = np.maximum(enter, other_enter), np.minimum(leave, other_leave)
     return Rays(origin, direction, np.maximum(enter, nearest), leave)
+
+
+def kept_parts(rays: Rays, cuts: Cuts) -> list[tuple[Rays, NDArray[np.bool_]]]:
+    """The parts of rays that cuts keep, in order, and which of these begin at the face of a cut.
+
+    A ray crosses the planes of all faces; between two successive crossings everything is kept, or nothing: that in the middle
+    decides.
+    """
+    planes = _planes_of(cuts)
+    met = rays.enter <= rays.leave
+    enter, leave = np.where(met, rays.enter, 0.0), np.where(met, rays.leave, 0.0)
+    crossings = [enter, leave]
+    for normal, point in planes:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (point - rays.origin) @ normal / (rays.direction @ normal)
+        crossings.append(np.clip(np.where(np.isnan(t), enter, t), enter, leave))
+    t = np.sort(np.stack(crossings, 1), axis=1)
+    middle = (t[:, 1:] + t[:, :-1])[..., None] / 2
+    kept = cuts.keep(rays.origin[:, None] + middle * rays.direction[:, None])
+    parts = [(np.ones_like(enter), np.zeros_like(enter)) for _ in range(len(cuts.corners) + 1)]  # where there is none, they miss
+    number, inside = np.zeros(len(enter), int), np.zeros(len(enter), np.bool_)
+    for j in range(t.shape[1] - 1):
+        some = t[:, j + 1] > t[:, j]
+        for i, (begin, end) in enumerate(parts):
+            mine = some & kept[:, j] & (number == i)
+            begin[mine & ~inside] = t[mine & ~inside, j]
+            end[mine] = t[mine, j + 1]
+        number += some & inside & ~kept[:, j]
+        inside = np.where(some, kept[:, j], inside)
+    return [(replace(rays, enter=begin, leave=end), (begin <= end) & (begin > rays.enter)) for begin, end in parts]
+
+
+def face_normals(points: Array, direction: Array, cuts: Cuts) -> Array:
+    """The unit normals of the faces of cuts on which points lie, (N, 3), against the rays' directions.
+
+    A plane through a point is a face there if cuts keep one side of it only.
+    """
+    normals = np.full(points.shape, math.nan)
+    for normal, point in _planes_of(cuts):
+        aside = 1e-6 * normal * (1 + np.abs(points).max(initial=0))
+        on = np.abs((points - point) @ normal) <= np.linalg.norm(aside)
+        face = on & (cuts.keep(points - 10 * aside) != cuts.keep(points + 10 * aside))
+        normals[face] = normal
+    return np.asarray(np.where(((normals * direction).sum(-1) > 0)[:, None], -normals, normals))
+
+
+def _planes_of(cuts: Cuts) -> list[tuple[Array, Array]]:
+    """The normal and a point of the plane of each face."""
+    planes = [(np.array(plane.normal), np.array(plane.point)) for plane in cuts.planes]
+    for low, high in (*([cuts.box] if cuts.box else []), *((corner.low, corner.high) for corner in cuts.corners)):
+        planes += [
+            (axis, end * axis) for ends in (low, high) for axis, end in zip(np.eye(3), ends, strict=True) if math.isfinite(end)
+        ]
+    return planes
 
 
 def _slabs(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
