@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import itertools
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,33 @@ def test_matrix_beside_it(tmp_path: Path) -> None:
     nibabel.Spm99AnalyzeImage(DATA.astype("i2"), affine).to_filename(tmp_path / "v.img")
     assert (tmp_path / "v.mat").exists()
     require_nibabels(tmp_path / "v.hdr", DATA.shape)
+
+
+@pytest.mark.parametrize("kind", ["AnalyzeImage", "Spm99AnalyzeImage", "Nifti1Pair", "Nifti2Pair"])
+@pytest.mark.parametrize("ends", [(".hdr.gz", ".img.gz"), (".hdr", ".img.gz"), (".hdr.gz", ".img"), (".HDR", ".IMG.gz")])
+def test_packed_pairs(tmp_path: Path, kind: str, ends: tuple[str, str]) -> None:
+    """Either file may be packed by gzip; nibabel reads both or neither."""
+    series = np.stack([DATA, DATA + 1], -1).astype(">i2")
+    image = getattr(nibabel, kind)(series, np.diag([-2, 3, 4, 1]) if "mat" in dict(getattr(nibabel, kind).files_types) else None)
+    image.to_filename(tmp_path / "truth.img")
+    for end in (*ends, *([".mat"] if (tmp_path / "truth.mat").exists() else [])):
+        content = (tmp_path / f"truth{end[:4].lower()}").read_bytes()
+        (tmp_path / f"v{end}").write_bytes(gzip.compress(content) if end.endswith(".gz") else content)
+    truth = require_nibabels(tmp_path / "truth.img", series.shape)
+    for end in ends:
+        volumes = clvol.read_all(tmp_path / f"v{end}")
+        np.testing.assert_array_equal(volumes, truth)
+        assert (volumes.grid.spacing, volumes.grid.origin) == (truth.grid.spacing, truth.grid.origin)
+        if ends[1] == ".img":  # samples can be read on demand
+            lazy = clvol.open(tmp_path / f"v{end}", volume=1)
+            np.testing.assert_array_equal(lazy.read((1, 2, 0), (5, 5, 3)), truth[1].data[:3, 2:5, 1:5])
+    content = (tmp_path / f"v{ends[1]}").read_bytes()
+    (tmp_path / f"v{ends[1]}").write_bytes(content[:-9])
+    with pytest.raises(FormatError, match=r"480 bytes|Compressed file ended|end-of-stream"):
+        clvol.read_all(tmp_path / f"v{ends[0]}")
+    (tmp_path / f"v{ends[1]}").unlink()
+    with pytest.raises(FormatError, match="beside it, which is not there"):
+        clvol.read(tmp_path / f"v{ends[0]}")
 
 
 def test_several_volumes_and_colours(tmp_path: Path) -> None:

@@ -99,6 +99,26 @@ def test_skew_cells(tmp_path: Path) -> None:
     np.testing.assert_allclose(volume.origin, a + 2 * b + 3 * c)
 
 
+@pytest.mark.parametrize("without", ["z", "x", "yz"])
+def test_a_cell_without_a_length(tmp_path: Path, without: str) -> None:
+    """An axis whose length the header leaves out has spacing 1; the others keep theirs, as in mrcfile."""
+    path = written(tmp_path / "v.mrc", DATA.astype("f4"), nxstart=7)
+    with mrcfile.open(path, "r+") as file:
+        for axis in without:
+            file.header.cella[axis] = 0
+        known = {axis: float(file.voxel_size[axis]) for axis in "xyz"}
+    with pytest.warns(ClvolWarning, match=f"how far apart its samples are along {without}; 1 Å was taken"):
+        volume = clvol.read(path)
+    assert volume.spacing == tuple(known[axis] or 1.0 for axis in "xyz")
+    assert (volume.units, volume.origin) == ("angstrom", (7 * volume.spacing[0], 0, 0))
+
+
+@pytest.mark.filterwarnings("error::clvol.ClvolWarning")
+def test_an_image_needs_no_third_length(tmp_path: Path) -> None:
+    image = clvol.read(written(tmp_path / "v.mrc", DATA[0].astype("f4"), cella=(9, 10, 0)))
+    assert (image.spacing, image.units) == ((1.5, 2), "angstrom")
+
+
 def test_extended_header_and_more_bytes(tmp_path: Path) -> None:
     path = tmp_path / "v.mrc"
     with mrcfile.new(path) as file:

@@ -47,7 +47,7 @@ def rectilinear(path: Path) -> None:
 
 ROUTES: dict[str, Any] = {
     ".nii.bz2": (nibabels, "clvol.Volume(nibabel.load(path))"),
-    ".img.gz": (nibabels, "clvol.Volume(nibabel.load(path))"),
+    ".img.bz2": (nibabels, "clvol.Volume(nibabel.load(path))"),
     ".gipl": (itks, "clvol.Volume(SimpleITK.ReadImage(path))"),
     ".pvti": (pieces, "clvol.Volume(pyvista.read(path))"),
     ".vtr": (rectilinear, "clvol.Volume(pyvista.ImageData(...).sample(pyvista.read(path)))"),

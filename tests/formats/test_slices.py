@@ -72,15 +72,17 @@ def test_palettes_give_indices(tmp_path: Path, suffix: str, count: int) -> None:
     np.testing.assert_array_equal(volume.data, indices)
 
 
-def test_folders_of_palettes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tif"])
+def test_folders_of_palettes(tmp_path: Path, suffix: str) -> None:
+    """Indices, with a warning where they differ in meaning."""
     for i, indices in enumerate(LABELS):
-        paletted(tmp_path / f"{i}.png", indices, count=13 + i)  # more colours, in the same order
+        paletted(tmp_path / f"{i}{suffix}", indices, count=13 + i)  # more colours, in the same order
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         np.testing.assert_array_equal(clvol.read(tmp_path).data, LABELS)
     assert not any("several palettes" in str(one.message) for one in warned)
-    paletted(tmp_path / "2.png", LABELS[2], seed=1)
-    with pytest.warns(ClvolWarning, match=r"several palettes, 0\.png and 2\.png"):
+    paletted(tmp_path / f"2{suffix}", LABELS[2], seed=1)
+    with pytest.warns(ClvolWarning, match=rf"several palettes, 0\{suffix} and 2\{suffix}"):
         clvol.read(tmp_path)
 
 

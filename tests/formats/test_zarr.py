@@ -153,6 +153,27 @@ def test_arrays_of_xarray(tmp_path: Path) -> None:
     assert clvol.read(tmp_path / "w.zarr", time=0, spacing=(1, 1, 2)).spacing == (1, 1, 2)
 
 
+@pytest.mark.parametrize("zarr_format", [2, 3])
+@pytest.mark.parametrize("dtype", ["f4", "f8", "i2", "packed"])
+def test_missing_samples_of_xarray(tmp_path: Path, dtype: str, zarr_format: Any) -> None:
+    """Zarr 3 has xarray's ``_FillValue`` of floating samples in base64, Zarr 2 as the array's fill value."""
+    xarray = pytest.importorskip("xarray")
+    values = np.arange(4 * 5 * 6.0).reshape(4, 5, 6) + 1000
+    coding: dict[str, Any] = {"dtype": dtype, "_FillValue": np.dtype(dtype).type(7)} if dtype != "packed" else {}
+    if not coding:
+        coding = {"dtype": "i2", "_FillValue": np.int16(-7), "scale_factor": 0.5, "add_offset": 900.0}
+    values[1:3, 2] = np.nan
+    made = xarray.DataArray(values, dims=("z", "y", "x"), name="t").to_dataset()
+    with warnings.catch_warnings(action="ignore"):
+        made.to_zarr(tmp_path / "v.zarr", zarr_format=zarr_format, encoding={"t": coding}, consolidated=False)
+        with xarray.open_zarr(tmp_path / "v.zarr", consolidated=False) as truth:
+            expected = truth.t.values
+    assert np.isnan(expected).sum() == 12
+    np.testing.assert_array_equal(clvol.read(tmp_path / "v.zarr").data, expected)
+    lazy = clvol.open(tmp_path / "v.zarr", missing=-5).read((0, 0, 0), (6, 5, 4))
+    np.testing.assert_array_equal(lazy, np.nan_to_num(expected, nan=-5))
+
+
 def test_a_zipped_store(tmp_path: Path) -> None:
     store = zarr.storage.ZipStore(tmp_path / "v.zarr.zip", mode="w")
     zarr.create_array(store, data=DATA[0, 0])

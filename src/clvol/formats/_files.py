@@ -29,6 +29,7 @@ __all__ = [
     "gunzipped_size",
     "inflated_size",
     "packed",
+    "paired",
     "require_bytes",
     "require_default",
     "require_members",
@@ -155,6 +156,14 @@ def require_members(source: object, archive: zipfile.ZipFile, *, replaced: bool 
 def packed(path: Path) -> bool:
     """Whether a whole file is packed by gzip, by its name."""
     return path.suffix.lower() in (".gz", ".mgz")
+
+
+def paired(path: Path, suffix: str) -> Path | None:
+    """The file of a pair that ends in `suffix` (".hdr", ".img"), which may be packed, like the other; `path` is that of either."""
+    plain = path.with_suffix("") if packed(path) else path
+    names = (plain.with_suffix(suffix), plain.with_suffix(suffix.upper()))
+    found = [file for name in names for file in (name, name.with_name(f"{name.name}.gz")) if file.is_file()]
+    return min(found, key=lambda file: packed(file) != packed(path), default=None)
 
 
 def unpacked(path: Path) -> IO[bytes]:

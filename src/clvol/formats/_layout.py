@@ -150,7 +150,13 @@ def unnamed(shape: Sequence[int], dtype: np.dtype[Any]) -> list[str]:
 
 
 def by_names(
-    source: str, words: Sequence[str], array: Any, choose: Choice, load: Callable[..., Any], lines_of: Callable[[Layout], Lines]
+    source: str,
+    words: Sequence[str],
+    array: Any,
+    choose: Choice,
+    load: Callable[..., Any],
+    lines_of: Callable[[Layout], Lines],
+    attributes_of: Callable[[Any], dict[str, Any]] = lambda array: dict(array.attrs),
 ) -> Content:
     """The chosen volumes of an array of netCDF's kind, whose axes may have names, and attributes say how samples are decoded.
 
@@ -161,7 +167,7 @@ def by_names(
     layout = lay_out(source, words, array.shape, asked=choose.given)
     placed = place(source, layout, *lines_of(layout))
     leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
-    data, chosen = layout.chosen(source, choose, lambda index: decoded(load(source, array, index), dict(array.attrs)), leading)
+    data, chosen = layout.chosen(source, choose, lambda index: decoded(load(source, array, index), attributes_of(array)), leading)
     return data, placed | chosen
 
 

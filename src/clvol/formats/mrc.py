@@ -166,8 +166,11 @@ def _axes(name: str, fields: Any, size: tuple[int, ...]) -> tuple[Layout, Leadin
 def _about(name: str, fields: Any, d: int) -> dict[str, Any]:
     """Geometry in Å: the axes of the unit cell, and the first sample, which lies at ORIGIN, or if that is 0 at NXSTART, ..."""
     cell, grid = fields["cell"].astype(np.float64), fields["grid"].astype(np.float64)
-    known = bool((cell > 0).all() and (grid > 0).all() and np.isfinite(cell).all())
-    spacing = cell / grid if known else np.ones(3)
+    known = (cell > 0) & (grid > 0) & np.isfinite(cell)
+    spacing = np.divide(cell, grid, out=np.ones(3), where=known)
+    if known.any() and not known[:d].all():
+        without = "".join(axis for axis, there in zip("xyz", known, strict=True) if not there)
+        warn(f"{name} does not say how far apart its samples are along {without}; 1 Å was taken: spacing= replaces it")
     direction = _cell_axes(name, fields["angles"].astype(np.float64))
     order = [int(axis) - 1 for axis in fields["axes"]] if fields["axes"].any() else [0, 1, 2]
     start = np.zeros(3)
@@ -184,7 +187,7 @@ def _about(name: str, fields: Any, d: int) -> dict[str, Any]:
         "spacing": spacing[:d],
         "origin": origin[:d],
         "direction": direction[:d, :d],
-        "units": "angstrom" if known else "",
+        "units": "angstrom" if known.any() else "",
         "header": kept,
     }
 

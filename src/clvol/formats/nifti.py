@@ -1,4 +1,4 @@
-"""NIfTI-1 and -2 (``.nii``, ``.nii.gz``, and pairs of ``.hdr`` and ``.img``): read here, written by nibabel.
+"""NIfTI-1 and -2 (``.nii`` and pairs of ``.hdr`` and ``.img``, also packed by gzip): read here, written by nibabel.
 
 ITK finds a NIfTI image by its name: for ``x.nii.gz`` it reads the samples of ``x.nii`` beside it. It also prefers the qform to a
 different sform, and drops small slopes. Reading here follows nibabel instead, and needs no other package.
@@ -19,7 +19,7 @@ from clvol.base.errors import DataError, FormatError, GeometryError
 from clvol.base.frames import Placement, affine_parts, from_ras
 from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice
-from clvol.formats._files import gunzipped_size, packed, require_bytes, require_default, scaled, unpacked
+from clvol.formats._files import gunzipped_size, packed, paired, require_bytes, require_default, scaled, unpacked
 from clvol.formats._layout import Layout, scaled_part
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
@@ -137,11 +137,12 @@ def lazily(path: Path, choose: Choice) -> list[Content]:
 
 def lazily_pair(path: Path, choose: Choice) -> list[Content]:
     """As `lazily`, of a pair of files; `path` is that of either."""
-    return [_lazily(_beside(path, ".img"), _header(path, pair=True), choose)]
+    samples = _beside(path, ".img")
+    return [] if packed(samples) else [_lazily(samples, _header(path, pair=True), choose)]
 
 
 def _header(path: Path, pair: bool = False) -> _Header:
-    with _beside(path, ".hdr").open("rb") if pair else unpacked(path) as stream:
+    with unpacked(_beside(path, ".hdr") if pair else path) as stream:
         header = _parse(stream, path.name, pair)
     return header if header.start or pair else _begun(path, header)
 
@@ -183,10 +184,10 @@ def _lazily(path: Path, header: _Header, choose: Choice) -> Content:
 
 
 def _beside(path: Path, suffix: str) -> Path:
-    names = [path.with_suffix(suffix), path.with_suffix(suffix.upper())]
-    file = next((name for name in names if name.is_file()), None)
+    file = paired(path, suffix)
     if file is None:
-        raise FormatError(f"{path.name} must have {names[0].name} beside it, which is not there")
+        name = path.with_suffix("").with_suffix(f"{suffix}.gz") if packed(path) else path.with_suffix(suffix)
+        raise FormatError(f"{path.name} must have {name.name} beside it, which is not there")
     return file
 
 

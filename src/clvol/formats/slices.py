@@ -24,6 +24,7 @@ from clvol.formats._choice import Choice
 from clvol.formats._files import sample_count
 from clvol.formats.guarded.limits import announce
 from clvol.formats.guarded.messages import empty
+from clvol.formats.tiff.file import opened
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
@@ -92,10 +93,10 @@ def read_folder(path: Path, choose: Choice) -> Content:
             got = [f"{f.name}: {s.shape} of {s.dtype}" for f, s in ((files[0], first), (file, samples))]
             raise DataError(f"{path} must hold slices of one shape and dtype; got {' and '.join(got)}")
         data[..., i, :, :] = samples[pick.index]
-        used = 3 * (1 + int(min(first.max(), samples.max()))) if palette else 0
-        if palette and palette[:used] != _palette(file)[:used]:
+        used = 1 + int(min(first.max(), samples.max())) if len(palette) else 0
+        if not np.array_equal(palette[:used], _palette(file)[:used] if used else palette[:0]):
             warn(f"{path} holds slices of several palettes, {files[0].name} and {file.name}: their indices may differ in meaning")
-            palette = b""
+            palette = palette[:0]
     geometry["spacing"] = (*geometry.get("spacing", (1.0, 1.0)), 1.0)
     return pick.finish(data), geometry | pick.about
 
@@ -151,14 +152,19 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
     return np.moveaxis(samples, -1, 0), _GREY if channels == 2 else Leading.of_rgb(channels)
 
 
-def _palette(path: Path) -> bytes:
-    """Red, green and blue of each index of a PNG or BMP image with a palette; else nothing."""
+def _palette(path: Path) -> NDArray[Any]:
+    """Red, green and blue of each index of an image with a palette, shape (indices, 3); else of none."""
     from PIL import Image
 
-    if path.suffix.lower() not in (".png", ".bmp"):
-        return b""
-    with Image.open(path) as image:
-        return bytes(image.getpalette() or ())
+    kind, colours = _KINDS[path.suffix.lower()], None
+    if kind == ".tif":
+        with opened(path) as file:
+            colours = file.pages[0].colormap
+            return np.zeros((0, 3)) if colours is None else np.asarray(colours).T
+    if kind in (".png", ".bmp"):
+        with Image.open(path) as image:
+            colours = image.getpalette()
+    return np.reshape(colours or [], (-1, 3))
 
 
 def _check_png(path: Path) -> None:

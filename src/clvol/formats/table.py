@@ -103,8 +103,8 @@ FORMATS = (
     _of(npy, "NumPy array, no geometry", ".npy"),
     Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive),
     _of(nifti, "NIfTI", ".nii", ".nii.gz"),
-    Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, lazily=nifti.lazily_pair),
-    _of(analyze, "Analyze 7.5", ".hdr", ".img", file=analyze.is_file, native=("nibabel", "scipy.io")),
+    Format("NIfTI in two files", analyze.SUFFIXES, nifti.read_pair, lazily=nifti.lazily_pair),
+    _of(analyze, "Analyze 7.5", *analyze.SUFFIXES, file=analyze.is_file, native=("nibabel", "scipy.io")),
     _of(nrrd, "NRRD", ".nrrd", ".nhdr", native=_ITK),
     _of(metaimage, "MetaImage", ".mha", ".mhd", native=_ITK),
     _of(mgz, "FreeSurfer MGH", ".mgh", ".mgz"),
@@ -127,7 +127,7 @@ FORMATS = (
 _FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
 _SAMPLED = "clvol.Volume(pyvista.ImageData(...).sample(pyvista.read(path)))"
 _ROUTES = {
-    "clvol.Volume(nibabel.load(path))": ".par .rec .head .brik .brik.gz .nii.bz2 .nii.zst .img.gz .hdr.gz .img.bz2 .mnc.gz .mgh.gz",
+    "clvol.Volume(nibabel.load(path))": ".par .rec .head .brik .brik.gz .nii.bz2 .nii.zst .img.bz2 .mnc.gz .mgh.gz",
     "clvol.Volume(SimpleITK.ReadImage(path))": ".gipl .gipl.gz",
     "clvol.Volume(pyvista.read(path))": ".pvti .slc",
     _SAMPLED: ".vtr .vts .vtu .vtp .pvtr .pvts .pvtu .pvtp .ply .stl",

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import re
+import struct
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -194,11 +196,11 @@ def _plain(source: str, image: _Image, choose: Choice, load: Load) -> Content:
         for axis, word, n in zip(layout.axes, words, layout.shape, strict=True):
             values = _beside(image, word) if axis in ("x", "y", "z") and word else None
             if values is not None and values.shape == (n,):
-                lines[axis] = decoded(loaded(source, values), dict(values.attrs))
+                lines[axis] = decoded(loaded(source, values), _attributes(values))
                 units[axis] = str(values.attrs.get("units", ""))
         return lines, units
 
-    data, known = by_names(source, words, image.node, choose, load, lines_of)
+    data, known = by_names(source, words, image.node, choose, load, lines_of, _attributes)
     return data, {"name": image.id.rpartition("/")[2].strip(".")} | known
 
 
@@ -206,6 +208,21 @@ def _dimensions(array: Any) -> list[str]:
     """Names of the axes: a field of Zarr 3, an attribute that xarray adds in Zarr 2."""
     names = getattr(array.metadata, "dimension_names", None) or array.attrs.get("_ARRAY_DIMENSIONS")
     return [str(name or "") for name in names] if names is not None and len(names) == array.ndim else [""] * array.ndim
+
+
+def _attributes(array: Any) -> dict[str, Any]:
+    """Those by which samples are decoded, with the missing value where xarray keeps it.
+
+    In Zarr 3 that is float64 in base64; in Zarr 2 the fill value itself, of which 0 is every other writer's default.
+    """
+    attributes = dict(array.attrs)
+    stored, fill = attributes.get("_FillValue"), array.metadata.fill_value
+    if isinstance(stored, str) and array.dtype.kind == "f":
+        with suppress(ValueError, struct.error):  # of other writers
+            attributes["_FillValue"] = struct.unpack("<d", base64.b64decode(stored, validate=True))[0]
+    elif stored is None and array.metadata.zarr_format == 2 and "_ARRAY_DIMENSIONS" in attributes and fill:
+        attributes["_FillValue"] = fill
+    return attributes
 
 
 def _beside(image: _Image, name: str) -> Any:
