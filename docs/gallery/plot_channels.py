@@ -1,22 +1,42 @@
 """
-Channels
-========
+Four channels of a microscope
+=============================
 
-Two channels on one grid, each in its own colour: light adds up, and so do the pictures.
+Channels of one grid, each in a colour of its own: as projections that add up, and as matter, whose extinctions add, through
+membranes that are thin.
 """
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 import clvol
+from clvol.volume.volumes import Leading
 
-random = np.random.default_rng(3)
-z, y, x = np.mgrid[0:16:32j, 0:24:64j, 0:24:64j]  # µm
-centers = [(8 + random.normal(), 6 + 12 * i + random.normal(), 6 + 12 * j + random.normal()) for i in range(2) for j in range(2)]
-distance = np.min([np.sqrt((z - a) ** 2 + (y - b) ** 2 + (x - c) ** 2) for a, b, c in centers], axis=0)
-nuclei, membranes = np.exp(-((distance / 2.2) ** 6)), np.exp(-(((distance - 4.2) / 0.5) ** 2))
-leading = clvol.volume.volumes.Leading(("channel",), (2,), {"channel": ("nuclei", "membranes")}, colors=("#4080ff", "#40ff60"))
-counts = random.poisson(100 * np.stack([nuclei, membranes])).astype(np.float32)
-cells = clvol.Volumes(counts, spacing=(24 / 63, 24 / 63, 16 / 31), units="µm", space="image", leading=leading)
+rng = np.random.default_rng(4)
+z, y, x = np.mgrid[:48, :120, :120]
+centers = rng.uniform((14, 18, 18), (34, 102, 102), (14, 3))
+away = np.min([np.sqrt(((z - c) * 1.6) ** 2 + (y - b) ** 2 + (x - a) ** 2) for c, b, a in centers], axis=0)
+texture = gaussian_filter(rng.normal(size=away.shape), 1.2)
+nuclei = 1100 * (away < 8) * (1 + 2 * texture)
+membranes = 500 * np.exp(-(((away - 13) / 1.2) ** 2))
+fibres = 4000 * np.maximum(gaussian_filter(rng.normal(size=away.shape), (1, 1, 5)) - 0.09, 0) * (away < 12)
+spots = np.zeros(away.shape)
+spots[tuple(rng.integers((4, 4, 4), (44, 116, 116), (160, 3)).T)] = 25_000
+stained = [nuclei, membranes, fibres, gaussian_filter(spots, 1.1)]
+counts = rng.poisson(np.maximum([gaussian_filter(one, 0.8) for one in stained], 0) + 40).astype(np.uint16)
+names = ("DNA", "membrane", "actin", "vesicles")
+leading = Leading(("channel",), (4,), {"channel": names}, colors=((0.3, 0.45, 1.0), "magenta", "lime", "yellow"))
+cells = clvol.Volumes(counts, leading=leading, spacing=(0.2, 0.2, 0.32), units="um")
 
-camera = clvol.Camera.orbit(20, 55, fit="volume", zoom=1.3)
-picture = np.minimum(sum(clvol.render(channel, camera, "mip") for channel in cells), 1)
+camera = clvol.Camera.orbit(20, 55)
+media = [
+    clvol.Medium(cells[name], clvol.TransferFunction([(0, color)], [(low, 0), (high, opacity)]))
+    for name, color, (low, high), opacity in zip(
+        names, cells.colors, ((200, 800), (150, 500), (90, 300), (150, 500)), (0.4, 0.03, 0.4, 0.6), strict=True
+    )
+]
+pictures = [
+    clvol.render(cells, camera, "mip", size=(360, 300), rays=4),
+    clvol.render(clvol.Scene(media), camera, size=(360, 300), rays=4),
+]
+picture = np.hstack(pictures)

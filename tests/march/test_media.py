@@ -12,9 +12,10 @@ from scipy.ndimage import gaussian_filter
 
 import clvol
 from clvol import Camera, Corner, Medium, Plane, Scene, TransferFunction, Volume
-from clvol.base.errors import ClvolError, OptionError
+from clvol.base.errors import ClvolError, DataError, OptionError
 from clvol.device import Device
 from clvol.reference.march.media import render_media
+from clvol.volume.volumes import Leading
 from tests.march.looks import TILES
 
 SIZE = (40, 30)
@@ -161,6 +162,23 @@ def test_the_nearest_surface_is_seen(device: Device) -> None:
     nearest = np.fmin(*(one["depth"] for one in alone))
     np.testing.assert_array_equal(together["depth"], nearest)
     assert (np.isfinite(alone[0]["depth"]) & np.isfinite(alone[1]["depth"])).sum() > 50
+
+
+@pytest.mark.parametrize("mode", ["mip", "composite"])
+def test_channels_have_colors(device: Device, mode: str) -> None:
+    data = np.stack([blobs(seed, 20, 22, 24).data for seed in (1, 2, 3)])
+    volumes = clvol.Volumes(data[None], leading=Leading(("time", "channel"), (1, 3), colors=(None, "red", None)), spacing=(1, 1, 2))
+    look: dict[str, Any] = {"mode": mode, "size": SIZE, "device": device}
+    colors = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 1.0))
+    want = Scene([Medium(Volume(one, (1, 1, 2), color=color), filter="linear") for one, color in zip(data, colors, strict=True)])
+    np.testing.assert_array_equal(clvol.render(volumes, filter="linear", **look), clvol.render(want, **look))
+    assert clvol.Renderer(volumes).filter.name.startswith("bspline3")
+
+
+def test_volumes_that_are_no_channels() -> None:
+    for leading, held in ((Leading(("time", "channel"), (3, 1)), "3 times"), (Leading(("volume",), (3,)), "3 volumes")):
+        with pytest.raises(DataError, match=f"must be one volume or the channels of one; got Volumes of {held}"):
+            clvol.render(clvol.Volumes(np.zeros((*leading.counts, 4, 5, 6)), leading=leading))
 
 
 def test_labels_say_where_a_medium_is(device: Device) -> None:

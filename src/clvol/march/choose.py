@@ -13,11 +13,12 @@ from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.options import MERGES
-from clvol.scene.scene import Medium, Scene, as_scene
+from clvol.scene.scene import Medium, Scene, as_scene, channels
 from clvol.spline.field import Field, as_field
 from clvol.spline.function import CLOSED, ContinuousFunction
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.volume import Volume, as_volume, masked
+from clvol.volume.volumes import Volumes
 
 if TYPE_CHECKING:  # clusters need dask
     from numpy.typing import ArrayLike
@@ -109,6 +110,8 @@ def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | N
         if words:
             raise OptionError(f"{' and '.join(words)} must be left to the medium of a scene; got {words}")
         return as_scene(given)
+    if isinstance(given, Volumes):
+        return Scene(channels(given, **({"filter": usual} if usual else {}) | words))
     if usual is not None:
         given = as_volume(given)
         words["filter"] = filter_for(given, filter, usual)

@@ -57,9 +57,9 @@ class Renderer:
 
     Parameters
     ----------
-    scene : Scene, Medium, Volume, LazyVolume, Field, BrickedField or array-like, 3-D
-        What to draw. A Field's coefficients are used as they are, and outlive the renderer. A LazyVolume is read by bricks
-        (`BrickedField`), and so is a volume whose coefficients do not fit on the device.
+    scene : Scene, Medium, Volume, Volumes, LazyVolume, Field, BrickedField or array-like, 3-D
+        What to draw; of Volumes all channels. A Field's coefficients are used as they are, and outlive the renderer. A
+        LazyVolume is read by bricks (`BrickedField`), and so is a volume whose coefficients do not fit on the device.
     filter, boundary : str, Filter, Boundary, optional
         How a volume is reconstructed between its samples; a medium, a scene or a field has its own. By default the boundary is
         "mirror" and the filter "bspline3(auto)", which smooths the noise that it finds; "bspline3" in modes that show extremes,

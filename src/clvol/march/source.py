@@ -35,6 +35,7 @@ from clvol.volume.missing import Missing, extrapolated
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import RENUMBER, names_beyond
 from clvol.volume.volume import Volume
+from clvol.volume.volumes import Volumes
 
 if TYPE_CHECKING:  # clusters need dask
     from clvol.base.progress import Progress
@@ -60,7 +61,7 @@ __all__ = [
     "usual_filter",
 ]
 
-Drawable: TypeAlias = Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike
+Drawable: TypeAlias = Scene | Medium | Volume | Volumes | LazyVolume | Field | BrickedField | ArrayLike
 """Inputs of a `Renderer`."""
 Pictures: TypeAlias = dict[str, launch.Picture]
 

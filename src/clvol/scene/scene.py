@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import InitVar, dataclass
+from dataclasses import InitVar, dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.checks import if_image, instance, one_of
 from clvol.base.color import color_of
-from clvol.base.errors import GeometryError, OptionError
+from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.base.uniform import FLOAT, REACH, Block, Values
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
@@ -21,6 +21,7 @@ from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume, masked
+from clvol.volume.volumes import Volumes
 
 __all__ = ["ROUNDING", "Box", "Medium", "Scene", "as_scene"]
 
@@ -156,8 +157,9 @@ class Scene:
 
     Parameters
     ----------
-    media : Medium, Volume, array-like, or a sequence of these
-        The media to render, 1 to 8, on one grid or on several. (Give a Field directly to a `Renderer`.)
+    media : Medium, Volume, array-like, a sequence of these, or Volumes
+        The media to render, 1 to 8, on one grid or on several; or the channels of `Volumes`, each in its colour. (Give a Field
+        directly to a `Renderer`.)
     lights : Light or sequence of Light
         Up to 4; default: key light, fill light and headlight, which move with the camera (`clvol.scene.light.KIT`).
     background : three numbers, a name, or None
@@ -205,7 +207,7 @@ class Scene:
     mix: Literal["add", "over"] = "add"
 
     def __post_init__(self) -> None:
-        media: Any = self.media
+        media: Any = channels(self.media) if isinstance(self.media, Volumes) else self.media
         if not isinstance(media, (list, tuple)) or (media and not any(isinstance(m, (Medium, Volume, np.ndarray)) for m in media)):
             media = (media,)  # a volume or an array, possibly nested lists
         if not 1 <= len(media) <= _MOST_MEDIA:
@@ -229,9 +231,20 @@ def as_medium(choice: Medium | Volume | ArrayLike) -> Medium:
     return choice if isinstance(choice, Medium) else Medium(choice)  # type: ignore[arg-type]  # __post_init__ converts
 
 
-def as_scene(choice: Scene | Medium | Volume | ArrayLike) -> Scene:
-    """A scene, or a scene from a medium, a volume or an array."""
+def as_scene(choice: Scene | Medium | Volume | Volumes | ArrayLike) -> Scene:
+    """A scene, or a scene from a medium, a volume, the channels of several, or an array."""
+    if isinstance(choice, Volumes):
+        return Scene(channels(choice))
     return choice if isinstance(choice, Scene) else Scene((as_medium(choice),))
+
+
+def channels(volumes: Volumes, **words: Any) -> tuple[Medium, ...]:
+    """The media of a microscope's channels, each in its colour; `words` are further arguments of `Medium`."""
+    others = [f"{n} {axis}s" for axis, n in zip(volumes.axes, volumes.leading.counts, strict=True) if axis != "channel" and n > 1]
+    if not volumes.colors or others:
+        held = " of ".join(others) or f"{len(volumes)} volume"
+        raise DataError(f"data must be one volume or the channels of one; got Volumes of {held}: take one, as volumes[0]")
+    return tuple(Medium(replace(volume, color=color), **words) for volume, color in zip(volumes, volumes.colors, strict=True))
 
 
 def _outside(mask: ArrayLike | None, where: ArrayLike | None) -> NDArray[np.bool_]:

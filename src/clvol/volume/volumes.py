@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base import memory
 from clvol.base.axes import AXES
 from clvol.base.checks import instance, one_of, whole
-from clvol.base.color import color_of
+from clvol.base.color import channel_colors, color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.base.rounding import wide
 from clvol.interop.images import is_image, read_grid, read_several
@@ -279,6 +279,21 @@ class Volumes(Sequence[Volume]):
     def shape(self) -> tuple[int, ...]:
         """Shape of the array: the counts of the leading axes, then (nz, ny, nx) or (ny, nx)."""
         return self._array.shape
+
+    @property
+    def colors(self) -> tuple[tuple[float, float, float], ...]:
+        """The colour of each channel, in 0..1: the file's, else distinct ones; empty without an axis "channel".
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from clvol.volume.volumes import Leading
+        >>> leading = Leading(("channel",), (3,), colors=(None, "lime", None))
+        >>> clvol.Volumes(np.zeros((3, 4, 5, 6)), leading=leading).colors
+        ((1.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, 1.0, 1.0))
+        """
+        channels = self.leading.counts[self.axes.index("channel")] if "channel" in self.axes else 0
+        return channel_colors(channels, self.leading.colors)
 
     @property
     def grid(self) -> Volume:
