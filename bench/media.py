@@ -29,7 +29,9 @@ def channel(seed: int, color: str) -> Medium:
     spots[tuple(np.random.default_rng(seed).integers(20, _EDGE - 20, (60, 3)).T)] = 1
     data = gaussian_filter(spots, 6)
     return Medium(
-        Volume(data / data.max()), TransferFunction([(0, color)], [(0.25, 0), (0.8, 0.4)]), filter=clvol.filters()["bspline3"]
+        Volume(data / data.max()),
+        TransferFunction.ramp((0, 0), color).with_opacity([(0.25, 0), (0.8, 0.4)]),
+        filter=clvol.filters()["bspline3"],
     )
 
 
