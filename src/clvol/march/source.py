@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,6 +60,8 @@ class Source(ABC):
     Looks are chosen from the samples of `preview`. Of `arguments` another process makes the source: a renderer's input, filter and
     boundary; or just a field.
     """
+
+    by_bricks: ClassVar[bool] = False
 
     def __init__(self, scene: Scene, field: Field | BrickedField, preview: Volume, arguments: tuple[Any, ...]) -> None:
         self.scene, self.field, self.preview, self.arguments = scene, field, preview, arguments
@@ -199,6 +201,7 @@ class InMemory(Source):
 class ByBricks(Source):
     """A function whose bricks are on the device one at a time."""
 
+    by_bricks: ClassVar[bool] = True
     field: BrickedField
 
     def __init__(

@@ -280,7 +280,8 @@ class Isosurface(Mode):
 
     @property
     def unheard(self) -> Mapping[str, str]:
-        words = dict.fromkeys(("transfer", "preset", "window", "cmap", "opacity"), "a surface is opaque and of one color")
+        names = ("transfer", "preset", "window", "cmap", "opacity", "color_bar")
+        words = dict.fromkeys(names, "a surface is opaque and of one color")
         exact = {"tolerance": 'method="exact" needs none'} if self.method == "exact" else {}
         return {**super().unheard, **words, **exact}
 
