@@ -178,7 +178,7 @@ def by_name(name: str) -> Volume:
     except ValueError:
         raise OptionError(f"the size of a phantom must be one whole number or nz,ny,nx; got {size!r}") from None
     volume = _TABLE[kind](*(sizes if len(sizes) == 1 else [sizes] if sizes else []))
-    note(volume, f"phantom:{name.strip()}")
+    note(volume, f"phantom:{name.strip()}", {})
     return volume
 
 

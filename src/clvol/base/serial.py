@@ -24,6 +24,7 @@ Maker: TypeAlias = Callable[[Mapping[str, Any]], Any]
 LONGEST = 1 << 20
 """Characters of a text that is written, or read."""
 _MOST_NUMBERS = 4096  # of an array
+_ROUNDING = 4e-16  # of the components of a unit vector
 
 
 def dataclasses_of(*modules: Any) -> dict[str, type]:
@@ -131,11 +132,11 @@ def _made(plain: Any, classes: Mapping[str, type], made: Mapping[str, Maker]) ->
 
 def _is_rounded_again(given: Any, held: Any) -> bool:
     """Whether a vector was normalised that had been normalised before, which changes its last bits."""
-    if not (isinstance(given, tuple) and isinstance(held, tuple) and given != held and len(given) == len(held) == 3):
+    if not (isinstance(given, tuple) and isinstance(held, tuple) and len(given) == len(held) == 3):
         return False
     if not all(isinstance(v, float) for v in (*given, *held)):
         return False
-    return all(abs(a - b) <= 4e-16 for a, b in zip(given, held, strict=True)) and max(map(abs, given)) <= 1
+    return given != held and all(abs(a - b) <= _ROUNDING for a, b in zip(given, held, strict=True)) and max(map(abs, given)) <= 1
 
 
 def _no_constant(name: str) -> float:

@@ -404,7 +404,7 @@ def _volume(
     if lazy is None:
         volume = reader.intact(source)
         if isinstance(volume, clvol.Volume):
-            note(volume, source, **reader.noted())
+            note(volume, source, reader.noted())
             return _noted(as_lazy(volume), source, reader) if by_bricks else volume
         lazy = volume
     memory_for(lazy, memory)  # before it is looked at
@@ -414,7 +414,7 @@ def _volume(
 def _noted(volume: clvol.LazyVolume, source: str | Path, reader: Input) -> clvol.LazyVolume:
     """The volume, which knows where it is from; the open store of an address knows it already, without what is secret in it."""
     if not is_address(source):
-        note(volume, source, **reader.noted())
+        note(volume, source, reader.noted())
     return volume
 
 

@@ -124,7 +124,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
         with foreign_errors(f"open {name}", partial(said, address=path, options=storage_options)):
             contents = zarr.lazily(path, _Once(choice.given), **options, storage_options=storage_options)
         lazy = opened(name, contents, replaced, missing).reopened_by(partial(open, path, **arguments))
-        note(lazy, name, **arguments)
+        note(lazy, name, arguments)
         return lazy
     if storage_options is not None:
         raise OptionError(f"storage_options are for addresses, as s3://bucket/cells.zarr; got the path {path}")
@@ -141,7 +141,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     if not contents:
         raise _whole_only(file, chosen)
     lazy = opened(str(file), contents, replaced, missing).reopened_by(partial(open, file.absolute(), **arguments))
-    note(lazy, file, **arguments)
+    note(lazy, file, arguments)
     return lazy
 
 

@@ -128,7 +128,7 @@ def read(
     arguments = locals()
     result = _read(arguments)
     assert isinstance(result, Volume)  # one is picked
-    note(result, **arguments)
+    note(result, path, arguments)
     return result
 
 

@@ -229,7 +229,7 @@ def staged(look: ResolvedLook, fine: Fineness, options: Mapping[str, Any]) -> St
         x, y, z = (float(v) for v in (low + high) / 2)
         look = replace(look, camera=replace(own, target=(x, y, z), radius=_AROUND * float(np.linalg.norm(high - low)) / 2))
     look = look.placed(fine.size[0] / fine.size[1])
-    return Staged(look, look.over_nothing() if furniture.behind else look, furniture, fine)
+    return Staged(look, look.over_nothing() if furniture.behind else look, furniture or None, fine)
 
 
 def refined(pictures: Iterator[Refined], source: Source, look: ResolvedLook, fine: Fineness) -> Iterator[Refined]:

@@ -19,12 +19,12 @@ _SUMMED = 1 << 11  # samples along each axis, at most, that enter a sum
 _NOT_NOTED = ("trusted", "limits", "storage_options")  # whoever reads it again decides
 
 
-def note(volume: Any, path: object, **options: Any) -> None:
+def note(volume: Any, path: object, options: Mapping[str, Any]) -> None:
     """Note from where a Volume or LazyVolume was read. A part or a changed copy is another volume, of which nothing is known."""
     given = {
         name: str(np.dtype(value)) if name == "dtype" else value
         for name, value in options.items()
-        if value is not None and name not in _NOT_NOTED and (name, value) != ("offset", 0)
+        if value is not None and name not in _NOT_NOTED and name != "path" and (name, value) != ("offset", 0)
     }
     vars(volume)["_provenance"] = {"path": str(path), **given}
 
