@@ -35,7 +35,8 @@ __all__ = ["CLASSES", "Recipe", "Staged", "grid_of", "refined", "staged"]
 VERSION = 1
 """Of the text; another is refused."""
 
-_AROUND = 1.15  # radius of the view of a box with what stands around it, relative to the box's
+_AROUND, _TICKED, _BESIDE = 1.1, 0.25, 0.15  # radius of the view of a box, relative to it, and more for ticks, and for a colour bar
+_WIDE = 1.25  # aspect from which there is room beside it
 _MOST_LABELS = 256
 _FORCED = ("evaluator", "fetch")  # limits of a device that change roundings
 
@@ -216,8 +217,9 @@ def staged(look: ResolvedLook, fine: Fineness, options: Mapping[str, Any]) -> St
     """
     given = {name: options[name] for name in Furniture.__dataclass_fields__ if options.get(name) is not None}
     furniture = Furniture(**given) if given else None
+    aspect = fine.size[0] / fine.size[1]
     if furniture is None:
-        look = look.placed(fine.size[0] / fine.size[1])
+        look = look.placed(aspect)
         return Staged(look, look, None, fine)
     furniture.require_shown(look.scene.media[0].volume.space)
     if furniture.theme == "print" and options.get("background", ...) is ...:
@@ -227,8 +229,9 @@ def staged(look: ResolvedLook, fine: Fineness, options: Mapping[str, Any]) -> St
     if furniture.behind and left_open:
         low, high = _box(look)
         x, y, z = (float(v) for v in (low + high) / 2)
-        look = replace(look, camera=replace(own, target=(x, y, z), radius=_AROUND * float(np.linalg.norm(high - low)) / 2))
-    look = look.placed(fine.size[0] / fine.size[1])
+        around = _AROUND + _TICKED * furniture.axes + _BESIDE * (furniture.color_bar and aspect < _WIDE)
+        look = replace(look, camera=replace(own, target=(x, y, z), radius=around * float(np.linalg.norm(high - low)) / 2))
+    look = look.placed(aspect)
     return Staged(look, look.over_nothing() if furniture.behind else look, furniture or None, fine)
 
 

@@ -69,7 +69,7 @@ _STEPS = (1, 2, 2.5, 5, 10)
 
 Color: TypeAlias = tuple[float, float, float]
 Points: TypeAlias = NDArray[np.float64]
-_BLACK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+_BLACK, _GREY, _WHITE = (0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -464,13 +464,14 @@ def _seen(stage: Stage, ends: Points) -> list[Points]:
 
 
 def _ticks(stage: Stage, axis: int, edges: Sequence[_Edge]) -> tuple[Points | None, list[tuple[float, str]]]:
-    """The edge of the outline that has the ticks of an axis: the lowest, or the leftmost of those that are steep; and the ticks."""
+    """The edge of the outline that has the ticks of an axis, the lowest, or if it points up the leftmost; and the ticks."""
+    upright = axis == int(np.argmax(np.abs(stage.view.up)))
     found: list[tuple[float, Points]] = []
     for edge in edges:
         pixels, depth = stage.view.project(edge.ends, *stage.size)
         if edge.axis == axis and edge.facing == 1 and (stage.view.orthographic or (depth > 0).all()):
-            across, down = np.abs(pixels[1] - pixels[0])
-            found.append((-float(pixels[:, 0].mean()) if down > across else float(pixels[:, 1].mean()), edge.ends))
+            x, y = (float(v) for v in pixels.mean(0))
+            found.append((-x if upright else y - 1e-6 * x, edge.ends))
     if not found:
         return None, []
     ends = max(found, key=lambda one: one[0])[1]
@@ -630,10 +631,9 @@ def _edged(stage: Stage, width: float) -> list[Any]:
 def _put_line(axes: Axes, mark: Line, stage: Stage, points: float, order: float) -> None:
     width = max(1.0, mark.width) * points
     effects = [] if mark.behind else _edged(stage, width + 0.12 * stage.font * points)
-    alpha = _FAINT if mark.faint else 1.0
-    axes.plot(
-        *mark.points.T, color=stage.ink, linewidth=width, alpha=alpha, solid_capstyle="butt", path_effects=effects, zorder=order
-    )
+    alpha = _FAINT if mark.faint and stage.background is not None else 1.0
+    color = _GREY if mark.faint and stage.background is None else stage.ink  # seen on any page
+    axes.plot(*mark.points.T, color=color, linewidth=width, alpha=alpha, solid_capstyle="butt", path_effects=effects, zorder=order)
 
 
 def _put_words(axes: Axes, mark: Words, stage: Stage, points: float, order: float) -> None:
@@ -655,10 +655,21 @@ def _put_area(axes: Axes, mark: Area, stage: Stage, points: float, order: float)
     edge = (stage.halo if mark.color is None else stage.ink) if mark.outlined else "none"
     wide = max(1.0, 0.07 * stage.font) * points
     if mark.outlined and mark.color is None:  # around it, so that its own size is seen
-        axes.add_patch(Polygon(mark.points, closed=True, facecolor="none", edgecolor=edge, linewidth=2 * wide, zorder=order))
+        axes.add_patch(
+            Polygon(mark.points, closed=True, facecolor="none", edgecolor=edge, linewidth=2 * wide, joinstyle="round", zorder=order)
+        )
         edge = "none"
     axes.add_patch(
-        Polygon(mark.points, closed=True, facecolor=face, edgecolor=edge, linewidth=wide, alpha=mark.opacity, zorder=order)
+        Polygon(
+            mark.points,
+            closed=True,
+            facecolor=face,
+            edgecolor=edge,
+            linewidth=wide,
+            alpha=mark.opacity,
+            joinstyle="round",
+            zorder=order,
+        )
     )
 
 
