@@ -13,6 +13,7 @@ from clvol.base import memory
 from clvol.base.arrays import reals
 from clvol.base.checks import enough_memory, number, one_of, require_room, whole
 from clvol.base.errors import OptionError
+from clvol.volume.provenance import note
 from clvol.volume.volume import Volume
 
 __all__ = [
@@ -172,13 +173,13 @@ def by_name(name: str) -> Volume:
     kind, colon, size = name.strip().partition(":")
     if kind not in _TABLE:
         raise one_of("phantom", kind, _TABLE)
-    if not colon:
-        return _TABLE[kind]()
     try:
-        sizes = [int(part) for part in size.split(",")]
+        sizes = [int(part) for part in size.split(",")] if colon else []
     except ValueError:
         raise OptionError(f"the size of a phantom must be one whole number or nz,ny,nx; got {size!r}") from None
-    return _TABLE[kind](sizes[0] if len(sizes) == 1 else sizes)
+    volume = _TABLE[kind](*(sizes if len(sizes) == 1 else [sizes] if sizes else []))
+    note(volume, f"phantom:{name.strip()}", {})
+    return volume
 
 
 # -- inner -------------------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ __all__ = [
     "FigureName",
     "FilterName",
     "Filters",
+    "Furniture",
     "Input",
     "Json",
     "Look",
@@ -256,6 +257,10 @@ class Input:
                 given[field.name] = int(value) if number else value
         return given
 
+    def noted(self) -> dict[str, Any]:
+        """How the volume is read, as a picture's file says it."""
+        return self._given() | ({} if self.fill_nan is None else {"fill_nan": self.fill_nan})
+
     def _phantom(self, source: str | Path) -> clvol.Volume | None:
         if not str(source).startswith("phantom:"):
             return None
@@ -282,7 +287,9 @@ BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}
 Boundary = Annotated[str, Parameter(help=BOUNDARIES, completer=_any_of(clvol.boundaries))]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
 _Six = tuple[float, float, float, float, float, float]
-_Background = Annotated[str, Parameter(help="A name, a hex code, or 'none'.")]
+_Background = Annotated[
+    str | None, Parameter(help="A name, a hex code, or 'none'. [default: black; white for --theme print]", show_default=False)
+]
 
 
 @Parameter(name="*", group=_LOOK)
@@ -344,7 +351,7 @@ class Look:
             completer=_any_of(clvol.filters),
         ),
     ] = None
-    background: _Background = "black"
+    background: _Background = None
     gradient: Annotated[
         Literal["analytic", "central"] | None,
         Parameter(help="The gradient that lighting uses. [default: analytic, where the filter has slopes]", show_default=False),
@@ -363,12 +370,9 @@ class Look:
         """Arguments of `clvol.render`."""
         given: dict[str, Any] = {name: getattr(self, name) for name in ("rays", "pixel_filter", "gradient")}
         given |= {"clip": self.cuts() or None, "transfer": self._transfer(volume)}
-        return {name: value for name, value in given.items() if value is not None} | {
-            "camera": self.camera(),
-            "mode": self.mode,
-            "step": self.step,
-            "background": None if self.background == "none" else self.background,
-        }
+        given |= {"camera": self.camera(), "mode": self.mode, "step": self.step, "background": self.background}
+        given = {name: value for name, value in given.items() if value is not None}
+        return given | ({"background": None} if self.background == "none" else {})
 
     def cuts(self) -> list[Any]:
         """What is cut away."""
@@ -440,6 +444,32 @@ class ReportLook(SurfaceLook):
     background: _Background = "white"
 
 
+@Parameter(name="*", group=Group("What stands around a picture: nothing by default", sort_key=4))
+@dataclass
+class Furniture:
+    """What stands around a picture."""
+
+    color_bar: Annotated[bool, Parameter(negative="", help="The colours of the transfer function, with values and opacity.")] = (
+        False
+    )
+    scale_bar: Annotated[
+        bool, Parameter(negative="", help="A bar of a round length; in perspective true at the depth of what fills the picture.")
+    ] = False
+    axes: Annotated[bool, Parameter(negative="", help="Ticks with the world's coordinates, and their grid behind the volume.")] = (
+        False
+    )
+    box: Annotated[bool, Parameter(negative="", help="The edges of the box around the volume.")] = False
+    letters: Annotated[bool, Parameter(negative="", help="The sides of a patient at the edges: L, R, A, P, S, I.")] = False
+    cube: Annotated[bool, Parameter(negative="", help="A small cube with these letters, or with x, y and z.")] = False
+    title: Annotated[str | None, Parameter(help="Text above.")] = None
+    time_stamp: Annotated[str | None, Parameter(help="Text at the upper left.")] = None
+    theme: Annotated[Literal["screen", "print"] | None, Parameter(help="'print' is on white.", show_default=False)] = None
+
+    def options(self) -> dict[str, Any]:
+        """Arguments of `clvol.render`."""
+        return {name: value for name, value in vars(self).items() if value not in (None, False)}
+
+
 # -- options of modes ----------------------------------------------------------------------------------------
 
 _ALSO = {"isovalue": "--threshold"}
@@ -489,7 +519,14 @@ else:
     )
 
 
-def own_options(look: Look, own: ModeOptions | None, outputs: Sequence[str] = ("rgba",), *, shown: bool = True) -> dict[str, Any]:
+def own_options(
+    look: Look,
+    own: ModeOptions | None,
+    outputs: Sequence[str] = ("rgba",),
+    *,
+    shown: bool = True,
+    around: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
     """The options given for the mode; raises, before the volume is read, if it does not have them.
 
     It raises too if an option of the look changes nothing in it, unless other modes may follow, as in a viewer (`shown` is False).
@@ -498,6 +535,7 @@ def own_options(look: Look, own: ModeOptions | None, outputs: Sequence[str] = ("
     mode = as_mode(look.mode, options)
     if shown:
         look.require_heard(mode, outputs)
+    require_heard(mode, unheard(mode, around or {}, outputs))
     return options
 
 

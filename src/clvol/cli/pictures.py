@@ -27,6 +27,7 @@ from clvol.cli.options import (
     FigureName,
     FilterName,
     Filters,
+    Furniture,
     Input,
     Json,
     Look,
@@ -40,11 +41,13 @@ from clvol.cli.options import (
     Together,
     Whole,
     bytes_of,
+    is_address,
     own_options,
 )
 from clvol.cli.root import PICTURES, command
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interfaces import batches
+from clvol.interfaces.again import render_again
 from clvol.interfaces.batches import needs_whole
 from clvol.march.empty import warn_of_refined
 from clvol.march.source import row_for
@@ -53,6 +56,7 @@ from clvol.scene.mode import as_mode
 from clvol.show import movies
 from clvol.show.picture import heat, heat_with_scale
 from clvol.volume.histogram import isovalue_of
+from clvol.volume.provenance import note
 from clvol.volume.smoothing import settled
 
 if TYPE_CHECKING:
@@ -68,16 +72,18 @@ _COMPARED = 20_000  # gradients compared in a table of errors
 
 @command(PICTURES)
 def render(
-    source: Source,
+    source: Source | None = None,
     /,
     *,
     output: Output,
+    from_: Annotated[Path | None, Parameter(name="--from", show_default=False)] = None,
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
-    size: Size = (512, 512),
+    size: Annotated[Size | None, Parameter(help="Width and height in pixels. [default: 512 512]", show_default=False)] = None,
     device: DeviceName = None,
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    furniture: Furniture | None = None,
     heat_map: Path | None = None,
     uncertainty: Path | None = None,
     by_bricks: Annotated[bool, Parameter(negative="", group=_BRICKS)] = False,
@@ -95,6 +101,9 @@ def render(
 
     Parameters
     ----------
+    from_
+        Draw the picture of this PNG file again, to the bit: clvol's PNG files say what made them. SOURCE is then read from where it
+        was, as seen from that file's folder, unless it is given; --size may be another.
     filter
         How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3(auto), which smooths the noise that it
         finds; bspline3 in modes that show extremes, such as mip]
@@ -122,20 +131,38 @@ def render(
     for other in (heat_map, uncertainty):
         if other is not None:
             speech.require_picture(other)
+    if from_ is not None:
+        refused: dict[str, Any] = {
+            "filter": filter,
+            "look": look,
+            "mode": own,
+            "around it": furniture,
+            "heat_map": heat_map,
+            "memory": memory,
+        }
+        refused |= {"uncertainty": uncertainty, "by_bricks": by_bricks, "lod": lod != "auto", "together": together}
+        if given := [name for name, value in refused.items() if value]:
+            raise OptionError(f"--from says all that a picture shows: leave out other options; got some of {', '.join(given)}")
+        _again(from_, source, input, output, size, device, json)
+        return
+    if source is None:
+        raise OptionError("give SOURCE, a volume, or --from, a picture of one")
+    size = size or (512, 512)
     look = look or Look()
     outputs: list[clvol.Output] = ["rgba"]
     outputs += ["visited"] if verbose or heat_map is not None else []
     outputs += ["uncertainty"] if uncertainty is not None else []
-    options = own_options(look, own, outputs) | ({} if lod == "auto" else {"lod": lod})
+    around = furniture.options() if furniture else {}
+    options = own_options(look, own, outputs, around=around) | ({} if lod == "auto" else {"lod": lod})
     most = None if memory is None else bytes_of(memory)
     whole = needs_whole(look.limits(), () if uncertainty is None else ("uncertainty",))
     cluster = together.cluster if together else None
     by_bricks = by_bricks or cluster is not None
     volume = _volume(input or Input(), source, most, by_bricks=by_bricks, whole=whole)
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
-    preview = preview and isinstance(volume, clvol.Volume) and outputs == ["rgba"]
+    preview = preview and isinstance(volume, clvol.Volume) and outputs == ["rgba"] and not around
     with speech.progress("rendering", json, preview=preview) as progress, look.limited(device):
-        options |= look.options(volume.preview())
+        options |= look.options(volume.preview()) | around
         begun = time.perf_counter()
         wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
         with clvol.Renderer(volume, wanted, look.boundary, device, memory=most, cluster=cluster) as renderer:
@@ -167,6 +194,26 @@ def render(
             "seconds_to_draw": round(done - ready, 4),
         }
     speech.say(json, result)
+
+
+def _again(
+    path: Path,
+    source: str | Path | None,
+    reader: Input | None,
+    output: Path,
+    size: tuple[int, int] | None,
+    device: str | None,
+    json: bool,
+) -> None:
+    """Draw the picture of a file again."""
+    if source is None and reader is not None:
+        raise OptionError("options of how SOURCE is read need SOURCE: without it a picture says itself how its volume is read")
+    volume = None if source is None else _volume(reader or Input(), source)
+    with speech.progress("rendering", json) as progress:
+        picture = render_again(path, volume, size=size, device=device, progress=progress)
+    clvol.save(picture, output)
+    height, width = picture.shape[:2]
+    speech.say(json, {"output": str(output), "from": str(path), "size": [width, height], "mode": picture.options["mode"].name})
 
 
 def _values_shown(
@@ -218,6 +265,7 @@ def batch(
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    furniture: Furniture | None = None,
     together: Together | None = None,
     json: Json = False,
 ) -> None:
@@ -235,7 +283,8 @@ def batch(
         As of 'clvol render'.
     """
     look = look or Look()
-    options = own_options(look, own)
+    around = furniture.options() if furniture else {}
+    options = own_options(look, own, around=around) | around
     reader = input or Input()
     speech.require_picture(Path(f"picture{Path(output).suffix}"))
     camera = {"zoom": look.zoom, "projection": look.projection, "fit": look.fit}
@@ -284,6 +333,7 @@ def movie(
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    furniture: Furniture | None = None,
     together: Together | None = None,
     json: Json = False,
 ) -> None:
@@ -322,7 +372,8 @@ def movie(
     if form in ("mp4", "webm") and min(size) < 2:
         raise OptionError(f"a video must be at least 2 pixels wide and high; got {size[0]} × {size[1]}")
     look = look or Look()
-    options = own_options(look, own)
+    around = furniture.options() if furniture else {}
+    options = own_options(look, own, around=around) | around
     cluster = together.cluster if together else None
     limits = look.limits()
     volume = _volume(input or Input(), source, whole=needs_whole(limits))
@@ -353,10 +404,18 @@ def _volume(
     if lazy is None:
         volume = reader.intact(source)
         if isinstance(volume, clvol.Volume):
-            return as_lazy(volume) if by_bricks else volume
+            note(volume, source, reader.noted())
+            return _noted(as_lazy(volume), source, reader) if by_bricks else volume
         lazy = volume
     memory_for(lazy, memory)  # before it is looked at
-    return lazy
+    return _noted(lazy, source, reader)
+
+
+def _noted(volume: clvol.LazyVolume, source: str | Path, reader: Input) -> clvol.LazyVolume:
+    """The volume, which knows where it is from; the open store of an address knows it already, without what is secret in it."""
+    if not is_address(source):
+        note(volume, source, reader.noted())
+    return volume
 
 
 def _bricks_read(shown: BrickedField, volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:

@@ -20,10 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.analysis import EXACT_SINC
 from clvol.base.checks import as_path
 from clvol.base.color import color_of
-from clvol.base.errors import MissingDependencyError, OptionError
+from clvol.base.errors import OptionError
 from clvol.base.files import require_suffix, staged
 from clvol.filter.table import as_filter, filters
 from clvol.show import picture
+from clvol.show.furniture import require_matplotlib
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -216,15 +217,6 @@ class Drawing:
         with staged(path, suffix) as temporary, styled():
             self.figure.savefig(temporary, dpi=dpi)
         return path
-
-
-def require_matplotlib() -> Any:
-    """The matplotlib module; `MissingDependencyError` if it is not installed."""
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise MissingDependencyError("figures need matplotlib, which is not installed: pip install clvol[figures]") from None
-    return mpl
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from clvol.formats._errors import foreign_errors
 from clvol.formats.reading import misplaced, sorted_out
 from clvol.formats.zarr.addresses import said, shown
 from clvol.interop.kinds import Content
+from clvol.volume.provenance import note
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading
 
@@ -122,7 +123,9 @@ def open(  # noqa: A001  # as files are opened: clvol.open
             raise FormatError(f"{name} must be a Zarr store, for these alone are read by their address; download the file first")
         with foreign_errors(f"open {name}", partial(said, address=path, options=storage_options)):
             contents = zarr.lazily(path, _Once(choice.given), **options, storage_options=storage_options)
-        return opened(name, contents, replaced, missing).reopened_by(partial(open, path, **arguments))
+        lazy = opened(name, contents, replaced, missing).reopened_by(partial(open, path, **arguments))
+        note(lazy, name, arguments)
+        return lazy
     if storage_options is not None:
         raise OptionError(f"storage_options are for addresses, as s3://bucket/cells.zarr; got the path {path}")
     file = as_path(path)
@@ -137,7 +140,9 @@ def open(  # noqa: A001  # as files are opened: clvol.open
         contents = lazily(file, _Once(choice.given), **options)
     if not contents:
         raise _whole_only(file, chosen)
-    return opened(str(file), contents, replaced, missing).reopened_by(partial(open, file.absolute(), **arguments))
+    lazy = opened(str(file), contents, replaced, missing).reopened_by(partial(open, file.absolute(), **arguments))
+    note(lazy, file, arguments)
+    return lazy
 
 
 def opened_if(path: str | os.PathLike[str], wanted: Callable[[LazyVolume], bool], **options: Any) -> LazyVolume | None:

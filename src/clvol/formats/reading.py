@@ -19,6 +19,7 @@ from clvol.formats._files import Reader
 from clvol.formats.guarded.limits import Budget, Limits, limited, size_of
 from clvol.formats.guarded.worker import call, prepare
 from clvol.formats.table import format_of, options_of
+from clvol.volume.provenance import note
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
@@ -124,8 +125,10 @@ def read(
     >>> nuclei = clvol.read("cells.ome.tif", channel="DAPI", time=3)
     >>> volume = clvol.read("engine.raw", shape=(128, 256, 256), dtype="uint8", spacing=(1, 1, 2))
     """
-    result = _read(locals())
+    arguments = locals()
+    result = _read(arguments)
     assert isinstance(result, Volume)  # one is picked
+    note(result, path, arguments)
     return result
 
 

@@ -44,6 +44,7 @@ __all__ = [
     "BatchOptions",
     "FieldOptions",
     "Fineness",
+    "FurnitureOptions",
     "LookOptions",
     "Merge",
     "ModeOptions",
@@ -154,7 +155,47 @@ class RefineOptions(LookOptions, ModeOptions, total=False):
     lod: float | Literal["auto"]
 
 
-class PictureOptions(RefineOptions, total=False):
+class FurnitureOptions(TypedDict, total=False):
+    """What stands around a picture; nothing by default (``pip install clvol[figures]``).
+
+    Attributes
+    ----------
+    color_bar : bool
+        The colours of the transfer function with their values, and in "composite" the curve of its opacity; of labels their names.
+        A surface has one colour, and no bar.
+    scale_bar : bool
+        A bar of a round length, in the volume's units. In perspective it is true at the depth of the camera's target alone.
+    axes : bool
+        Ticks with the world's coordinates on the outline of the box around the volume (or `clip`), and their grid on the planes at
+        its back. The volume lies over that grid as far as it is opaque; projections are opaque. A camera whose place is left open
+        has the whole box in view.
+    box : bool
+        The edges of this box.
+    letters : bool
+        The sides of a patient (`Volume.space` is "LPS") at the picture's edges: L and R, A and P, S and I.
+    cube : bool
+        A small cube that is turned like the world, with these letters, or with x, y and z.
+    title : str
+        Above.
+    time_stamp : str or float
+        At the upper left; a number is in seconds.
+    theme : {"screen", "print"}
+        "print" is on white, unless `background` is given. Lines and letters are black or white, whichever differs more from the
+        background, with an edge of the other.
+    """
+
+    color_bar: bool
+    scale_bar: bool
+    axes: bool
+    box: bool
+    letters: bool
+    cube: bool
+    title: str
+    time_stamp: str | float
+    theme: Literal["screen", "print"]
+
+
+class PictureOptions(RefineOptions, FurnitureOptions, total=False):
     """Options of `Renderer.render`.
 
     Attributes
@@ -243,6 +284,8 @@ def unheard(mode: Mode, options: Mapping[str, Any], outputs: Collection[str] = (
             found["preset"] = f"means do not reach the values of {row.name!r}"
     if "pixel_filter" in given and not _of_several_rays(mode, given.get("rays", "auto")):
         found["pixel_filter"] = "there is one ray a pixel"
+    if "rgba" not in outputs:
+        found |= dict.fromkeys(given.keys() & FurnitureOptions.__annotations__, 'it is for the output "rgba"')
     if "sigma" in given and "uncertainty" not in outputs:
         found["sigma"] = 'it is for the output "uncertainty"'
     return found
@@ -325,6 +368,7 @@ class ResolvedLook:
     skipping: bool
     preview: Volume  # samples to which the camera is fitted
     others: tuple[ResolvedLook, ...] = ()  # of the scene's other visible media; the grid of the first one leads
+    unsettled: Mode | None = None  # the mode of several, which is settled for each
 
     @classmethod
     def of(cls, scene: Scene, preview: Volume, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
@@ -360,7 +404,7 @@ class ResolvedLook:
         looks = [cls.of(replace(scene, media=(one,)), one.volume, camera, mode, options) for one in media]
         if mode.shows == "matter":
             looks.sort(key=lambda look: _rank(look.scene.media[0], look.transfer))
-        return replace(looks[0], others=tuple(looks[1:]))
+        return replace(looks[0], others=tuple(looks[1:]), unsettled=mode)
 
     def placed(self, aspect: float) -> ResolvedLook:
         """The same with the camera fitted to a picture of this aspect, if its position was left open."""
@@ -369,6 +413,10 @@ class ResolvedLook:
             camera = camera.in_world(max((self.preview, *(one for one, _, _ in others)), key=lambda volume: volume.space))
         camera = fitted(camera, self.preview, self.mode, self.transfer, self.scene.clip, aspect, others=others)
         return self if camera is self.camera else replace(self, camera=camera)
+
+    def over_nothing(self) -> ResolvedLook:
+        """The same without a background."""
+        return replace(self, scene=replace(self.scene, background=None))
 
     def view(self, size: tuple[int, int]) -> Viewpoint:
         """From where a picture of this size is seen."""

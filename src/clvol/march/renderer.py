@@ -16,6 +16,7 @@ from clvol.march.empty import warn_if_empty
 from clvol.march.options import (
     OUTPUTS,
     Fineness,
+    FurnitureOptions,
     Output,
     PictureOptions,
     RendererOptions,
@@ -24,11 +25,11 @@ from clvol.march.options import (
     chosen_mode,
     require_room,
 )
+from clvol.march.recipe import refined, staged
 from clvol.march.refine import Asked
 from clvol.march.source import ByBricks, Source
 from clvol.march.uncertainty import noise_of
-from clvol.scene.mode import DEFAULT_MODE, as_mode
-from clvol.show.picture import as_pictures
+from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode
 
 if TYPE_CHECKING:  # clusters need dask
     from numpy.typing import ArrayLike
@@ -43,7 +44,6 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.march.refine import Refined
     from clvol.march.source import Drawable
     from clvol.scene.camera import Camera
-    from clvol.scene.mode import Mode
     from clvol.scene.scene import Scene
     from clvol.show.picture import Picture
     from clvol.spline.field import Field
@@ -264,13 +264,13 @@ class Renderer:
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, wanted, edges=fine.rays == "auto")
             uncertainty = self._source.uncertainty(chosen) if noise else None
-            look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
-            pictures = self._source.draw(look, fine, wanted != ("rgba",), watched("the picture", progress))
-            warn_if_empty(look, self._source.limits, options, pictures["rgba"])
+            stage = staged(ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options), fine, options)
+            pictures = self._source.draw(stage.drawn, fine, wanted != ("rgba",), watched("the picture", progress))
+            warn_if_empty(stage.drawn, self._source.limits, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
-                central = look.central or not self._source.filter_of(chosen).has_gradient
+                central = stage.look.central or not self._source.filter_of(chosen).has_gradient
                 pictures["uncertainty"] = uncertainty(pictures["position"], noise, central=central)
-            shown = as_pictures({name: pictures[name] for name in wanted})
+            shown = stage.finished(pictures, wanted, self._source)
             return shown[wanted[0]] if isinstance(outputs, str) else shown
 
     def refine(
@@ -335,7 +335,7 @@ class Renderer:
         (True, (150, 200, 4))
         """
         began = time.perf_counter()
-        refused = [name for name in ("outputs", "sigma") if name in options]
+        refused = [name for name in ("outputs", "sigma", *FurnitureOptions.__annotations__) if name in options]
         if refused and (refused != ["outputs"] or options["outputs"] != "rgba"):  # type: ignore[typeddict-item]  # it has none
             raise OptionError(f"refine gives colours alone: leave out {' and '.join(refused)}, or use render")
         chosen = chosen_mode(mode, options)
@@ -348,7 +348,7 @@ class Renderer:
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, ("rgba",), edges=fine.rays == "auto")
             look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
-            return self._source.refine(look, fine, Asked(seconds, cancelled, progress, began))
+            return refined(self._source.refine(look, fine, Asked(seconds, cancelled, progress, began)), self._source, look, fine)
 
 
 @overload

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,6 +76,8 @@ class Source(ABC):
     boundary; or just a field.
     """
 
+    by_bricks: ClassVar[bool] = False
+
     def __init__(self, scene: Scene, field: Field | BrickedField, preview: Volume, arguments: tuple[Any, ...]) -> None:
         self.scene, self.field, self.preview, self.arguments = scene, field, preview, arguments
         self.shown = field
@@ -111,6 +113,10 @@ class Source(ABC):
             raise OptionError(f"gradient changes nothing with {row.name}, which has no slopes; leave it out")
         if options.get("lod", "auto") != "auto" and not self.sizes:
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
+
+    def part(self, medium: Medium) -> Source:  # noqa: ARG002  # most have one
+        """The source of one of the scene's media."""
+        return self
 
     @property
     def limits(self) -> tuple[float, float] | None:
@@ -262,11 +268,11 @@ class Several(Source):
             raise OptionError(f"{' and '.join(refused)} of several media in {mode.name} would be of which? Draw one of them")
 
     def function(self, mode: Mode, level: int = 0) -> Field:
-        return self._part(self.scene.media[0]).function(mode, level)
+        return self.part(self.scene.media[0]).function(mode, level)
 
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
         if not look.others:
-            return self._part(look.scene.media[0]).draw(look, fine, guides, progress)
+            return self.part(look.scene.media[0]).draw(look, fine, guides, progress)
         if look.mode.shows == "matter":
             frame = self._subject(look).frame(fine.size, fine.step, guides=guides)
             return launch.drawn(MediaDrawing(frame, fine.rays, fine.filter), fine.rays, progress)
@@ -276,7 +282,7 @@ class Several(Source):
         for i, one in enumerate(looks):
             own = replace(one, camera=camera, others=(), scene=replace(one.scene, background=None))
             part = part_of(progress, i / len(looks), (i + 1) / len(looks))
-            pictures.append(self._part(one.scene.media[0]).draw(own, fine, guides or surfaces, part))
+            pictures.append(self.part(one.scene.media[0]).draw(own, fine, guides or surfaces, part))
         together = nearest(pictures) if surfaces else {"rgba": mixed([one["rgba"] for one in pictures], self.scene.mix)}
         return {**together, "rgba": over(background, together["rgba"])}
 
@@ -294,16 +300,17 @@ class Several(Source):
         raise OptionError('the output "uncertainty" takes a scene of one medium')
 
     def _subject(self, look: ResolvedLook) -> Subject:
-        first, *others = (self._part(one.scene.media[0])._subject(one) for one in (look, *look.others))
+        first, *others = (self.part(one.scene.media[0])._subject(one) for one in (look, *look.others))
         return replace(first, others=tuple(others))
 
-    def _part(self, medium: Medium) -> InMemory:
+    def part(self, medium: Medium) -> InMemory:
         return self.parts[id(medium)]
 
 
 class ByBricks(Source):
     """A function whose bricks are on the device one at a time."""
 
+    by_bricks: ClassVar[bool] = True
     field: BrickedField
 
     def __init__(

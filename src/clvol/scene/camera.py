@@ -117,6 +117,23 @@ class Viewpoint:
         """The eye in samples, rounded as in kernels, for decisions that must agree on host and device."""
         return volume.world_to_index(self.eye).astype(np.float32)
 
+    def project(self, points: NDArray[np.float64], width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Pixels (x, y) from the upper left corner, (n, 2), at which points of the world, (n, 3), are seen, and their depths.
+
+        In perspective, what lies behind the viewer, where depth is negative, has no meaningful pixel.
+        """
+        away = np.asarray(points, np.float64) - self.eye
+        depth = away @ self.forward
+        spread = self.half_height * (np.ones_like(depth) if self.orthographic else depth)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            across, up = (away @ way / spread * height / 2 for way in (self.right, self.up))
+        return np.stack([width / 2 + across, height / 2 - up], -1), depth
+
+    def pixels_per_unit(self, point: NDArray[np.float64], height: int) -> float:
+        """Pixels that a unit of the world is long, across the view, in the plane through a point that faces the camera."""
+        depth = 1.0 if self.orthographic else float((point - self.eye) @ self.forward)
+        return height / (2 * self.half_height * depth)
+
     def block(self, volume: Volume, width: int, height: int, aspect: float | None = None, *, rails: Volume | None = None) -> Values:
         """The block for kernels: rays in index space as linear functions of the pixel, (0, 0) top left.
 

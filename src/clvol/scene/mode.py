@@ -299,7 +299,7 @@ class Isosurface(Mode):
 
     @property
     def unheard(self) -> Mapping[str, str]:
-        colors = () if self.cap is True else ("transfer", "preset", "window", "cmap")
+        colors = () if self.cap is True else ("transfer", "preset", "window", "cmap", "color_bar")
         words = dict.fromkeys((*colors, "opacity"), "a surface is opaque and of one color")
         exact = {"tolerance": 'method="exact" needs none'} if self.method == "exact" else {}
         return {**super().unheard, **words, **exact}

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,10 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base import memory
 from clvol.base.arrays import as_array
 from clvol.base.checks import as_path, number, whole
-from clvol.base.errors import OptionError
+from clvol.base.errors import FormatError, OptionError
 from clvol.base.files import require_suffix, staged
+from clvol.base.serial import LONGEST
+from clvol.show.furniture import VECTORS, Furnished, vectors
+
+if TYPE_CHECKING:
+    from clvol.scene.camera import Camera
+    from clvol.scene.scene import Scene
 
 __all__ = [
+    "RECIPE",
     "SUFFIXES",
     "Picture",
     "as_pictures",
@@ -28,13 +35,17 @@ __all__ = [
     "heat",
     "heat_with_scale",
     "labelled",
+    "read_recipe",
     "save",
     "show",
+    "stored",
     "to_bytes",
     "to_png",
 ]
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", *VECTORS)
+RECIPE = "clvol"
+"""The key of the text of a PNG file that says what made the picture."""
 _OPAQUE = (".jpg", ".jpeg", ".bmp")  # formats without opacity
 _INK = (235, 235, 235)
 _BAND = (24, 24, 28)
@@ -60,9 +71,19 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
     ----------
     kind : str
         Meaning of its numbers.
+    camera : Camera or None
+        From where it was rendered: with the place that was fitted. None of what `clvol.render` did not make, as of parts.
+    scene : Scene or None
+        What it shows, with all that was left open decided; it keeps the volume in memory. Of a LazyVolume, or in another process
+        than that which rendered it, the volume is its grid alone, of zeros.
+    options : dict
+        The other arguments with which ``clvol.render(picture.scene, picture.camera, **picture.options)`` renders it again, to the
+        bit.
     """
 
     kind: str = "rgba"
+    recipe: Any = None  # clvol.march.recipe.Recipe
+    furnished: Furnished | None = None
 
     def __new__(cls, array: ArrayLike, kind: str = "rgba") -> Self:
         result = as_array(array, "picture").view(cls)
@@ -72,6 +93,8 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
     def __array_finalize__(self, other: Any) -> None:
         if isinstance(other, Picture):
             vars(self).update(vars(other))
+            if self.shape != other.shape:
+                self.recipe = self.furnished = None
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         if array is self:  # computed in place
@@ -83,6 +106,8 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
         part = super().__getitem__(index)
         if isinstance(part, Picture) and (part.ndim != self.ndim or part.shape[2:] != self.shape[2:]):
             return np.asarray(part)
+        if isinstance(part, Picture) and index is not ...:
+            part.recipe = part.furnished = None
         return part
 
     def __reduce__(self) -> Any:
@@ -114,6 +139,21 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
         if self.kind in channels:
             return self.ndim >= 2 and self.shape[2:] == channels[self.kind]
         return self.ndim == 2 or (self.ndim == 3 and self.shape[2] in (1, 3, 4))
+
+    @property
+    def camera(self) -> Camera | None:
+        """From where it was rendered."""
+        return None if self.recipe is None else self.recipe.camera
+
+    @property
+    def scene(self) -> Scene | None:
+        """What it shows."""
+        return None if self.recipe is None else self.recipe.scene
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """How it was rendered otherwise, as arguments of `clvol.render`."""
+        return {} if self.recipe is None else self.recipe.options
 
     def shown(self) -> NDArray[Any]:
         """The colours to display, (height, width, 3 or 4): the array itself if it holds colours.
@@ -185,9 +225,12 @@ def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
 
 
 def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
-    """Write a picture with values in 0..1, by suffix: .png, .tif, or .jpg and .bmp, where transparency becomes black.
+    """Write a picture with values in 0..1, by suffix: .png, .tif, or .jpg and .bmp, where transparency becomes black; .pdf, .svg.
 
-    The file appears when it is complete. Depth and other outputs of `render` are written as displayed.
+    The file appears when it is complete. Depth and other outputs of `render` are written as displayed. A PNG file of a picture by
+    `clvol.render` says what made it, with the path of the volume's file as seen from its folder: 'clvol render --from' renders it
+    again. That of a plain array, ``numpy.array(picture)``, says nothing. In PDF and SVG what stands around a picture is lines and
+    letters, over the picture's pixels, 300 to the inch (``pip install clvol[figures]``).
 
     Raises
     ------
@@ -197,13 +240,57 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     import imageio.v3 as iio
 
     path, suffix = as_path(path), require_suffix(path, SUFFIXES, "pictures")
-    data = _stored(picture, opaque=suffix in _OPAQUE)
-    options: dict[str, Any] = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
+    around = picture.furnished if isinstance(picture, Picture) and suffix in VECTORS else None
+    data = stored(picture if around is None else around.bare, opaque=suffix in _OPAQUE)
     with staged(path, suffix) as temporary:
+        if suffix in VECTORS:
+            temporary.write_bytes(vectors(data, suffix, around))
+            return path
+        options: dict[str, Any] = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
+        if suffix == ".png" and isinstance(picture, Picture) and picture.recipe is not None:
+            options = _with_text(picture.recipe.text(path.absolute().parent))
         stream = io.BytesIO()  # Pillow does not notice where a disk is full
         iio.imwrite(stream, data, extension=suffix, plugin="pillow", **options)
         temporary.write_bytes(stream.getbuffer())
     return path
+
+
+def _with_text(text: str | None) -> dict[str, Any]:
+    """Options of a PNG file with a text."""
+    from PIL.PngImagePlugin import PngInfo
+
+    if text is None:
+        return {}
+    info = PngInfo()
+    info.add_text(RECIPE, text)
+    return {"pnginfo": info}
+
+
+def read_recipe(path: str | os.PathLike[str]) -> str:
+    """The text in a PNG file that says what made the picture.
+
+    Raises
+    ------
+    FormatError
+        The file is no PNG file, is damaged, has more pixels than Pillow reads, or has no such text, or one that is too long.
+    """
+    from PIL import Image
+
+    path = as_path(path)
+    try:
+        with Image.open(path, formats=["PNG"]) as image:
+            text = image.info.get(RECIPE)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        reason = "there is no such file" if isinstance(error, FileNotFoundError) else str(error)
+        raise FormatError(f"{path} must be a PNG file that clvol wrote: {reason}") from error
+    if not isinstance(text, str):
+        raise FormatError(
+            f"{path} does not say what made it: it must be a PNG file of a picture by clvol.render, with its text {RECIPE!r}, "
+            "which other programs leave out"
+        )
+    if len(text) > LONGEST:
+        raise FormatError(f"{path} must say what made it in at most {LONGEST} characters; got {len(text)}")
+    return text
 
 
 def to_png(picture: ArrayLike) -> bytes:
@@ -211,11 +298,11 @@ def to_png(picture: ArrayLike) -> bytes:
     import imageio.v3 as iio
 
     stream = io.BytesIO()
-    iio.imwrite(stream, _stored(picture), extension=".png", plugin="pillow")
+    iio.imwrite(stream, stored(picture), extension=".png", plugin="pillow")
     return stream.getvalue()
 
 
-def _stored(picture: ArrayLike, opaque: bool = False) -> NDArray[np.uint8]:
+def stored(picture: ArrayLike, opaque: bool = False) -> NDArray[np.uint8]:
     """8-bit values for a file: without a channel axis of length 1, and without opacity if opaque or not supported."""
     data = to_bytes(picture)
     if data.ndim == 3 and data.shape[2] == 1:

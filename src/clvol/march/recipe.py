@@ -1,0 +1,285 @@
+"""What made a picture, with nothing left open: it is drawn again from it, to the bit, also from the text in its file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+
+import clvol
+from clvol.base import serial
+from clvol.base.checks import instance
+from clvol.base.errors import FormatError, OptionError
+from clvol.filter import boundary
+from clvol.filter import filter as filters
+from clvol.scene import camera, clip, light, mode, scene, transfer
+from clvol.scene.clip import cuts_of
+from clvol.show.furniture import Bar, Furnished, Furniture, Stage, furnished
+from clvol.show.picture import as_pictures
+from clvol.volume.provenance import facts_of, provenance_of
+from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clvol.march.options import Fineness, ResolvedLook
+    from clvol.march.refine import Refined
+    from clvol.march.source import Source
+    from clvol.show.picture import Picture
+
+__all__ = ["CLASSES", "Recipe", "Staged", "grid_of", "refined", "staged"]
+
+VERSION = 1
+"""Of the text; another is refused."""
+
+_AROUND, _TICKED, _BESIDE = 1.1, 0.25, 0.15  # radius of the view of a box, relative to it, and more for ticks, and for a colour bar
+_WIDE = 1.25  # aspect from which there is room beside it
+_MOST_LABELS = 256
+_FORCED = ("evaluator", "fetch")  # limits of a device that change roundings
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """What made a picture.
+
+    Attributes
+    ----------
+    scene : Scene
+        With all that was left open decided. Of a LazyVolume, and in another process, its volume is the grid alone.
+    camera : Camera
+        With the place that was fitted.
+    mode : Mode
+    size, step, rays, pixel_filter, lod, central
+        How finely it was drawn.
+    furniture : Furniture or None
+    by_bricks : bool
+    limits : mapping
+        Limits of the device that change roundings, where they were set.
+    device : str
+        Its name.
+    """
+
+    scene: scene.Scene
+    camera: camera.Camera
+    mode: mode.Mode
+    size: tuple[int, int]
+    step: float
+    rays: int | Literal["auto"]
+    pixel_filter: filters.Filter
+    lod: float
+    central: bool = False
+    furniture: Furniture | None = None
+    by_bricks: bool = False
+    limits: Mapping[str, str] = field(default_factory=dict)
+    device: str = ""
+    lazy: Any = field(default=None, init=False, repr=False)  # the LazyVolume, for whose grid the scene's volume stands
+    preview: Volume | None = field(default=None, init=False, repr=False)  # samples by which it is recognised
+
+    def __post_init__(self) -> None:
+        kinds = {
+            "scene": scene.Scene,
+            "camera": camera.Camera,
+            "mode": mode.Mode,
+            "pixel_filter": filters.Filter,
+            "limits": Mapping,
+        }
+        for name, kind in kinds.items():
+            instance(name, getattr(self, name), kind)
+        if self.furniture is not None:
+            instance("furniture", self.furniture, Furniture)
+        if not (set(self.limits) <= set(_FORCED) and all(isinstance(value, str) for value in self.limits.values())):
+            raise OptionError(f"limits must be {' and '.join(_FORCED)}, words; got {self.limits!r}")
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Arguments of `clvol.render` beside the scene and the camera."""
+        given: dict[str, Any] = {"mode": self.mode, "size": tuple(self.size), "step": self.step, "rays": self.rays}
+        if self.rays != 1 and (self.rays != "auto" or self.mode.shaded):
+            given["pixel_filter"] = self.pixel_filter
+        if self.central:
+            given["gradient"] = "central"
+        if self.furniture:
+            given |= {name: value for name, value in vars(self.furniture).items() if value not in (False, "")}
+        return given
+
+    def options_of_lazy(self, several: bool) -> dict[str, Any]:
+        """The same for a LazyVolume, which has no scene: with all that a scene has; and the size to draw, if it has `several`."""
+        (medium,) = self.scene.media
+        own = {name: getattr(self.scene, name) for name in ("lights", "background", "clip")}
+        own |= {"transfer": medium.transfer, "material": medium.material} | ({"lod": self.lod} if several else {})
+        return self.options | {name: value for name, value in own.items() if name not in self.mode.unheard}
+
+    def text(self, folder: Path | None) -> str | None:
+        """The text of a file in a folder, to which paths of volumes are relative; None if a part is no clvol object."""
+
+        def described(volume: Volume) -> dict[str, Any]:
+            known = provenance_of(volume) or (None if self.lazy is None else provenance_of(self.lazy))
+            preview = volume if self.preview is None or self.lazy is None else self.preview
+            return facts_of(volume, preview) | {"source": None if known is None else _relative(known, folder)}
+
+        try:
+            return serial.to_text(self, CLASSES, {Volume: described}, clvol=clvol.__version__, version=VERSION)
+        except OptionError:
+            return None
+
+    @classmethod
+    def of_text(cls, text: str) -> Recipe:
+        """The recipe of a text, with grids in the place of volumes: `FormatError` if it is none, or of another version."""
+        recipe = serial.from_text(text, CLASSES, {"Volume": grid_of}, version=VERSION)
+        if not isinstance(recipe, Recipe):
+            raise FormatError("it is no recipe of a picture")
+        return recipe
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A pickle holds no samples: of a volume only what is known of it."""
+        text = self.text(None)
+        return (type(None), ()) if text is None else (Recipe.of_text, (text,))
+
+
+CLASSES = serial.dataclasses_of(scene, camera, clip, light, mode, transfer, filters, boundary) | {
+    "Furniture": Furniture,
+    "Recipe": Recipe,
+}
+"""What a recipe's text may hold."""
+
+
+def grid_of(facts: Mapping[str, Any]) -> Volume:
+    """A volume in the place of another, of zeros that take no memory; what is known of that one stays known."""
+    zeros = np.broadcast_to(np.zeros((), facts["dtype"]), tuple(facts["shape"]))
+    placed = {name: facts[name] for name in ("spacing", "origin", "direction", "units", "space")}
+    volume = Volume(zeros, **placed)
+    vars(volume)["_sum"] = facts["sum"]
+    if facts.get("source") is not None:
+        vars(volume)["_provenance"] = dict(facts["source"])
+    return volume
+
+
+def _relative(known: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
+    """A path of a file as seen from a folder; absolute for no folder."""
+    path = str(known["path"])
+    if "://" in path or path.startswith("phantom:"):
+        return dict(known)
+    absolute = os.path.abspath(path)  # noqa: PTH100  # links stay as they were given
+    try:
+        seen = absolute if folder is None else os.path.relpath(absolute, folder)
+    except ValueError:  # another drive
+        seen = absolute
+    return {**known, "path": Path(seen).as_posix()}
+
+
+# -- making it ------------------------------------------------------------------------------------------------------------------
+
+
+class Staged(NamedTuple):
+    """A look with its camera in place, and what stands around its picture."""
+
+    look: ResolvedLook
+    drawn: ResolvedLook  # the same, without a background where something lies behind
+    furniture: Furniture | None
+    fine: Fineness
+
+    def finished(self, pictures: Mapping[str, NDArray[Any]], wanted: tuple[str, ...], source: Source) -> dict[str, Picture]:
+        """The wanted pictures, with what stands around them, and with what made them."""
+        found = {name: pictures[name] for name in wanted}
+        around: Furnished | None = None
+        if self.furniture and "rgba" in found:
+            found["rgba"], around = furnished(found["rgba"], self.furniture, _stage(self.look, self.fine.size))
+        shown, recipe = as_pictures(found), self.recipe(source)
+        for name, picture in shown.items():
+            picture.recipe, picture.furnished = recipe, around if name == "rgba" else None
+        return shown
+
+    def recipe(self, source: Source) -> Recipe:
+        """What makes the picture."""
+        look, fine = self.look, self.fine
+        settled = replace(look.scene, media=tuple(_settled(one, source) for one in (look, *look.others)))
+        device = source.field.device
+        forced = {name: value for name in _FORCED if (value := getattr(device.limits, name)) != "auto"}
+        central = look.central and look.mode.shaded and source.filter_of(look.mode).has_gradient
+        how = (fine.size, fine.step, fine.rays, fine.filter, fine.lod, central)
+        recipe = Recipe(settled, look.camera, look.unsettled or look.mode, *how, self.furniture, source.by_bricks, forced, device.name)
+        if source.by_bricks and source.preview is not look.scene.media[0].volume:  # it is not in memory
+            object.__setattr__(recipe, "lazy", source.field.volume)
+            object.__setattr__(recipe, "preview", source.preview)
+        return recipe
+
+
+def _settled(look: ResolvedLook, source: Source) -> scene.Medium:
+    """The medium of a look, with its filter, boundary and transfer function."""
+    (medium,) = look.scene.media
+    part = source.part(medium)
+    row = medium.filter if source.by_bricks else part.filter_of(look.mode)  # each size of a LazyVolume may have its own
+    shown = medium.transfer if "transfer" in look.mode.unheard else look.transfer
+    return replace(medium, filter=row, boundary=part.field.boundary, transfer=shown)
+
+
+def staged(look: ResolvedLook, fine: Fineness, options: Mapping[str, Any]) -> Staged:
+    """A look with its camera in place; with the box in view, if there is one and the place was left open; on white for print.
+
+    `OptionError` if what is wanted around the picture does not apply to it, `MissingDependencyError` without matplotlib.
+    """
+    given = {name: options[name] for name in Furniture.__dataclass_fields__ if options.get(name) is not None}
+    furniture = Furniture(**given) if given else None
+    aspect = fine.size[0] / fine.size[1]
+    if furniture is None:
+        look = look.placed(aspect)
+        return Staged(look, look, None, fine)
+    furniture.require_shown(look.scene.media[0].volume.space)
+    if furniture.theme == "print" and options.get("background", ...) is ...:
+        look = replace(look, scene=replace(look.scene, background=(1.0, 1.0, 1.0)))
+    own = look.camera
+    left_open = own.fit == "matter" and all(v is None for v in (own.position, own.target, own.distance, own.radius))
+    if furniture.behind and left_open:
+        low, high = _box(look)
+        x, y, z = (float(v) for v in (low + high) / 2)
+        around = _AROUND + _TICKED * furniture.axes + _BESIDE * (furniture.color_bar and aspect < _WIDE)
+        look = replace(look, camera=replace(own, target=(x, y, z), radius=around * float(np.linalg.norm(high - low)) / 2))
+    look = look.placed(aspect)
+    return Staged(look, look.over_nothing() if furniture.behind else look, furniture or None, fine)
+
+
+def refined(pictures: Iterator[Refined], source: Source, look: ResolvedLook, fine: Fineness) -> Iterator[Refined]:
+    """Pictures that become finer; the last one with what made it."""
+    for picture in pictures:
+        if picture.final:
+            picture.recipe = staged(look, fine, {}).recipe(source)
+        yield picture
+
+
+def _stage(look: ResolvedLook, size: tuple[int, int]) -> Stage:
+    """Where the furniture of a picture stands."""
+    width, height = size
+    volume, (low, high) = look.scene.media[0].volume, _box(look)
+    target = look.camera.target
+    focus = volume.center if target is None else np.asarray(target)
+    view = look.camera.view(volume, width / height)
+    return Stage(view, (width, height), low, high, focus, volume.units, volume.space, _bars(look), look.scene.background)
+
+
+def _box(look: ResolvedLook) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The corners of the box, along the world's axes, in which all that is seen lies."""
+    corners = np.concatenate([one.scene.media[0].volume.corners for one in (look, *look.others)])
+    low, high = corners.min(0), corners.max(0)
+    if (box := cuts_of(look.scene.clip).box) is not None:
+        inside = np.maximum(low, box[0]), np.minimum(high, box[1])
+        low, high = inside if (inside[0] < inside[1]).all() else (low, high)
+    return low, high
+
+
+def _bars(look: ResolvedLook) -> tuple[Bar, ...]:
+    """What colour bars show of the media."""
+    return tuple(map(_bar, (look, *look.others)))
+
+
+def _bar(look: ResolvedLook) -> Bar:
+    volume = look.preview
+    labels: Mapping[int, str] | None = None
+    if volume.is_labels:
+        labels = volume.labels if isinstance(volume.labels, Mapping) else None
+        if labels is None:
+            labels = {int(value): str(int(value)) for value in np.unique(volume.data)[:_MOST_LABELS]}
+    return Bar(look.transfer, look.mode.shows == "matter", volume.name, labels)

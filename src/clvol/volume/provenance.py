@@ -1,0 +1,53 @@
+"""Where volumes are from, so that a picture can say what it shows: a path with options of `clvol.read`, and a sum of samples."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from clvol.volume.volume import Volume
+
+__all__ = ["Provenance", "facts_of", "note", "provenance_of"]
+
+Provenance: TypeAlias = Mapping[str, Any]
+"""Its "path", and options with which it was read."""
+
+_SUMMED = 1 << 11  # samples along each axis, at most, that enter a sum
+_NOT_NOTED = ("trusted", "limits", "storage_options")  # whoever reads it again decides
+
+
+def note(volume: Any, path: object, options: Mapping[str, Any]) -> None:
+    """Note from where a Volume or LazyVolume was read. A part or a changed copy is another volume, of which nothing is known."""
+    given = {
+        name: str(np.dtype(value)) if name == "dtype" else value
+        for name, value in options.items()
+        if value is not None and name not in _NOT_NOTED and name != "path" and (name, value) != ("offset", 0)
+    }
+    vars(volume)["_provenance"] = {"path": str(path), **given}
+
+
+def provenance_of(volume: Any) -> Provenance | None:
+    """What was noted of a volume."""
+    known: Provenance | None = vars(volume).get("_provenance")
+    return known
+
+
+def facts_of(volume: Volume, preview: Volume) -> dict[str, Any]:
+    """By which a volume is recognised: its grid, and a sum of samples of its preview."""
+    names = ("shape", "spacing", "origin", "direction", "units", "space")
+    known = {name: getattr(volume, name) for name in names}
+    return known | {"dtype": volume.data.dtype.newbyteorder("=").str[1:], "sum": _sum_of(preview)}
+
+
+def _sum_of(volume: Volume) -> int:
+    """The CRC-32 of evenly spaced samples, the same in any byte order."""
+    if "_sum" not in vars(volume):
+        some = volume.data[tuple(slice(None, None, -(-n // _SUMMED)) for n in volume.shape)]
+        total = 0
+        for part in some:
+            total = zlib.crc32(np.ascontiguousarray(part, part.dtype.newbyteorder("<")).view(np.uint8).data, total)
+        vars(volume)["_sum"] = total
+    return int(vars(volume)["_sum"])
