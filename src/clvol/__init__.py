@@ -64,7 +64,9 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.march.renderer import Output as Output
     from clvol.march.renderer import Renderer as Renderer
     from clvol.march.renderer import render as render
+    from clvol.march.slices import slice as slice  # noqa: A004  # as planes are shown: clvol.slice
     from clvol.scene.camera import Camera as Camera
+    from clvol.scene.clip import Plane as Plane
     from clvol.scene.light import Light as Light
     from clvol.scene.light import Material as Material
     from clvol.scene.mode import Attenuated as Attenuated
@@ -120,7 +122,9 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "interfaces.resize": "resize",
     "march.refine": "Refined",
     "march.renderer": "Output Renderer render",
+    "march.slices": "slice",
     "scene.camera": "Camera",
+    "scene.clip": "Plane",
     "scene.light": "Light Material",
     "scene.mode": "Attenuated Composite Isosurface Mean Minip Mip Mode modes",
     "scene.preset": "presets",

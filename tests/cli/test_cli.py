@@ -1188,6 +1188,7 @@ def test_the_tab_key_completes_names(clvol_command: Command, words: tuple[str, .
 
 COMMANDS = (
     "render",
+    "slice",
     "compare",
     "figure",
     "report",

@@ -22,7 +22,9 @@ from clvol.scene.mode import Mode, as_mode, every_option, mode_options, require_
 
 __all__ = [
     "BOUNDARIES",
+    "Background",
     "Boundary",
+    "ColorMap",
     "Compared",
     "DeviceName",
     "FigureName",
@@ -281,7 +283,7 @@ _MODES = f"{', '.join(clvol.modes())}."
 BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}; with a value, constant(5) or grid-constant(5)."
 Boundary = Annotated[str, Parameter(help=BOUNDARIES, completer=_any_of(clvol.boundaries))]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
-_Background = Annotated[str, Parameter(help="A name, a hex code, or 'none'.")]
+Background = Annotated[str, Parameter(help="A name, a hex code, or 'none'.")]
 
 
 @Parameter(name="*", group=_LOOK)
@@ -332,7 +334,7 @@ class Look:
             completer=_any_of(clvol.filters),
         ),
     ] = None
-    background: _Background = "black"
+    background: Background = "black"
     gradient: Annotated[
         Literal["analytic", "central"] | None,
         Parameter(help="The gradient that lighting uses. [default: analytic, where the filter has slopes]", show_default=False),
@@ -419,7 +421,7 @@ class SurfaceLook(Look):
 class ReportLook(SurfaceLook):
     """The same for the pictures of a report, on white."""
 
-    background: _Background = "white"
+    background: Background = "white"
 
 
 # -- options of modes ----------------------------------------------------------------------------------------
@@ -521,6 +523,7 @@ PageOutput = Annotated[Path, Parameter(name=["--output", "-o"], help="A folder, 
 Whole = Annotated[int, Parameter(converter=whole_numbers)]
 Size = Annotated[tuple[int, int], Parameter(help="Width and height in pixels.", converter=whole_numbers)]
 DeviceName = Annotated[str | None, Parameter(help="Number, 'cpu', 'gpu' or part of a name; see 'clvol devices'.")]
+ColorMap = Annotated[str, Parameter(completer=_any_of(_color_maps))]
 FilterName = Annotated[str, Parameter(completer=_any_of(_filter_names))]
 FigureName = Annotated[
     str,

@@ -22,6 +22,9 @@ from clvol.bricks.source import by_bricks as are_by_bricks
 from clvol.bricks.source import memory_for
 from clvol.cli import speech
 from clvol.cli.options import (
+    Background,
+    Boundary,
+    ColorMap,
     Compared,
     DeviceName,
     FigureName,
@@ -41,6 +44,7 @@ from clvol.cli.options import (
     Whole,
     bytes_of,
     own_options,
+    whole_numbers,
 )
 from clvol.cli.root import PICTURES, command
 from clvol.filter.table import PICTURE_FILTER
@@ -58,9 +62,11 @@ from clvol.volume.smoothing import settled
 if TYPE_CHECKING:
     from clvol.cli._preview import Preview
 
-__all__ = ["batch", "compare", "figure", "figure6", "movie", "render", "report"]
+__all__ = ["batch", "compare", "figure", "figure6", "movie", "render", "report", "slice"]
 
 _BRICKS = Group("For volumes that are read by bricks: large, remote, or stored in several sizes", sort_key=5)
+_PLANE = Group("Which slice", sort_key=1)
+_Plane = Literal["x", "y", "z", "sagittal", "coronal", "axial"]
 _FIRST = 0.2  # seconds until the first picture in the terminal
 _MOST_FRAMES = 10_000
 _COMPARED = 20_000  # gradients compared in a table of errors
@@ -339,6 +345,94 @@ def movie(
     shown = settled(volume.bounds.filter if row is None and volume.bounds is not None else row or PICTURE_FILTER, volume.part())
     result["filter"] = shown.name if json else speech.filter_text(shown, filter, volume)
     speech.say(json, result)
+
+
+@command(PICTURES)
+def slice(  # noqa: A001  # its name in the shell
+    source: Source,
+    /,
+    *,
+    output: Output,
+    plane: Annotated[_Plane | None, Parameter(show_default=False, group=_PLANE)] = None,
+    at: Annotated[float | None, Parameter(show_default=False, group=_PLANE)] = None,
+    normal: Annotated[tuple[float, float, float] | None, Parameter(group=_PLANE)] = None,
+    point: Annotated[tuple[float, float, float] | None, Parameter(show_default=False, group=_PLANE)] = None,
+    up: Annotated[tuple[float, float, float] | None, Parameter(show_default=False, group=_PLANE)] = None,
+    thickness: Annotated[float, Parameter(group=_PLANE)] = 0.0,
+    mode: Annotated[Literal["mean", "mip", "minip"] | None, Parameter(show_default=False, group=_PLANE)] = None,
+    size: Annotated[tuple[int, int] | None, Parameter(show_default=False, converter=whole_numbers)] = None,
+    pixel: Annotated[float | None, Parameter(show_default=False)] = None,
+    window: tuple[float, float] | None = None,
+    cmap: ColorMap | None = None,
+    background: Background = "black",
+    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
+    boundary: Boundary = "mirror",
+    device: DeviceName = None,
+    input: Input | None = None,
+    json: Json = False,
+) -> None:
+    """Draw a slice of a volume, at any angle, or a slab of some thickness.
+
+    Lengths and positions are in world units, as 'clvol info' lists them. Of a volume that is stored in several sizes or too large
+    for memory no more is read than the slice needs.
+
+    Parameters
+    ----------
+    plane
+        The axis of the world that it is across; of a patient also by the plane's name. [default: z]
+    at
+        Where on that axis. [default: the middle]
+    normal
+        Instead of --plane: the direction, x y z, that an oblique slice faces.
+    point
+        A point x y z of the oblique slice. [default: the middle of the volume]
+    up
+        The direction x y z that points up in the picture. [default: z; in slices across z y, for patients their front]
+    thickness
+        Of a slab about the plane. It is sampled at least twice a voxel.
+    mode
+        What a pixel of a slab shows: mean, mip (the maximum), minip (the minimum). [default: mean]
+    size
+        Width and height in pixels. [default: 512 along the longer side, or as --pixel says]
+    pixel
+        World units per pixel. [default: as the size says]
+    window
+        Centre (which radiologists call level) and width of the values that are told apart.
+    cmap
+        Colour map by name.
+    filter
+        As of 'clvol render'.
+    """
+    speech.require_picture(output)
+    if normal is None and point is not None:
+        raise OptionError(f"--point is of an oblique slice: give its --normal too, or --at; got {point}")
+    if normal is not None and (plane is not None or at is not None):
+        raise OptionError("--normal is of an oblique slice, whose place is its --point: leave out --plane and --at")
+    volume = _volume(input or Input(), source)
+    x, y, z = (float(v) for v in (volume.center if point is None else point))
+    cut = plane or "z" if normal is None else clvol.Plane(normal, (x, y, z))
+    with speech.progress("drawing", json) as progress:
+        picture = clvol.slice(
+            volume,
+            cut,
+            at,
+            size=size,
+            spacing=pixel,
+            up=up,
+            thickness=thickness,
+            mode=mode,
+            window=window,
+            cmap=cmap,
+            background=None if background == "none" else background,
+            filter=filter,
+            boundary=boundary,
+            device=device,
+            progress=progress,
+        )
+    clvol.save(picture, output)
+    assert picture.spacing is not None
+    result = {"output": str(output), "size": [picture.shape[1], picture.shape[0]], "pixel": picture.spacing[0]}
+    speech.say(json, result | {"units": volume.units})
 
 
 def _volume(

@@ -60,9 +60,12 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
     ----------
     kind : str
         Meaning of its numbers.
+    spacing : (float, float) or None
+        World units per pixel along rows and columns, of slices; None of other pictures, and of parts.
     """
 
     kind: str = "rgba"
+    spacing: tuple[float, float] | None = None
 
     def __new__(cls, array: ArrayLike, kind: str = "rgba") -> Self:
         result = as_array(array, "picture").view(cls)
@@ -72,6 +75,8 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
     def __array_finalize__(self, other: Any) -> None:
         if isinstance(other, Picture):
             vars(self).update(vars(other))
+            if self.shape[:2] != other.shape[:2]:
+                self.spacing = None
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         if array is self:  # computed in place
