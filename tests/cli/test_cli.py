@@ -1189,6 +1189,8 @@ def test_the_tab_key_completes_names(clvol_command: Command, words: tuple[str, .
 COMMANDS = (
     "render",
     "slice",
+    "orthogonal",
+    "movie",
     "compare",
     "figure",
     "report",

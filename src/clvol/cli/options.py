@@ -16,6 +16,7 @@ import clvol
 from clvol.base.errors import ChunkError, OptionError
 from clvol.device import as_device
 from clvol.formats.opening import WholeOnlyError, opened_if
+from clvol.interfaces.movie import series_of
 from clvol.march.options import unheard
 from clvol.scene.look import look as look_of
 from clvol.scene.mode import Mode, as_mode, every_option, mode_options, require_heard
@@ -226,6 +227,15 @@ class Input:
         given = self._given()
         raw = {"shape", "dtype", "byte_order", "offset"} & given.keys()
         return clvol.Volumes([clvol.read(source, **given)]) if raw else clvol.read_all(source, **given)
+
+    def playing(self, source: str | Path, limits: Mapping[str, Any]) -> list[clvol.Volume | clvol.LazyVolume]:
+        """The volumes along the times of a file, or else its volumes; the chosen one, if one was chosen."""
+        self._require_one()
+        if self.fill_nan is None:
+            return series_of(source, limits, **self._given())
+        if isinstance(self.fill_nan, str) or self.volume is not None or self.time is not None:
+            return [self.intact(source)]
+        return [self._filled(one) if isinstance(one, clvol.Volume) else one for one in series_of(source, limits, **self._given())]
 
     def python(self, source: str | Path) -> str | None:
         """The call in Python that reads the volume; None if there is no short one."""

@@ -37,7 +37,6 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = [
     "AXES",
-    "ORIENTATIONS",
     "SLABS",
     "SliceOptions",
     "axis_directions",
@@ -51,7 +50,6 @@ __all__ = [
 
 AXES = ("x", "y", "z")
 _ANATOMICAL = {"sagittal": 0, "coronal": 1, "axial": 2}
-ORIENTATIONS = ("radiological", "neurological")
 SLABS = ("mean", "mip", "minip")
 _PIXELS = 512  # along the longer side of a slice, by default
 _SAMPLED = 1 << 20
