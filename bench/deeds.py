@@ -303,6 +303,34 @@ def modes_as_classes(world: World, random: Random) -> Any:
     return _one(random, world.renderers).render(_camera(random), chosen, (48, 48))
 
 
+@_deed(8)
+def cut_open(world: World, random: Random) -> Any:
+    volume = _volume(world, random)
+    cuts = [clvol.Plane(random.normal(size=3), volume.center), clvol.Corner(volume.center, [np.inf] * 3)]
+    return clvol.render(volume, _camera(random), _one(random, world.modes), (40, 40), clip=_one(random, [*cuts, cuts]))
+
+
+@_deed(8)
+def several_media(world: World, random: Random) -> Any:
+    looks = [clvol.TransferFunction.from_cmap(name, (0.1, 1), 0.3) for name in ("magma", "viridis")]
+    media = [clvol.Medium(_volume(world, random), look) for look in looks]
+    return clvol.render(clvol.Scene(tuple(media)), _camera(random), _one(random, world.modes), (40, 40))
+
+
+@_deed(6)
+def slices(world: World, random: Random) -> Any:
+    volume = _volume(world, random)
+    plane = _one(random, ("x", 1, clvol.Plane(random.normal(size=3), volume.center)))
+    return [clvol.slice(volume, plane, size=(40, 32)), clvol.orthogonal(volume, size=(64, 64))]
+
+
+@_deed(2)
+def movies(world: World, random: Random) -> Any:
+    with world.own_folder() as folder:
+        made = clvol.movie(_volume(world, random), folder / "turn.zip", frames=3, size=(24, 24))
+        return [made.frames, made.path.read_bytes()]
+
+
 @_deed(6)
 def uncertain_surfaces(world: World, random: Random) -> Any:
     sigma = float(random.uniform(0.001, 0.1))

@@ -59,11 +59,14 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.formats.transforms import read_transform as read_transform
     from clvol.interfaces.batches import batch as batch
     from clvol.interfaces.interpolator import Interpolator as Interpolator
+    from clvol.interfaces.movie import movie as movie
+    from clvol.interfaces.orthogonal import orthogonal as orthogonal
     from clvol.interfaces.resize import resize as resize
     from clvol.march.refine import Refined as Refined
     from clvol.march.renderer import Output as Output
     from clvol.march.renderer import Renderer as Renderer
     from clvol.march.renderer import render as render
+    from clvol.march.slices import slice as slice  # noqa: A004  # as planes are shown: clvol.slice
     from clvol.scene.camera import Camera as Camera
     from clvol.scene.clip import Corner as Corner
     from clvol.scene.clip import Plane as Plane
@@ -119,9 +122,12 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "formats.transforms": "read_transform",
     "interfaces.batches": "batch",
     "interfaces.interpolator": "Interpolator",
+    "interfaces.movie": "movie",
+    "interfaces.orthogonal": "orthogonal",
     "interfaces.resize": "resize",
     "march.refine": "Refined",
     "march.renderer": "Output Renderer render",
+    "march.slices": "slice",
     "scene.camera": "Camera",
     "scene.clip": "Corner Plane",
     "scene.light": "Light Material",

@@ -266,7 +266,7 @@ def test_a_users_error_is_one_line(clvol_command: Command, options: tuple[str, .
             (
                 '"bogus"',
                 "compare, completion, convert, devices, doctor, figure, filters, info",
-                "resample, view: see 'clvol --help'",
+                "resample, slice, view: see 'clvol --help'",
             ),
         ),
         (("rendr", SPHERE), ("(did you mean render?)",)),
@@ -869,7 +869,7 @@ def test_figure_draws_prints_and_names_its_file(clvol_command: Command) -> None:
         (("2", "--pixels", "9"), ("figure 2 takes --filters; got --pixels",)),
         (("6", "--scan", "a.npz"), ("figure 6 takes --samples, --pixels, --filters, --device; got --scan",)),
         (("2", "-o", "a.gif"), ("figures are written as", ".svg")),
-        (("6", "-o", "a.svg"), ("pictures are written as", ".png")),
+        (("6", "-o", "a.gif"), ("pictures are written as", ".png")),
         (("2", "-o", "none/a.png"), ("does not exist",)),
         (("2", "--filters", "bogus"), ("'bogus'",)),
         (("3", "--scan", "missing.npz"), ("missing.npz",)),
@@ -1199,6 +1199,9 @@ def test_the_tab_key_completes_names(clvol_command: Command, words: tuple[str, .
 
 COMMANDS = (
     "render",
+    "slice",
+    "orthogonal",
+    "movie",
     "compare",
     "figure",
     "report",

@@ -154,7 +154,7 @@ def test_limits_of_the_rendering_process_apply(tmp_path: Path, device: Device) -
     ball = clvol.phantoms.marschner_lobb(24)
     limits = {"evaluator": "paired", "fetch": "buffer"}
     (one,) = clvol.batch(ball, None, tmp_path / "made.png", size=(20, 20), mode="mip", limits=limits)
-    (picture,) = batches.frames(ball, [None], size=(20, 20), mode="mip", limits=limits)
+    (picture,) = batches.frames([batches.Shot(ball)], size=(20, 20), mode="mip", limits=limits)
     with device.limited(**limits):
         wanted = clvol.render(ball, mode="mip", size=(20, 20), device=device)
     np.testing.assert_array_equal(picture, wanted)

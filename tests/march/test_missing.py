@@ -17,6 +17,7 @@ from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume
 from clvol.device import Device
 from clvol.march.renderer import Renderer, render
+from clvol.march.slices import section
 from clvol.march.source import by_parts
 from clvol.reference.march import march as reference
 from clvol.reference.march.missing import continued
@@ -24,7 +25,6 @@ from clvol.scene.camera import Camera
 from clvol.scene.scene import Medium, Scene
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.field import Field
-from clvol.view.slices import section
 from clvol.volume.histogram import clims_of, isovalue_of
 from clvol.volume.missing import EXTRAPOLATED, Missing, extrapolated
 from clvol.volume.volume import Volume, masked

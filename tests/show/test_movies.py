@@ -22,13 +22,13 @@ import clvol
 from clvol import cli
 from clvol.base.errors import MissingDependencyError, OptionError
 from clvol.dask.cluster import as_cluster
-from clvol.interfaces.batches import frames
+from clvol.interfaces.batches import Shot, frames
 from clvol.show import movies
 from clvol.show.picture import to_bytes
 
 HAS_ENCODER = find_spec("imageio_ffmpeg") is not None
 needs_encoder = pytest.mark.skipif(not HAS_ENCODER, reason="imageio-ffmpeg is not installed")
-FORMS = ["gif", "zip", pytest.param("mp4", marks=needs_encoder), pytest.param("webm", marks=needs_encoder)]
+FORMS = ["gif", "webp", "zip", pytest.param("mp4", marks=needs_encoder), pytest.param("webm", marks=needs_encoder)]
 COMMAND = ("movie", "phantom:marschner-lobb:24", "--size", "48", "40", "--mode", "isosurface")
 
 
@@ -45,7 +45,7 @@ def frames_of(path: Path) -> list[NDArray[np.uint8]]:
     if path.suffix == ".zip":
         with zipfile.ZipFile(path) as archive:
             return [np.asarray(Image.open(io.BytesIO(archive.read(name))).convert("RGB")) for name in archive.namelist()]
-    if path.suffix == ".gif":
+    if path.suffix in (".gif", ".webp"):
         return [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(Image.open(path))]
     import imageio_ffmpeg
 
@@ -85,6 +85,15 @@ def test_a_movie_needs_frames(form: str, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("form", [*movies.FORMATS, movies.FOLDER])
+def test_pictures_are_of_one_size(form: str, tmp_path: Path) -> None:
+    if form in ("mp4", "webm"):
+        pytest.importorskip("imageio_ffmpeg")
+    sizes = [next(bars(1)), next(bars(1, width=56)), next(bars(1))]
+    with pytest.raises(OptionError, match="pictures must be of one size, 48 × 32; got 56 × 32 at number 1"):
+        movies.write(sizes, tmp_path if form == movies.FOLDER else tmp_path / "movie", form)
+
+
 def test_transparency_is_black_in_videos_and_kept_in_a_zip(tmp_path: Path) -> None:
     half = np.full((4, 6, 4), (200, 100, 50, 128), np.uint8)
     movies.write([half, half], tmp_path / "a.gif", "gif")
@@ -100,7 +109,7 @@ def test_without_an_encoder_the_error_names_the_extra(monkeypatch: pytest.Monkey
         with pytest.raises(MissingDependencyError, match=r"pip install clvol\[movie\]"):
             movies.require_encoder(form)
     movies.require_encoder("gif")
-    with pytest.raises(OptionError, match="format must be one of gif, mp4, webm, zip; got 'avi'"):
+    with pytest.raises(OptionError, match="format must be one of gif, webp, mp4, webm, zip; got 'avi'"):
         movies.require_encoder("avi")
 
 
@@ -131,19 +140,20 @@ def test_a_cluster_makes_the_same_movie(tmp_path: Path, capsys: pytest.CaptureFi
     """One task per picture, in order, with few pending."""
     pytest.importorskip("distributed")
     volume, cameras, told = clvol.phantoms.marschner_lobb(24), clvol.Camera.turntable(9), list[float]()
-    alone = [picture.copy() for picture in frames(volume, cameras, mode="mip", size=(30, 20))]
+    shots = [Shot(volume, {"camera": camera}) for camera in cameras]
+    alone = [picture.copy() for picture in frames(shots, mode="mip", size=(30, 20))]
     with as_cluster(2) as cluster:
         submit, asked = cluster.submit, []
         cluster.submit = lambda *a, **k: asked.append(a[0]) or submit(*a, **k)  # type: ignore[func-returns-value, method-assign]
-        for number, picture in enumerate(frames(volume, cameras, cluster=cluster, progress=told.append, mode="mip", size=(30, 20))):
+        for number, picture in enumerate(frames(shots, cluster=cluster, progress=told.append, mode="mip", size=(30, 20))):
             np.testing.assert_array_equal(picture, alone[number])
             assert len(asked) <= number + 4
         assert told == [(i + 1) / 9 for i in range(9)]
-        coming = frames(volume, [*cameras, None], cluster=cluster, mode="mip", size=(30, 20))
+        coming = frames([*shots, Shot(volume)], cluster=cluster, mode="mip", size=(30, 20))
         next(coming)
         coming.close()  # unrequested frames are not rendered
         with pytest.raises(OptionError, match="lod"):
-            list(frames(volume, cameras, cluster=cluster, lod=-1))
+            list(frames(shots, cluster=cluster, lod=-1))
         made = []
         for more in ([], ["--scheduler", cluster.address]):
             with pytest.raises(SystemExit) as end:
@@ -157,7 +167,7 @@ def test_a_cluster_makes_the_same_movie(tmp_path: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("options", "code", "says"),
     [
-        (["-o", "a.avi"], 1, "movies are written as .gif, .mp4, .webm, .zip; got 'a.avi'"),
+        (["-o", "a.avi"], 1, "movies are written as .gif, .webp, .mp4, .webm, .zip, or PNG files into a folder (no suffix)"),
         (["-o", "no/a.gif"], 1, "does not exist"),
         (["-o", "a.gif", "--frames", "1"], 1, "frames"),
         (["-o", "a.gif", "--seconds", "0"], 1, "seconds"),
@@ -224,17 +234,8 @@ def test_an_interrupt_propagates_even_if_cleanup_fails(
     def closed_twice(*_: Any, **__: Any) -> None:
         raise OSError(9, "Bad file descriptor")
 
-    monkeypatch.setattr("clvol.interfaces.batches.frames", interrupted)
+    monkeypatch.setattr("clvol.interfaces.movie.frames", interrupted)
     monkeypatch.setattr("shutil.rmtree", closed_twice)
     with pytest.raises(SystemExit) as end:
         cli.main([*COMMAND, "-o", str(tmp_path / "a.gif"), "--frames", "5"])
     assert (end.value.code, capsys.readouterr().err) == (130, "clvol: interrupted\n")
-
-
-def test_invalid_arguments_are_rejected_before_the_first_frame() -> None:
-    """Before the first picture is rendered."""
-    volume = clvol.Volume(np.zeros((4, 5, 6), np.float32))
-    with pytest.raises(OptionError, match=r"source must be one volume; got 2: clvol\.batch takes several"):
-        frames([volume, volume], [None])
-    with pytest.raises(OptionError, match="each of cameras must be a Camera, or None for the default; got int"):
-        frames(volume, [None, 3])  # type: ignore[list-item]  # that is the question

@@ -15,7 +15,7 @@ from clvol.base.checks import as_path
 from clvol.base.errors import ClvolError, FormatError
 from clvol.base.locked import LOCK, locked_folder, remove_abandoned
 
-__all__ = ["MAX_HEADER", "full_disk", "require_folder", "require_suffix", "staged"]
+__all__ = ["MAX_HEADER", "full_disk", "require_empty", "require_folder", "require_suffix", "staged", "staged_folder"]
 
 MAX_HEADER = 1 << 20
 """Largest text header, in bytes. No valid one is longer, and libraries overflow their stack on headers of megabytes."""
@@ -62,8 +62,7 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
         raise FormatError(f"cannot write {path}: {error}") from error
     if target.is_dir():
         raise FormatError(f"cannot write {target}: it is a folder")
-    folder, number = _hidden_folder(target)
-    try:
+    with _hidden(path, target) as folder:
         written = folder / (target.name[: -len(suffix)] + suffix)  # libraries do not know ".NRRD"
         yield written
         data_files = [file for file in folder.iterdir() if file not in (written, folder / LOCK)]
@@ -77,6 +76,38 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
             file.replace(target.with_name(file.name))
         written.replace(target)
         _sync_folder(target.parent)
+
+
+@contextlib.contextmanager
+def staged_folder(path: Path) -> Iterator[Path]:
+    """A new folder to write to, in a hidden one beside `path`. It moves into place once the block succeeds; see `require_empty`."""
+    target = require_empty(path)
+    with _hidden(path, target) as folder:
+        written = folder / target.name
+        written.mkdir()
+        yield written
+        for file in written.iterdir():
+            _sync(file)
+        if target.exists():
+            target.rmdir()  # it is empty
+        written.rename(target)
+        _sync_folder(target.parent)
+
+
+def require_empty(path: Path) -> Path:
+    """The absolute path of a folder that is not there yet, or empty; else `FormatError`."""
+    target = path.resolve()
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise FormatError(f"cannot write {path}: it must be a new folder, or an empty one")
+    return target
+
+
+@contextlib.contextmanager
+def _hidden(path: Path, target: Path) -> Iterator[Path]:
+    """A hidden folder beside the target, and errors in it as those of writing to `path`."""
+    folder, number = _hidden_folder(target)
+    try:
+        yield folder
     except (OSError, ValueError) as error:
         if full := full_disk(error, folder):
             raise FormatError(f"cannot write {path}: {full}") from error

@@ -16,13 +16,16 @@ import clvol
 from clvol.base.errors import ChunkError, OptionError
 from clvol.device import as_device
 from clvol.formats.opening import WholeOnlyError, opened_if
+from clvol.interfaces.movie import series_of
 from clvol.march.options import unheard
 from clvol.scene.look import look as look_of
 from clvol.scene.mode import Mode, as_mode, every_option, mode_options, require_heard
 
 __all__ = [
     "BOUNDARIES",
+    "Background",
     "Boundary",
+    "ColorMap",
     "Compared",
     "DeviceName",
     "FigureName",
@@ -226,6 +229,15 @@ class Input:
         raw = {"shape", "dtype", "byte_order", "offset"} & given.keys()
         return clvol.Volumes([clvol.read(source, **given)]) if raw else clvol.read_all(source, **given)
 
+    def playing(self, source: str | Path, limits: Mapping[str, Any]) -> list[clvol.Volume | clvol.LazyVolume]:
+        """The volumes along the times of a file, or else its volumes; the chosen one, if one was chosen."""
+        self._require_one()
+        if self.fill_nan is None:
+            return series_of(source, limits, **self._given())
+        if isinstance(self.fill_nan, str) or self.volume is not None or self.time is not None:
+            return [self.intact(source)]
+        return [self._filled(one) if isinstance(one, clvol.Volume) else one for one in series_of(source, limits, **self._given())]
+
     def python(self, source: str | Path) -> str | None:
         """The call in Python that reads the volume; None if there is no short one."""
         given = self._given()
@@ -287,7 +299,7 @@ BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}
 Boundary = Annotated[str, Parameter(help=BOUNDARIES, completer=_any_of(clvol.boundaries))]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
 _Six = tuple[float, float, float, float, float, float]
-_Background = Annotated[
+Background = Annotated[
     str | None, Parameter(help="A name, a hex code, or 'none'. [default: black; white for --theme print]", show_default=False)
 ]
 
@@ -351,7 +363,7 @@ class Look:
             completer=_any_of(clvol.filters),
         ),
     ] = None
-    background: _Background = None
+    background: Background = None
     gradient: Annotated[
         Literal["analytic", "central"] | None,
         Parameter(help="The gradient that lighting uses. [default: analytic, where the filter has slopes]", show_default=False),
@@ -441,7 +453,7 @@ class SurfaceLook(Look):
 class ReportLook(SurfaceLook):
     """The same for the pictures of a report, on white."""
 
-    background: _Background = "white"
+    background: Background = "white"
 
 
 @Parameter(name="*", group=Group("What stands around a picture: nothing by default", sort_key=4))
@@ -582,6 +594,7 @@ PageOutput = Annotated[Path, Parameter(name=["--output", "-o"], help="A folder, 
 Whole = Annotated[int, Parameter(converter=whole_numbers)]
 Size = Annotated[tuple[int, int], Parameter(help="Width and height in pixels.", converter=whole_numbers)]
 DeviceName = Annotated[str | None, Parameter(help="Number, 'cpu', 'gpu' or part of a name; see 'clvol devices'.")]
+ColorMap = Annotated[str, Parameter(completer=_any_of(_color_maps))]
 FilterName = Annotated[str, Parameter(completer=_any_of(_filter_names))]
 FigureName = Annotated[
     str,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,14 +14,16 @@ from cyclopts import Group, Parameter
 
 import clvol
 from clvol.base import html
-from clvol.base.checks import number, whole
 from clvol.base.errors import OptionError
-from clvol.base.files import require_folder, require_suffix, staged
+from clvol.base.files import require_folder
 from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import by_bricks as are_by_bricks
 from clvol.bricks.source import memory_for
 from clvol.cli import speech
 from clvol.cli.options import (
+    Background,
+    Boundary,
+    ColorMap,
     Compared,
     DeviceName,
     FigureName,
@@ -43,12 +45,14 @@ from clvol.cli.options import (
     bytes_of,
     is_address,
     own_options,
+    whole_numbers,
 )
 from clvol.cli.root import PICTURES, command
 from clvol.filter.table import PICTURE_FILTER
-from clvol.interfaces import batches
 from clvol.interfaces.again import render_again
 from clvol.interfaces.batches import needs_whole
+from clvol.interfaces.movie import pooled
+from clvol.interfaces.orthogonal import ORIENTATIONS
 from clvol.march.empty import warn_of_refined
 from clvol.march.source import row_for
 from clvol.march.uncertainty import COVERAGE, in_words
@@ -62,11 +66,12 @@ from clvol.volume.smoothing import settled
 if TYPE_CHECKING:
     from clvol.cli._preview import Preview
 
-__all__ = ["batch", "compare", "figure", "figure6", "movie", "render", "report"]
+__all__ = ["batch", "compare", "figure", "figure6", "movie", "orthogonal", "render", "report", "slice"]
 
 _BRICKS = Group("For volumes that are read by bricks: large, remote, or stored in several sizes", sort_key=5)
+_PLANE = Group("Which slice", sort_key=1)
+_Plane = Literal["x", "y", "z", "sagittal", "coronal", "axial"]
 _FIRST = 0.2  # seconds until the first picture in the terminal
-_MOST_FRAMES = 10_000
 _COMPARED = 20_000  # gradients compared in a table of errors
 
 
@@ -103,7 +108,7 @@ def render(
     ----------
     from_
         Draw the picture of this PNG file again, to the bit: clvol's PNG files say what made them. SOURCE is then read from where it
-        was, as seen from that file's folder, unless it is given; --size may be another.
+        was, as seen from that file's folder, unless it is given. The size may be another.
     filter
         How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3(auto), which smooths the noise that it
         finds; bspline3 in modes that show extremes, such as mip]
@@ -321,12 +326,15 @@ def movie(
     /,
     *,
     output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="The file to write: .mp4, .webm, .gif, or .zip with PNG files.")
+        Path,
+        Parameter(
+            name=["--output", "-o"], help="The file to write: .mp4, .webm, .gif, .webp, .zip with PNG files, or a folder for them."
+        ),
     ],
-    seconds: float = 5.0,
-    fps: float = movies.PER_SECOND,
+    seconds: Annotated[float | None, Parameter(show_default=False)] = None,
+    fps: Annotated[float | None, Parameter(show_default=False)] = None,
     frames: Annotated[Whole | None, Parameter(show_default=False)] = None,
-    turns: float = 1.0,
+    turns: Annotated[float | None, Parameter(show_default=False)] = None,
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     size: Size = (512, 512),
     device: DeviceName = None,
@@ -337,58 +345,226 @@ def movie(
     together: Together | None = None,
     json: Json = False,
 ) -> None:
-    """Make a movie of a volume that turns about its vertical.
+    """Make a movie: a volume turns about its vertical, and a file of several times or volumes plays them.
 
-    Of a file with several times or volumes the first one turns, and a note says so, unless --time or --volume chooses another: a
-    movie does not play times. The first picture is that of 'clvol render'; if --turns is whole, the movie loops smoothly. Videos
-    need an even number of pixels along each axis: the last one of an odd number is left out. With --scheduler or --workers each
-    picture is a task; a volume that is not read by bricks is sent to the workers.
+    Of such a file --time or --volume chooses one, which then turns; --turns turns it while it plays. All its pictures have one
+    transfer function, isovalue and filter. The first picture of a volume that turns is that of 'clvol render'; if --turns is whole,
+    the movie loops smoothly. Videos need an even number of pixels along each axis: the last one of an odd number is left out. With
+    --scheduler or --workers each picture is a task; a volume that is not read by bricks is sent to the workers.
 
     Parameters
     ----------
     seconds
-        Its duration.
+        Its duration. [default: 5]
     fps
-        Pictures per second, 0.1 to 1000. GIF rounds the duration of each to hundredths of a second.
+        Pictures per second, 0.1 to 1000. GIF rounds the duration of each to hundredths of a second. [default: 25; if several times
+        play and nothing turns, what shows each of them once]
     frames
         The number of pictures, instead of --seconds.
     turns
-        The number of turns; a negative number turns the other way.
+        The number of turns; a negative number turns the other way. [default: 1; 0 if several times play]
     filter
         As of 'clvol render'.
     """
-    form = require_suffix(output, movies.SUFFIXES, "movies").removeprefix(".")
+    form = movies.form_of(output)
     require_folder(output)
-    number("fps", fps, minimum=0.1, maximum=1000)
-    number("seconds", seconds, above=0)
-    turns = number("turns", turns)
-    if frames is None and not 2 <= round(seconds * fps) <= _MOST_FRAMES:
-        raise OptionError(
-            f"a movie must have 2 to {_MOST_FRAMES} pictures; {seconds:g} s at {fps:g} a second are {seconds * fps:.0f}"
-        )
-    count = whole("frames", round(seconds * fps) if frames is None else frames, 2, _MOST_FRAMES)
     movies.require_encoder(form)
-    movies.require_room(form, count, size)
-    if form in ("mp4", "webm") and min(size) < 2:
-        raise OptionError(f"a video must be at least 2 pixels wide and high; got {size[0]} × {size[1]}")
     look = look or Look()
     around = furniture.options() if furniture else {}
     options = own_options(look, own, around=around) | around
     cluster = together.cluster if together else None
     limits = look.limits()
-    volume = _volume(input or Input(), source, whole=needs_whole(limits))
+    volumes = _times(input or Input(), source, limits)
     with speech.progress("drawing", json) as progress:
-        options |= look.options(volume.preview())
-        row = row_for(volume, filter, as_mode(look.mode).picture_filter)
-        options |= {"filter": row, "boundary": look.boundary, "device": device, "size": size}
-        cameras = [replace(look, azimuth=look.azimuth + 360 * turns * i / count).camera() for i in range(count)]
-        del options["camera"]
-        drawn = batches.frames(volume, cameras, cluster=cluster, progress=progress, limits=limits, **options)
-        with staged(output, f".{form}") as path, contextlib.closing(drawn):
-            movies.write(drawn, path, form, fps)
-    result: dict[str, Any] = {"output": str(output), "frames": count, "fps": movies.rate(form, fps), "mode": look.mode}
-    shown = settled(volume.bounds.filter if row is None and volume.bounds is not None else row or PICTURE_FILTER, volume.part())
+        options |= look.options(pooled(volumes))
+        made = clvol.movie(
+            volumes,
+            output,
+            seconds=seconds,
+            fps=fps,
+            frames=frames,
+            turns=turns,
+            cluster=cluster,
+            progress=progress,
+            limits=limits,
+            filter=filter,
+            boundary=look.boundary,
+            device=device,
+            size=size,
+            **options,
+        )
+    result: dict[str, Any] = {"output": str(output), "frames": made.frames, "fps": made.fps, "mode": look.mode}
+    result |= {"times": made.times} if made.times > 1 else {}
+    volume = volumes[0]
+    row = made.filter or (volume.bounds.filter if volume.bounds is not None else PICTURE_FILTER)
+    shown = settled(row, volume.part())
     result["filter"] = shown.name if json else speech.filter_text(shown, filter, volume)
+    speech.say(json, result)
+
+
+def _times(reader: Input, source: str | Path, limits: Mapping[str, Any]) -> Sequence[clvol.Volume | clvol.LazyVolume]:
+    """The volumes of a movie: several, if a file has several times or volumes and none was chosen."""
+    if is_address(source) or str(source).startswith("phantom:"):
+        return [_volume(reader, source, whole=needs_whole(limits))]
+    return reader.playing(source, limits)
+
+
+@command(PICTURES)
+def slice(  # noqa: A001  # its name in the shell
+    source: Source,
+    /,
+    *,
+    output: Output,
+    plane: Annotated[_Plane | None, Parameter(show_default=False, group=_PLANE)] = None,
+    at: Annotated[float | None, Parameter(show_default=False, group=_PLANE)] = None,
+    normal: Annotated[tuple[float, float, float] | None, Parameter(group=_PLANE)] = None,
+    point: Annotated[tuple[float, float, float] | None, Parameter(show_default=False, group=_PLANE)] = None,
+    up: Annotated[tuple[float, float, float] | None, Parameter(show_default=False, group=_PLANE)] = None,
+    thickness: Annotated[float, Parameter(group=_PLANE)] = 0.0,
+    mode: Annotated[Literal["mean", "mip", "minip"] | None, Parameter(show_default=False, group=_PLANE)] = None,
+    size: Annotated[tuple[int, int] | None, Parameter(show_default=False, converter=whole_numbers)] = None,
+    pixel: Annotated[float | None, Parameter(show_default=False)] = None,
+    window: tuple[float, float] | None = None,
+    cmap: ColorMap | None = None,
+    background: Background = "black",
+    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
+    boundary: Boundary = "mirror",
+    device: DeviceName = None,
+    input: Input | None = None,
+    json: Json = False,
+) -> None:
+    """Draw a slice of a volume, at any angle, or a slab of some thickness.
+
+    Lengths and positions are in world units, as 'clvol info' lists them. Of a volume that is stored in several sizes or too large
+    for memory no more is read than the slice needs.
+
+    Parameters
+    ----------
+    plane
+        The axis of the world that it is across; of a patient also by the plane's name. [default: z]
+    at
+        Where on that axis. [default: the middle]
+    normal
+        Instead of --plane: the direction, x y z, that an oblique slice faces.
+    point
+        A point x y z of the oblique slice. [default: the middle of the volume]
+    up
+        The direction x y z that points up in the picture. [default: z; in slices across z y, for patients their front]
+    thickness
+        Of a slab about the plane. It is sampled at least twice a voxel.
+    mode
+        What a pixel of a slab shows: mean, mip (the maximum), minip (the minimum). [default: mean]
+    size
+        Width and height in pixels. [default: 512 along the longer side, or as --pixel says]
+    pixel
+        World units per pixel. [default: as the size says]
+    window
+        Centre (which radiologists call level) and width of the values that are told apart.
+    cmap
+        Colour map by name.
+    filter
+        As of 'clvol render'.
+    """
+    speech.require_picture(output)
+    if normal is None and point is not None:
+        raise OptionError(f"--point is of an oblique slice: give its --normal too, or --at; got {point}")
+    if normal is not None and (plane is not None or at is not None):
+        raise OptionError("--normal is of an oblique slice, whose place is its --point: leave out --plane and --at")
+    volume = _volume(input or Input(), source)
+    x, y, z = (float(v) for v in (volume.center if point is None else point))
+    cut = plane or "z" if normal is None else clvol.Plane(normal, (x, y, z))
+    with speech.progress("drawing", json) as progress:
+        picture = clvol.slice(
+            volume,
+            cut,
+            at,
+            size=size,
+            spacing=pixel,
+            up=up,
+            thickness=thickness,
+            mode=mode,
+            window=window,
+            cmap=cmap,
+            background=None if background == "none" else background,
+            filter=filter,
+            boundary=boundary,
+            device=device,
+            progress=progress,
+        )
+    clvol.save(picture, output)
+    assert picture.spacing is not None
+    result = {"output": str(output), "size": [picture.shape[1], picture.shape[0]], "pixel": picture.spacing[0]}
+    speech.say(json, result | {"units": volume.units})
+
+
+@command(PICTURES)
+def orthogonal(
+    source: Source,
+    /,
+    *,
+    output: Output,
+    point: Annotated[tuple[float, float, float] | None, Parameter(show_default=False, group=_PLANE)] = None,
+    crosshair: Annotated[bool, Parameter(negative="", group=_PLANE)] = False,
+    orientation: Annotated[Literal["radiological", "neurological"] | None, Parameter(show_default=False, group=_PLANE)] = None,
+    thickness: Annotated[float, Parameter(group=_PLANE)] = 0.0,
+    slab: Annotated[Literal["mean", "mip", "minip"] | None, Parameter(show_default=False, group=_PLANE)] = None,
+    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
+    size: Size = (1024, 1024),
+    device: DeviceName = None,
+    input: Input | None = None,
+    look: Look | None = None,
+    own: ModeOptions | None = None,
+    json: Json = False,
+) -> None:
+    """Draw three slices through a point, across the world's axes, and the 3-D picture, in one picture.
+
+    Above the slice across z (axial) and the 3-D picture, below those across y (coronal) and x (sagittal), at one scale. Of the look
+    --window and --cmap are of the slices, and the other options of the 3-D picture.
+
+    Parameters
+    ----------
+    point
+        The point x y z, in world units. [default: the middle]
+    crosshair
+        Draw lines where the other slices are.
+    orientation
+        Of a patient: radiological, with the right on the left, or neurological, with the right on the right. [default:
+        radiological]
+    thickness
+        Of slabs instead of slices.
+    slab
+        What a pixel of a slab shows. [default: mean]
+    filter
+        As of 'clvol render'.
+    """
+    speech.require_picture(output)
+    look = look or Look()
+    solid = replace(look, window=None, cmap=None)
+    options = own_options(solid, own)
+    volume = _volume(input or Input(), source, whole=needs_whole(look.limits()))
+    with speech.progress("drawing", json) as progress, look.limited(device):
+        options |= solid.options(volume.preview())
+        picture = clvol.orthogonal(
+            volume,
+            point,
+            size,
+            crosshair=crosshair,
+            orientation=orientation,
+            thickness=thickness,
+            slab=slab,
+            window=look.window,
+            cmap=look.cmap,
+            filter=filter,
+            boundary=look.boundary,
+            device=device,
+            progress=progress,
+            **options,
+        )
+    clvol.save(picture, output)
+    result: dict[str, Any] = {"output": str(output), "size": list(size), "mode": look.mode}
+    if volume.grid.space == "LPS":
+        seen = orientation or "radiological"
+        result["orientation"] = seen if json else f"{seen}: {ORIENTATIONS[seen]}"
     speech.say(json, result)
 
 

@@ -116,17 +116,17 @@ def view(
             from clvol.view.hosts.desktop import require_display, show_on_desktop
 
             require_display()  # before the volume is read
-            show_on_desktop(_made(*_read(reader, name, device), name, filter, device, look, options))
+            show_on_desktop(_made(_read(reader, name, device), name, filter, device, look, options))
         else:
             from clvol.view.hosts.terminal import show_in_terminal
 
-            show_in_terminal(_made(*_read(reader, name, device), name, filter, device, look, options))
+            show_in_terminal(_made(_read(reader, name, device), name, filter, device, look, options))
         return
     made: Future[View] = Future()  # started before the server is imported, which takes as long as reading a small file
 
     def make() -> None:
         try:
-            made.set_result(_made(*_read(reader, name, device), name, filter, device, look, options))
+            made.set_result(_made(_read(reader, name, device), name, filter, device, look, options))
         except BaseException as error:
             made.set_exception(error)
 
@@ -159,7 +159,7 @@ def view(
         """Build kernels while the file is read."""
         shown = replace(look, preset=None, clip=None, clip_plane=(), clip_corner=())  # these may not suit another volume
         with suppress(Exception):  # errors are reported with the volume, or on each page
-            _made(phantoms.marschner_lobb(_REHEARSED), None, None, name, filter, device, shown, options).rehearse()
+            _made((phantoms.marschner_lobb(_REHEARSED), None, None), name, filter, device, shown, options).rehearse()
 
     def prepare() -> None:
         """Prepare the first picture while the browser starts."""
@@ -242,19 +242,18 @@ def _is_small(name: str) -> bool:
 
 
 def _made(
-    scene: Volume | Volumes,
-    source: str | None,
-    finer: Finer | None,
+    found: tuple[Volume | Volumes, str | None, Finer | None],
     name: str,
     filter: str | None,
     device: str | None,
     look: Look,
     own: dict[str, Any],
 ) -> View:
-    """The view that the command line asks for; `source` is the call in Python that reads the volume."""
+    """The view that the command line asks for, of what `_read` found."""
     from clvol.view import View
     from clvol.volume.volumes import Volumes
 
+    scene, source, finer = found
     volume = scene.first if isinstance(scene, Volumes) else scene
     options = look.options(volume) | own
     if look.value_range is None:  # by their names, so that the page shows them

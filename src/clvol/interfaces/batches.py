@@ -8,7 +8,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from string import Formatter
@@ -31,7 +31,7 @@ from clvol.volume.volume import Volume, as_volume
 if TYPE_CHECKING:  # clusters need dask
     from clvol.dask.cluster import Cluster, ClusterLike
 
-__all__ = ["Drawn", "batch", "frames", "needs_whole"]
+__all__ = ["Drawn", "Shot", "batch", "frames", "needs_whole"]
 
 _OF_RENDERER = tuple(FieldOptions.__annotations__)  # the other options are those of a picture
 _FIELDS = ("name", "number", "frame")
@@ -58,6 +58,22 @@ class Drawn:
     frame: int
     path: Path
     error: ClvolError | None = None
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture of a movie.
+
+    Attributes
+    ----------
+    source : path, Volume or LazyVolume
+        As of `batch`.
+    changes : mapping
+        Its own options, as of `Renderer.render`, such as its camera, beside those of all pictures.
+    """
+
+    source: Any
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
 
 def batch(
@@ -157,13 +173,13 @@ def _outcomes(
         with closing(_LastRenderer()) as last:
             for number, (source, view) in enumerate(itertools.product(sources, views)):
                 try:
-                    yield number, last.drawn(source, request, view)
+                    yield number, last.drawn(source, request, _seen_by(view))
                 except ClvolError as error:
                     yield number, error
         return
     with _workers_of(cluster) as (workers, token):
         sent = [_sent(workers, source) for source in sources]
-        tasks = [workers.submit(_task, token, source, request, view) for source, view in itertools.product(sent, views)]
+        tasks = [workers.submit(_task, token, source, request, _seen_by(view)) for source, view in itertools.product(sent, views)]
         try:
             yield from workers.as_completed(tasks, keep_errors=True)
         finally:
@@ -171,24 +187,21 @@ def _outcomes(
 
 
 def frames(
-    source: Any,
-    cameras: Sequence[Camera | None],
+    shots: Sequence[Shot],
     *,
     cluster: ClusterLike | None = None,
     progress: Progress | None = None,
     limits: Mapping[str, Any] | None = None,
     **options: Unpack[BatchOptions],
 ) -> Generator[Picture, None, None]:
-    """Yield the pictures of a volume, in order, for example for `movies.write`.
+    """Yield the pictures of a movie, in order, for example for `movies.write`.
 
-    The workers of a cluster hold only a few pictures at a time.
+    A renderer is kept from one picture to the next of the same source. The workers of a cluster hold only a few pictures at a time.
 
     Parameters
     ----------
-    source : path, Volume or LazyVolume
-        As of `batch`.
-    cameras : sequence of Camera or None
-        One for each picture; None is the default one.
+    shots : sequence of Shot
+        One for each picture.
     cluster : distributed.Client, str or int, optional
         As of `batch`.
     progress : callable, optional
@@ -196,44 +209,31 @@ def frames(
     limits : mapping, optional
         Limits of whichever device draws, as of `Device.limited`.
     **options
-        As of `clvol.render`.
+        As of `clvol.render`, of all pictures.
 
     Raises
     ------
-    OptionError
-        `source` is more than one volume, or `cameras` holds something else.
     ClvolError
         As raised by `clvol.render`, when the picture is reached.
     ClusterError
         The scheduler or all of its workers are gone.
     """
-    sources = _as_sources(source)
-    if len(sources) != 1:
-        raise OptionError(f"source must be one volume; got {len(sources)}: clvol.batch takes several")
-    for camera in cameras:
-        if camera is not None and not isinstance(camera, Camera):
-            raise OptionError(f"each of cameras must be a Camera, or None for the default; got {type(camera).__qualname__}")
-    return _frames(sources[0], cameras, cluster, progress, _Request({}, None, {**options}, dict(limits or {})))
-
-
-def _frames(
-    source: Any, cameras: Sequence[Camera | None], cluster: ClusterLike | None, progress: Progress | None, request: _Request
-) -> Generator[Picture, None, None]:
-    """As `frames`, which checks its arguments eagerly."""
-    count = len(cameras)
+    count, request = len(shots), _Request({}, None, {**options}, dict(limits or {}))
     if cluster is None:
         with closing(_LastRenderer()) as last:
-            for number, camera in enumerate(cameras):
+            for number, shot in enumerate(shots):
                 part = part_of(progress, number / count, (number + 1) / count)
-                yield last.drawn(source, request, camera, progress=part)
+                yield last.drawn(shot.source, request, shot.changes, progress=part)
         return
     with _workers_of(cluster) as (workers, token):
-        sent, left = _sent(workers, source), iter(cameras)
-        tasks: deque[Any] = deque()
+        left, tasks = iter(shots), deque[Any]()
+        last_source = sent = None
         try:
             for number in range(count):
-                for camera in itertools.islice(left, max(1, _QUEUED * len(workers.workers) - len(tasks))):
-                    tasks.append(workers.submit(_task, token, sent, request, camera))
+                for shot in itertools.islice(left, max(1, _QUEUED * len(workers.workers) - len(tasks))):
+                    if sent is None or shot.source is not last_source:
+                        last_source, sent = shot.source, _sent(workers, shot.source)
+                    tasks.append(workers.submit(_task, token, sent, request, shot.changes))
                 ((_, picture),) = workers.as_completed([tasks[0]])
                 tasks.popleft()
                 if progress:
@@ -241,6 +241,11 @@ def _frames(
                 yield picture
         finally:
             workers.cancel(tasks)
+
+
+def _seen_by(camera: Camera | None) -> dict[str, Any]:
+    """The option of a camera; none for the default one."""
+    return {} if camera is None else {"camera": camera}
 
 
 @contextmanager
@@ -319,12 +324,11 @@ class _LastRenderer:
         return self._renderer, self._options
 
     def drawn(
-        self, source: Any, request: _Request, view: Camera | None, token: str = "", progress: Progress | None = None
+        self, source: Any, request: _Request, changes: Mapping[str, Any], token: str = "", progress: Progress | None = None
     ) -> Picture:
-        """A picture; `token` identifies the batch, since a file may change between batches."""
+        """A picture, with `changes` to the options; `token` identifies the batch, since a file may change between batches."""
         renderer, options = self._of(token, source, request)
-        if view is not None:
-            options = options | {"camera": view}
+        options = options | dict(changes)
         with renderer.device.limited(**request.limits):
             return renderer.render(**options, progress=progress)  # type: ignore[no-any-return]  # its options are the caller's
 
@@ -332,9 +336,9 @@ class _LastRenderer:
 _worker = _LastRenderer()
 
 
-def _task(token: str, source: Any, request: _Request, view: Camera | None) -> Any:
+def _task(token: str, source: Any, request: _Request, changes: Mapping[str, Any]) -> Any:
     with _worker_lock():
-        return _worker.drawn(source, request, view, token)
+        return _worker.drawn(source, request, changes, token)
 
 
 def _release() -> None:

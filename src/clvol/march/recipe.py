@@ -201,7 +201,9 @@ class Staged(NamedTuple):
         forced = {name: value for name in _FORCED if (value := getattr(device.limits, name)) != "auto"}
         central = look.central and look.mode.shaded and source.filter_of(look.mode).has_gradient
         how = (fine.size, fine.step, fine.rays, fine.filter, fine.lod, central)
-        recipe = Recipe(settled, look.camera, look.unsettled or look.mode, *how, self.furniture, source.by_bricks, forced, device.name)
+        recipe = Recipe(
+            settled, look.camera, look.unsettled or look.mode, *how, self.furniture, source.by_bricks, forced, device.name
+        )
         if source.by_bricks and source.preview is not look.scene.media[0].volume:  # it is not in memory
             object.__setattr__(recipe, "lazy", source.field.volume)
             object.__setattr__(recipe, "preview", source.preview)

@@ -37,7 +37,9 @@ Box: TypeAlias = tuple[Vector, Vector]
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane that cuts a scene: the half that its normal points to is cut away, and the other is kept.
+    """A plane of the world: one that cuts a scene, or that of a slice.
+
+    The half that its normal points to is cut away, and the other is kept; a slice is seen from the side that it points to.
 
     Planes are a value of `clip` in `clvol.render`, `Renderer.render` and `Scene`, one or several in a list. The camera stays where
     it would be without them, so that only pixels change whose rays meet what is cut away.

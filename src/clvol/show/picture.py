@@ -79,9 +79,12 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
     options : dict
         The other arguments with which ``clvol.render(picture.scene, picture.camera, **picture.options)`` renders it again, to the
         bit.
+    spacing : (float, float) or None
+        World units per pixel along rows and columns, of slices; None of other pictures, and of parts.
     """
 
     kind: str = "rgba"
+    spacing: tuple[float, float] | None = None
     recipe: Any = None  # clvol.march.recipe.Recipe
     furnished: Furnished | None = None
 
@@ -95,6 +98,8 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
             vars(self).update(vars(other))
             if self.shape != other.shape:
                 self.recipe = self.furnished = None
+            if self.shape[:2] != other.shape[:2]:
+                self.spacing = None
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         if array is self:  # computed in place

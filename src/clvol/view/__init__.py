@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from clvol.base.errors import ClvolError, MissingDependencyError
 from clvol.filter.table import as_filter
 from clvol.march.renderer import Renderer
+from clvol.march.slices import section
 from clvol.show.picture import Picture, to_png
 from clvol.view import code
 from clvol.view.code import from_toml, from_url
@@ -24,7 +25,6 @@ from clvol.view.panes import PaneSize
 from clvol.view.resident import Resident
 from clvol.view.session import Session
 from clvol.view.sketch import without_prefilter
-from clvol.view.slices import section
 from clvol.view.state import State
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import OptionError
 from clvol.bricks.field import BrickedField
 from clvol.march.renderer import Renderer
+from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
 from clvol.scene.mode import as_mode
 from clvol.spline.field import Field
@@ -24,7 +25,6 @@ from clvol.view.events import Context, Inputs
 from clvol.view.panes import Pane3D, PaneSize, SlicePane, triple
 from clvol.view.protocol import Change
 from clvol.view.resident import Resident
-from clvol.view.slices import window_of_slices
 from clvol.view.state import History, State
 from clvol.volume.histogram import label_numbers
 from clvol.volume.volume import Volume

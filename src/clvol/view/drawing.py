@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import ClvolError
 from clvol.march.renderer import Renderer
+from clvol.march.slices import plane_points, shaded
 from clvol.show.picture import Picture, heat, to_bytes
 from clvol.view.background import started
 from clvol.view.events import Context
@@ -24,7 +25,6 @@ from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane
 from clvol.view.resident import Resident
 from clvol.view.sketch import Sketch
-from clvol.view.slices import plane_points, shaded
 from clvol.view.state import State
 from clvol.view.wiper import joined
 

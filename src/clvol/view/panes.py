@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.march.slices import axis_directions
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.view.state import PANES, State, Triple
 from clvol.volume.volume import Volume
@@ -153,13 +154,9 @@ class SlicePane:
     @classmethod
     def of(cls, state: State, volume: Volume, axis: int, size: PaneSize) -> SlicePane:
         """The pane of a state."""
-        across, along = [(1, 2), (0, 2), (0, 1)][axis]
-        right, down = np.eye(3)[across], np.eye(3)[along]
-        # up is z, or y in slices across z; rows of images run down
-        if volume.space != "image" and not (axis == 2 and volume.space == "LPS"):
-            down = -down
+        right, down = axis_directions(volume.space, axis)
         extents = np.ptp(volume.corners, axis=0)
-        fitted = _MARGIN * max(extents[across] / size.width, extents[along] / size.height)
+        fitted = _MARGIN * max(extents @ np.abs(right) / size.width, extents @ np.abs(down) / size.height)
         middle = np.array(volume.center if state.slice.center is None else state.slice.center, np.float64)
         middle[axis] = (volume.center if state.crosshair is None else state.crosshair)[axis]
         return cls(size, axis, middle, right, down, float(fitted) / state.slice.zoom)

@@ -15,6 +15,7 @@ from clvol.device import Device
 from clvol.filter.boundary import boundaries
 from clvol.filter.table import filters
 from clvol.march.options import ViewOptions, unheard
+from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
 from clvol.scene.fit import fitted
 from clvol.scene.look import look
@@ -27,7 +28,6 @@ from clvol.view.finer import Finer, Wanted
 from clvol.view.opening import Viewable, first_state, opened
 from clvol.view.panes import PaneSize, SlicePane, camera_of, triple
 from clvol.view.renderers import Renderers
-from clvol.view.slices import window_of_slices
 from clvol.view.state import MOST_POINTS, WORDS, State, plain, transfer_json
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.volume import Volume

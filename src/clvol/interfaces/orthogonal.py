@@ -1,0 +1,193 @@
+"""Three slices through a point and the 3-D picture, in one picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.base.arrays import reals
+from clvol.base.checks import if_image, one_of
+from clvol.base.color import color_of
+from clvol.base.errors import GeometryError, OptionError
+from clvol.base.progress import Progress, part_of
+from clvol.interop.dispatch import is_in_parts
+from clvol.march.bricks import level_within
+from clvol.march.options import FieldOptions, PanelOptions, PictureOptions, as_size, chosen_mode
+from clvol.march.renderer import Renderer
+from clvol.march.slices import AXES, axis_directions, section, window_of_slices
+from clvol.scene.mode import DEFAULT_MODE
+from clvol.show.picture import Picture
+from clvol.volume.volume import Volume, as_volume
+
+if TYPE_CHECKING:
+    from clvol.bricks.source import LazyVolume
+
+__all__ = ["ORIENTATIONS", "OrthogonalOptions", "orthogonal"]
+
+ORIENTATIONS = {"radiological": "the patient's right is on the left", "neurological": "the patient's right is on the right"}
+_GAP = 4  # pixels between the panes
+_BETWEEN = 0.25  # their grey
+_MARGIN = 1.04
+_CROSSHAIR = "#ffd24a"
+_FREE = 0.02  # of a pane's shorter side: what a crosshair leaves free to either side of the point
+_LINE = 512  # pixels of a pane's shorter side for one pixel of a line's width
+
+
+class OrthogonalOptions(PanelOptions, PictureOptions, FieldOptions, total=False):
+    """Options of `clvol.orthogonal`, beside those of the 3-D picture and of the volume's function.
+
+    Attributes
+    ----------
+    window, cmap
+        Of the slices alone, as of `clvol.slice`. The 3-D picture has the look of its mode, which `preset`, `opacity` and `transfer`
+        change.
+    thickness : float
+        Of slabs instead of slices, as of `clvol.slice`.
+    slab : {"mean", "mip", "minip"}
+        What these show.
+    progress : callable
+        Called with the fraction done.
+    """
+
+    thickness: float
+    slab: Literal["mean", "mip", "minip"] | None
+    progress: Progress | None
+
+
+def orthogonal(
+    volume: Volume | LazyVolume | ArrayLike,
+    point: Sequence[float] | None = None,
+    size: tuple[int, int] = (1024, 1024),
+    *,
+    crosshair: bool | str | Sequence[float] = False,
+    orientation: Literal["radiological", "neurological"] | None = None,
+    **options: Unpack[OrthogonalOptions],
+) -> Picture:
+    """Three slices through a point, across the axes of the world, and the 3-D picture: 2 × 2 in one picture.
+
+    Above the slice across z (axial) and the 3-D picture, below those across y (coronal) and x (sagittal), at one scale, so that
+    what lies in one column or row of slices is at one place in the world. They follow the volume's direction: an oblique volume is
+    cut along the world's axes, not along its samples.
+
+    Parameters
+    ----------
+    volume : Volume, LazyVolume or array-like, 3-D
+        As of `clvol.slice`.
+    point : (x, y, z), optional
+        The world point; by default the middle of the volume.
+    size : (width, height)
+        Of the whole picture, in pixels; at least 8 × 8.
+    crosshair : bool or colour
+        Whether lines show the place of each slice in the others, and in which colour.
+    orientation : {"radiological", "neurological"}, optional
+        Of a patient, whose directions are known (`Volume.space` is "LPS"): "radiological", the default, has the patient's right on
+        the left, as seen from the front and from the feet; "neurological" on the right, as seen from behind and from the head.
+        Slices from the side have the front on the left in both.
+    **options
+        Those of `OrthogonalOptions`, and of `clvol.render` for the 3-D picture: `camera`, `mode`, `preset`, `filter`, ...
+
+    Returns
+    -------
+    Picture, an ndarray of float32, shape (height, width, 4)
+
+    Raises
+    ------
+    OptionError
+        An option is unknown or changes nothing; `orientation` of what is no patient; the volume does not have three axes.
+    GeometryError
+        The point is not in the volume.
+    ClvolError
+        As by `clvol.slice` and `clvol.render`.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> ball = clvol.phantoms.sphere(24)
+    >>> clvol.orthogonal(ball, (0.1, 0, 0.2), (80, 60), crosshair=True, mode="isosurface").shape
+    (60, 80, 4)
+    """
+    given: dict[str, Any] = {**options}
+    slices: dict[str, Any] = {name: given.pop(name) for name in ("window", "cmap", "thickness") if name in given}
+    slab, progress = given.pop("slab", None), given.pop("progress", None)
+    slices |= {"mode": slab, "background": given.get("background", (0.0, 0.0, 0.0))}
+    held = {name: given.pop(name) for name in FieldOptions.__annotations__ if name in given}
+    camera, mode, step = given.pop("camera", None), given.pop("mode", DEFAULT_MODE), given.pop("step", 0.5)
+    chosen_mode(mode, given)
+    width, height = as_size(size)
+    if min(width, height) < 2 * _GAP:
+        raise OptionError(f"size must be at least {2 * _GAP} × {2 * _GAP}; got {width} × {height}")
+    source: Any = volume if is_in_parts(volume) else as_volume(volume)
+    grid: Volume = source.grid
+    if grid.ndim != 3:
+        raise OptionError(f"volume must have 3 axes; got shape {grid.shape}{if_image(grid.shape)}")
+    left = _is_mirrored(orientation, grid)
+    at = _inside(point, grid)
+    color = color_of("crosshair", _CROSSHAIR if isinstance(crosshair, bool) else crosshair)
+    columns, rows = ((n - _GAP) // 2 for n in (width, height))
+    sizes = {"z": (columns, rows), "y": (columns, height - _GAP - rows), "x": (width - _GAP - columns, height - _GAP - rows)}
+    extents = np.ptp(grid.corners, axis=0)
+    frames = {name: axis_directions(grid.space, AXES.index(name)) for name in sizes}
+    pixel = _MARGIN * max(
+        float(extents @ np.abs(way)) / n for name in sizes for way, n in zip(frames[name], sizes[name], strict=True)
+    )
+    known = source.preview()
+    if slices.get("window") is None and not (known.is_labels and slices.get("cmap") is None):
+        slices["window"] = window_of_slices(known)
+    panes: dict[str, NDArray[Any]] = {}
+    with Renderer(source, **held) as renderer:
+        field: Any = renderer.field_of_level(level_within(source, pixel)) if is_in_parts(source) else renderer.field
+        unsmoothed = slab in ("mip", "minip") and held.get("filter") is None
+        for i, (name, (right, down)) in enumerate(frames.items()):
+            right = -right if left and name in "zy" else right
+            middle = np.array(grid.center)
+            middle[AXES.index(name)] = at[AXES.index(name)]
+            own: dict[str, Any] = slices | {"progress": part_of(progress, i / 10, (i + 1) / 10)}
+            own |= {k: v for k, v in held.items() if unsmoothed}
+            panes[name] = section(source if unsmoothed else field, middle, right, down, (pixel, pixel), sizes[name], **own)
+            if crosshair is not False:
+                offset = np.array([(at - middle) @ right, (at - middle) @ down]) / pixel
+                _draw_lines(panes[name], offset + np.array(sizes[name]) / 2, color)
+        shown = width - _GAP - columns, rows
+        panes["3d"] = renderer.render(camera, mode, shown, step, progress=part_of(progress, 0.3, 1.0), **given)
+    picture = np.full((height, width, 4), (_BETWEEN, _BETWEEN, _BETWEEN, 1), np.float32)
+    picture[:rows, :columns], picture[:rows, columns + _GAP :] = panes["z"], panes["3d"]
+    picture[rows + _GAP :, :columns], picture[rows + _GAP :, columns + _GAP :] = panes["y"], panes["x"]
+    return Picture(picture)
+
+
+def _is_mirrored(orientation: str | None, grid: Volume) -> bool:
+    """Whether slices are seen from behind and from the head."""
+    if orientation is None:
+        return False
+    if orientation not in ORIENTATIONS:
+        raise one_of("orientation", orientation, ORIENTATIONS)
+    if grid.space != "LPS":
+        raise OptionError(f"orientation is of a patient, whose space is 'LPS'; got {orientation!r} for space {grid.space!r}")
+    return orientation == "neurological"
+
+
+def _inside(point: Sequence[float] | None, grid: Volume) -> NDArray[np.float64]:
+    """The point, by default the middle; `GeometryError` if it is not in the volume."""
+    if point is None:
+        return grid.center
+    at = reals("point", point, "three numbers (x, y, z)", GeometryError)
+    index = grid.world_to_index(at) if at.shape == (3,) else at
+    if at.shape != (3,) or not ((index >= -0.5) & (index <= np.asarray(grid.size) - 0.5)).all():
+        low, high = grid.corners.min(0), grid.corners.max(0)
+        ends = ", ".join(f"{name} {a:g} to {b:g}" for name, a, b in zip(AXES, low, high, strict=True))
+        raise GeometryError(f"point must be (x, y, z) in the volume, whose corners are within {ends}; got {point!r}")
+    return at
+
+
+def _draw_lines(pane: NDArray[Any], at: NDArray[np.float64], color: tuple[float, float, float]) -> None:
+    """Draw the lines of a crosshair, which leave its middle free."""
+    height, width = pane.shape[:2]
+    wide, free = max(1, round(min(height, width) / _LINE)), max(2, round(_FREE * min(height, width)))
+    x, y = (int(np.floor(v - (wide - 1) / 2)) for v in at)
+    for lines, one, other in ((pane, y, x), (np.swapaxes(pane, 0, 1), x, y)):
+        across = np.s_[max(0, one) : max(0, one + wide)]
+        for part in (np.s_[: max(0, other - free)], np.s_[max(0, other + wide + free) :]):
+            lines[across, part] = (*color, 1)

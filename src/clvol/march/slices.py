@@ -1,0 +1,475 @@
+"""Slices: pictures of the function in a plane or a slab, computed at the middle of every pixel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Literal, TypedDict, Unpack
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.base import memory
+from clvol.base.arrays import reals
+from clvol.base.checks import did_you_mean, if_image, number, one_of, whole
+from clvol.base.color import color_of
+from clvol.base.errors import GeometryError, OptionError
+from clvol.base.progress import Progress, part_of, require_callback
+from clvol.bricks.source import LazyVolume
+from clvol.device import Device
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import Filter
+from clvol.filter.table import PICTURE_FILTER
+from clvol.interop.dispatch import is_in_parts
+from clvol.march.bricks import level_within
+from clvol.march.renderer import Renderer
+from clvol.march.source import row_for, single
+from clvol.scene.clip import Plane
+from clvol.scene.mode import as_mode
+from clvol.scene.transfer import TransferFunction
+from clvol.show.picture import Picture
+from clvol.spline.field import as_field
+from clvol.spline.function import ContinuousFunction
+from clvol.volume.smoothing import filter_for
+from clvol.volume.volume import Volume, as_volume
+
+__all__ = [
+    "AXES",
+    "SLABS",
+    "SliceOptions",
+    "axis_directions",
+    "axis_of",
+    "plane_points",
+    "section",
+    "shaded",
+    "slice",
+    "window_of_slices",
+]
+
+AXES = ("x", "y", "z")
+_ANATOMICAL = {"sagittal": 0, "coronal": 1, "axial": 2}
+SLABS = ("mean", "mip", "minip")
+_PIXELS = 512  # along the longer side of a slice, by default
+_SAMPLED = 1 << 20
+_ENDS = 0.002, 0.998  # quantiles of the samples that are black and white by default
+_AT_ONCE = 1 << 20  # points of a slab
+_OF_A_PIXEL = 64  # bytes: its position, value and colour
+_LEAST = 1e-9  # relative: shorter lengths are rounding
+
+
+class SliceOptions(TypedDict, total=False):
+    """How slices are reconstructed and coloured.
+
+    Attributes
+    ----------
+    thickness : float
+        Of a slab, in world units, centred on the plane. 0, the default, is the plane itself. A slab is sampled along its normal at
+        ``n = 1 + ceil(2 thickness / s)`` points at equal distances, its two faces included, where s is the smallest spacing of the
+        volume, or of the level that is read: at most half of it apart. Points outside the volume, and where samples are missing, do
+        not count.
+    mode : {"mean", "mip", "minip"}
+        What a pixel shows of a slab: the mean (the default), by the trapezoidal rule, so that faces count half; the largest or the
+        smallest value.
+    filter, boundary, device, memory
+        As of `clvol.Renderer`. By default "bspline3(auto)", in the modes that show extremes "bspline3", and labels "nearest".
+    window : (center, width)
+        Values from black to white; by default those of `Volume.clim`, or nearly all of the volume's.
+    cmap : str
+        The name of a colour map. By default labels have a colour each, and other values are grey.
+    background : three numbers, a name, or None
+        Outside the volume, and where its samples are missing; None is transparent.
+    progress : callable
+        Called with the fraction done.
+    """
+
+    thickness: float
+    mode: Literal["mean", "mip", "minip"] | None
+    filter: str | Filter | None
+    boundary: str | Boundary
+    device: Device | str | int | None
+    memory: int | None
+    window: tuple[float, float] | None
+    cmap: str | None
+    background: Sequence[float] | str | None
+    progress: Progress | None
+
+
+def slice(  # noqa: A001  # clvol.slice, as its users call it
+    volume: Volume | LazyVolume | ContinuousFunction | ArrayLike,
+    plane: str | int | Plane = "z",
+    position: float | None = None,
+    *,
+    size: tuple[int, int] | None = None,
+    spacing: float | tuple[float, float] | None = None,
+    center: Sequence[float] | None = None,
+    up: Sequence[float] | None = None,
+    **options: Unpack[SliceOptions],
+) -> Picture:
+    """A slice of a volume at any angle, or what a slab of some thickness shows, as a picture.
+
+    Parameters
+    ----------
+    volume : Volume, LazyVolume, Field, BrickedField or array-like, 3-D
+        Of a LazyVolume the coarsest level whose voxels are at most a pixel long is read, where the slice lies. A Field makes many
+        slices of one volume in less time: it has its coefficients.
+    plane : str, int or Plane
+        An axis of the world that the slice is across, "x", "y" or "z", or 0, 1 or 2; of a patient also "sagittal", "coronal" or
+        "axial"; or an oblique `Plane`, which is seen from the side that its normal points to.
+    position : float, optional
+        Where on that axis, in world units; by default in the middle of the volume. A Plane has its own.
+    size : (width, height), optional
+        In pixels. Without `spacing` all of the slice fits into it.
+    spacing : float or (float, float), optional
+        World units per pixel, along rows and columns. Without `size` the picture holds all of the slice. Without both it is 512
+        pixels along its longer side.
+    center : (x, y, z), optional
+        The world point in the middle of the picture, or its projection onto the plane; by default the middle of the slice.
+    up : (x, y, z), optional
+        Direction of the world that points up in the picture, projected onto the plane. By default slices stand as in `clvol.view`
+        and in radiology: z is up, in slices across z y, but for patients their front (-y), seen from the feet with the patient's
+        right on the left; rows of a stack of images (`Volume.space` is "image") run down.
+    **options
+        Those of `clvol.march.slices.SliceOptions`, which describes them: `thickness`, `mode`, `filter`, `window`, `cmap`, ...
+
+    Returns
+    -------
+    Picture, an ndarray of float32, shape (height, width, 4)
+        Red, green, blue, opacity in 0..1; row 0 is the top. `Picture.spacing` is what a pixel measures in the world.
+
+    Raises
+    ------
+    OptionError
+        An unknown name; `position` beside a Plane; `mode` without a thickness; the mean of labels; a number outside its bounds;
+        the volume does not have three axes.
+    GeometryError
+        The plane does not meet the volume, `up` is along its normal, or a point is not three finite numbers.
+    DataError, FormatError, DeviceError, OutOfMemoryError
+        As by `clvol.render`.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> volume = clvol.phantoms.marschner_lobb(32)
+    >>> picture = clvol.slice(volume, "y", 0.25, spacing=0.01)
+    >>> picture.shape, picture.spacing
+    ((207, 207, 4), (0.01, 0.01))
+    >>> oblique = clvol.slice(volume, clvol.Plane((1, 1, 1), volume.center), thickness=0.2, mode="mip", size=(64, 64))
+    """
+    _require_known("slice", options)
+    given = _given(volume)
+    grid: Volume = given.grid
+    if grid.ndim != 3:
+        raise OptionError(f"a slice is of a volume with 3 axes; got shape {grid.shape}{if_image(grid.shape)}")
+    where, right, down = _placed(grid, plane, position, up)
+    thickness = number("thickness", options.get("thickness", 0.0), minimum=0)
+    low, high = _extent(grid, where, right, down, thickness / 2)
+    if center is None:
+        middle = np.asarray(where.point) + (low + high) / 2 @ np.stack([right, down])
+    else:
+        middle = _vector("center", center)
+        middle = middle - ((middle - np.asarray(where.point)) @ np.asarray(where.normal)) * np.asarray(where.normal)
+    size, pixel = _pixels(high - low, size, spacing)
+    return section(given, middle, right, down, pixel, size, **options)
+
+
+def section(
+    volume: Volume | LazyVolume | ContinuousFunction | ArrayLike,
+    middle: Sequence[float] | NDArray[np.float64],
+    right: Sequence[float] | NDArray[np.float64],
+    down: Sequence[float] | NDArray[np.float64],
+    pixel: tuple[float, float],
+    size: tuple[int, int],
+    **options: Unpack[SliceOptions],
+) -> Picture:
+    """A picture of the plane through a world point: what `View` shows as a slice, bit for bit. See `clvol.slice`.
+
+    Parameters
+    ----------
+    volume : Volume, LazyVolume or array-like
+        As of `clvol.slice`.
+    middle : (x, y, z)
+        The world point in the middle of the picture.
+    right, down : (x, y, z)
+        Unit vectors of the world along rows and columns of the picture, at right angles.
+    pixel : (float, float)
+        World units per pixel, along rows and columns.
+    size : (width, height)
+        In pixels.
+    **options
+        Those of `SliceOptions`.
+    """
+    _require_known("section", options)
+    mode, thickness = options.get("mode"), number("thickness", options.get("thickness", 0.0), minimum=0)
+    if mode is not None and mode not in SLABS:
+        raise one_of("mode of a slice", mode, SLABS)
+    if mode is not None and not thickness:
+        raise OptionError("mode changes nothing in a slice without a thickness; leave it out, or give the thickness of a slab")
+    background = options.get("background", (0.0, 0.0, 0.0))
+    background = None if background is None else color_of("background", background)
+    progress = options.get("progress")
+    require_callback("progress", progress)
+    given = _given(volume)
+    known: Volume = getattr(given, "volume", given).preview()  # a function has its volume
+    if thickness and mode in (None, "mean") and known.is_labels:
+        raise OptionError("mode of a slab of labels must be mip or minip, because the mean of two labels is a third; got mean")
+    width, height = _counts(size)
+    memory.require(width * height * _OF_A_PIXEL, f"a slice of {width} × {height} pixels")
+    points = plane_points(middle, right, down, pixel, (width, height))
+    with _function(given, as_mode(mode or "mean").picture_filter if thickness else PICTURE_FILTER, max(pixel), options) as field:
+        if thickness:
+            found = _slab(field, points, thickness * np.cross(right, down), _SLABS[mode or "mean"], progress)
+        else:
+            found = field(points, fill=np.nan, progress=progress)
+    picture = shaded(found, known, options.get("window"), options.get("cmap"), background)
+    picture.spacing = (float(pixel[0]), float(pixel[1]))
+    return picture
+
+
+def _given(volume: Any) -> Any:
+    """A function, a volume that is read by parts, or a volume in memory."""
+    return volume if isinstance(volume, ContinuousFunction) or is_in_parts(volume) else as_volume(volume)
+
+
+@contextmanager
+def _function(volume: Any, usual: str, pixel: float, options: SliceOptions) -> Iterator[ContinuousFunction]:
+    """The function of a slice: the one given, a volume's, or that of the level whose voxels are about as long as a pixel."""
+    row, boundary, device = options.get("filter"), options.get("boundary"), options.get("device")
+    if isinstance(volume, ContinuousFunction):
+        yield as_field(volume, row, boundary, device)
+    elif is_in_parts(volume):
+        with Renderer(volume, row_for(volume, row, usual), boundary, device, memory=options.get("memory")) as renderer:
+            yield renderer.field_of_level(level_within(volume, pixel))
+    else:
+        with single(volume, filter_for(volume, row, usual), as_boundary(boundary or DEFAULT_BOUNDARY), device) as field:
+            yield field
+
+
+# -- slabs -----------------------------------------------------------------------------------------------------
+
+
+def _slab(
+    field: ContinuousFunction,
+    points: NDArray[np.float64],
+    across: NDArray[np.float64],
+    projected: Callable[[NDArray[Any]], NDArray[Any]],
+    progress: Progress | None,
+) -> NDArray[Any]:
+    """What a slab through the points shows: `across` is from face to face."""
+    count = 1 + math.ceil(2 * float(np.linalg.norm(across)) / min(field.grid.spacing))
+    offsets = np.linspace(-0.5, 0.5, count)[:, None, None] * across
+    flat, each = points.reshape(-1, 3), max(1, _AT_ONCE // count)
+    found = []
+    for first in range(0, len(flat), each):
+        part = flat[first : first + each]
+        told = part_of(progress, first / len(flat), min(1.0, (first + each) / len(flat)))
+        found.append(projected(field(part + offsets, fill=np.nan, progress=told)))
+    return np.concatenate(found).reshape(points.shape[:-1])
+
+
+def _mean(values: NDArray[Any]) -> NDArray[Any]:
+    """The mean along axis 0 by the trapezoidal rule, without NaN; NaN where there is nothing else."""
+    weights = np.ones(len(values))
+    weights[[0, -1]] = 0.5
+    there = ~np.isnan(values)
+    with np.errstate(invalid="ignore"):
+        mean = (weights @ np.where(there, values, 0.0)) / (weights @ there)
+    return np.asarray(mean, values.dtype)
+
+
+_SLABS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {"mean": _mean, "mip": np.fmax.reduce, "minip": np.fmin.reduce}
+
+
+# -- where ----------------------------------------------------------------------------------------------------
+
+
+def axis_of(plane: str | int, space: str = "") -> int:
+    """The number of an axis of the world, 0 to 2, from its name; of a patient also by the names of its planes."""
+    known = (*AXES, *_ANATOMICAL) if space == "LPS" else AXES
+    if isinstance(plane, str) and plane in known:
+        return AXES.index(plane) if plane in AXES else _ANATOMICAL[plane]
+    if isinstance(plane, str) or not isinstance(plane, (int, np.integer)) or isinstance(plane, bool) or not 0 <= plane <= 2:
+        why = f"; {plane} is of a patient, whose space is 'LPS', not {space!r}" if plane in _ANATOMICAL else ""
+        raise OptionError(f"plane must be one of {', '.join(known)}, a number from 0 to 2, or a clvol.Plane; got {plane!r}{why}")
+    return int(plane)
+
+
+def axis_directions(space: str, axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """World directions along rows and columns of a slice across an axis, seen as by radiologists: from the feet.
+
+    Up is z, or y in slices across z; rows of images run down.
+    """
+    across, along = [(1, 2), (0, 2), (0, 1)][axis]
+    right, down = np.eye(3)[across], np.eye(3)[along]
+    if space != "image" and not (axis == 2 and space == "LPS"):
+        down = -down
+    return right, down
+
+
+def _placed(
+    grid: Volume, plane: str | int | Plane, position: float | None, up: Sequence[float] | None
+) -> tuple[Plane, NDArray[np.float64], NDArray[np.float64]]:
+    """The plane, and world directions along rows and columns of its picture."""
+    if isinstance(plane, Plane):
+        if position is not None:
+            raise OptionError(f"position is of a plane across an axis; a Plane has its point; got {position!r} beside {plane!r}")
+        normal = np.asarray(plane.normal)
+        upward = -axis_directions(grid.space, 0)[1]  # as slices across x and y have it
+        if up is None and np.linalg.norm(np.cross(normal, upward)) < _LEAST:
+            upward = -axis_directions(grid.space, 2)[1]
+    else:
+        axis = axis_of(plane, grid.space)
+        right, down = axis_directions(grid.space, axis)
+        point = np.array(grid.center)
+        point[axis] = point[axis] if position is None else number("position", position)
+        plane = Plane(tuple(np.cross(down, right)), tuple(point))
+        normal, upward = np.asarray(plane.normal), -down
+    if up is not None:
+        upward = _vector("up", up)
+        upward = upward / (float(np.abs(upward).max()) or 1.0)
+    down = (upward @ normal) * normal - upward
+    length = float(np.linalg.norm(down))
+    if not length > _LEAST * float(np.linalg.norm(upward)):
+        raise GeometryError(f"up must have a direction that is not along the normal of the plane, {plane.normal}; got {up!r}")
+    down = down / length + 0.0  # no zero is negative
+    return plane, np.cross(normal, down) + 0.0, down
+
+
+def _extent(
+    grid: Volume, plane: Plane, right: NDArray[np.float64], down: NDArray[np.float64], half: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The ends, along rows and columns from the plane's point, of the part of a slab that is in the domain."""
+    corners = grid.corners - np.asarray(plane.point)
+    height = corners @ np.asarray(plane.normal)
+    found = [corners[np.abs(height) <= half]]
+    for face in {-half, half}:
+        for i, j in ((i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit):
+            if (height[i] < face) != (height[j] < face):
+                share = (face - height[i]) / (height[j] - height[i])
+                found.append((corners[i] + share * (corners[j] - corners[i]))[None])
+    flat = np.concatenate(found) @ np.stack([right, down], 1)
+    if not len(flat) or not (np.ptp(flat, axis=0) > _LEAST * grid.radius).all():
+        ends = np.sort(height + float(np.asarray(plane.point) @ np.asarray(plane.normal)))[[0, -1]]
+        raise GeometryError(
+            f"the plane must meet the volume, which lies from {ends[0]:g} to {ends[1]:g} along its normal {_text(plane.normal)}; "
+            f"got a plane at {float(np.asarray(plane.point) @ np.asarray(plane.normal)):g}"
+        )
+    return flat.min(0), flat.max(0)
+
+
+def _pixels(
+    extent: NDArray[np.float64], size: tuple[int, int] | None, spacing: float | tuple[float, float] | None
+) -> tuple[tuple[int, int], tuple[float, float]]:
+    """Numbers of pixels and their spacings, for a slice of this extent along rows and columns."""
+    if spacing is not None:
+        given = reals("spacing", spacing, "one positive number, or two, along rows and columns")
+        if given.shape not in ((), (2,)) or not (np.isfinite(given) & (given > 0)).all():
+            raise OptionError(f"spacing must be one positive number, or two, along rows and columns; got {spacing!r}")
+        pixel = np.broadcast_to(given, 2)
+    elif size is not None:
+        pixel = np.broadcast_to((extent / _counts(size)).max(), 2)
+    else:
+        pixel = np.broadcast_to(extent.max() / _PIXELS, 2)
+    if size is None:
+        counts = np.maximum(1, np.ceil(np.minimum(extent / pixel * (1 - _LEAST), 1e9)).astype(int))
+        size = int(counts[0]), int(counts[1])
+    return _counts(size), (float(pixel[0]), float(pixel[1]))
+
+
+def _counts(size: tuple[int, int]) -> tuple[int, int]:
+    try:
+        width, height = size
+    except (TypeError, ValueError):
+        raise OptionError(f"size must be (width, height) in pixels; got {size!r}") from None
+    return whole("width", width, 1, 1 << 15), whole("height", height, 1, 1 << 15)
+
+
+def _vector(what: str, value: object) -> NDArray[np.float64]:
+    vector = reals(what, value, "three numbers (x, y, z)", GeometryError)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise GeometryError(f"{what} must be three finite numbers (x, y, z); got {value!r}")
+    return vector
+
+
+def _text(vector: Sequence[float] | NDArray[np.float64]) -> str:
+    return f"({', '.join(f'{v:g}' for v in vector)})"
+
+
+def _require_known(function: str, options: SliceOptions) -> None:
+    known = SliceOptions.__annotations__
+    for name in options:
+        if name not in known:
+            raise OptionError(f"{name} is no option of {function}{did_you_mean(name, known)}; it has {', '.join(known)}")
+
+
+def plane_points(
+    middle: Sequence[float] | NDArray[np.float64],
+    right: Sequence[float] | NDArray[np.float64],
+    down: Sequence[float] | NDArray[np.float64],
+    pixel: tuple[float, float],
+    size: tuple[int, int],
+) -> NDArray[np.float64]:
+    """World points at the centres of pixels; (height, width, 3)."""
+    width, height = _counts(size)
+    u = (np.arange(width) + 0.5 - width / 2) * pixel[0]
+    v = (np.arange(height) + 0.5 - height / 2) * pixel[1]
+    return np.asarray(
+        np.asarray(middle) + v[:, None, None] * np.asarray(down, np.float64) + u[None, :, None] * np.asarray(right, np.float64)
+    )
+
+
+def shaded(
+    values: NDArray[Any], volume: Volume, window: tuple[float, float] | None, cmap: str | None, background: Sequence[float] | None
+) -> Picture:
+    """Values in colours, (height, width, 4) float32; NaN is background."""
+    if volume.is_labels and window is None and cmap is None:
+        colors = _of_labels(values, volume)
+    else:
+        center, width = window_of_slices(volume) if window is None else window
+        low = center - width / 2
+        if not width > 0:
+            raise OptionError(f"window must be (center, width), the width positive; got {window!r}")
+        with np.errstate(invalid="ignore"):
+            share = np.clip((values - low) / width, 0, 1)
+        share = np.nan_to_num(share, nan=0.0)
+        if cmap is None:
+            colors = np.repeat(share[..., None], 3, -1)
+        else:
+            table = TransferFunction.from_cmap(cmap, (0.0, 1.0))(np.linspace(0, 1, 1024))[:, :3]
+            colors = table[np.rint(share * 1023).astype(np.intp)]
+    picture = np.ones((*values.shape, 4), np.float32)
+    picture[..., :3] = colors
+    outside = np.isnan(values)
+    if outside.any():
+        picture[outside] = (0, 0, 0, 0) if background is None else (*background, 1)
+    return Picture(picture)
+
+
+def _of_labels(values: NDArray[Any], volume: Volume) -> NDArray[np.float64]:
+    numbers, inverse = np.unique(np.nan_to_num(values), return_inverse=True)
+    look = TransferFunction.preset("labels", volume)(numbers)
+    colors = look[:, :3] * (look[:, 3:] > 0)
+    return np.asarray(colors[inverse.reshape(values.shape)])
+
+
+def window_of_slices(volume: Volume) -> tuple[float, float]:
+    """The default window of slices: (center, width)."""
+    if volume in _WINDOWS:
+        return _WINDOWS[volume]
+    if volume.clim is not None:
+        low, high = volume.clim
+    else:
+        step = max(1, -(-volume.data.size // _SAMPLED))
+        each = max(1, round(step ** (1 / 3)))
+        some = volume.data[::each, ::each, ::each].astype(np.float64)
+        low, high = np.quantile(some[np.isfinite(some)], _ENDS).tolist()
+        if not low < high:
+            low, high = volume.value_range
+    if not low < high:
+        low, high = low - 0.5, high + 0.5
+    _WINDOWS[volume] = found = float(low / 2 + high / 2), float(high - low)
+    return found
+
+
+_WINDOWS: WeakKeyDictionary[Volume, tuple[float, float]] = WeakKeyDictionary()
