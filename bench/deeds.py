@@ -303,6 +303,13 @@ def modes_as_classes(world: World, random: Random) -> Any:
     return _one(random, world.renderers).render(_camera(random), chosen, (48, 48))
 
 
+@_deed(8)
+def cut_open(world: World, random: Random) -> Any:
+    volume = _volume(world, random)
+    cuts = [clvol.Plane(random.normal(size=3), volume.center), clvol.Corner(volume.center, [np.inf] * 3)]
+    return clvol.render(volume, _camera(random), _one(random, world.modes), (40, 40), clip=_one(random, [*cuts, cuts]))
+
+
 @_deed(6)
 def uncertain_surfaces(world: World, random: Random) -> Any:
     sigma = float(random.uniform(0.001, 0.1))

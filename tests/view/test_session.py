@@ -742,7 +742,7 @@ def test_nothing_is_left_of_sessions(view: View) -> None:
     for _ in range(20):
         one()
     gc.collect()
-    assert threading.active_count() == threads
+    assert threading.active_count() <= threads  # one of another test may end meanwhile
     assert _sessions() <= sessions
     assert all(entry.users == 0 for entry in view.resident.renderers._entries.values())
 
