@@ -1,5 +1,6 @@
 """Analyze 7.5 (``.hdr`` and ``.img`` without NIfTI's magic, also packed by gzip), and SPM's with an origin, a scale or a ``.mat``
-file, by nibabel."""
+file, by nibabel.
+"""
 
 from __future__ import annotations
 
