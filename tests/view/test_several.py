@@ -315,10 +315,10 @@ def test_coefficients_of_another_volume_are_separate(volumes: Volumes, device: D
 def test_the_command_reads_all_volumes_and_copies_one(volumes: Volumes, tmp_path: Path) -> None:
     file = tmp_path / "cells.ome.tif"
     clvol.write(volumes, file)
-    scene, source, _ = _read(Input(), str(file))
-    assert isinstance(scene, Volumes)
-    assert scene.axes == ("time", "channel")
-    view = _made(scene, source, None, str(file), None, None, Look(), {})
+    found = _read(Input(), str(file))
+    assert isinstance(found[0], Volumes)
+    assert found[0].axes == ("time", "channel")
+    view = _made(found, str(file), None, None, Look(), {})
     assert view.resident.title == "cells.ome.tif"
     view.state = view.state.changed({"index": {"channel": 1, "time": 2}})
     program = view.python(SIZE)
