@@ -48,6 +48,11 @@ def test_orbit_angles(azimuth: float, elevation: float, forward: Any, right: Any
     np.testing.assert_allclose(view.up, up, atol=1e-12)
 
 
+def test_a_misspelt_option_of_an_orbit_is_recognized() -> None:
+    with pytest.raises(TypeError, match=r"'elevaton'.*elevation"):
+        Camera.orbit(elevaton=3)
+
+
 # where the corner (x, z) = (far, far) of a marked voxel appears when seen from azimuth and elevation: [down, right]
 CORNERS = [
     ((9, 0, 9), 0, 0, "top right"),

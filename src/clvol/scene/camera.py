@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.arrays import reals
-from clvol.base.checks import instance, number, one_of, whole
+from clvol.base.checks import instance, number, one_of, suggests_options, whole
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume.volume import Volume
@@ -241,6 +241,7 @@ class Camera:
                 raise GeometryError(f"{what} must not have zero length")
 
     @classmethod
+    @suggests_options
     def orbit(
         cls,
         azimuth: float = 30.0,

@@ -18,6 +18,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.printable import printable
 from clvol.show.picture import to_bytes
 from clvol.view.drawing import opaque
 from clvol.view.hosts.local import LocalClient, scaled
@@ -139,7 +140,7 @@ class _Shown:
         columns, lines = pixels.shape[1] // _FINER, pixels.shape[0] // (2 * _FINER)
         rows = ansi(scaled(pixels, (columns, 2 * lines))).split("\n")
         words = self._client.text or f"{_HELP}  {self._client.title}"
-        rows.append(f"\x1b[0m{_printable(words)[:columns].ljust(columns)}")
+        rows.append(f"\x1b[0m{printable(words)[:columns].ljust(columns)}")
         known = self._rows if len(self._rows) == len(rows) else [""] * len(rows)
         self._rows = rows
         self._write("".join(f"\x1b[{i + 1};1H{row}" for i, row in enumerate(rows) if row != known[i]))
@@ -215,8 +216,3 @@ def _typed(stdin: IO[str], stdout: IO[str]) -> bool:
 def _size(given: tuple[int, int] | None) -> tuple[int, int]:
     columns, lines = given or shutil.get_terminal_size()
     return min(_LONGEST, max(8, columns)), min(_LONGEST, max(5, lines))
-
-
-def _printable(text: str) -> str:
-    """Without control characters: titles come from files."""
-    return "".join(c if c.isprintable() else " " for c in text)
