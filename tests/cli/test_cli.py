@@ -1225,7 +1225,9 @@ def test_every_command_has_help(clvol_command: Command, command: str, monkeypatc
     assert "--json" in done.out
     assert "--no-json" not in done.out
     assert "--empty" not in done.out
-    described = [line.strip("│ ").split("  ") for line in done.out.splitlines() if "--" in line and line.startswith("│")]
+    lines = [line.strip("│ *") for line in done.out.splitlines() if line.startswith("│")]
+    described = [line.split("  ") for line in lines if line.startswith("-")]
+    assert described
     for row in described:
         assert [cell for cell in row[1:] if cell.strip() and not cell.strip().startswith("[")], row  # each option has words
     assert command in clvol_command("--help").out

@@ -300,7 +300,7 @@ Boundary = Annotated[str, Parameter(help=BOUNDARIES, completer=_any_of(clvol.bou
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
 _Six = tuple[float, float, float, float, float, float]
 Background = Annotated[
-    str | None, Parameter(help="A name, a hex code, or 'none'. [default: black; white for --theme print]", show_default=False)
+    str | None, Parameter(help="A name, a hex code, or 'none'. [default: black; white in theme print]", show_default=False)
 ]
 
 
