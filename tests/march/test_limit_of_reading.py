@@ -87,7 +87,8 @@ def grown(folder: Path, what: str, *arguments: Any) -> int:
     script = folder / "child.py"
     script.write_text(CHILD, encoding="utf-8")
     command = [sys.executable, str(script), what, json.dumps(arguments)]
-    known = os.environ | {"MALLOC_MMAP_THRESHOLD_": "65536"}  # what was freed is the system's again
+    # what was freed is the system's again, the pieces of 8 KiB in which gzip unpacks too; an arena keeps those under a later block
+    known = os.environ | {"MALLOC_MMAP_THRESHOLD_": "4096"}
     ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, env=known)
     assert ran.returncode == 0, ran.stderr
     return int(json.loads(ran.stdout.splitlines()[-1]))
@@ -128,8 +129,7 @@ def test_a_chunk_is_unpacked_within_the_budget_or_not_at_all(tmp_path: Path) -> 
     assert words is not None
     least = int(words[1])
     assert least < 6 * volume.nbytes
-    # the first process builds the kernels where the cache has none, which takes 13 MiB of its own
-    found = min(grown(tmp_path, "packed", str(tmp_path / "v.zarr"), least) for _ in range(2))
+    found = grown(tmp_path, "packed", str(tmp_path / "v.zarr"), least)
     assert found < least + BESIDE, f"{found / MIB:.0f} MiB"
 
 
