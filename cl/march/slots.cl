@@ -6,6 +6,7 @@
 #include "transfer/ramp.cl"
 
 #define SLOT 4   // numbers of each ray
+#define OPAQUE ((real)(-1e9f))   // of opaque matter: finite, so that its colour has a weight
 
 typedef struct {
     global real *sums;       // of this packet for sample number `from` ...
@@ -31,7 +32,7 @@ INLINE void add_sample(const slots_t *slots, const float number, const color_t c
     global real *sums = slots->sums + n * slots->apart;
     global uint *touched = slots->touched + n * slots->tiles;
     const real none = (real)(0.0f);
-    const real light = choose(seen, through, none);
+    const real light = choose(seen, MAX(through, OPAQUE), none);
     const real red = choose(seen, color.red * light, none), green = choose(seen, color.green * light, none);
     const real blue = choose(seen, color.blue * light, none);
     if (*touched & slots->bit) {

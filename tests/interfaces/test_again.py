@@ -68,7 +68,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_several_media_are_the_same_to_the_bit(folder: Path, mode: str, device: Device) -> None:
     clvol.write(clvol.phantoms.sphere(12), folder / "ball.nrrd")
     red = clvol.TransferFunction(((0, "red"),), ((0.2, 0), (0.7, 0.4)))
-    media = clvol.Medium(clvol.read(folder / "ball.nrrd"), red), clvol.Medium(clvol.read(folder / "volume.nrrd"))
+    own = [clvol.Corner((0, 0, 0), (9, 9, 9)), ((-9, -9, -9), (9, 9, 8))]
+    media = clvol.Medium(clvol.read(folder / "ball.nrrd"), red), clvol.Medium(clvol.read(folder / "volume.nrrd"), clip=own)
     first = clvol.render(clvol.Scene(media, clip=clvol.Plane((0, 0, 1), (0, 0, 9))), mode=mode, size=SIZE, device=device)
     path = first.save(folder / "several.png")
     np.testing.assert_array_equal(render_again(path, device=device), first)

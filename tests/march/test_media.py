@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 import clvol
 from clvol import Camera, Corner, Medium, Plane, Scene, TransferFunction, Volume
-from clvol.base.errors import ClvolError, DataError, OptionError
+from clvol.base.errors import ClvolError, DataError, GeometryError, OptionError
 from clvol.device import Device
 from clvol.reference.march.media import render_media
 from clvol.volume.volumes import Leading
@@ -72,6 +72,16 @@ def test_two_media_are_the_references(device: Device, other: str, tile: str) -> 
     assert largest < 1e-5
     assert rms < 1e-6
     assert deep < 1e-5
+
+
+@pytest.mark.parametrize("clip", [None, Plane((-0.4, -0.7, 0.3), (11, 10, 9))])
+def test_opaque_media_have_their_colors(device: Device, clip: Any) -> None:
+    opaque = TransferFunction([(0, "black"), (0.5, "red")], [(0.4, 0), (0.5, 1)])
+    scene = Scene([replace(FIRST, transfer=opaque), MEDIA["one grid"], replace(MEDIA["turned"], transfer=opaque)], clip=clip)
+    largest, rms, deep = errors(scene, "perspective", device)
+    assert largest < 1e-4
+    assert rms < 1e-5
+    assert deep < 1e-4
 
 
 @pytest.mark.parametrize("view", ["orthographic", "wide"])
@@ -139,6 +149,74 @@ def test_extinctions_add(device: Device, clip: str) -> None:
         for media in ([two, two], one)
     )
     np.testing.assert_allclose(got, want, atol=2e-5)
+
+
+OWN: dict[str, Any] = {
+    "plane": CUTS["plane"],
+    "box": CUTS["box"],
+    "all": [Plane((-0.4, -0.7, 0.3), (11, 8, 9)), ((2, 2, 1), (22, 19, 18)), CUTS["corner"]],
+}
+CUT = Plane((0, -1, 0.2), (0, 6, 0))
+
+
+@pytest.mark.one_in(4)
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("other", ["one grid", "turned", "a slice"])
+@pytest.mark.parametrize("own", OWN)
+def test_media_that_are_cut_alone_are_the_references(device: Device, own: str, other: str, view: str) -> None:
+    """Within 1e-5; of rays that step along themselves 40 may meet a face of a turned grid by rounding."""
+    scene = Scene([replace(FIRST, clip=OWN[own]), replace(MEDIA[other], boundary="constant")], clip=CUT)
+    want = render_media(scene, camera(view), SIZE, 0.7)["rgba"]
+    look = {"size": SIZE, "step": 0.7, "rays": 1, "device": device}
+    for tile in TILES.values():
+        with device.limited(tile=tile):
+            got = clvol.render(scene, camera(view), termination=0, **look)
+            unskipped = clvol.render(scene, camera(view), termination=0, skipping=False, **look)
+        np.testing.assert_array_equal(unskipped, got)
+        apart = np.abs(got - want).max(-1)
+        assert (apart > 1e-5).sum() <= (40 if view == "wide" else 0), apart.max()
+        assert apart.max() < 2e-3
+    uncut = clvol.render(replace(scene, media=(FIRST, scene.media[1])), camera(view), termination=0, **look)
+    assert (np.abs(uncut - want).max(-1) > 0.02).sum() > 30
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface", "mip"])
+def test_a_cut_of_each_medium_is_one_of_the_scene(device: Device, mode: str) -> None:
+    look: dict[str, Any] = {"mode": mode, "size": SIZE, "device": device} | ({"cap": True} if mode == "isosurface" else {})
+    for media in ([FIRST], [FIRST, MEDIA["turned"]]):
+        want = clvol.render(Scene(media, clip=OWN["all"]), camera("perspective"), **look)
+        own = Scene([replace(medium, clip=OWN["all"]) for medium in media])
+        np.testing.assert_array_equal(clvol.render(own, camera("perspective"), **look), want)
+        half = Scene([replace(medium, clip=OWN["all"][:1]) for medium in media], clip=OWN["all"][1:])
+        np.testing.assert_array_equal(clvol.render(half, camera("perspective"), **look), want)
+
+
+def test_a_shell_is_cut_open_and_what_is_in_it_is_not(device: Device) -> None:
+    """The core is seen as without the shell where the plane takes the shell away in front of it; in surfaces too."""
+    z, y, x = np.mgrid[:32, :32, :32] - 15.5
+    ball = Volume(np.float32(14 - np.sqrt(x**2 + y**2 + z**2)))
+    shell = Medium(ball, TransferFunction([(0, "white")], [(0, 0), (1, 1), (3, 1), (4, 0)]))
+    core = Medium(ball, TransferFunction([(0, "red")], [(7, 0), (8, 1)]))
+    open_ = Plane((0, -1, 0), (15.5, 15.5, 15.5))
+    view = Camera.orbit(0, 0, target=(15.5, 15.5, 15.5), radius=16)
+    look: dict[str, Any] = {"size": (64, 64), "rays": 1, "outputs": ("rgba", "depth"), "device": device}
+    alone = clvol.render(Scene(core, background=None), view, **look)
+    together = clvol.render(Scene([replace(shell, clip=open_), core]), view, **look)
+    inner = alone["rgba"][..., 3] > 0.99
+    assert 150 < inner.sum() < 1500
+    np.testing.assert_allclose(together["depth"][inner], alone["depth"][inner], atol=0.5)
+    np.testing.assert_allclose(together["rgba"][inner], alone["rgba"][inner], atol=0.02)
+    closed = clvol.render(Scene([shell, core]), view, **look)
+    assert closed["depth"][32, 32] < together["depth"][32, 32] - 4
+    rim = (np.abs(together["rgba"][..., :3] - 1) < 1e-3).all(-1)  # the face of the cut, unlit white
+    assert rim.sum() > 100
+    cap = {"mode": "isosurface", "isovalue": 1, "cap": "lime", "size": (64, 64), "device": device}
+    whole = Medium(Volume(ball.data, origin=(0, 3, 0), color="red"))  # which goes on in front of the cap
+    halved = replace(shell, clip=open_)
+    half, both = (clvol.render(Scene(media), view, **cap) for media in ([halved], [halved, whole]))
+    lime = (half[..., 1] > 0.99) & (half[..., 0] < 0.01)
+    assert lime.sum() > 1000
+    assert (both[lime][:, 0] > 0.05).mean() > 0.9
 
 
 @pytest.mark.parametrize("mode", ["mip", "mean"])
@@ -216,8 +294,17 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "by bricks": (lambda: clvol.Renderer(TWO, memory=1 << 26), "memory takes one medium"),
     "on a cluster": (lambda: clvol.Renderer(TWO, cluster=2), "cluster takes one medium"),
     "a mask for which": (lambda: clvol.Renderer(TWO, mask=np.zeros((20, 22, 24), bool)), "mask must be left to the media"),
+    "a cap where nothing is cut": (lambda: clvol.render(TWO, mode="isosurface", cap=True), "nothing is cut away by clip"),
     "uncertainty": (lambda: clvol.render(TWO, mode="isosurface", outputs="uncertainty"), "takes a scene of one medium"),
 }
+
+
+def test_cuts_of_a_medium_count_with_the_scenes() -> None:
+    five = [Corner((i, 0, 0), (i + 1, 1, 1)) for i in range(5)]
+    with pytest.raises(GeometryError, match=r"up to 64 planes and 8 corners; got 0 and 10"):
+        Scene(Medium(np.zeros((4, 4, 4)), clip=five), clip=five)
+    with pytest.raises(GeometryError, match="clip must be two corners"):
+        Medium(np.zeros((4, 4, 4)), clip=3)
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -70,8 +70,10 @@ def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapp
 
 def _unseen(look: ResolvedLook, limits: tuple[float, float] | None) -> str:
     """Why nothing is seen."""
+    if look.others:
+        return f"nothing is seen of the {1 + len(look.others)} media: all that the picture shows has the colour of the background"
     volume, surface = look.scene.media[0].volume, look.mode.surface
-    cuts, (low, high) = cuts_of(look.scene.clip), (volume.corners.min(0), volume.corners.max(0))
+    cuts, (low, high) = cuts_of(look.clip), (volume.corners.min(0), volume.corners.max(0))
     if cuts.box is not None and _outside(cuts.box, volume):
         return f"nothing is seen: clip lies outside the volume, which spans {_point(low)} to {_point(high)}"
     if cuts != Cuts() and not _some_kept(cuts, volume):

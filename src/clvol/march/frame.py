@@ -225,6 +225,7 @@ class Subject:
             frames = tuple(one._frame(size, guides, aspect, view, rails) for one in media)
             values = frames[0].values.copy()
             values["geometry"]["low"], values["geometry"]["high"] = rails.low, rails.high
+            values["clip"] = clip_block(look.scene.clip, volume, volume.mean_spacing)
             return replace(frames[0], values=values, media=frames)
         rails = Rails.along(volume, Planes(volume, view, aspect, *(_STRETCHES if look.mode.stretches else (step, SEGMENT))))
         made = replace(self, look=look)._frame(size, guides, aspect, view, rails)
@@ -244,7 +245,7 @@ class Subject:
         values = block(
             camera=view.block(volume, width, height, aspect, rails=rails.volume),
             geometry=medium.block(stored, unit),
-            clip=clip_block(scene.clip, volume, unit),
+            clip=clip_block(look.clip, volume, unit),
             planes=rails.planes.block(),
             rails=rails.block(volume, view, width, height, aspect),
             transfer=transfer.block(unit, stored),

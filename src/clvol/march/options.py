@@ -15,11 +15,11 @@ from clvol.base.checks import instance, number, one_of, whole
 from clvol.base.errors import OptionError
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.scene.camera import Camera
+from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted
 from clvol.scene.look import look
 from clvol.scene.mode import as_mode, require_heard
 from clvol.scene.preset import as_preset
-from clvol.scene.scene import Medium
 
 if TYPE_CHECKING:  # clusters need dask
     from numpy.typing import ArrayLike
@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.scene.clip import Clip
     from clvol.scene.light import Light, Material
     from clvol.scene.mode import Mode
-    from clvol.scene.scene import Scene
+    from clvol.scene.scene import Medium, Scene
     from clvol.scene.transfer import TransferFunction
     from clvol.volume.volume import Volume
 
@@ -377,8 +377,16 @@ class ResolvedLook:
         Of several media it is the look of the first in an order that does not depend on the scene's; they have previews of their
         own.
         """
+        clip = options.get("clip", ...)
+        cut = (scene.clip if clip is ... else clip) is not None or any(one.visible and one.clip is not None for one in scene.media)
+        if not cut and getattr(mode, "cap", None) is not getattr(type(mode), "cap", None):
+            require_heard(mode, ("cap",), {"cap": "nothing is cut away by clip"})
         if len(scene.media) > 1:
             return cls._of_several(scene, camera, mode, options)
+        return cls._of_one(scene, preview, camera, mode, options)
+
+    @classmethod
+    def _of_one(cls, scene: Scene, preview: Volume, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
         camera = Camera.orbit() if camera is None else camera
         instance("camera", camera, Camera)
         skipping, gradient = options.get("skipping", True), options.get("gradient", "analytic")
@@ -386,8 +394,6 @@ class ResolvedLook:
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
         scene = _changed(scene, transfer_of(preview, mode, options), options)
-        if scene.clip is None and getattr(mode, "cap", None) is not getattr(type(mode), "cap", None):
-            require_heard(mode, ("cap",), {"cap": "nothing is cut away by clip"})
         transfer = scene.media[0].transfer or mode.transfer(preview)
         return cls(camera, mode.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
 
@@ -401,17 +407,22 @@ class ResolvedLook:
         media = [medium for medium in scene.media if medium.visible]
         if not media:
             raise OptionError(f"a picture must show a medium; none of the scene's {len(scene.media)} is visible")
-        looks = [cls.of(replace(scene, media=(one,)), one.volume, camera, mode, options) for one in media]
+        looks = [cls._of_one(replace(scene, media=(one,)), one.volume, camera, mode, options) for one in media]
         if mode.shows == "matter":
             looks.sort(key=lambda look: _rank(look.scene.media[0], look.transfer))
         return replace(looks[0], others=tuple(looks[1:]), unsettled=mode)
 
+    @property
+    def clip(self) -> Clip | None:
+        """What is cut away of its medium."""
+        return self.scene.clip_of(self.scene.media[0])
+
     def placed(self, aspect: float) -> ResolvedLook:
         """The same with the camera fitted to a picture of this aspect, if its position was left open."""
-        camera, others = self.camera, tuple((look.preview, look.mode, look.transfer) for look in self.others)
+        camera, others = self.camera, tuple((look.preview, look.mode, look.transfer, look.clip) for look in self.others)
         if others:
-            camera = camera.in_world(max((self.preview, *(one for one, _, _ in others)), key=lambda volume: volume.space))
-        camera = fitted(camera, self.preview, self.mode, self.transfer, self.scene.clip, aspect, others=others)
+            camera = camera.in_world(max((self.preview, *(one.preview for one in self.others)), key=lambda volume: volume.space))
+        camera = fitted(camera, self.preview, self.mode, self.transfer, self.clip, aspect, others=others)
         return self if camera is self.camera else replace(self, camera=camera)
 
     def over_nothing(self) -> ResolvedLook:
@@ -443,7 +454,7 @@ class ResolvedLook:
             x, y, z = (float(v) for v in finest.center)
             target, radius = camera.target or (x, y, z), finest.radius if camera.radius is None else camera.radius
             camera = replace(camera, target=target, radius=radius)
-        seen = Medium(volume, medium.transfer, medium.material, medium.filter, boundary)
+        seen = replace(medium, volume=volume, boundary=boundary)
         return replace(self, scene=replace(self.scene, media=(seen,)), camera=camera, transfer=transfer)
 
 
@@ -451,7 +462,8 @@ def _rank(medium: Medium, transfer: TransferFunction) -> tuple[Any, ...]:
     """A key by which media are in one order, whatever their list's: the finest grid is first."""
     volume = medium.volume
     place = volume.mean_spacing, volume.spacing, volume.size, volume.origin, tuple(np.ravel(volume.direction))
-    look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, medium.material, medium.filter, medium.boundary))
+    own = medium.material, medium.filter, medium.boundary, cuts_of(medium.clip)
+    look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, *own))
     return place, look, zlib.crc32(np.ascontiguousarray(volume.data).view(np.uint8).data)
 
 

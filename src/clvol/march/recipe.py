@@ -264,9 +264,15 @@ def _stage(look: ResolvedLook, size: tuple[int, int]) -> Stage:
 
 def _box(look: ResolvedLook) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The corners of the box, along the world's axes, in which all that is seen lies."""
-    corners = np.concatenate([one.scene.media[0].volume.corners for one in (look, *look.others)])
+    low, high = (np.stack(ends) for ends in zip(*map(_own_box, (look, *look.others)), strict=True))
+    return low.min(0), high.max(0)
+
+
+def _own_box(look: ResolvedLook) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The corners of the box of a look's own medium, where that is not empty by cuts."""
+    corners = look.scene.media[0].volume.corners
     low, high = corners.min(0), corners.max(0)
-    if (box := cuts_of(look.scene.clip).box) is not None:
+    if (box := cuts_of(look.clip).box) is not None:
         inside = np.maximum(low, box[0]), np.minimum(high, box[1])
         low, high = inside if (inside[0] < inside[1]).all() else (low, high)
     return low, high

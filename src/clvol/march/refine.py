@@ -110,13 +110,8 @@ class Wanted:
     @property
     def shown(self) -> tuple[Any, ...]:
         """A further key of pictures that take about as long from the same view."""
-        look, clip = self.subject.look, self.subject.look.scene.clip
-        return (
-            look.mode,
-            look.transfer,
-            cuts_of(clip),
-            *(one.look.transfer for one in self.subject.others),
-        )  # arrays compare by element
+        looks = [one.look for one in (self.subject, *self.subject.others)]
+        return looks[0].mode, *((look.transfer, cuts_of(look.clip)) for look in looks)  # arrays compare by element
 
     @property
     def long_steps(self) -> list[float]:

@@ -15,7 +15,7 @@ from clvol.base.errors import GeometryError
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.volume.volume import Volume
 
-__all__ = ["CLIP", "Box", "Clip", "Corner", "Cuts", "Plane", "as_clip", "clip_block", "cuts_of"]
+__all__ = ["CLIP", "Box", "Clip", "Corner", "Cuts", "Plane", "as_clip", "clip_block", "cuts_of", "joined"]
 
 _MAX_PLANES, _MAX_CORNERS = 64, 8  # corners leave up to one more part of a ray, each of which is marched
 
@@ -155,9 +155,14 @@ def as_clip(clip: Clip) -> Clip | None:
     return cuts or None
 
 
+def joined(one: Clip | None, other: Clip | None) -> Clip | None:
+    """All that either of two checked clips cuts away; `GeometryError` if that is more than a picture may have."""
+    return as_clip([*_listed(one), *_listed(other)]) if one is not None and other is not None else other if one is None else one
+
+
 def cuts_of(clip: Clip | None) -> Cuts:
     """The cuts of a checked `clip`, or of a view's box; several boxes have one intersection."""
-    cuts: Sequence[Any] = () if clip is None else clip if _is_list(clip) else (clip,)
+    cuts = _listed(clip)
     boxes = np.array([cut for cut in cuts if not isinstance(cut, Plane | Corner)], np.float64).reshape(-1, 2, 3)
     box = (_triple(boxes[:, 0].max(0)), _triple(boxes[:, 1].min(0))) if len(boxes) else None
     if box and any(low >= high for low, high in zip(*box, strict=True)):
@@ -171,7 +176,7 @@ def clip_block(clip: Clip | None, volume: Volume, unit: float) -> Values:
     return _block(cuts_of(clip), _triple(volume.origin), unit)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _block(cuts: Cuts, origin: Triple, unit: float) -> Values:
     def local(points: ArrayLike) -> NDArray[np.float64]:
         return (np.asarray(points, np.float64) - origin) / unit
@@ -191,6 +196,10 @@ def _block(cuts: Cuts, origin: Triple, unit: float) -> Values:
         planes=len(cuts.planes),
         corners=len(cuts.corners),
     )
+
+
+def _listed(clip: Clip | None) -> Sequence[Any]:
+    return () if clip is None else clip if _is_list(clip) else (clip,)
 
 
 def _is_list(clip: Any) -> TypeGuard[Sequence[Any]]:

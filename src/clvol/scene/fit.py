@@ -26,8 +26,8 @@ from clvol.volume.volume import Volume
 __all__ = ["Seen", "Sphere", "fitted", "sphere_of_matter"]
 
 Bools: TypeAlias = NDArray[np.bool_]
-Seen: TypeAlias = tuple[Volume, Mode, TransferFunction]
-"""A volume, with the mode and the transfer function that show it."""
+Seen: TypeAlias = tuple[Volume, Mode, TransferFunction, Clip | None]
+"""A volume, with the mode and the transfer function that show it, and what is cut away of it."""
 
 _SAMPLES = 64  # samples read along each axis
 _FAINT = 0.02  # relative to the largest opacity: less is barely visible
@@ -75,15 +75,15 @@ def fitted(
     `aspect` is the picture's width over its height; `others` are the other volumes of the picture. A camera that is not fitted to
     matter sees one volume as its `Camera.view` says, and several as the sphere around them all.
     """
-    seen, given = ((volume, mode, transfer), *others), (camera.position, camera.target, camera.distance, camera.radius)
+    seen, given = ((volume, mode, transfer, clip), *others), (camera.position, camera.target, camera.distance, camera.radius)
     if camera.fit != "matter" or any(value is not None for value in given):
         if not others or (camera.target is not None and camera.radius is not None):
             return camera
-        corners = np.concatenate([one.corners for one, _, _ in seen])
+        corners = np.concatenate([one.corners for one, *_ in seen])
         middle = corners.min(0) / 2 + corners.max(0) / 2
         radius = float(np.linalg.norm(corners - middle, axis=1).max())
         return replace(camera, target=camera.target or tuple(map(float, middle)), radius=camera.radius or radius)  # type: ignore[arg-type]  # three
-    sphere = _around([sphere_of_matter(*one, clip) for one in seen])
+    sphere = _around([sphere_of_matter(*one) for one in seen])
     center, radius = np.asarray(sphere.center), sphere.radius
     if sphere.outer is not None:
         view = camera.view(volume, aspect)

@@ -16,7 +16,7 @@ from clvol.base.uniform import FLOAT, REACH, Block, Values
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
-from clvol.scene.clip import Box, Clip, as_clip
+from clvol.scene.clip import Box, Clip, as_clip, joined
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import AS_THEY_ARE, Stored
@@ -61,12 +61,16 @@ class Medium:
     boundary : str or Boundary
         Boundary rule outside its samples. The domain ends half a voxel outside the outer samples, or at the outer samples
         for "constant" and "overlap", where the function changes there.
+    clip : (low, high), Plane, Corner, or a list of these, optional
+        What is cut away of this medium alone, beside what `Scene.clip` cuts away of all, and in the same terms. A face shows the
+        slice of what is cut there; media that go on in front of it or behind it stay as they are.
 
     Raises
     ------
     OptionError
         The volume does not have three axes, or the filter or boundary is unknown.
     GeometryError
+        `clip` is none of these, or has more than 64 planes or 8 corners, those of the scene included.
         Its spacings differ by a factor of more than 10⁶ or are outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
         float32 cannot distinguish samples. (`clvol.sample` and `Field` use double precision if the device supports it. Whether
         less unequal spacings are a problem depends on the view: see `Renderer.render`.)
@@ -78,6 +82,7 @@ class Medium:
     filter: Filter | None = None
     boundary: Boundary = DEFAULT_BOUNDARY  # type: ignore[assignment]  # __post_init__ looks names up
     visible: bool = True
+    clip: Clip | None = None
     mask: InitVar[ArrayLike | None] = None
     where: InitVar[ArrayLike | None] = None
 
@@ -104,6 +109,8 @@ class Medium:
         if self.transfer is not None:
             instance("transfer", self.transfer, TransferFunction)
         instance("material", self.material, Material)
+        if self.clip is not None:
+            object.__setattr__(self, "clip", as_clip(self.clip))
         if self.volume.ndim != 3:
             raise OptionError(f"rendering takes a volume with 3 axes; got shape {self.volume.shape}{if_image(self.volume.shape)}")
         low, high = min(self.volume.spacing), max(self.volume.spacing)
@@ -224,6 +231,12 @@ class Scene:
             object.__setattr__(self, "background", color_of("background", self.background))
         if self.clip is not None:
             object.__setattr__(self, "clip", as_clip(self.clip))
+        for medium in media:
+            self.clip_of(medium)  # no more cuts than a picture may have
+
+    def clip_of(self, medium: Medium) -> Clip | None:
+        """What is cut away of one of its media: by the scene, and by the medium itself."""
+        return joined(self.clip, medium.clip)
 
 
 def as_medium(choice: Medium | Volume | ArrayLike) -> Medium:

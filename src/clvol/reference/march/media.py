@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 from clvol.base.arrays import Array
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.march import flat_below, planes_across, shade
-from clvol.reference.march.rays import Rays, camera_rays
+from clvol.reference.march.rays import Rays, camera_rays, kept_parts
 from clvol.reference.spline.points import sample
 from clvol.scene.camera import Camera, Viewpoint
-from clvol.scene.clip import cuts_of
+from clvol.scene.clip import Cuts, cuts_of
 from clvol.scene.scene import Medium, Scene
 from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume
 
 __all__ = ["render_media"]
+
+_OPAQUE = 1e9  # greatest optical thickness, so that colours of opaque matter have weights
+_FACE = 16  # unit distances of matter that are as opaque as the face of a cut
 
 
 def render_media(
@@ -27,10 +30,10 @@ def render_media(
 ) -> dict[str, Array]:
     """The picture of a scene's media in "composite", without termination, and its depth.
 
-    Of cuts it has boxes alone, without faces. The camera has a target and a radius, or a position; all media have a transfer
-    function. The grid of medium number `lead` has the planes of the samples, whose stretches are half a step to either side, except
-    from where a ray enters a medium to the first of its samples, and from the last to where it leaves. A ray that meets none has a
-    sample in its middle, at the next plane's place.
+    The camera has a target and a radius, or a position; all media have a transfer function. The grid of medium number `lead` has
+    the planes of the samples, whose stretches are half a step to either side, except from where a ray enters a medium to the first
+    of its samples, and from the last to where it leaves. A ray that meets none has a sample in its middle, at the next plane's
+    place. A ray that enters at the face of a cut has the slice, unlit, for 16 unit distances, at the place before its first sample.
     """
     width, height = size
     volume = scene.media[lead].volume
@@ -38,13 +41,21 @@ def render_media(
     t, world_step = _places(scene, volume, view, size, step)
     optical, light = np.zeros(t.shape), np.zeros((*t.shape, 3))
     for medium in scene.media:
-        rays = camera_rays(medium.volume, view, size, (0.5, 0.5), cuts_of(scene.clip).box, medium.boundary.edge)
-        which, slot, at, length = _samples(rays, t, world_step)
-        stopped, rgb = _matter(medium, scene, rays, view, which, at, shading)
+        whole = camera_rays(medium.volume, view, size, (0.5, 0.5), None, medium.boundary.edge)
         unit = (medium.transfer and medium.transfer.unit_distance) or medium.volume.mean_spacing
-        thickness = np.multiply(stopped, length / unit, out=np.zeros_like(stopped), where=length > 0)
-        np.add.at(optical, (which, slot), thickness)
-        np.add.at(light, (which, slot), thickness[:, None] * rgb)
+        for rays, face in _kept(whole, scene, medium):
+            which, slot, at, length = _samples(rays, t, world_step)
+            stopped, rgb = _matter(medium, scene, rays, view, which, at, shading)
+            thickness = np.multiply(stopped, length / unit, out=np.zeros_like(stopped), where=length > 0)
+            thickness = np.minimum(thickness, _OPAQUE)
+            np.add.at(optical, (which, slot), thickness)
+            np.add.at(light, (which, slot), thickness[:, None] * rgb)
+            cut = np.flatnonzero(face)
+            stopped, rgb = _matter(medium, scene, rays, view, cut, rays.enter[cut], shading=False)
+            slot = (t[cut] < rays.enter[cut, None]).sum(1) - 1
+            thickness = np.minimum(_FACE * stopped, _OPAQUE)
+            np.add.at(optical, (cut, slot), thickness)
+            np.add.at(light, (cut, slot), thickness[:, None] * rgb)
     opacity = -np.expm1(-optical)
     after = np.cumprod(1 - opacity, axis=1)
     before = np.concatenate([np.ones((len(after), 1)), after[:, :-1]], 1)
@@ -86,10 +97,20 @@ def _places(scene: Scene, volume: Volume, view: Viewpoint, size: tuple[int, int]
         enter = np.maximum(enter, 0.0)
     count = 1 + math.ceil(float(np.linalg.norm(high - low)) / step)
     oblique = enter[:, None] + (np.arange(count) + 0.5) * own[:, None]
-    every = np.full((len(t), max(len(numbers), count)), math.inf)
-    every[steep, : len(numbers)] = t[steep]
-    every[~steep, :count] = oblique[~steep]
+    every = np.full((len(t), 1 + max(len(numbers), count)), math.inf)
+    every[:, 0] = -math.inf  # a place before all samples
+    every[steep, 1 : 1 + len(numbers)] = t[steep]
+    every[~steep, 1 : 1 + count] = oblique[~steep]
     return every, np.where(steep, spacing / np.abs(along), own)
+
+
+def _kept(rays: Rays, scene: Scene, medium: Medium) -> list[tuple[Rays, NDArray[np.bool_]]]:
+    """The parts of a medium's rays that the scene's cuts and its own keep, and which of them begin at a face."""
+    cuts, own = cuts_of(scene.clip), cuts_of(medium.clip)
+    parts = kept_parts(rays, cuts) if cuts != Cuts() else [(rays, np.zeros(len(rays.enter), np.bool_))]
+    if own == Cuts():
+        return parts
+    return [(each, begins | (face & (each.enter == part.enter))) for part, face in parts for each, begins in kept_parts(part, own)]
 
 
 def _corners(medium: Medium) -> Array:
