@@ -1,9 +1,9 @@
 """What `analysis.predict` and `reports.advise` say of noisy phantoms, beside the errors measured against the noise-free truth.
 
-    python -m bench.predictions [--only WORD] [--scan FILE ...] [--size N] [--seed N] [--markdown]
+    python -m bench.predictions [--only WORD] [--scan FILE ...] [--size N] [--axes N] [--seed N] [--markdown]
 
 The truth is a function, so that it is known between samples. The noise: white; Poisson's; Poisson's and a camera's; proportional to
-the value; uneven; blurred; of a magnitude (Rician); clipped.
+the value; uneven; blurred; of a magnitude (Rician); clipped; shared by the samples of a plane or a line.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def patchy(sigma: float, ratio: float) -> Disturbed:
     """A part of the volume with a larger σ."""
 
     def add(true: Array, rng: np.random.Generator) -> Array:
-        z = np.arange(true.shape[0])[:, None, None] < true.shape[0] // 3
+        z = np.arange(true.shape[0]).reshape(-1, *[1] * (true.ndim - 1)) < true.shape[0] // 3
         return true + np.where(z, ratio * sigma, sigma) * rng.normal(0, 1, true.shape)
 
     return add
@@ -129,7 +129,8 @@ def blurred(sigma: float, width: float | tuple[float, ...]) -> Disturbed:
     """White noise after a Gaussian of `width` samples."""
 
     def add(true: Array, rng: np.random.Generator) -> Array:
-        noise = ndimage.gaussian_filter(rng.normal(size=true.shape), width, mode="wrap")
+        widths = width if isinstance(width, float) else width[-true.ndim :]
+        noise = ndimage.gaussian_filter(rng.normal(size=true.shape), widths, mode="wrap")
         return np.asarray(true + sigma * noise / noise.std())
 
     return add
@@ -170,6 +171,17 @@ def impulses(sigma: float, share: float) -> Disturbed:
     return add
 
 
+def striped(sigma: float, axes: int, white: float = 0.02) -> Disturbed:
+    """The same noise all along the last `axes` axes (lines or planes; at least one axis is left), and white noise."""
+
+    def add(true: Array, rng: np.random.Generator) -> Array:
+        along = min(axes, true.ndim - 1)
+        shape = true.shape[: true.ndim - along] + (1,) * along
+        return np.asarray(true + rng.normal(0, sigma, shape) + rng.normal(0, white, true.shape))
+
+    return add
+
+
 @dataclass(frozen=True)
 class Noisy:
     """How samples get noise: from true values times `factor` plus `offset`; `sigma` is given where it is not the samples' error."""
@@ -188,6 +200,7 @@ NOISES = {
     "poisson 30 t + 3": Noisy(poisson(30, 3), 30, 3),
     "poisson 300 t + 3": Noisy(poisson(300, 3), 300, 3),
     "poisson 5 t + .5": Noisy(poisson(5, 0.5), 5, 0.5),
+    "poisson 2 t + .1": Noisy(poisson(2, 0.1), 2, 0.1),
     "poisson 100 t + 10, camera 4": Noisy(poisson(100, 10, 4), 100, 10),
     "poisson 100 t": Noisy(poisson(100, 0), 100, 0),
     "proportional .2, .01": Noisy(proportional(0.2, 0.01)),
@@ -209,6 +222,9 @@ NOISES = {
     "clipped .1 at 0": Noisy(clipped(0.1), sigma=0.1),
     "clipped .05 at 0 and .7": Noisy(clipped(0.05, 0, 0.7), sigma=0.05),
     "clipped .2 at 0, integers": Noisy(clipped(0.2, 0, math.inf, 200), 200, 0, sigma=40),
+    "lines .1": Noisy(striped(0.1, 1)),
+    "planes .05": Noisy(striped(0.05, 2)),
+    "planes .02": Noisy(striped(0.02, 2)),
     "impulses .02, .02": Noisy(impulses(0.02, 0.02)),
 }
 
@@ -260,17 +276,20 @@ class Case:
         return math.exp(max(near, key=abs, default=math.nan))
 
 
-def measure(structure: str, noise: str, truth: Truth, size: int = 64, seed: int = 0, points: int = 30_000) -> Case:
-    """A phantom of `size` samples along each axis, its prediction, and errors at random points."""
+def measure(structure: str, noise: str, truth: Truth, size: int = 64, seed: int = 0, points: int = 30_000, axes: int = 3) -> Case:
+    """A phantom of `size` samples along each axis, its prediction, and errors at random points; of 2 axes, the slice z = 0."""
     how = NOISES[noise]
     rng = np.random.default_rng(seed)
-    axis = np.linspace(-1, 1, size)
-    true = truth(np.stack(np.meshgrid(axis, axis, axis, indexing="ij")[::-1], -1))
+
+    def of(places: Array) -> Array:
+        return truth(np.pad(places, [(0, 0)] * (places.ndim - 1) + [(0, 3 - axes)]))
+
+    true = of(np.stack(np.meshgrid(*[np.linspace(-1, 1, size)] * axes, indexing="ij")[::-1], -1))
     samples = how.add(true, rng)
     volume = clvol.Volume(samples if samples.dtype.kind == "i" else samples.astype(np.float32))
     spread = float(np.std(samples - (how.factor * true + how.offset)))
-    at = rng.uniform(_MARGIN, size - 1 - _MARGIN, (points, 3))
-    wanted = how.factor * truth(at / (size - 1) * 2 - 1) + how.offset
+    at = rng.uniform(_MARGIN, size - 1 - _MARGIN, (points, axes))
+    wanted = how.factor * of(at / (size - 1) * 2 - 1) + how.offset
     given = advise(volume)
     rows = settled_once(as_filters(ADVISED), volume)
     with warnings.catch_warnings():
@@ -285,12 +304,12 @@ def measure(structure: str, noise: str, truth: Truth, size: int = 64, seed: int 
 TRUTHS: dict[str, Truth] = {"balls": balls, "Marschner-Lobb": waves, "regions": piecewise, "slopes": slopes}
 
 
-def cases(only: str, scans: list[Path], size: int, seed: int) -> Iterator[Case]:
+def cases(only: str, scans: list[Path], size: int, seed: int, axes: int = 3) -> Iterator[Case]:
     truths = TRUTHS | {file.name.partition(".")[0]: of_scan(file, size) for file in scans}
     for structure, truth in truths.items():
         for noise in NOISES:
             if only in f"{structure}: {noise}":
-                yield measure(structure, noise, truth, size, seed)
+                yield measure(structure, noise, truth, size, seed, axes=axes)
 
 
 def line(case: Case) -> str:
@@ -306,8 +325,8 @@ def line(case: Case) -> str:
 def markdown(found: list[Case]) -> str:
     """A row for each noise: of the first structure, and the worst of all."""
     lines = [
-        "| noise | found | σ true | σ found | predicted | measured | advised | worst of all |",
-        "|---|---|---|---|---|---|---|---|",
+        "| noise | found | σ true | σ found | predicted | measured | predicted / measured | advised | worst of all |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for noise in NOISES:
         rows = [case for case in found if case.noise == noise]
@@ -324,8 +343,9 @@ def markdown(found: list[Case]) -> str:
         shown = name or case.best
         numbers = (case.true, case.found.sigma, case.predicted[shown], case.measured[shown])
         texts = [f"{number:.3g}" for number in numbers]
+        texts.append(f"{numbers[2] / numbers[3]:.2f}")
         if name is None:
-            texts[2] = "–"
+            texts[2] = texts[4] = "–"
         lines.append(f"| {noise} | {kind} | {' | '.join(texts)} | {name or 'nothing'} | {', '.join(of_all)} |")
     return "\n".join(lines)
 
@@ -335,11 +355,12 @@ def main() -> None:
     parser.add_argument("--only", default="", help="a word of the structure or the noise")
     parser.add_argument("--scan", type=Path, nargs="*", default=[], help="scans used as structures, low-passed")
     parser.add_argument("--size", type=int, default=64)
+    parser.add_argument("--axes", type=int, default=3, choices=(2, 3))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--markdown", action="store_true", help="print the table of docs/how-to/noise.md")
     options = parser.parse_args()
     found = []
-    for case in cases(options.only, options.scan, options.size, options.seed):
+    for case in cases(options.only, options.scan, options.size, options.seed, options.axes):
         found.append(case)
         if not options.markdown:
             print(line(case), flush=True)

@@ -250,7 +250,7 @@ def test_only_certain_statements_are_made() -> None:
     told = 0
     for _ in range(10):
         volume = Volume(rng.normal(0, 1, (40, 40, 40)).cumsum(0).cumsum(1).cumsum(2))
-        expected = advise(volume, ["omoms3", "bspline5", "linear"]).expected
+        expected = advise(volume, ["omoms3", "bspline5", "linear"], noise=0.0).expected
         assert expected is not None
         assert expected.surely_less("bspline5", "linear")
         assert not expected.surely_less("linear", "bspline5")
@@ -282,7 +282,7 @@ def test_few_samples_give_no_order() -> None:
         given = advise(np.random.default_rng(n).normal(size=(n, n, n)))
         said = " ".join(given.sentences)
         assert not re.search("smaller than|errs less|errs still less|pays|fine as the samples", said)
-        assert "too few to tell" in said or "These data are noise" in said
+        assert "too few" in said or "These data are noise" in said
 
 
 @pytest.mark.parametrize("slopes", [(1, 0, 0), (0.1, 10, 3)])

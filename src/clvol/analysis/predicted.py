@@ -52,6 +52,10 @@ _NODES = 256  # frequencies in (0, pi), for quantities that are periodic and smo
 _SLOW = 1e-3  # frequency at which a wave is a plane
 _ALIASES = 4  # on each side; those of a jump decrease at least with the cube of the frequency
 _UNSURE = 0.1  # relative error of the estimated variance of the noise
+_LEVEL_UNSURE = 0.5  # the same, if most frequencies agree
+_SHELLS = 16  # of frequencies, from 0 to Nyquist
+_CHANCE = 2.5  # standard errors
+_HANN = 1.94  # samples under Hann's window that count as one
 _ROUNDING = 1e-12  # of the squared half range; float32's squared rounding errors about a plane
 _FEWEST = 6  # blocks; fewer agree by chance more often than once in forty
 _RESAMPLES = 2000
@@ -92,9 +96,14 @@ class PredictedTable(Table[PredictedRow]):
     sigma : float
         Standard deviation of the noise, in the data's units.
     blocks : ndarray of float64, shape (filters, blocks)
-        Expected squared errors by block, in squared units of the data; the row has their mean.
+        Expected squared errors by block, in squared units of the data, times how much of the volume a block stands for (1 on
+        average; more at the border, where blocks overlap less); the row has their mean.
     slopes : ndarray of float64, shape (filters, blocks)
         The same for gradients; NaN for filters without one.
+    leverage : ndarray of float64, shape (filters, blocks)
+        How much the squared errors grow if the variance of the noise is relatively 1 larger, and detail as much less.
+    uncertain : float
+        Relative standard error of the variance of the noise; 0 if it is given as a number.
     variance : float
         Mean square, without the noise, of the samples less a plane fitted to each block.
     steepness : float
@@ -117,6 +126,8 @@ class PredictedTable(Table[PredictedRow]):
     sigma: float
     blocks: Array
     slopes: Array
+    leverage: Array
+    uncertain: float
     variance: float
     steepness: float
     detail: float | None
@@ -160,6 +171,27 @@ class PredictedTable(Table[PredictedRow]):
         if not self.enough or not np.isfinite(gap).all() or not gap.any():
             return False
         return float((_draws(gap.size, self.apart, self.seed) @ gap > 0).mean()) >= _SURE
+
+    def risk(self, filter: str, unseen: float = 0.0) -> float:
+        """The largest ratio of the expected error of `filter` and the least of all but the exact sinc, for noise within two errors.
+
+        Two standard errors of its variance are meant. Errors below `unseen` count as that much; it is infinite if `unseen` is
+        0 and another filter has no error.
+
+        Raises
+        ------
+        OptionError
+            A filter without a row.
+        """
+        place, ratios = self._place(filter), []
+        rest = np.array([row.noise for row in self]) ** 2
+        able = [row.filter == filter or row.filter != EXACT_SINC for row in self]
+        for change in (-min(1.0, 2 * self.uncertain), 0.0, 2 * self.uncertain):
+            squares = np.maximum((self.blocks + change * self.leverage).mean(1), np.maximum((1 + change) * rest, unseen**2))
+            least = float(squares[able].min())
+            if squares[place] > 0:
+                ratios.append(math.sqrt(squares[place] / least) if least > 0 else math.inf)
+        return max(ratios, default=1.0)
 
     def _place(self, filter: str) -> int:
         names = [row.filter for row in self]
@@ -220,60 +252,73 @@ def predict(
     known = given if isinstance(given, Noise) else Noise(number("noise", given, minimum=0), "white", colour=(1.0,) * volume.ndim)
     low, high = volume.value_range
     unit = high / 2 - low / 2 or 1.0  # so that no square overflows or underflows
-    samples = _blocks(volume, count, seed)
+    samples, even = _blocks(volume, count, seed)
     parts = (samples - (low / 2 + high / 2)) / unit
     shape = parts.shape[1:]
-    share = _noisy(samples, known)
-    variance, offset = _by_block(samples, known, unit, share)
-    del samples
+    inner = tuple(range(1, parts.ndim))
+    # the noise in the powers, under the taper, and that which remains, of all samples alike
+    variance, _ = _by_block(samples, known, unit, _taper(shape) ** 2)
+    remaining, offset = _by_block(samples, known, unit, even)
+    share = _noisy(samples, known, even)
+    counts = even.mean(inner)[:, None]
+    total = float((even * (parts - (even * parts).mean()) ** 2).mean())
+    del samples, even
     if known.doubt:
         warn(f"the predicted errors are uncertain. The samples hold noise, and {known.doubt}")
     omega = [np.asarray(2 * np.pi * np.fft.fftfreq(n), np.float64) for n in shape]
     colours = known.colour[::-1]
     power, white, tilts = _spectra(parts)
     white *= _product([_coloured(ratio, w) for ratio, w in zip(colours, omega, strict=True)])
+    uncertain = 0.0
     if isinstance(given, Noise):
-        variance *= _refined(power, np.multiply.outer(variance, white), omega)
-    power -= np.multiply.outer(variance, white)
-    steps = _steps(parts, np.sqrt(variance))
+        apart = min(volume.data.size, parts.size / _HANN**volume.ndim)
+        better, known_to = _refined(counts * power, counts * np.multiply.outer(variance, white), omega, apart)
+        variance, remaining, uncertain = (
+            variance * better,
+            remaining * better,
+            known_to if math.isfinite(known_to) else 4 * known.uncertain,
+        )
+    noisy = counts * np.multiply.outer(variance, white)
+    power, tilts, steps = counts * power - noisy, counts * tilts, counts * _steps(parts, np.sqrt(variance))
     # the variance between blocks, and of the planes in them
-    seen = float(power.mean(0).sum()) + float(variance.mean() * white.sum())
-    slower = max(0.0, float(parts.var()) - seen)
+    slower = max(0.0, total - float((power + noisy).mean(0).sum()))
     sloping = tilts @ np.array([1 / s**2 for s in volume.spacing[::-1]])
-    rows, squares, slopes = [], [], []
+    rows, squares, slopes, leverage = [], [], [], []
     for row in chosen:
         along = [row.along(a) if isinstance(row, Filter) else row for a in reversed(range(len(shape)))]  # x is 0
         tables = [_tables(part, w) for part, w in zip(along, omega, strict=True)]
-        bias = power @ _unsmeared(_kernel(tables), shape) + sum(
-            steps[:, a] * _beyond(part) + tilts[:, a] * _on_slopes(part) for a, part in enumerate(along)
-        )
+        kernel = _unsmeared(_kernel(tables), shape)
+        bias = power @ kernel + sum(steps[:, a] * _beyond(part) + tilts[:, a] * _on_slopes(part) for a, part in enumerate(along))
         flattened = _flattened(along, volume.shape)
         bias += flattened * slower + offset
-        left = variance * math.prod(_gain(part, ratio) for part, ratio in zip(along, colours, strict=True))
+        left = remaining * math.prod(_gain(part, ratio) for part, ratio in zip(along, colours, strict=True))
+        leverage.append(unit**2 * (left - noisy @ kernel))
         squares.append(unit**2 * (bias + left))
         slope, gain = np.full(bias.size, np.nan), math.nan
         if row == EXACT_SINC or (isinstance(row, Filter) and row.has_gradient):
-            kernel, gain = _slope_kernel(along, tables, omega, volume.spacing[::-1], colours)
-            slope = power @ _unsmeared(kernel, shape) + flattened * sloping
-        square, noisy = max(0.0, float(bias.mean())), float(left.mean())
-        steep = max(0.0, float(slope.mean())) + float(variance.mean()) * gain
-        slopes.append(unit**2 * (slope + variance * gain))
+            steepness, gain = _slope_kernel(along, tables, omega, volume.spacing[::-1], colours)
+            slope = power @ _unsmeared(steepness, shape) + flattened * sloping
+        square, rest = max(0.0, float(bias.mean())), float(left.mean())
+        steep = max(0.0, float(slope.mean())) + float(remaining.mean()) * gain
+        slopes.append(unit**2 * (slope + remaining * gain))
         rows.append(
             PredictedRow(
                 row.name if isinstance(row, Filter) else row,
                 unit * math.sqrt(square),
-                unit * math.sqrt(noisy),
-                unit * math.sqrt(square + noisy),
+                unit * math.sqrt(rest),
+                unit * math.sqrt(square + rest),
                 unit * math.sqrt(steep) if math.isfinite(steep) else None,
             )
         )
     slope_power = [(w / step) ** 2 for w, step in zip(omega, volume.spacing[::-1], strict=True)]
-    detail, total = _detail(power, np.multiply.outer(variance, white), omega)
+    detail, total = _detail(power, noisy, omega)
     return PredictedTable(
         rows,
-        sigma=unit * math.sqrt(float(variance.mean() / share.mean())) if variance.any() else 0.0,
+        sigma=unit * math.sqrt(float(remaining.mean() / share.mean())) if remaining.any() else 0.0,
         blocks=np.array(squares),
         slopes=np.array(slopes),
+        leverage=np.array(leverage),
+        uncertain=uncertain,
         variance=unit**2 * max(0.0, float(power.mean(0).sum())),
         steepness=unit**2 * max(0.0, float(power.mean(0) @ _summed(slope_power) + sloping.mean())),
         detail=detail,
@@ -322,15 +367,20 @@ def _one(filter: str | Filter) -> str | Filter:
 # -- blocks of the volume ------------------------------------------------------------------------------------
 
 
-def _blocks(volume: Volume, count: int, seed: int) -> Array:
-    """Blocks that overlap by half, at most `count`; (blocks, *shape)."""
+def _blocks(volume: Volume, count: int, seed: int) -> tuple[Array, Array]:
+    """Blocks that overlap by half, at most `count`; and weights by which all samples count alike; both (blocks, *shape)."""
     sizes = [min(n, max(_BLOCK[0], min(_BLOCK[1], n // 2))) for n in volume.shape]
     starts = [sorted({*range(0, n - m, max(1, m // 2)), n - m}) for n, m in zip(volume.shape, sizes, strict=True)]
+    lines = []
+    for m, firsts in zip(sizes, starts, strict=True):
+        inside = np.array(firsts)[:, None] + np.arange(m)
+        lines.append(dict(zip(firsts, 1 / np.bincount(inside.ravel())[inside], strict=True)))
     places = list(itertools.product(*starts))
     if len(places) > count:
         places = [places[i] for i in np.sort(np.random.default_rng(seed).choice(len(places), count, replace=False))]
     parts = [tuple(slice(a, a + m) for a, m in zip(place, sizes, strict=True)) for place in places]
-    return np.stack([volume.data[part].astype(np.float64) for part in parts])
+    even = np.stack([_product([line[a] for a, line in zip(place, lines, strict=True)]).reshape(sizes) for place in places])
+    return np.stack([volume.data[part].astype(np.float64) for part in parts]), even / even.mean()
 
 
 def _taper(shape: Sequence[int]) -> Array:
@@ -380,16 +430,18 @@ def _spectra(parts: Array) -> tuple[Array, Array, Array]:
     return power.reshape(len(parts), -1), white / size**2, (fitted[:, 1:] / lengths[1:]) ** 2
 
 
-def _noisy(samples: Array, noise: Noise) -> Array:
+def _noisy(samples: Array, noise: Noise, weights: Array) -> Array:
     """The share of each block that has noise: all except the background."""
-    if noise.background is None:
-        return np.ones(len(samples))
-    weights = _taper(samples.shape[1:]) ** 2
-    return np.asarray(((samples != noise.background) * weights).reshape(len(samples), -1).mean(1))
+    noisy = weights if noise.background is None else (samples != noise.background) * weights
+    return np.asarray(np.broadcast_to(noisy, samples.shape).reshape(len(samples), -1).mean(1))
 
 
-def _by_block(samples: Array, noise: Noise, unit: float, share: Array) -> tuple[Array, Array]:
-    """The variance of each block's noise, and the mean square of the distance of its mean from the truth; in squared units."""
+def _by_block(samples: Array, noise: Noise, unit: float, weights: Array) -> tuple[Array, Array]:
+    """The variance of each block's noise, and the mean square of the distance of its mean from the truth; in squared units.
+
+    `weights` are those of samples, of shape (blocks, *shape) or (*shape).
+    """
+    share = _noisy(samples, noise, weights)
     nothing = np.zeros(len(samples))
     if noise.kind == "uneven":
         low = float(samples.min())
@@ -400,7 +452,7 @@ def _by_block(samples: Array, noise: Noise, unit: float, share: Array) -> tuple[
     at = samples
     for axis in range(1, samples.ndim):
         at = _mean_along(at, axis)
-    weights = _taper(samples.shape[1:]) ** 2 * (1.0 if noise.background is None else samples != noise.background)
+    weights = weights * (1.0 if noise.background is None else samples != noise.background)
     axes = tuple(range(1, samples.ndim))
     variances, offsets = (np.interp(at, noise.levels, values) for values in (noise.variances, noise.offsets))
     return (variances / unit**2 * weights).mean(axes), ((offsets / unit) ** 2 * weights).mean(axes)
@@ -432,16 +484,33 @@ def _steps(parts: Array, sigma: Array) -> Array:
     return np.asarray(result / parts[0].size)
 
 
-def _refined(power: Array, noise: Array, omega: Sequence[Array]) -> float:
-    """The correction, a factor, of the variance of the noise.
+def _refined(power: Array, noise: Array, omega: Sequence[Array], apart: float) -> tuple[float, float]:
+    """The correction, a factor, of the variance of the noise, and its standard error, infinite without a correction.
 
-    Noise is clearest where all frequencies are high. If it explains the power there to within a tenth, all of that power is taken
-    as noise: this mean is more accurate than the estimate.
+    `apart` is the number of independent samples.
+
+    Noise is clearest where all frequencies are high. All of the power there is taken as noise, and that of lower frequencies down
+    to the first that have more or less of it than chance explains: this mean is more accurate than the estimate. If it differs by
+    more than a tenth, most frequencies must agree.
     """
     corner = _product([np.where((np.abs(w) > np.pi / 2) | (w.size < _TAPERED), 1.0, 0.0) for w in omega]) > 0
-    expected = float(noise[:, corner].sum())
-    ratio = float(power[:, corner].sum()) / expected if expected > 0 else 1.0
-    return ratio if abs(ratio - 1) < _UNSURE else 1.0
+    radius = _SHELLS * np.sqrt(_summed([w**2 for w in omega])) / np.pi
+    shells = [corner, *((radius.astype(int) == n) & ~corner for n in range(int(radius.max()), -1, -1))]
+    seen, expected = (np.array([float(of.sum(0)[shell].sum()) for shell in shells]) for of in (power, noise))
+    counts = np.array([shell.sum() for shell in shells])
+    blocks = noise.sum(1)
+    apart = apart * float(blocks.mean() ** 2 / max(float((blocks**2).mean()), 1e-300))  # where noise is strong decides
+    agree = 0  # shells
+    while agree < len(shells) and expected[0] > 0:
+        error = _CHANCE * math.sqrt(2 * corner.size / apart * (1 / max(counts[agree], 1) + 1 / max(counts[:agree].sum(), 1)))
+        ratio = seen[:agree].sum() / expected[:agree].sum() if agree else 1.0
+        if agree and abs(seen[agree] / ratio - expected[agree]) > error * expected[agree]:
+            break
+        agree += 1
+    ratio = float(seen[:agree].sum() / expected[:agree].sum()) if agree else 1.0
+    if not agree or abs(ratio - 1) >= (_UNSURE if 2 * counts[:agree].sum() < corner.size else _LEVEL_UNSURE):
+        return 1.0, math.inf
+    return ratio, math.sqrt(2 * corner.size / apart / counts[:agree].sum())
 
 
 def _detail(power: Array, noise: Array, omega: Sequence[Array]) -> tuple[float | None, float]:

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,16 @@ _TABLE = 129  # levels of `Noise.variances`
 _MANY = 20_000  # places from which correlation can be measured, unless all cells are alike
 _FEWEST = 100  # places from which a variance can be estimated
 _BACKGROUND = 0.05  # share of samples from which the most common value may be a background
+_PEAKS = 0.015  # of the samples unlike a neighbour, above or below all neighbours, if they change at random
+_MANY_PEAKS = 0.12  # likewise, if edges hide that all bands have the same power
+_STEP = 0.4  # steps: weaker noise is that of rounding, which is as it is everywhere
+_SPREAD = 5.5  # standard errors between the variances of the noisiest and the quietest part, at most
+_PARTS = 4  # along each axis, and of the levels
+_STRIPED = 0.1  # of the variance, from which noise that lines or planes share matters
+_AVERAGED_OUT = 4.0  # times what white noise leaves in means, at least
+_TURNING = 0.7, 1.0  # share of second differences that are extremes; less by this much over the root of their number
+_LIKE = 0.25  # of the power of single samples without the noise, that of means, if all share it
+_LINE = 12  # samples of the shortest axis along which this is seen
 _EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
 _ROUNDED = 4  # values of rounded smooth data, at least: fewer cannot be told from labels
 _EDGES_BEYOND = 0.02  # share of neighbours of different values that may be more than one value apart
@@ -73,6 +84,11 @@ _CUTS = 2.0  # `Noise.jump` from which a background cuts through objects
 _TAPER = 3  # power of the sine that is a block's taper: the higher, the less low frequencies leak to high ones
 _AVERAGED = 2, 4  # samples along an axis whose means show low frequencies, and lower ones
 _CELLS = 32  # of frequencies along an axis, about
+_FILLED = "binary", "labels", "rounded"
+_SHARED = "neighbouring samples share their noise, which cannot be told from detail"
+_UNKNOWN = "too few samples show whether neighbouring ones share it"
+_FEW = "too few places show how strong it is"
+_CHANGES = "its strength changes, and too few even places show how"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +140,8 @@ class Noise:
     jump : float
         Ratio of the step from the background to an object's outer samples and the next step inside: far above 1 at a mask that
         cuts through an object, 1 or less where objects fade out.
+    uncertain : float
+        Relative standard error of `sigma`, of white noise of as many samples.
     clipped : (float, float)
         Fractions of the samples at the smallest and at the largest value.
     spectrum : Spectrum
@@ -144,6 +162,7 @@ class Noise:
     variances: tuple[float, ...] = field(default=(), repr=False)
     offsets: tuple[float, ...] = field(default=(), repr=False)
     rms: float = 0.0
+    uncertain: float = 0.0
     doubt: str = ""
     spectrum: Spectrum = field(default=None, compare=False, repr=False)  # type: ignore[assignment]  # `estimate` always sets it
 
@@ -210,6 +229,16 @@ def estimate(samples: NDArray[Any], missing: NDArray[np.bool_] | None = None) ->
         zero = float(-(np.longdouble(low) / unit)) - base if low >= 0 else None
         found = _found(blocks, background, zero, (values.astype(np.float64) - base, counts))
         kind = found.kind
+    if kind == "none":
+        rough = _rough_places(blocks, same)
+        sure = found.doubt or len(values) > MOST_LABELS or rough > _MANY_PEAKS or _flat(blocks)
+        found = replace(found, doubt=(found.doubt or _CHANGES) if rough > _PEAKS and sure else "")
+    if (
+        kind not in _FILLED
+        and not found.doubt
+        and _striped(blocks, max(found.variance, (_STEP * float(facts.get("step", 0.0) / unit)) ** 2))
+    ):
+        found = replace(found, doubt=_SHARED)
     variance, colour, curve = found.variance, found.colour, found.curve
     total = variance * math.prod((1 + ratio) / 2 for ratio in colour)
     cells, part = _cells(blocks), variance * (1 - float(background.mean()))
@@ -221,6 +250,9 @@ def estimate(samples: NDArray[Any], missing: NDArray[np.bool_] | None = None) ->
     spectrum = _spectrum(cells, part, colour)
     facts |= {"gain": 0.0, "colour": found.colour[::-1], "spectrum": spectrum}
     facts["rms"] = float(math.sqrt(total) * unit)
+    if variance > 0:
+        places = len(blocks) * math.prod(max(1, (n - len(LOW)) // 2 + 1) for n in blocks.shape[1:] if n >= len(LOW))
+        facts["uncertain"] = error(max(1, int(places * (1 - float(background.mean())) / 2))) / 2
     if curve is not None:
         at = np.linspace(curve.levels[0], curve.levels[-1], _TABLE)
         facts["gain"] = float(curve.slope * unit)
@@ -228,7 +260,7 @@ def estimate(samples: NDArray[Any], missing: NDArray[np.bool_] | None = None) ->
         facts["variances"] = tuple((curve(at) * float(unit) ** 2).tolist())
         facts["offsets"] = tuple((np.interp(at, curve.levels, curve.offsets) * float(unit)).tolist())
         total = curve.sigma**2 or total
-    if facts["rms"] > math.sqrt(_SLIGHT) * unit:  # of correlated noise little is in the highest octave
+    if found.doubt or facts["rms"] > math.sqrt(_SLIGHT) * unit:  # of correlated noise little is in the highest octave
         lost = same & ((blocks == values[0] - values[most]) | (blocks == values[-1] - values[most]))
         facts["doubt"] = _doubt(found, blocks, float(lost.mean()))
     return Noise(float(math.sqrt(total) * unit), kind, **facts)
@@ -455,6 +487,7 @@ class _Found:
     gain: float = 0.0
     curve: Curve | None = None
     beyond: float = 0.0  # share of the variance at levels that no white cell has
+    doubt: str = ""  # `Noise.doubt`, as far as it is found here
 
 
 def _found(
@@ -467,7 +500,7 @@ def _found(
     axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(LOW)]
     white = (1.0,) * (blocks.ndim - 1)
     if not axes:
-        return _Found(colour=white)
+        return _Found(colour=white, doubt=_FEW)
     split = bands(blocks, axes)
     highest = (1,) * len(axes)
     lowest = (0,) * len(axes)
@@ -478,7 +511,7 @@ def _found(
     if background.any():  # exclude places that overlap a background, which has no noise
         used &= bands(background.astype(np.float32), axes, (np.ones(len(LOW)),))[lowest] < 0.5
     if used.sum() < _FEWEST:
-        return _Found(colour=white)
+        return _Found(colour=white, doubt=_FEW)
     cells = cells_of(split, level, used)
     squares = {key: band**2 for key, band in split.items()}
     around = np.sum(list(squares.values()), 0)  # power of all bands, then summed over neighbours
@@ -488,6 +521,7 @@ def _found(
         around = before + around + after
     level, around = level[used], around[used]
     squares = {key: square[used] for key, square in squares.items()}
+    lowers = [(*highest[:i], 0, *highest[i + 1 :]) for i in range(len(axes))] if len(axes) > 1 else []
 
     def power(key: tuple[int, ...], places: NDArray[np.int64]) -> float:
         """The noise in a band, from the half of the places with the least power around them, then from half of these, ..."""
@@ -516,21 +550,24 @@ def _found(
     variances = np.array([power(highest, places) for places in classes])
     counts = np.array([float(len(places)) for places in classes])
     levels = np.array([float(level[places].mean()) for places in classes])
+    step = float(np.diff(histogram[0]).min()) if len(histogram[0]) < blocks.size / 2 else 0.0
     mean, colour, few_cells = _middle(variances, counts), list(white), 0.0
     if mean <= _NEGLIGIBLE:
         return _Found(colour=white)
+    ratios = [_middle(np.array([power(key, p) for p in classes]) / np.maximum(variances, _FLAT**2), counts) for key in lowers]
+
+    parts: list[NDArray[Any]] = [level, *([] if len(blocks) > 1 else np.nonzero(used)[1:])]
+    tested = partial(_tested, ratios=ratios, square=squares[highest], around=around, level=level, parts=parts, step=step)
     plain = cells.white
     alike = cells.lower.size > 0 and len(cells.variance) >= _CELLS_ALIKE and _alike(cells)
     if not alike and len(plain.variance) >= max(_CELLS_ENOUGH, _WHITE_SHARE * len(cells.variance)):
         limits = _limits(*histogram, math.sqrt(float(plain.variance.max())))
         found = _by_value(plain, _local_means(blocks, background), mean, zero, limits, white)
         if found.kind != "signal-dependent" or found.beyond < 1:
-            return found
+            return found if found.kind == "uneven" or len(plain.variance) >= _CELLS_MANY else tested(found)
         few_cells = 1.0  # a model that hardly holds in few cells: that of values alone, in which edges count less, and a doubt
     if len(axes) > 1 and (alike or len(level) >= _MANY):
-        for i, axis in enumerate(axes):
-            lower = np.array([power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes])
-            ratio = _middle(lower / np.maximum(variances, _FLAT**2), counts)
+        for axis, ratio in zip(axes, ratios, strict=True):
             if _COLOURED < ratio < (np.inf if alike else _SIGNAL):
                 colour[axis - 1] = ratio
     if max(colour) > 1:
@@ -541,8 +578,92 @@ def _found(
         ends = np.array([float(blocks.min()), float(blocks.max())])
         curve = Curve(ends, (at + slope * ends).clip(0), np.zeros(2), slope=slope)
         mean = max(0.0, at + slope * float(blocks[~background].mean()))
-        return _Found("signal-dependent", mean, white, slope, curve, few_cells)
-    return _Found("white", mean, white)
+        return tested(_Found("signal-dependent", mean, white, slope, curve, few_cells))
+    return tested(_Found("white", mean, white))
+
+
+def _rough_places(blocks: NDArray[np.float32], same: NDArray[np.bool_]) -> float:
+    """The share of samples unlike a neighbour that are above or below all neighbours, and visibly; 2/7 in noise of three axes."""
+    return int((_beyond(blocks) > math.sqrt(_SLIGHT)).sum()) / max(int((~same).sum()), _FEWEST)
+
+
+def _flat(blocks: NDArray[np.float32]) -> bool:
+    """Whether all bands have the same power, as if samples changed at random: few counts."""
+    axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(LOW)]
+    if len(axes) < 2:
+        return False
+    powers = {key: float((band**2).mean(dtype=np.float64)) for key, band in bands(blocks, axes).items()}
+    highest = powers[(1,) * len(axes)]
+    return highest > _SLIGHT and max(power for key, power in powers.items() if sum(key) == len(axes) - 1) < _COLOURED * highest
+
+
+def _tested(
+    found: _Found,
+    ratios: Sequence[float],
+    square: NDArray[np.floating],
+    around: NDArray[np.floating],
+    level: NDArray[np.floating],
+    parts: Sequence[NDArray[Any]],
+    step: float,
+) -> _Found:
+    """With a doubt unless the places themselves show that the noise is white and follows the model."""
+    if found.variance <= max(_SLIGHT, (_STEP * step) ** 2):
+        return found
+    if not ratios:
+        return replace(found, doubt=_UNKNOWN)
+    if max(ratios) > _COLOURED * (1 + error(max(len(level) // 2, 1))):
+        return replace(found, doubt=_SHARED)
+    wide = level.astype(np.float64)
+    expected = np.full(len(level), found.variance) if found.curve is None else found.curve(wide)
+    relative = expected + _SLIGHT * max(float(expected.max()), _NEGLIGIBLE)
+    return replace(found, doubt="" if _is_even(square / relative, around / relative, parts) else _CHANGES)
+
+
+def _is_even(square: Array, around: Array, by: Sequence[NDArray[Any]]) -> bool:
+    """Whether the variance is the same in all parts of places by each of several keys, but for chance and edges.
+
+    Edges are left out by taking the half of each part with the least power `around`.
+    """
+    for key in by:
+        found = []
+        for part in np.array_split(np.argsort(key, kind="stable"), _PARTS):
+            quiet = part[np.argsort(around[part] - square[part], kind="stable")[: max(len(part) // 2, 1)]]
+            found.append(float(np.median(square[quiet])))
+        if max(found) > min(found) * math.exp(_SPREAD * error(max(len(square) // (2 * _PARTS), 1))):
+            return False
+    return True
+
+
+def _striped(blocks: NDArray[np.float32], variance: float) -> bool:
+    """Whether lines or planes share noise: means along them change at random, by more than white noise's do."""
+    axes = range(1, blocks.ndim)
+    for along in itertools.chain.from_iterable(itertools.combinations(axes, count) for count in range(1, len(axes))):
+        across = [axis for axis in axes if axis not in along]
+        if min(blocks.shape[axis] for axis in across) < _LINE:
+            continue
+        means = blocks.mean(along, dtype=np.float64)
+        shared = _rough(means, range(1, means.ndim))
+        left = variance / math.prod(blocks.shape[axis] for axis in along)
+        least = max(10 * _SLIGHT, _STRIPED * variance, _AVERAGED_OUT * left, _LIKE * (_rough(blocks, across) - variance))
+        if shared > least and _at_random(means):
+            return True
+    return False
+
+
+def _rough(values: NDArray[Any], axes: Iterable[int]) -> float:
+    """The variance of white noise with the second differences of `values` along each of the axes."""
+    for axis in axes:
+        values = np.diff(values, 2, axis) / math.sqrt(6)
+    return float(np.median(values**2)) / MEDIAN_SQUARE
+
+
+def _at_random(values: NDArray[Any]) -> bool:
+    """Whether the second differences turn as often as those of independent values: at four of five; of smooth ones, seldom."""
+    for axis in range(1, values.ndim):
+        turns = np.multiply(*_pairs(np.diff(values, 3, axis), axis)) < 0
+        if turns.mean() < _TURNING[0] - _TURNING[1] / math.sqrt(turns.size):
+            return False
+    return True
 
 
 def _by_value(
@@ -610,13 +731,26 @@ def _limits(values: Array, counts: NDArray[np.int64], sigma: float) -> tuple[flo
 
 def _doubt(found: _Found, blocks: NDArray[np.float32], lost: float) -> str:
     """Why errors cannot be predicted from the noise; empty if they can. `lost` is the share of samples in regions at a limit."""
+    if found.doubt:
+        return found.doubt
     if found.kind == "correlated" and max(found.colour) > _STRONG:
-        return "neighbouring samples share their noise, which cannot be told from detail"
+        return _SHARED
     if found.kind == "clipped" and lost > _LOST:
         return f"{lost:.0%} of them lie in regions that are clipped, so that what was there is lost"
     if found.beyond > _EXTRAPOLATED:
-        return "its strength changes, and too few even places show how"
+        return _CHANGES
     variance = max(found.variance, 0.0 if found.curve is None else float(found.curve.variances.max()))
+    beyond = _beyond(blocks)
+    outside = beyond[beyond > _OUTLIER * math.sqrt(variance)].astype(np.float64)
+    if float((outside**2).sum()) > _OUTLIERS * found.variance * beyond.size:
+        return (
+            f"{outside.size / beyond.size:.1%} of the samples are far from all their neighbours: remove them, as by a median filter"
+        )
+    return ""
+
+
+def _beyond(blocks: NDArray[np.float32]) -> NDArray[np.float32]:
+    """How far inner samples are above or below all their neighbours; negative between them."""
     axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= 3]
     inner = tuple(slice(1, -1) if axis in axes else slice(None) for axis in range(blocks.ndim))
     middle = blocks[inner]
@@ -626,13 +760,7 @@ def _doubt(found: _Found, blocks: NDArray[np.float32], lost: float) -> str:
             other = blocks[(*inner[:axis], side, *inner[axis + 1 :])]
             np.maximum(highest, other, out=highest)
             np.minimum(lowest, other, out=lowest)
-    beyond = np.maximum(middle - highest, lowest - middle)
-    outside = beyond[beyond > _OUTLIER * math.sqrt(variance)].astype(np.float64)
-    if float((outside**2).sum()) > _OUTLIERS * found.variance * middle.size:
-        return (
-            f"{outside.size / middle.size:.1%} of the samples are far from all their neighbours: remove them, as by a median filter"
-        )
-    return ""
+    return np.asarray(np.maximum(middle - highest, lowest - middle))
 
 
 def _alike(cells: Cells) -> bool:

@@ -42,6 +42,8 @@ ADVISED = (
 
 _AS_GOOD = 1.05  # times the smallest error; the difference is not visible
 _LITTLE = 0.05  # share of the error; a smaller gain is not worth a sentence
+_RISK = 1.1  # times the smallest error, within what is known of the noise
+_UNCERTAIN = "too few samples show how strong it is: its variance is known to within {}, and other filters may err less"
 _BASE = "linear"  # the default of most programs
 _UNSEEN = 1e-4  # of the range; smaller noise and errors are not visible
 _UNSEEN_SLOPE = 0.01  # of the gradients; half a degree
@@ -126,13 +128,15 @@ def advise(
     if isinstance(known, Noise) and known.kind == "labels" and "nearest" in by_name:
         return Advice("nearest", _labels(known))
     if isinstance(known, Noise) and known.doubt:
-        return Advice(None, _silent(known))
+        return Advice(None, _silent(known.doubt))
     smooth = settled(PICTURE_FILTER, volume).name
     if isinstance(known, Noise) and known.kind == "rounded" and smooth in by_name:
         return Advice(smooth, _rounded(smooth, known))
     sinc = [EXACT_SINC] if EXACT_SINC in named and rule.repeats else []
     expected = predict(volume, [*rows, *sinc], known)
     best = _choice(expected, by_name, high - low)
+    if expected.risk(best, _UNSEEN * (high - low)) > _RISK:
+        return Advice(None, _silent(_UNCERTAIN.format(_percent(2 * expected.uncertain))))
     if float(np.var(volume.data, dtype=np.float64)) < (1 + _NOTHING) * expected.sigma**2:
         smooth = max(by_name.values(), key=lambda row: -expected.row(row.name).noise).name
         return Advice(smooth, _pure_noise(smooth, expected), expected)
@@ -184,9 +188,9 @@ def _rounded(smooth: str, noise: Noise) -> list[str]:
     ]
 
 
-def _silent(noise: Noise) -> list[str]:
+def _silent(doubt: str) -> list[str]:
     return [
-        f"No filter is recommended: the samples hold noise, and {noise.doubt}.",
+        f"No filter is recommended: the samples hold noise, and {doubt}.",
         "Errors measured on the samples themselves count this noise as detail. If the noise is known, pass it as noise=.",
     ]
 
