@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -333,11 +334,148 @@ def test_each_size_of_a_lazy_volume_knows_where_it_lacks_samples(device: Device)
     assert (shown != expected).mean() < 0.01  # rays are sampled from the finest one's faces on
 
 
-def test_a_lazy_volume_says_what_it_does_not_do(device: Device) -> None:
-    with pytest.raises(OptionError, match="mask takes a volume in memory; got a LazyVolume"):
-        render(LazyVolume(holes().data), mask=np.isnan(holes().data), device=device)
-    with pytest.raises(DataError, match=r"missing=value"):
-        LazyVolume(np.full((4, 4, 4), np.nan)).whole()
+DRAWN: dict[str, Any] = {**OPTIONS, "transfer": FULL, "isovalue": 16.0, "outputs": "rgba"}
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface", "mip"])
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+def test_a_mask_of_a_lazy_volume_is_that_of_the_volume_in_memory(mode: str, dtype: type, device: Device) -> None:
+    """It was refused. What it excludes moves no isovalue, window or camera; only the unit of gradients is another."""
+    mask = np.isnan(ball())
+    data = np.where(mask, 4000, ball(0)).astype(dtype)
+    options = {"filter": "catmull-rom", "device": device}
+    lazy = LazyVolume(data)
+    for own in (options, options | suited(mode, DRAWN)):
+        want = render(data, CAMERA, mode, SIZE, 0.8, mask=mask, **own)
+        for one in (mask, mask.tolist(), LazyVolume(mask)):
+            np.testing.assert_allclose(render(lazy, CAMERA, mode, SIZE, 0.8, mask=one, **own), want, atol=1e-6)
+        np.testing.assert_allclose(render(data, CAMERA, mode, SIZE, 0.8, mask=LazyVolume(mask), **own), want, atol=1e-6)
+    with Renderer(lazy, "catmull-rom", device=device, mask=mask) as renderer:
+        assert np.isnan(renderer.field(np.array([[1.0, 1.0, 1.0], CENTER]))).tolist() == [True, False]
+
+
+def test_a_coarser_size_lacks_what_the_mask_excludes_of_any_of_its_samples() -> None:
+    data, mask = ball(9.0), np.isnan(ball())
+    mask[7] = True
+    few = data.reshape(12, 2, 12, 2, 12, 2).mean((1, 3, 5))
+    lazy = LazyVolume(data, levels=[LazyVolume(few, (2, 2, 2), (0.5, 0.5, 0.5))])
+    for made in (in_parts(lazy, mask), pickle.loads(pickle.dumps(in_parts(lazy, mask))), in_parts(lazy, mask).for_tasks()):
+        gone = mask.reshape(12, 2, 12, 2, 12, 2).any((1, 3, 5))
+        for level, expected in ((made, mask), (made.levels[0], gone)):
+            assert level.where is not None
+            np.testing.assert_array_equal(level.where[0 : level.shape[0], 0 : level.shape[1], 0 : level.shape[2]], expected)
+            part = np.s_[2:5, 0:7, 3:4]
+            np.testing.assert_array_equal(level.where[part], expected[part])
+
+
+@pytest.mark.parametrize("given", ["volume", "field"])
+def test_nan_that_no_look_saw_is_left_out_too(given: str, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ended the picture with an error."""
+    monkeypatch.setattr("clvol.bricks.source._PREVIEWED", 200)
+    monkeypatch.setattr("clvol.bricks.source._PART", 4)
+    data = ball(15.0)
+    data[3:6, 3:9, 14:21], data[5, 5, 5] = np.nan, np.inf
+    options = suited("composite", DRAWN) | {"camera": CAMERA, "mode": "composite", "size": SIZE, "step": 0.8}
+    lazy = LazyVolume(data)
+    assert np.isfinite(lazy.preview().data).all()
+    assert np.isfinite(lazy.part().data).all()
+    want = render(data, filter="catmull-rom", device=device, **options)
+    with BrickedField(lazy, "catmull-rom", device=device, edge=8) as field, Renderer(lazy, "catmull-rom", device=device) as own:
+        renderer = Renderer(field) if given == "field" else own
+        for _ in range(2):
+            np.testing.assert_array_equal(renderer.render(**options), want)
+        final = list(renderer.refine(**{name: value for name, value in options.items() if name != "outputs"}))[-1]
+        np.testing.assert_array_equal(final, want)
+        with pytest.raises(DataError, match="samples must be finite; got"):
+            field(np.array([[17.0, 5.0, 4.0]]))
+
+
+class _Counting:
+    """Samples by chunks, which counts those that are read."""
+
+    def __init__(self, data: Any, chunks: tuple[int, ...]) -> None:
+        self._data, self.shape, self.dtype, self.chunks, self.count = data, data.shape, data.dtype, chunks, 0
+
+    def __getitem__(self, place: tuple[slice, ...]) -> Any:
+        spans = (-(-one.stop // n) - one.start // n for one, n in zip(place, self.chunks, strict=True))
+        self.count += int(np.prod(list(spans)))
+        return self._data[place]
+
+
+def test_what_is_missing_is_read_once(device: Device) -> None:
+    """Each frame read every chunk again that it met, beside coefficients that were there."""
+    stored = _Counting(ball(), (8, 8, 8))
+    options: dict[str, Any] = suited("mip", DRAWN)
+    with Renderer(LazyVolume(stored), "linear", device=device) as renderer:
+        first = renderer.render(CAMERA, "mip", SIZE, 0.8, **options)
+        stored.count = 0
+        np.testing.assert_array_equal(renderer.render(CAMERA, "mip", SIZE, 0.8, **options), first)
+    assert stored.count == 0
+
+
+def _stored(kind: str, data: np.ndarray[Any, Any], folder: Path) -> tuple[Path, Path, int]:
+    """A volume in chunks of 8³: what to open, and the file and place of the last chunk of the first eight."""
+    if kind == "hdf5":
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(folder / "v.h5", "w") as file:
+            at = file.create_dataset("v", data=data, chunks=(8, 8, 8), compression="gzip", fletcher32=True).id
+            (info,) = (one for one in map(at.get_chunk_info, range(at.get_num_chunks())) if one.chunk_offset == (8, 8, 8))
+        return folder / "v.h5", folder / "v.h5", info.byte_offset
+    if kind == "tiff":
+        tifffile = pytest.importorskip("tifffile")
+        pytest.importorskip("imagecodecs")
+        tifffile.imwrite(folder / "v.tif", data, tile=(8, 16, 16), volumetric=True, compression="zlib", photometric="minisblack")
+        with tifffile.TiffFile(folder / "v.tif") as opened:
+            return folder / "v.tif", folder / "v.tif", opened.pages[0].dataoffsets[0]
+    zarr = pytest.importorskip("zarr")
+    own: dict[str, Any] = {"shards": (16, 16, 16)} if kind == "sharded" else {}
+    zarr.create_array(folder / "v.zarr", data=data, chunks=(8, 8, 8), zarr_format=2 if kind == "zarr2" else 3, **own)
+    file = folder / "v.zarr" / {"zarr2": "1.1.1", "zarr3": "c/1/1/1", "sharded": "c/0/0/0"}[kind]
+    place = int(np.frombuffer(file.read_bytes()[-20:-12], "<u8")[0]) if kind == "sharded" else 0
+    return folder / "v.zarr", file, place
+
+
+@pytest.mark.parametrize("kind", ["zarr2", "zarr3", "sharded", "hdf5", "tiff"])
+def test_a_damaged_chunk_is_left_out_and_named(kind: str, device: Device, tmp_path: Path) -> None:
+    """It made every picture of the store an error. Truth: the picture of the other samples in memory."""
+    data = ball(12).astype(np.uint16)
+    path, file, place = _stored(kind, data, tmp_path)
+    content = bytearray(file.read_bytes())
+    content[place : place + 12] = bytes(byte ^ 0x5A for byte in content[place : place + 12])
+    file.write_bytes(content)
+    options: dict[str, Any] = suited("mean", DRAWN) | {"filter": "catmull-rom", "device": device}
+    lazy = clvol.open(path)
+    with pytest.warns(clvol.ClvolWarning, match="cannot read .*; pictures leave its samples out"):
+        got = render(lazy, CAMERA, "mean", SIZE, 0.8, **options)
+    gone = np.zeros(data.shape, bool)
+    gone[(np.s_[:8, :16, :16] if kind == "tiff" else np.s_[8:16, 8:16, 8:16])] = True
+    want = render(replace(lazy.grid, data=data), CAMERA, "mean", SIZE, 0.8, mask=gone, **options)
+    np.testing.assert_allclose(got, want, atol=1e-6)
+    whole = render(replace(lazy.grid, data=data), CAMERA, "mean", SIZE, 0.8, **options)
+    assert np.abs(np.asarray(whole) - want).max() > 0.01
+
+
+def test_a_chunk_that_fails_only_when_it_is_drawn_is_left_out_too(device: Device) -> None:
+    data, bad = ball(12).astype(np.uint8), {"at": 99}
+
+    class Failing(_Counting):
+        def __getitem__(self, place: tuple[slice, ...]) -> Any:
+            if all(one.start <= bad["at"] < one.stop for one in place):
+                raise OSError("bad sector")
+            return super().__getitem__(place)
+
+    options: dict[str, Any] = suited("mean", DRAWN)
+    with Renderer(LazyVolume(Failing(data, (8, 8, 8))), "catmull-rom", device=device) as renderer:
+        whole = renderer.render(CAMERA, "mean", SIZE, 0.8, **options)
+        renderer.field.drop()
+        bad["at"] = 11
+        with pytest.warns(clvol.ClvolWarning, match="bad sector; pictures leave its samples out"):
+            got = renderer.render(CAMERA, "mean", SIZE, 0.8, **options)
+    mask = np.zeros(data.shape, bool)
+    mask[8:16, 8:16, 8:16] = True
+    want = render(data, CAMERA, "mean", SIZE, 0.8, mask=mask, filter="catmull-rom", device=device, **options)
+    np.testing.assert_allclose(got, want, atol=1e-6)
+    assert np.abs(np.asarray(whole) - want).max() > 0.01
 
 
 def test_slices_leave_missing_samples_out(device: Device) -> None:
@@ -363,7 +501,19 @@ def test_errors_say_what_is_allowed(device: Device) -> None:
         Renderer(np.zeros((6, 6, 6)), mask=np.ones((6, 6), bool), device=device)
     with pytest.raises(DataError, match="mask must be boolean"):
         Renderer(np.zeros((6, 6, 6)), mask=np.ones((6, 6, 6)), device=device)
+    lazy = LazyVolume(np.zeros((6, 6, 6)))
+    with pytest.raises(DataError, match="mask must have the shape of the samples"):
+        Renderer(lazy, mask=np.zeros((6, 6), bool), device=device)
+    with pytest.raises(DataError, match="mask must be boolean"):
+        Renderer(lazy, mask=LazyVolume(np.ones((6, 6, 6))), device=device)
+    with pytest.raises(DataError, match="no sample of the volume is finite"):
+        Renderer(lazy, mask=np.ones((6, 6, 6), bool), device=device)
+    with pytest.raises(DataError, match=r"missing=value"):
+        LazyVolume(np.full((4, 4, 4), np.nan)).whole()
     with Field(holes(), "linear", device=device, nan="propagate") as field, pytest.raises(OptionError, match='nan="local"'):
         Renderer(field)
-    with Field(holes(), "linear", device=device, nan=Missing("local")) as field, pytest.raises(OptionError, match="mask takes"):
+    with (
+        Field(holes(), "linear", device=device, nan=Missing("local")) as field,
+        pytest.raises(OptionError, match="mask takes a volume, of"),
+    ):
         Renderer(field, mask=np.isnan(holes().data))

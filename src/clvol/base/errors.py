@@ -20,6 +20,7 @@ __all__ = [
     "FormatError",
     "GeometryError",
     "MissingDependencyError",
+    "MissingSampleError",
     "NotFiniteError",
     "OptionError",
     "OptionTypeError",
@@ -43,6 +44,10 @@ class OptionError(ClvolError, ValueError):
 
 class DataError(ClvolError, ValueError):
     """The samples cannot be used: wrong rank or dtype, empty, NaN or infinite."""
+
+
+class MissingSampleError(DataError):
+    """A sample is NaN or infinite where all must be there; pictures leave such samples out."""
 
 
 class GeometryError(ClvolError, ValueError):

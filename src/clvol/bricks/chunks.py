@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["UNPACKING", "Chunks", "Room", "lines_of", "stored_in_one"]
+__all__ = ["UNPACKING", "Chunks", "Place", "Room", "lines_of", "stored_in_one"]
 
 Place: TypeAlias = tuple[int, ...]
 """Which chunk it is, along z, y and x."""

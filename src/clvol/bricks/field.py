@@ -288,7 +288,7 @@ def _edge(needs: Needs, edge: int | None, budget: int, device: Device, volume: L
         return edge
     in_memory = at_once and isinstance(volume.data, np.ndarray) and not isinstance(volume.data, np.memmap)
     longest = edge_for(needs, budget, device.largest, volume.chunks, in_memory=in_memory)
-    if longest is not None and volume.damaged and volume.chunks is not None:
+    if longest is not None and volume.damaged and volume.where is None and volume.chunks is not None:
         # a brick that needs a damaged chunk is an error as a whole
         longest = min(longest, max(_SHORT, min(volume.chunks) // 2))
     if longest is None:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from clvol.base import memory
 from clvol.base.arrays import reals
 from clvol.base.checks import if_image, number, warn, whole
-from clvol.base.errors import ChunkError, ClvolError, DataError, FormatError, OptionError
+from clvol.base.errors import ChunkError, ClvolError, DataError, FormatError, MissingSampleError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
 from clvol.interop.images import read_grid
@@ -38,11 +38,11 @@ __all__ = [
     "LazyVolume",
     "Sliced",
     "by_bricks",
-    "in_place_of",
     "known_of",
     "may_be_read_ahead",
     "memory_for",
     "needed_by",
+    "stored_at",
     "stored_lines",
     "too_large",
 ]
@@ -73,6 +73,7 @@ _CHUNKS_LOOKED_INTO = 6  # along an axis, where there is no smaller copy to look
 _SMALL = 1 << 26  # samples of which all are looked at for their range
 _PIECE = 4 << 20  # bytes that are read at a time of what is looked at, unless a chunk has more
 _DAMAGED = 64  # chunks that a library cannot read: then the error is not of a chunk
+_LEFT_OUT = "pictures leave its samples out, and whatever else needs them is an error"
 _ALONE = ("clvol", "h5py", "tensorstore", "zarr")  # whose arrays ask no cluster
 
 
@@ -160,7 +161,7 @@ class LazyVolume(_Placed):
         The smallest and the largest sample, if these are known. Otherwise they are estimated from what is looked at.
     missing : float, optional
         What stands for samples that are NaN or infinite, or of damaged chunks; without it these are an error once they are read. (A
-        picture leaves NaN out, see `Missing`, if `preview` or `part` has some.)
+        picture leaves them out: see `Missing`.)
     bounds : Bounds, optional
         Minima and maxima of the function, if they are kept beside the samples.
     statistics : Statistics, optional
@@ -277,6 +278,9 @@ class LazyVolume(_Placed):
         """
         _require_no_futures(self)
         made = self.with_levels([level.for_tasks() for level in self.levels])
+        if hasattr(self.data, "for_tasks"):  # it reads other volumes
+            made.data = self.data.for_tasks()
+            made.where, made._again = getattr(made.data, "absent", None), None
         made._for_tasks = True
         return made
 
@@ -439,19 +443,6 @@ class LazyVolume(_Placed):
         raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
 
 
-def in_place_of(
-    volume: LazyVolume,
-    read: Callable[[LazyVolume], Sliced],
-    where: Callable[[LazyVolume], Absent],
-    again: Callable[[], LazyVolume] | None,
-) -> LazyVolume:
-    """The same read another way, and so are its levels, with where each lacks samples; what is looked at stays."""
-    made = volume.with_levels([in_place_of(level, read, where, None) for level in volume.levels])
-    made.data, made.where, made._again = read(volume), where(volume), again
-    made._preview, made._part, made._limits = volume.preview(), volume.part(), volume.limits
-    return made
-
-
 def _samples_at(volume: LazyVolume, place: Box, *, finite: bool = True) -> NDArray[Any]:
     """As `LazyVolume.at`, but nothing stands for damaged chunks."""
     z, y, x = place
@@ -459,11 +450,7 @@ def _samples_at(volume: LazyVolume, place: Box, *, finite: bool = True) -> NDArr
     expected = tuple(one.stop - one.start for one in place)
     memory.require(math.prod(expected) * volume.dtype.itemsize, words)
     with _reading(words):
-        found = volume.data[place]
-        if volume._for_tasks and _is_of_dask(found):
-            found = found.compute(scheduler="synchronous")
-        part = np.asarray(found)
-        part = part.astype(part.dtype.newbyteorder("="), copy=False)
+        part = stored_at(volume, place)
     if part.shape != expected or part.dtype != volume.dtype:
         raise FormatError(
             f"cannot read {words}: they must be {volume.dtype} of shape {expected}; got {part.dtype} of shape {part.shape}"
@@ -471,12 +458,21 @@ def _samples_at(volume: LazyVolume, place: Box, *, finite: bool = True) -> NDArr
     return _finite(part, volume.missing, words, place) if finite else part
 
 
+def stored_at(volume: LazyVolume, place: Box) -> NDArray[Any]:
+    """The samples at a place as they are stored; whatever a library raises is not caught."""
+    found = volume.data[place]
+    if volume._for_tasks and _is_of_dask(found):
+        found = found.compute(scheduler="synchronous")
+    part = np.asarray(found)
+    return part.astype(part.dtype.newbyteorder("="), copy=False)
+
+
 def _filled_at(volume: LazyVolume, place: Box, error: ChunkError) -> NDArray[Any]:
     """As `LazyVolume.at`, where a chunk is damaged."""
     if volume.missing is None:
         raise ChunkError(f"{error}: LazyVolume(..., missing=value) replaces them") from error
     part, gaps = _piecewise(volume, partial(_samples_at, volume), [place], place)
-    _note(volume, gaps, f"{volume.missing:g} stands for their samples")
+    _note(volume, gaps, _LEFT_OUT if math.isnan(volume.missing) else f"{volume.missing:g} stands for their samples")
     for gap in gaps:
         part[gap.place] = volume.missing
     return part
@@ -545,9 +541,9 @@ def _finite(part: NDArray[Any], missing: float | None, words: str, place: Box) -
         bad = ~np.isfinite(part)
         at = np.unravel_index(int(np.argmax(bad)), part.shape)
         first = [int(i) + one.start for i, one in zip(at, place, strict=True)]
-        raise DataError(
+        raise MissingSampleError(
             f"samples must be finite; got {int(bad.sum())} NaN or infinite of {words}, the first at index "
-            f"{first}: LazyVolume(..., missing=value) replaces them; a picture of volume.whole() leaves them out"
+            f"{first}: LazyVolume(..., missing=value) replaces them, and pictures leave them out"
         )
     return np.where(np.isfinite(part), part, part.dtype.type(missing))
 
@@ -625,7 +621,7 @@ def _note_look(volume: LazyVolume, data: NDArray[Any], gaps: _Gaps) -> None:
     """The same for samples that are looked at; raise if there are none."""
     if sum(data[gap.place].size for gap in gaps) == data.size:
         raise gaps[0].error
-    _note(volume, gaps, "until then what needs them is an error, and limits, noise and looks are those of the other samples")
+    _note(volume, gaps, f"{_LEFT_OUT}; limits, noise and looks are those of the others")
 
 
 def _from(box: Box, place: Box) -> Box:
@@ -735,10 +731,14 @@ def _limits_of(volume: LazyVolume) -> tuple[float, float]:
         return volume.statistics.value_range
     if not _few(volume):
         return volume.preview().value_range
-    if not all(map(math.isfinite, volume.preview().limits)):
-        return volume.preview().value_range
-    parts = (volume.at(box) for box in _pieces(volume, _everything(volume)))
-    ends = [(float(part.min()), float(part.max())) for part in parts]
+    ends = [volume.preview().value_range]  # some are finite
+    for box in _pieces(volume, _everything(volume)):
+        part = volume.as_is(box)
+        low, high = float(part.min()), float(part.max())  # far faster than selecting finite samples
+        if not (math.isfinite(low) and math.isfinite(high)):
+            there = part[np.isfinite(part)]
+            low, high = (float(there.min()), float(there.max())) if there.size else ends[0]
+        ends.append((low, high))
     return min(low for low, _ in ends), max(high for _, high in ends)
 
 

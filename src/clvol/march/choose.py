@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from clvol.base.checks import one_of, whole
 from clvol.base.errors import OptionError, OutOfMemoryError
-from clvol.bricks.continued import continued
+from clvol.bricks.continued import continued, lacks_some
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
@@ -53,7 +53,7 @@ def source_of(
         raise one_of("merge", merge, MERGES)
     if merge != "order" and cluster is None:
         raise OptionError(f"merge says how a cluster puts rays together; got {merge!r} and no cluster")
-    if mask is not None:
+    if mask is not None and not isinstance(given, LazyVolume):
         given = _masked(given, mask)
     if isinstance(given, ContinuousFunction):
         if cluster is not None:
@@ -61,7 +61,8 @@ def source_of(
         return _of_field(given, filter, boundary, device, memory)
     if isinstance(given, LazyVolume):
         memory_for(given, memory)  # before anything is read
-        given = continued(given)
+        if mask is not None or lacks_some(given):
+            given = continued(given, mask)
         row = filter if usual is None else row_for(given, filter, usual)
         field = BrickedField(
             given, usual_filter(given) if row is None else row, boundary, device, memory=memory, at_once=cluster is None
@@ -120,11 +121,12 @@ def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | N
 
 def _masked(given: Any, mask: ArrayLike) -> Volume | Medium | Scene:
     """What is drawn, without the samples that a mask excludes."""
-    if isinstance(given, ContinuousFunction) or is_in_parts(given):
+    if isinstance(given, ContinuousFunction):
         raise OptionError(
-            f'mask takes a volume in memory; got a {type(given).__name__}: a Field takes nan=Missing("local", mask), and '
-            "volume.whole() has all samples in memory"
+            f"mask takes a volume, of which coefficients are made; got a {type(given).__name__}: a Field takes "
+            'nan=Missing("local", mask)'
         )
+    mask = mask.whole().data if is_in_parts(mask) else mask  # type: ignore[union-attr]  # a LazyVolume
     if not isinstance(given, (Scene, Medium)):
         return masked(as_volume(given), mask)
     if len(as_scene(given).media) > 1:

@@ -68,7 +68,7 @@ class Renderer:
         See `as_device`.
     memory : int, optional
         Bytes that bricks may take: see `BrickedField`, which has its own if one is given.
-    mask : array-like of bool, shape of the volume, optional
+    mask : array-like of bool or LazyVolume of bool, shape of the volume, optional
         True where a sample is missing, as where it is NaN or infinite. Missing samples are transparent: see the notes of `Missing`.
     cluster : distributed.Client, str or int, optional
         Processes that draw together, by bricks: those of a dask client, of the scheduler at an address, or n of this machine.
@@ -86,7 +86,7 @@ class Renderer:
     GeometryError
         The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples.
     DataError
-        No sample is finite, or one of a LazyVolume is not; or one is too large: for float64, or a label by "nearest" for float32.
+        No sample is finite; or one is too large: for float64, or a label by "nearest" for float32.
     DeviceError
         There is no device, or it cannot hold the volume (`OutOfMemoryError`).
     ClusterError

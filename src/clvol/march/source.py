@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.checks import whole
-from clvol.base.errors import DataError, OptionError
+from clvol.base.errors import ChunkError, DataError, MissingSampleError, OptionError
 from clvol.base.progress import part_of
+from clvol.bricks.continued import continued
 from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import LazyVolume
 from clvol.filter.table import PICTURE_FILTER, as_filter
@@ -377,6 +378,28 @@ class ByBricks(Source):
             )
 
     def _draw(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
+        """The picture; again, if only its bricks showed that samples are missing."""
+        volume = self.field.volume
+        try:
+            return self._drawn(look, fine, level, guides, progress)
+        except (ChunkError, MissingSampleError):
+            if volume.where is not None or volume.missing is not None:
+                raise
+            self._leave_out()
+            return self._drawn(look, fine, level, guides, progress)
+
+    def _leave_out(self) -> None:
+        """Take the function for one that lacks samples."""
+        with self._lock:
+            field = self.field
+            if field.volume.where is None:
+                own = field.filter, field.boundary, field.device
+                made = BrickedField(continued(field.volume), *own, at_once=self._workers is None, beside=field)
+                self.field = made if self._workers is None else self._workers.shared_out(made)
+                self.lease.frees(self.field.close)
+                self._unsmoothed, self._levels = None, {}
+
+    def _drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
         field = self.function(look.mode, level)
         between = look.mode.between_samples(guides=guides)
         if between and fine.step > STEPPED_AT_MOST:

@@ -18,7 +18,7 @@ from clvol.base.errors import DataError
 if TYPE_CHECKING:
     from clvol.filter.filter import Filter
 
-__all__ = ["EXTRAPOLATED", "Missing", "NanRule", "as_missing", "extrapolated", "filled_smoothly", "touching"]
+__all__ = ["EXTRAPOLATED", "Missing", "NanRule", "as_missing", "extrapolated", "filled_smoothly", "require_mask", "touching"]
 
 NanRule: TypeAlias = Literal["error", "propagate", "local"]
 
@@ -81,8 +81,8 @@ class Missing:
     balls of values with radii of 3 to 10 voxels: the outline is wrong in half as many pixels as with whole voxels, 2 to 3 %
     against 5 to 6 %; the edge lies 0.2 voxels off, in the median, against 0.3.) A `Field` with the rule "local" is drawn with
     its own fill, and cut in the same way, whatever share it allows; with a share of 1 nothing of it is missing. Volumes that
-    are read by parts (`LazyVolume`) are drawn likewise if the samples that are looked at first (`preview`, `part`) show that
-    some are missing; where only others are, they are an error once they are read.
+    are read by parts (`LazyVolume`) are drawn likewise, and samples of damaged chunks are missing in them: a `ClvolWarning` names
+    the chunk. A mask of theirs excludes a sample of a lower resolution (`levels`) if it excludes any of those that it stands for.
     """
 
     rule: NanRule = "local"
@@ -95,8 +95,7 @@ class Missing:
         object.__setattr__(self, "most", number("most", self.most, minimum=0, maximum=1))
         if self.mask is not None:
             mask = np.asarray(self.mask)
-            if mask.dtype != bool:
-                raise DataError(f"mask must be boolean, True where a sample is missing; got {mask.dtype}")
+            require_mask(mask.dtype, mask.shape, mask.shape)
             object.__setattr__(self, "mask", mask)
 
     def of(self, data: NDArray[Any]) -> NDArray[np.bool_] | None:
@@ -110,8 +109,7 @@ class Missing:
         missing = None
         if self.mask is not None:
             missing = np.asarray(self.mask)
-            if missing.shape != data.shape:
-                raise DataError(f"mask must have the shape of the samples, {data.shape}; got {missing.shape}")
+            require_mask(missing.dtype, missing.shape, data.shape)
         if self.rule == "error":
             if missing is not None and missing.any():
                 raise DataError('the mask excludes samples, which nan="error" does not allow; nan may be "propagate" or "local"')
@@ -130,6 +128,14 @@ class Missing:
             return filled_smoothly(data, missing)
         valid = data[np.unravel_index(missing.argmin(), data.shape)]
         return np.where(missing, np.zeros_like(valid) if missing.all() else valid, data)
+
+
+def require_mask(dtype: np.dtype[Any], shape: tuple[int, ...], of: tuple[int, ...]) -> None:
+    """Raise `DataError` unless a mask is boolean and has the shape of the samples."""
+    if dtype.kind != "b":
+        raise DataError(f"mask must be boolean, True where a sample is missing; got {dtype}")
+    if tuple(shape) != of:
+        raise DataError(f"mask must have the shape of the samples, {of}; got {tuple(shape)}")
 
 
 def as_missing(nan: str | Missing) -> Missing:
