@@ -204,7 +204,10 @@ def test_unusual_data_give_a_report(tmp_path: Path, device: Device, data: np.nda
     done = reports.report(Volume(data), tmp_path / "a.html", filters=FEW, pixels=16, device=device)
     page = Page(done.path.read_text(encoding="utf-8"))
     assert not re.search(r"\b(nan|inf)\b", page.text, re.IGNORECASE)
-    assert done.advice.filter in FEW
+    if data.shape == (2, 2, 2):  # too few samples to tell noise from detail
+        assert done.advice.filter is None
+    else:
+        assert done.advice.filter in FEW
     if np.ptp(data) == 0:
         assert done.advice.filter == "linear"
         assert "constant" in page.text

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from clvol.base import memory
-from clvol.base.errors import ClvolError, OutOfMemoryError
+from clvol.base.errors import ChunkError, ClvolError, OutOfMemoryError
 from clvol.bricks.source import LazyVolume, needed_by
 from clvol.device import Device
 from clvol.march.bricks import STEPPED_AT_MOST, level_of, level_within, nearest_to
@@ -94,13 +94,18 @@ class Finer:
         return {"filter": name, "boundary": state.boundary}
 
     def drawn(self, wanted: Wanted, resident: Volume, stop: Callable[[], bool]) -> Picture | None:
-        """A picture by bricks, slices in the colours of the resident level; None if it was stopped."""
-        progress = asking(stop)
+        """A picture by bricks, slices in the colours of the resident level; None if it was stopped.
+
+        `ChunkError` if a chunk turns out to be damaged: the resident level, which has no hole, is what should be shown.
+        """
+        progress, known = asking(stop), len(self.stored.damages)
         with suppress(Stopped), self._turn(progress):
             given = dict(wanted.given)
             renderer = self._renderer_of(given.pop("filter"), given.pop("boundary"), progress)
             if wanted.pane is None:
                 result: Picture = renderer.render(size=wanted.size, progress=progress, **given)
+                if len(self.stored.damages) > known:
+                    raise ChunkError(self.stored.damages[known])
                 return result
             pane, pixel = wanted.pane, wanted.pane.pixel(wanted.size)
             points = plane_points(pane.middle, pane.right, pane.down, pixel, wanted.size)

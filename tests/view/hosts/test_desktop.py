@@ -86,10 +86,10 @@ def test_drags_and_keys_rotate_it_and_undo_reverts_them(device: Device) -> None:
         client.resize(64, 64)
         settling = Settling(client)
         first = settling.picture()
+        direction = client.session.state.camera.direction
         client.event({"event_type": "pointer_down", "x": 32, "y": 32, "button": 1, "buttons": (1,), "modifiers": ()})
         client.event({"event_type": "pointer_move", "x": 52, "y": 36, "button": 0, "buttons": (1,), "modifiers": ()})
         client.event({"event_type": "pointer_up", "x": 52, "y": 36, "button": 1, "buttons": (), "modifiers": ()})
-        direction = client.session.state.camera.direction
         until(lambda: client.session.state.camera.direction != direction)
         turned = settling.picture(first)
         assert np.abs(turned.astype(int) - first).max() > 50
