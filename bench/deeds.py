@@ -52,6 +52,7 @@ NOT_DONE = {
     "Boundary": "what `boundaries` holds",
     "Device": "what `devices` gives",
     "Filter": "what `filters` holds, and `bspline`, `from_pieces` and others make",
+    "Mesh": "what `mesh` gives",
     "Output": "a type",
     "Picture": "what `render` gives",
     "Refined": "what `Renderer.refine` gives",
@@ -322,6 +323,12 @@ def slices(world: World, random: Random) -> Any:
     volume = _volume(world, random)
     plane = _one(random, ("x", 1, clvol.Plane(random.normal(size=3), volume.center)))
     return [clvol.slice(volume, plane, size=(40, 32)), clvol.orthogonal(volume, size=(64, 64))]
+
+
+@_deed(4)
+def meshes(world: World, random: Random) -> Any:
+    found = clvol.mesh(_volume(world, random), "1sigma", closed=bool(random.integers(2)), curvature=True)
+    return [found.vertices, found.faces, found.normals, found.curvature]
 
 
 @_deed(2)

@@ -59,6 +59,8 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.formats.transforms import read_transform as read_transform
     from clvol.interfaces.batches import batch as batch
     from clvol.interfaces.interpolator import Interpolator as Interpolator
+    from clvol.interfaces.mesh import Mesh as Mesh
+    from clvol.interfaces.mesh import mesh as mesh
     from clvol.interfaces.movie import movie as movie
     from clvol.interfaces.orthogonal import orthogonal as orthogonal
     from clvol.interfaces.resize import resize as resize
@@ -122,6 +124,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "formats.transforms": "read_transform",
     "interfaces.batches": "batch",
     "interfaces.interpolator": "Interpolator",
+    "interfaces.mesh": "Mesh mesh",
     "interfaces.movie": "movie",
     "interfaces.orthogonal": "orthogonal",
     "interfaces.resize": "resize",

@@ -1208,6 +1208,7 @@ COMMANDS = (
     "info",
     "resample",
     "convert",
+    "mesh",
     "pyramid",
     "filters",
     "presets",

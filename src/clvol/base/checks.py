@@ -30,6 +30,7 @@ __all__ = [
     "meant_by",
     "number",
     "one_of",
+    "require_known",
     "require_room",
     "several",
     "suggests_options",
@@ -124,6 +125,14 @@ def meant_by(name: str, known: Iterable[str]) -> str:
         if name.lower() in words.split() and re.split(r"\W", ours)[0] in known:
             return ours
     return next(iter(difflib.get_close_matches(name, known, 1)), "")
+
+
+def require_known(function: str, options: Mapping[str, object], known: Iterable[str]) -> None:
+    """Raise `OptionError` for an option that a function has not."""
+    known = list(known)
+    for name in options:
+        if name not in known:
+            raise OptionError(f"{name} is no option of {function}{did_you_mean(name, known)}; it has {', '.join(known)}")
 
 
 def suggests_options(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:

@@ -1,9 +1,10 @@
-"""Commands for files: info, resample, convert, pyramid."""
+"""Commands for files: info, resample, convert, mesh, pyramid."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -35,11 +36,12 @@ from clvol.cli.root import DATA, command
 from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
 from clvol.cli.words import in_the_shell
 from clvol.formats import WRITTEN, series_of
+from clvol.interfaces.mesh import MESHES
 from clvol.volume.histogram import isovalue_of
 from clvol.volume.smoothing import choose
 from clvol.volume.volumes import Leading
 
-__all__ = ["convert", "info", "pyramid", "resample"]
+__all__ = ["convert", "info", "mesh", "pyramid", "resample"]
 
 _LONGEST = 40  # characters of a header's entry that is shown
 
@@ -307,6 +309,63 @@ def convert(source: Source, /, *, output: Output, input: Input | None = None, js
     result = reader.read_all(source) if reader.volume == "all" else reader.read(source)
     clvol.write(result, output)
     say(json, {"output": str(output), "shape": list(result.shape), "dtype": str(np.asarray(result).dtype)})
+
+
+@Parameter(name="*")
+@dataclass
+class Meshing:
+    """How the surface is made: options of `clvol.mesh`."""
+
+    isovalue: Annotated[
+        float | str | None,
+        Parameter(
+            name=("--isovalue", "--threshold"),
+            show_default=False,
+            help="Value of the surface, or standard deviations above the mean, as 3sigma. [default: as of 'clvol render']",
+        ),
+    ] = None
+    closed: Annotated[bool, Parameter(help="Close it where it meets the faces of the volume.")] = True
+    faces: Annotated[int | None, Parameter(help="Triangles at most.", converter=whole_numbers)] = None
+    curvature: Annotated[bool, Parameter(negative="", help="Keep the principal curvatures of the vertices, in a .ply.")] = False
+    filter: Annotated[FilterName | None, Parameter(help="As of 'clvol render'.", show_default=False)] = None
+    boundary: Boundary = "mirror"
+    nan: Annotated[
+        Literal["error", "local"], Parameter(help="NaN and infinite samples: error, or local, where the surface ends at them.")
+    ] = "error"
+    device: DeviceName = None
+
+
+@command(DATA)
+def mesh(
+    source: Source,
+    /,
+    *,
+    output: Output,
+    meshing: Meshing | None = None,
+    frame: Literal["LPS", "RAS"] = "LPS",
+    input: Input | None = None,
+    json: Json = False,
+) -> None:
+    """Write the surface of a value as triangles that lie on the spline: STL, PLY, OBJ or GLB.
+
+    Parameters
+    ----------
+    frame
+        Of coordinates, for a volume of a patient.
+    """
+    given = vars(meshing or Meshing())
+    require_writable(output, MESHES, "meshes")
+    if given["curvature"] and output.suffix.lower() != ".ply":
+        raise OptionError(f"--curvature is kept by .ply alone; got {output.name}")
+    reader = input or Input()
+    volume = reader.by_parts(source, too_large) or reader.read(source)
+    with progress("meshing", json) as report:
+        made = clvol.mesh(volume, progress=report, **given)
+    made.save(output, frame=frame)
+    found = {"output": str(output), "triangles": len(made.faces), "vertices": len(made.vertices), "area": made.area}
+    if made.is_closed:
+        found["volume"] = made.volume
+    say(json, found | {"units": volume.units})
 
 
 @command(DATA)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import reals
-from clvol.base.checks import did_you_mean, if_image, number, one_of, whole
+from clvol.base.checks import if_image, number, one_of, require_known, whole
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.progress import Progress, part_of, require_callback
@@ -157,7 +157,7 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
     ((207, 207, 4), (0.01, 0.01))
     >>> oblique = clvol.slice(volume, clvol.Plane((1, 1, 1), volume.center), thickness=0.2, mode="mip", size=(64, 64))
     """
-    _require_known("slice", options)
+    require_known("slice", options, SliceOptions.__annotations__)
     given = _given(volume)
     grid: Volume = given.grid
     if grid.ndim != 3:
@@ -200,7 +200,7 @@ def section(
     **options
         Those of `SliceOptions`.
     """
-    _require_known("section", options)
+    require_known("section", options, SliceOptions.__annotations__)
     mode, thickness = options.get("mode"), number("thickness", options.get("thickness", 0.0), minimum=0)
     if mode is not None and mode not in SLABS:
         raise one_of("mode of a slice", mode, SLABS)
@@ -394,13 +394,6 @@ def _vector(what: str, value: object) -> NDArray[np.float64]:
 
 def _text(vector: Sequence[float] | NDArray[np.float64]) -> str:
     return f"({', '.join(f'{v:g}' for v in vector)})"
-
-
-def _require_known(function: str, options: SliceOptions) -> None:
-    known = SliceOptions.__annotations__
-    for name in options:
-        if name not in known:
-            raise OptionError(f"{name} is no option of {function}{did_you_mean(name, known)}; it has {', '.join(known)}")
 
 
 def plane_points(
