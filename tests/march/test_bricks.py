@@ -61,7 +61,7 @@ def both(volume: clvol.Volume, filter: str, boundary: str, edge: int, *args: Any
         return whole.render(*args, **options), bricked.render(*args, **options)
 
 
-@pytest.mark.one_in(9)
+@pytest.mark.one_in(18)
 @pytest.mark.parametrize("view", CAMERAS)
 @pytest.mark.parametrize(("mode", "options"), MODES)
 @pytest.mark.parametrize("filter", ["linear", "nearest", "catmull-rom", "bspline3-approx"])

@@ -123,6 +123,7 @@ def test_a_surface_ends_where_samples_do(method: str, device: Device) -> None:
     assert abs(len(at) / (np.linalg.norm(disc, axis=1) < RADIUS).sum() - 1) < 0.05
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("filter", ["bspline3", "linear", "nearest"])
 @pytest.mark.parametrize("mode", [*MODES, "stepped"])
 def test_pictures_agree_with_the_reference_and_skipping_changes_no_bit(mode: str, filter: str, device: Device) -> None:
@@ -215,6 +216,7 @@ def test_masked_labels_stay_labels_and_show_no_other(device: Device) -> None:
     assert all(np.abs(own - one).max(1).min() < 2e-4 for one in shown)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["catmull-rom", "bspline3", "nearest"])
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "stepped", "mip", "mean"])
 def test_by_bricks_they_are_those_in_memory(mode: str, filter: str, device: Device) -> None:
