@@ -58,11 +58,50 @@ def test_isovalue_windows_noise_and_smoothing_are_those_of_the_whole(pair: tuple
 
 
 def test_default_pictures_are_those_of_the_whole(device: Device, pair: tuple[clvol.Volume, clvol.LazyVolume]) -> None:
+    """The camera is fitted to the same samples, too: `clvol/samples` of the store."""
     whole, store = pair
-    camera = clvol.Camera.orbit(fit="volume")
-    for mode in ("composite", "isosurface", "mip"):
-        pictures = [clvol.render(one, camera, mode, (60, 50), rays=1, device=device) for one in (whole, store.with_levels(()))]
+    for mode, options in (("composite", {}), ("isosurface", {}), ("isosurface", {"isovalue": "2sigma"}), ("mip", {})):
+        pictures = [
+            clvol.render(one, None, mode, (60, 50), rays=1, device=device, **options) for one in (whole, store.with_levels(()))
+        ]
         np.testing.assert_allclose(pictures[1], pictures[0], atol=2e-5)
+
+
+def test_labels_have_the_colors_and_the_camera_of_the_whole(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("clvol.bricks.source._PREVIEWED", 2_000)
+    data = np.zeros((40, 36, 44), np.uint16)
+    data[3:20, 4:20, 6:30], data[21:35, 10:30, 20:40], data[25, 3:5, 3:5] = 3, 900, 40  # the last is in no smaller size
+    whole = clvol.Volume(data, (1, 1, 1.5), labels=True)
+    store = clvol.pyramid(whole, tmp_path / "labels.zarr", chunks=16)
+    small = store.preview()
+    assert 40 not in small.data
+    background, numbers = histogram.label_numbers(small)
+    assert (background, numbers.tolist()) == (0, [0, 3, 40, 900])
+    pictures = [clvol.render(one, size=(50, 40), rays=1, device=device) for one in (whole, store.with_levels(()))]
+    np.testing.assert_array_equal(pictures[1], pictures[0])
+    assert store.statistics is not None
+    given = json.loads(json.dumps(store.statistics.json()))
+    assert given["labels"] == {"background": 0, "runs": [[0, 0], [3, 3], [40, 40], [900, 900]]}
+    for wrong in ({"background": 0, "runs": []}, {"background": 0, "runs": [[5, 1]]}, {"background": 0, "runs": [[0, 1e12]]}, {}):
+        with pytest.raises(FormatError, match="statistics of the samples must be those"):
+            Statistics.from_json(given | {"labels": wrong})
+
+
+def test_labels_that_are_many_and_scattered_are_not_kept(tmp_path: Path) -> None:
+    data = (2 * np.arange(16 * 16 * 16, dtype=np.int32)).reshape(16, 16, 16)
+    assert clvol.pyramid(clvol.Volume(data, labels=True), tmp_path / "labels.zarr").statistics is None
+
+
+def test_samples_of_another_shape_are_refused(tmp_path: Path) -> None:
+    zarr = pytest.importorskip("zarr")
+    clvol.pyramid(balls(20), tmp_path / "a.zarr", filter="bspline3")
+    root = zarr.open_group(tmp_path / "a.zarr")
+    del root["clvol/samples"]
+    root.create_array("clvol/samples", shape=(3, 4, 5), dtype="f4")
+    with pytest.raises(FormatError, match=r"clvol/samples must hold evenly spaced samples of shape \(20, 20, 20\)"):
+        clvol.open(tmp_path / "a.zarr")
 
 
 def test_other_writers_are_estimated(pair: tuple[clvol.Volume, clvol.LazyVolume], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,6 +126,7 @@ def test_they_are_small_and_versioned(pair: tuple[clvol.Volume, clvol.LazyVolume
         {"clims": {}},
         {"value_range": [0]},
         {"noise": None},
+        {"spread": None},
         {"smoothing": {"3": 1}},
     )
     for change in broken:

@@ -24,6 +24,7 @@ from clvol.bricks.sliced import mapped
 from clvol.interop.images import read_grid
 from clvol.interop.xarray_images import in_order, is_labelled
 from clvol.noise import estimate
+from clvol.volume.evenly import Evenly, remember_evenly
 from clvol.volume.gridded import Gridded
 from clvol.volume.volume import Volume
 
@@ -374,6 +375,7 @@ class LazyVolume(_Placed):
                 small = next((one for one in (self, *self.levels) if math.prod(one.shape) <= 2 * _PREVIEWED), None)
                 coarse = small or (self, *self.levels)[-1]
                 self._preview = self._informed(_thinned(coarse) if small is None else _of_all(small))
+                _remember_samples(self, self._preview)
             return self._preview
 
     def whole(self) -> Volume:
@@ -431,8 +433,7 @@ class LazyVolume(_Placed):
     @property
     def noise(self) -> Noise:
         """Of all samples, if it is kept beside them, else of those in the middle; the spectrum is of the latter."""
-        found = self.part().noise
-        return found if self.statistics is None else replace(found, spectrum=estimate(self.part().data).spectrum)
+        return _noise_of(self)
 
     @property
     def is_labels(self) -> bool:
@@ -672,6 +673,19 @@ def _of_part(volume: LazyVolume, low: Sequence[int], high: Sequence[int]) -> Vol
     if any(one.start >= one.stop for one in kept):
         raise gaps[0].error
     return replace(volume.grid, data=data[tuple(kept)])
+
+
+def _remember_samples(volume: LazyVolume, preview: Volume) -> None:
+    """Fit cameras to the samples that are kept for that, and not to those of a preview."""
+    if volume.statistics is not None and volume.statistics.samples is not None:
+        remember_evenly(preview, Evenly(np.asarray(volume.statistics.samples[:, :, :]), volume.grid))
+
+
+def _noise_of(volume: LazyVolume) -> Noise:
+    found = volume.part().noise
+    if volume.statistics is None or volume.statistics.noise is None:
+        return found
+    return replace(found, spectrum=estimate(volume.part().data).spectrum)
 
 
 def _thinned(volume: LazyVolume) -> Volume:

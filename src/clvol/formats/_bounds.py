@@ -14,11 +14,15 @@ from numpy.typing import NDArray
 from clvol.base.errors import FormatError
 from clvol.bricks.source import Index
 from clvol.formats._files import chunks_in
+from clvol.volume.evenly import places_of
 
-__all__ = ["BLOCK", "KEY", "VERSION", "StoredBounds", "blocks_of", "bounds_of"]
+__all__ = ["BLOCK", "KEY", "SAMPLES", "VERSION", "StoredBounds", "blocks_of", "bounds_of", "samples_of"]
 
 KEY = "clvol"
 """The attribute of the image's group with the metadata, and the name of the group with the bounds."""
+
+SAMPLES = f"{KEY}/samples"
+"""The array of evenly spaced samples, from which cameras are fitted."""
 
 VERSION = 1
 BLOCK = 8
@@ -107,6 +111,16 @@ class StoredBounds:
                         self._kept.popitem(last=False)
             found.append(part[tuple(slice(one.start - f, one.stop - f) for one, f in zip(wanted, first, strict=True))])
         return found
+
+
+def samples_of(group: Any, shape: Sequence[int], wrapped: Any) -> Any:
+    """The evenly spaced samples of an image of `shape`, [z, y, x], if they are kept; `wrapped` as of `bounds_of`."""
+    if SAMPLES not in group:
+        return None
+    array, expected = group[SAMPLES], tuple(len(range(*at.indices(n))) for at, n in zip(places_of(shape), shape, strict=True))
+    if getattr(array, "shape", None) != expected:
+        raise FormatError(f"{SAMPLES} must hold evenly spaced samples of shape {expected}; got {array}")
+    return wrapped(array)
 
 
 def bounds_of(group: Any, about: Mapping[str, Any], path: str, size: Sequence[int], wrapped: Any) -> StoredBounds | None:

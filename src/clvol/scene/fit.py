@@ -21,6 +21,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip, cuts_of
 from clvol.scene.mode import Mode
 from clvol.scene.transfer import TransferFunction
+from clvol.volume.evenly import evenly
 from clvol.volume.volume import Volume
 
 __all__ = ["Seen", "Sphere", "fitted", "sphere_of_matter"]
@@ -29,7 +30,6 @@ Bools: TypeAlias = NDArray[np.bool_]
 Seen: TypeAlias = tuple[Volume, Mode, TransferFunction, Clip | None]
 """A volume, with the mode and the transfer function that show it, and what is cut away of it."""
 
-_SAMPLES = 64  # samples read along each axis
 _FAINT = 0.02  # relative to the largest opacity: less is barely visible
 _DARK = 0.05  # relative to the brightest colour: less is barely visible
 _BESIDE = 1e-6  # offset around a transfer function's points, relative to their range
@@ -50,14 +50,6 @@ class Sphere:
     radius: float
     outer: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
     """Vectors from the centre to the outermost visible samples, (n, 3); None for the sphere of the volume."""
-
-
-def spread(volume: Volume, most: int) -> tuple[NDArray[Any], list[int], list[int]]:
-    """A view of evenly spaced samples, centred, at most `most` along each axis; also the first indices and the steps."""
-    steps = [-(-n // most) for n in volume.size]
-    firsts = [(n - 1) % step // 2 for n, step in zip(volume.size, steps, strict=True)]
-    some = tuple(slice(first, None, step) for first, step in zip(firsts[::-1], steps[::-1], strict=True))
-    return volume.data[some], firsts, steps
 
 
 def fitted(
@@ -162,8 +154,9 @@ _known: WeakKeyDictionary[Volume, dict[Any, Sphere]] = WeakKeyDictionary()
 def _sphere(
     volume: Volume, mode: Mode, transfer: TransferFunction, box: tuple[tuple[float, ...], tuple[float, ...]] | None
 ) -> Sphere:
+    found = evenly(volume)
+    some, volume = found
     whole = Sphere(tuple(map(float, volume.center)), volume.radius)  # type: ignore[arg-type]  # three
-    some, firsts, steps = spread(volume, _SAMPLES)
     some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
     surface = mode.surface is not None
     present = np.isfinite(some)
@@ -172,8 +165,8 @@ def _sphere(
 
     unit = volume.mean_spacing  # relative to the volume's centre, so that no square overflows
     matrix = volume.index_to_world_matrix / unit
-    start = matrix @ (np.array(firsts) - (np.asarray(volume.size) - 1) / 2)
-    matrix = matrix * np.array(steps)
+    start = matrix @ (np.array(found.firsts) - (np.asarray(volume.size) - 1) / 2)
+    matrix = matrix * np.array(found.steps)
     if box is not None:
         seen &= _inside(seen.shape, matrix, start, [(np.asarray(corner) - volume.center) / unit for corner in box])
     seen = _without_specks(seen, _SPECKS[surface])

@@ -6,19 +6,19 @@ from dataclasses import replace
 
 from clvol.filter.filter import Filter
 from clvol.march.renderer import Renderer
-from clvol.scene.fit import fitted, spread
+from clvol.scene.fit import fitted
 from clvol.scene.preset import unit_of
 from clvol.show.picture import Picture
 from clvol.view.catalog import Which
 from clvol.view.panes import camera_of
 from clvol.view.resident import Resident, targeted
 from clvol.view.state import WORDS, State
+from clvol.volume.evenly import evenly
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume
 
 __all__ = ["Sketch", "thinned", "without_prefilter"]
 
-_SAMPLES = 64  # along each axis
 _EDGE = 192  # pixels: more would not show more of so few samples
 
 
@@ -71,6 +71,6 @@ def without_prefilter(row: Filter) -> Filter:
 
 def thinned(volume: Volume) -> Volume:
     """Every n-th sample of a volume, where it lies."""
-    some, firsts, steps = spread(volume, _SAMPLES)
-    spacing = tuple(s * step for s, step in zip(volume.spacing, steps, strict=True))
-    return replace(volume, data=some.copy(), spacing=spacing, origin=tuple(volume.index_to_world(firsts)))
+    found = evenly(volume)
+    spacing = tuple(s * step for s, step in zip(found.grid.spacing, found.steps, strict=True))
+    return replace(volume, data=found.data.copy(), spacing=spacing, origin=tuple(found.grid.index_to_world(found.firsts)))

@@ -9,7 +9,7 @@ threshold (1979): the lower, unless nearly all samples on the volume's faces are
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import wraps
 from typing import Any, Literal, TypeVar, cast
@@ -27,9 +27,11 @@ __all__ = [
     "clims_of",
     "isovalue_of",
     "label_numbers",
+    "labels_in",
     "matter_of",
     "may_be_hounsfield",
     "remember",
+    "spread_in",
     "spread_of",
 ]
 
@@ -132,9 +134,9 @@ def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike]
 _KNOWN: WeakKeyDictionary[Volume, dict[str, Any]] = WeakKeyDictionary()
 
 
-def remember(volume: Volume, matter: Matter, clims: dict[Projection, tuple[float, float]]) -> None:
-    """Use for a volume what was found in more samples than it has."""
-    _KNOWN.setdefault(volume, {}).update(matter_of=matter, clims_of=clims)
+def remember(volume: Volume, **found: Any) -> None:
+    """Use for a volume what these functions found in more samples than it has."""
+    _KNOWN.setdefault(volume, {}).update(found)
 
 
 @_remembered
@@ -167,15 +169,21 @@ def matter_of(volume: Volume) -> Matter:
 def spread_of(volume: Volume) -> tuple[float, float]:
     """Mean and standard deviation of all finite samples."""
     low, high = volume.limits
-    exponent = exponent_of(float(low), float(high)) if np.isfinite((low, high)).all() else 0
+    return spread_in(volume.data, exponent_of(float(low), float(high)) if np.isfinite((low, high)).all() else 0)
 
-    def mean(of: Callable[[Array], Array]) -> float:
-        parts = ((values := scaled(part, exponent))[np.isfinite(values)] for part in volume.data)
-        sums = [(float(of(part).sum()), part.size) for part in parts]
-        return math.fsum(total for total, _ in sums) / max(1, sum(count for _, count in sums))
 
-    middle = mean(lambda values: values)
-    return unscaled(middle, exponent), unscaled(math.sqrt(mean(lambda values: np.square(values - middle))), exponent)
+def spread_in(parts: Iterable[NDArray[Any]], exponent: int) -> tuple[float, float]:
+    """Mean and standard deviation of all finite samples of the parts; `exponent` is that of the largest."""
+    count, mean, squares = 0, 0.0, 0.0
+    for part in parts:  # Chan, Golub and LeVeque, 1983
+        values = scaled(part, exponent)
+        values = values[np.isfinite(values)]
+        if n := values.size:
+            middle = float(values.mean())
+            squares += float(np.square(values - middle).sum()) + (middle - mean) ** 2 * (count * n / (count + n))
+            mean += (middle - mean) * (n / (count + n))
+            count += n
+    return unscaled(mean, exponent), unscaled(math.sqrt(squares / max(1, count)), exponent)
 
 
 def isovalue_of(volume: Volume | ArrayLike) -> tuple[float, str]:
@@ -203,17 +211,24 @@ def isovalue_of(volume: Volume | ArrayLike) -> tuple[float, str]:
 @_remembered
 def label_numbers(volume: Volume) -> tuple[float, Array]:
     """The background label, 0 if it occurs, else the most frequent; and all labels in ascending order."""
-    whole = volume.data.dtype.kind in "iu"
-    low, high = map(int, volume.limits if whole else (0, 0))  # exact, even outside the range of float64
+    return labels_in(volume.data, volume.limits, volume.data.dtype)
+
+
+def labels_in(parts: Iterable[NDArray[Any]], limits: tuple[float, float], dtype: np.dtype[Any]) -> tuple[float, Array]:
+    """As `label_numbers`, of samples that come by parts, whose smallest and largest are known."""
+    whole = dtype.kind in "iu"
+    low, high = map(int, limits if whole else (0, 0))  # exact, even outside the range of float64
     if whole and high - low < _COUNTED:
         counts = np.zeros(high - low + 1, np.int64)
-        for part in volume.data:  # by parts, to avoid a copy of all samples as int64; modulo 2⁶⁴
+        for part in parts:  # by parts, to avoid a copy of all samples as int64; modulo 2⁶⁴
             above = part.astype(np.uint64) - np.uint64(low % (1 << 64))
             counts += np.bincount(above.astype(np.int64).ravel(), minlength=counts.size)
         numbers = np.flatnonzero(counts).astype(np.float64) + low
         counts = counts[counts > 0]
     else:
-        numbers, counts = np.unique(np.round(volume.data[np.isfinite(volume.data)].astype(np.float64)), return_counts=True)
+        found = [np.unique(np.round(part[np.isfinite(part)].astype(np.float64)), return_counts=True) for part in parts]
+        numbers, places = np.unique(np.concatenate([some for some, _ in found]), return_inverse=True)
+        counts = np.bincount(places, np.concatenate([some for _, some in found]), len(numbers)).astype(np.int64)
     background = 0.0 if (numbers == 0).any() else float(numbers[int(counts.argmax())])
     return background, numbers
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
@@ -23,7 +23,7 @@ from clvol.filter.boundary import Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import PICTURE_FILTER
 from clvol.formats import read as read_whole
-from clvol.formats._bounds import BLOCK, KEY, VERSION
+from clvol.formats._bounds import BLOCK, KEY, SAMPLES, VERSION
 from clvol.formats._errors import foreign_errors
 from clvol.formats.opening import WholeOnlyError
 from clvol.formats.opening import open as open_lazily
@@ -42,6 +42,7 @@ __all__ = ["COMPRESSORS", "VERSIONS", "pyramid"]
 VERSIONS = ("0.4", "0.5")
 COMPRESSORS = ("lz4", "zstd", "none")
 _STATISTICS = 128 << 20  # bytes that estimating the noise takes
+_RUNS = 1024  # runs of successive labels that are kept
 _SUFFIXES = (".zarr",)
 _CHUNK = 64
 _BLOCKS = 32  # blocks of bounds along an edge of a chunk
@@ -568,10 +569,22 @@ class _Writing:
             own["direction"] = grid.direction.tolist()
         if grid.space:
             own["space"] = grid.space
-        if not plan.labels and self._room >= _STATISTICS:
-            own["statistics"] = Statistics.of(root["0"], ranges[0] or _range_of(root["0"])).json()
+        if self._room >= _STATISTICS and (kept := self._statistics(root, ranges[0])) is not None:
+            own["statistics"] = kept
         own["levels"] = [self._level(root, number, found) for number, found in enumerate(ranges)]
         root.attrs.update(({"ome": ome} if plan.storage.version == "0.5" else ome) | {KEY: own})
+
+    def _statistics(self, root: Any, value_range: tuple[float, float] | None) -> dict[str, Any] | None:
+        """What automatic looks follow from; None of labels that are too many and too scattered. Writes the samples it has."""
+        array, labels = root["0"], self._plan.labels
+        found = Statistics.of(array, value_range or _range_of(array), _parts_of(array), labels=labels)
+        about = found.json()
+        if labels and len(about["labels"]["runs"]) > _RUNS:
+            return None
+        root.require_group(KEY)  # as of bounds
+        made = self._array(root, SAMPLES, found.samples.shape, array.dtype, self._for_bounds(max(found.samples.shape)))
+        made[...] = found.samples
+        return about
 
     def _range_of(self, number: int) -> tuple[float, float] | None:
         found = [facts for facts in self._journal.facts(f"bounds/{number}/") if facts]
@@ -588,12 +601,17 @@ class _Writing:
         return about
 
 
-def _range_of(array: Any) -> tuple[float, float]:
-    """The smallest and the largest sample of an array of Zarr, read by chunks."""
+def _parts_of(array: Any) -> Iterator[tuple[tuple[slice, ...], NDArray[Any]]]:
+    """Samples of an array of Zarr by chunks, and their places."""
     lines, whole = lines_of(array), tuple(slice(0, n) for n in array.shape)
     assert lines is not None  # it is an array of Zarr
-    parts = (array[box] for box in Chunks(array.__getitem__, lines, array.dtype, 0).parts(whole))
-    ends = [(float(part.min()), float(part.max())) for part in parts]
+    for box in Chunks(array.__getitem__, lines, array.dtype, 0).parts(whole):
+        yield box, array[box]
+
+
+def _range_of(array: Any) -> tuple[float, float]:
+    """The smallest and the largest sample of an array of Zarr."""
+    ends = [(float(part.min()), float(part.max())) for _, part in _parts_of(array)]
     return min(low for low, _ in ends), max(high for _, high in ends)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from clvol.base.errors import DataError, FormatError, MissingDependencyError
-from clvol.formats._bounds import KEY, bounds_of
+from clvol.formats._bounds import KEY, bounds_of, samples_of
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._layout import Layout, Line, Lines, by_names, decoded, shrunk
 from clvol.formats.zarr import ome
@@ -181,7 +181,8 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Lo
         about, path = attributes[KEY], image.multiscales["datasets"][level]["path"]
         known["bounds"] = bounds_of(image.node, about, path, array.shape[::-1], lambda one: part_of(source, one))
         if level == 0 and isinstance(about.get("statistics"), Mapping):
-            known["statistics"] = Statistics.from_json(about["statistics"])
+            samples = samples_of(image.node, array.shape, lambda one: part_of(source, one))
+            known["statistics"] = Statistics.from_json(about["statistics"], samples)
     data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
     return data, known | chosen
 
