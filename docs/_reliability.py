@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -91,5 +92,7 @@ def with_tables(page: str) -> str:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        raise SystemExit(f"{sys.argv[0]} takes no arguments: it writes the tables of reliability.md; got {sys.argv[1:]}")
     file = HERE / "reliability.md"
     file.write_text(with_tables(file.read_text(encoding="utf-8")), encoding="utf-8")

@@ -117,7 +117,7 @@ def test_render_writes_the_picture_of_the_function(clvol_command: Command) -> No
 
 def test_render_passes_every_option_on(clvol_command: Command) -> None:
     options = (
-        "--mode isosurface --boundary wrap --step 0.3 --rays 2 --isovalue -0.25 --color red --background #102030 "
+        "--mode isosurface --boundary wrap --rays 2 --isovalue -0.25 --color red --background #102030 "
         "--gradient central --azimuth -40 --elevation 10 --zoom 1.5 --projection orthographic --evaluator taps "
         "--fetch buffer --filter mitchell"
     )
@@ -131,7 +131,6 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
         filter="mitchell",
         boundary="wrap",
         size=(16, 12),
-        step=0.3,
         rays=2,
         isovalue=-0.25,
         color="red",
@@ -139,6 +138,14 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
         gradient="central",
     )
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.show.picture.to_bytes(picture)[..., :3])
+
+
+def test_options_that_change_nothing_are_refused(clvol_command: Command) -> None:
+    surface = ("--mode", "isosurface", "--isovalue", "-0.25")
+    refused = clvol_command("render", SPHERE, "-o", "a.png", *SMALL, *surface, "--step", "0.3")
+    assert "--step changes nothing in isosurface: surfaces are exact, and take no samples" in refused.err
+    refused = clvol_command("compare", SPHERE, "--table", "a.csv", "--cmap", "gray", "--isovalue", "-0.25")
+    assert "--cmap, --isovalue changes nothing in a table of errors" in refused.err
 
 
 def test_options_of_modes_that_are_words(clvol_command: Command) -> None:
@@ -1421,3 +1428,7 @@ def test_one_corrupt_chunk_leaves_the_others(clvol_command: Command) -> None:
     expected = data.copy()
     expected[:32, :32, 32:64] = 0
     assert np.array_equal(clvol.read("v.npz").data, expected)
+    assert clvol_command("convert", "v.zarr", "-o", "smooth.npz", "--fill-nan", "smoothly").code == 0
+    smooth = clvol.read("smooth.npz").data
+    assert np.array_equal(smooth[32:], data[32:])
+    assert np.abs(smooth - data).max() < 0.2 * data.max()  # and not 1000, the brightest that was damaged

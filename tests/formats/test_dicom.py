@@ -518,3 +518,24 @@ def test_harmless_faults_are_read_with_a_warning(tmp_path: Path) -> None:
 def test_what_is_no_volume_is_refused(tmp_path: Path, elements: dict[str, Any], said: str) -> None:
     with pytest.raises((FormatError, DataError), match=said):
         read(save(tmp_path / "v.dcm", np.zeros(SHAPE, np.int16), **elements))
+
+
+def test_slices_that_say_where_they_lie_in_other_words(tmp_path: Path) -> None:
+    """Blank slopes (they stopped the file), SliceLocation alone (slices lay a thickness apart), one position for all frames."""
+    data = stack(tmp_path / "blank", RescaleSlope=None, each=lambda _: {"RescaleSlope": "", "RescaleIntercept": ""})
+    np.testing.assert_array_equal(read(tmp_path / "blank").data, data)
+    stack(tmp_path / "location", each=lambda k: {"SliceLocation": 7 - 3.0 * k, "ImagePositionPatient": None}, SliceThickness=1)
+    with pytest.warns(ClvolWarning, match="placed by their SliceLocation"):
+        volume = read(tmp_path / "location")
+    np.testing.assert_array_equal(volume.data, data[::-1])
+    assert (volume.spacing, volume.origin) == ((0.25, 0.5, 3), (0, 0, 1))
+    for n, element in enumerate(("", "InStackPositionNumber")):
+        own = [{"FrameContentSequence": [item(**{element: k + 1})]} if element else {} for k in range(3)]
+        save(tmp_path / f"{n}.dcm", data, **frames(3, lambda k, own=own: at(7.0) | own[k]))
+        with pytest.warns(ClvolWarning, match="3 frames say one position; they were taken for slices, 2 mm apart"):
+            volume = read(tmp_path / f"{n}.dcm")
+        np.testing.assert_array_equal(volume.data, data)
+        assert (volume.spacing, volume.origin) == ((0.25, 0.5, 2), (0, 0, 7))
+    times = [{"FrameContentSequence": [item(TemporalPositionIndex=k + 1)]} for k in range(3)]
+    save(tmp_path / "times.dcm", data, **frames(3, lambda k: at(7.0) | times[k]))
+    assert read_all(tmp_path / "times.dcm").shape == (3, 1, *SHAPE)

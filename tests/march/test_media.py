@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 import clvol
 from clvol import Camera, Corner, Medium, Plane, Scene, TransferFunction, Volume
-from clvol.base.errors import ClvolError, DataError, GeometryError, OptionError
+from clvol.base.errors import ClvolError, ClvolWarning, DataError, GeometryError, OptionError
 from clvol.device import Device
 from clvol.reference.march.media import render_media
 from clvol.volume.volumes import Leading
@@ -313,3 +313,29 @@ def test_what_makes_no_sense_is_refused(case: str) -> None:
     with pytest.raises(ClvolError, match=message) as caught:
         make()
     assert isinstance(caught.value, OptionError)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_colors_of_a_file_are_shown_as_they_are(channels: int, device: Device) -> None:
+    """Maxima of red, green and blue, without alpha; of a dim picture too."""
+    colored = np.random.default_rng(2).integers(0, 90, (channels, 5, 6, 7)).astype(np.uint8)
+    volumes = clvol.Volumes(colored, leading=Leading.of_rgb(channels))
+    camera = clvol.Camera(direction=(0, 0, 1), up=(0, -1, 0), projection="orthographic", fit="volume")
+    got = clvol.render(volumes, camera, "mip", (70, 60), filter="nearest", device=device, rays=1)
+    seen = np.unique(np.round(255 * np.asarray(got[..., :3])).astype(int).reshape(-1, 3), axis=0)
+    want = np.unique(colored[:3].max(1).reshape(3, -1).T, axis=0)
+    assert {tuple(row) for row in seen.tolist()} - {(0, 0, 0)} == {tuple(row) for row in want.tolist()}
+
+
+def test_media_that_may_not_be_meant_for_each_other_are_said(device: Device) -> None:
+    ball = clvol.phantoms.sphere(8).data
+    with pytest.raises(GeometryError, match="must be in one unit; got volumes in mm and um"):
+        Scene([Volume(ball, units="mm"), Volume(ball, units="um")])
+    with pytest.warns(ClvolWarning, match=r"medium 1 of a scene overlaps no other: it spans \(99.5, -0.5, -0.5\) to"):
+        Scene([Volume(ball), Volume(ball, origin=(100, 0, 0))])
+    with pytest.warns(ClvolWarning, match="in 2 DICOM frames of reference"):
+        Scene([Volume(ball, header={"frame_of_reference": uid}) for uid in ("1.2", "1.3")])
+    with pytest.raises(DataError, match="medium 1 of the scene: samples must be finite"):
+        clvol.render(Scene([ball, np.full((4, 4, 4), np.nan)]), device=device)
+    with pytest.warns(ClvolWarning, match="of a medium of the scene: the picture shows no structure: all samples are 5"):
+        clvol.render(Scene([ball, np.full((8, 8, 8), 5.0)]), size=(16, 16), device=device)

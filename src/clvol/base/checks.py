@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from functools import wraps
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -38,8 +38,7 @@ __all__ = [
     "whole",
 ]
 
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
+Called = TypeVar("Called", bound=Callable[..., Any])
 
 _WORDS = {
     "opacity": "alpha transparency",
@@ -135,11 +134,14 @@ def require_known(function: str, options: Mapping[str, object], known: Iterable[
             raise OptionError(f"{name} is no option of {function}{did_you_mean(name, known)}; it has {', '.join(known)}")
 
 
-def suggests_options(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Decorate a function to suggest the option that an unknown keyword resembles, as Python does itself from 3.13 on."""
+def suggests_options(function: Called) -> Called:
+    """Decorate a function, or a class, to suggest the option that an unknown keyword resembles, as Python does from 3.13 on."""
+    if isinstance(function, type):
+        function.__init__ = suggests_options(function.__init__)  # type: ignore[misc]  # of this class
+        return function
 
     @wraps(function)
-    def suggesting(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+    def suggesting(*arguments: Any, **options: Any) -> Any:
         try:
             return function(*arguments, **options)
         except TypeError as error:
@@ -149,7 +151,7 @@ def suggests_options(function: Callable[Arguments, Result]) -> Callable[Argument
                 raise
             raise TypeError(f"{error}{did_you_mean(unknown[1], known)}") from None
 
-    return suggesting
+    return cast(Called, suggesting)
 
 
 def number(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import if_image, whole
+from clvol.base.checks import if_image, suggests_options, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.base.memory import require
 from clvol.base.rounding import in_kind
@@ -59,6 +59,7 @@ __all__ = ["BrickedField", "as_lazy", "of_lazy", "require_plain"]
 _SHORT = 16  # samples along an edge of bricks, where chunks are damaged
 
 
+@suggests_options
 class BrickedField(ContinuousFunction):
     """The continuous function of a volume that is read brick by brick.
 

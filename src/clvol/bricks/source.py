@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import reals
-from clvol.base.checks import if_image, number, warn, whole
+from clvol.base.checks import if_image, number, suggests_options, warn, whole
 from clvol.base.errors import ChunkError, ClvolError, DataError, FormatError, MissingSampleError, OptionError
 from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.sliced import mapped
@@ -142,6 +142,7 @@ class _Placed(Gridded):
         return self.grid.name
 
 
+@suggests_options
 class LazyVolume(_Placed):
     """A volume whose samples are read part by part, when they are needed.
 

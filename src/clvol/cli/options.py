@@ -14,6 +14,7 @@ from cyclopts import CoercionError, Group, Parameter, Token
 
 import clvol
 from clvol.base.errors import ChunkError, OptionError
+from clvol.bricks.continued import holed
 from clvol.device import as_device
 from clvol.formats.opening import WholeOnlyError, opened_if
 from clvol.interfaces.movie import series_of
@@ -176,7 +177,7 @@ class Input:
             return self._filled(clvol.read(source, **self._given()))
         except ChunkError:
             if isinstance(self.fill_nan, str):
-                raise
+                return self._filled(holed(clvol.open(source, **self._given())).whole())
             return self._opened(source)
 
     def open(self, source: str | Path) -> clvol.LazyVolume | clvol.Volume:
@@ -401,6 +402,8 @@ class Look:
         """Raise `OptionError` if an option changes nothing in a mode and in these outputs."""
         given = self.words() | {name: getattr(self, name) for name in ("rays", "pixel_filter", "gradient")}
         reasons = unheard(mode, given, outputs)
+        if mode.stretches and self.step != Look.step:
+            reasons["step"] = "surfaces are exact, and take no samples"
         if self.value_range is not None:
             beside = {"preset", "window"} & given.keys() if mode.shows != "matter" else set()
             reasons |= dict.fromkeys(beside, "the range of values gives black and white")

@@ -642,6 +642,8 @@ def compare(
         speech.require_picture(output)
     for path in wanted.values():
         speech.require_writable(path, SUFFIXES, "tables")
+    if output is None:
+        _require_of_tables(look, own)
     look = look or SurfaceLook()
     options = own_options(look, own)
     volume = (input or Input()).read(source)
@@ -676,6 +678,16 @@ def compare(
             header, *rows = errors.texts()
             speech.table(header, rows)
     speech.say(json, result)
+
+
+def _require_of_tables(look: Look | None, own: ModeOptions | None) -> None:
+    """Raise `OptionError` for options of a picture that is not drawn."""
+    heard = ("boundary", "evaluator", "fetch")
+    given = {name: value for part in (look, own) if part is not None for name, value in vars(part).items()}
+    usual = vars(SurfaceLook()) | vars(ModeOptions())
+    if changed := [name for name, value in given.items() if name not in heard and value != usual[name]]:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+        raise OptionError(f"{flags} changes nothing in a table of errors; give --output, a picture, or leave it out")
 
 
 @command(PICTURES)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
-from clvol.base.checks import as_path
+from clvol.base.checks import as_path, suggests_options
 from clvol.base.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.bricks.source import LazyVolume
 from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, options_of, zarr
@@ -32,6 +32,7 @@ _OFF = 1.5  # samples between the ends of a level and of the finest: shapes are 
 # all levels at one place, though they are means
 
 
+@suggests_options
 def open(  # noqa: A001  # as files are opened: clvol.open
     path: str | os.PathLike[str],
     *,

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from numpy.typing import ArrayLike, DTypeLike
 
-from clvol.base.checks import as_path
+from clvol.base.checks import as_path, suggests_options
 from clvol.base.errors import ClvolError, DataError, GeometryError, OptionError
 from clvol.base.memory import available
 from clvol.formats._choice import Choice, Series
@@ -29,6 +29,7 @@ _CHOICES = ("volume", "time", "position", "channel")
 _GEOMETRY = ("spacing", "origin", "direction")
 
 
+@suggests_options
 def read(
     path: str | os.PathLike[str],
     *,
@@ -132,6 +133,7 @@ def read(
     return result
 
 
+@suggests_options
 def read_all(
     path: str | os.PathLike[str],
     *,

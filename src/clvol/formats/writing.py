@@ -6,7 +6,7 @@ import os
 
 from numpy.typing import ArrayLike
 
-from clvol.base.checks import as_path
+from clvol.base.checks import as_path, suggests_options
 from clvol.base.errors import FormatError
 from clvol.base.files import staged
 from clvol.formats._errors import foreign_errors
@@ -17,6 +17,7 @@ from clvol.volume.volumes import Volumes
 __all__ = ["write"]
 
 
+@suggests_options
 def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) -> None:
     """Write a volume (or image), or several on one grid, to a file.
 

@@ -20,7 +20,7 @@ from clvol.base.progress import Progress, part_of
 from clvol.bricks.source import LazyVolume, by_bricks
 from clvol.formats import read
 from clvol.formats.opening import opened_if
-from clvol.march.options import BatchOptions, FieldOptions
+from clvol.march.options import BatchOptions, FieldOptions, as_outputs, chosen_mode
 from clvol.march.renderer import Renderer
 from clvol.march.source import row_for
 from clvol.scene.camera import Camera
@@ -140,6 +140,9 @@ def batch(
     ['0.png', '1.png', '2.png']
     """
     sources = _as_sources(sources)
+    if look is None:
+        own = {name: value for name, value in options.items() if name not in (*_OF_RENDERER, "mode", "size", "step", "outputs")}
+        chosen_mode(options.get("mode", DEFAULT_MODE), own, as_outputs(options.get("outputs", "rgba")), _OF_RENDERER)
     views = [cameras] if cameras is None or isinstance(cameras, Camera) else list(cameras)
     if not views:
         raise OptionError("cameras must be one or more; got none")

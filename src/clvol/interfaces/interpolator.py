@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import as_array, reals
-from clvol.base.checks import several, whole
+from clvol.base.checks import several, suggests_options, whole
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.device import Device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
@@ -30,6 +30,7 @@ _METHODS = {"slinear": "linear", "quadratic": "bspline2", "cubic": "bspline3", "
 _UNEVEN = 1e-6  # of a step
 
 
+@suggests_options
 class Interpolator:
     """The spline through values on a uniform grid of 1, 2 or 3 axes, like `scipy.interpolate.RegularGridInterpolator`.
 

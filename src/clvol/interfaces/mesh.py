@@ -24,6 +24,7 @@ from clvol.base.frames import in_frame
 from clvol.base.progress import Progress, part_of, require_callback
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
+from clvol.march.choose import without_masked
 from clvol.march.source import row_for
 from clvol.scene.mode import Isosurface
 from clvol.spline.curvature import principal_curvatures
@@ -183,7 +184,10 @@ class MeshOptions(TypedDict, total=False):
     filter, boundary, device
         As of `clvol.render`: by default the mesh is what the picture shows.
     nan : str or Missing
-        How missing samples are treated, as by `Field`; where values are NaN there is nothing, and the surface ends.
+        How missing samples are treated, as by `Field`; where values are NaN there is nothing, and the surface ends. By default they
+        are an error; "local" with a mask.
+    mask : array-like of bool, shape of the volume
+        True where a sample is missing, as of `clvol.Renderer`.
     progress : callable
         Called with the fraction done.
     """
@@ -194,6 +198,7 @@ class MeshOptions(TypedDict, total=False):
     filter: str | Filter | None
     boundary: str | Boundary | None
     nan: str | Missing | None
+    mask: ArrayLike | None
     device: Device | str | int | None
     progress: Progress | None
 
@@ -247,6 +252,7 @@ def mesh(
         whole("faces", faces, 4)
     flying_edges = _vtk()
     given: Any = volume if isinstance(volume, ContinuousFunction) or is_in_parts(volume) else as_volume(volume)
+    given, nan = without_masked(given, options.get("mask")), "error" if options.get("mask") is None else "local"
     known: Volume = getattr(given, "volume", given).preview()
     if known.ndim != 3:
         raise OptionError(f"a mesh is of a volume with 3 axes; got shape {known.shape}{if_image(known.shape)}")
@@ -256,7 +262,7 @@ def mesh(
     assert isinstance(level, float)
     if not isinstance(given, ContinuousFunction):
         row = filter_for(given, row, PICTURE_FILTER) if isinstance(given, Volume) else row_for(given, row)
-    with opened(given, row, options.get("boundary"), options.get("device"), nan=options.get("nan")) as field:
+    with opened(given, row, options.get("boundary"), options.get("device"), nan=options.get("nan", nan)) as field:
         return _Surface(field, level, closed).mesh(flying_edges, faces, curvature, progress)
 
 

@@ -24,6 +24,7 @@ from clvol.formats.opening import open as open_volume
 from clvol.formats.opening import opened_if
 from clvol.interfaces.batches import Shot, frames, needs_whole
 from clvol.interop.dispatch import is_in_parts
+from clvol.march.choose import without_masked
 from clvol.march.options import KEYWORDS, WORDS, BatchOptions, FieldOptions, ResolvedLook, as_size, chosen_mode, transfer_of
 from clvol.march.source import row_for
 from clvol.scene.camera import Camera
@@ -183,7 +184,8 @@ def movie(
     size = as_size(given.pop("size", (512, 512)))
     movies.require_room(form, 1, size)
     limits = dict(own["limits"] or {})
-    volumes = _volumes(source, dict(own["reading"] or {}), limits)
+    mask = given.pop("mask", None)
+    volumes = [without_masked(one, mask) for one in _volumes(source, dict(own["reading"] or {}), limits)]
     turns = (1.0 if len(volumes) == 1 and keys is None else 0.0) if turns is None else turns
     count, fps = _timing(own, len(volumes), moves=bool(turns) or keys is not None)
     movies.require_room(form, count, size)
@@ -221,7 +223,7 @@ def _require_options(given: Mapping[str, Any], keys: Keyframes | None, turns: fl
         for name in at:
             if name in _OWN:
                 raise OptionError(f"{name} is of the whole movie{did_you_mean(name, KEYWORDS)}: give it beside the key frames")
-        chosen_mode(at.pop("mode", DEFAULT_MODE), at)
+        chosen_mode(at.pop("mode", DEFAULT_MODE), at, others=(*_OWN, *FieldOptions.__annotations__))
 
 
 def _timing(own: Mapping[str, Any], times: int, *, moves: bool) -> tuple[int, float]:
@@ -237,6 +239,8 @@ def _timing(own: Mapping[str, Any], times: int, *, moves: bool) -> tuple[int, fl
             raise OptionError(f"a movie must have 2 to {_MOST_FRAMES} pictures; its seconds times its fps are {asked:.0f}")
         count = round(asked)
     count = whole("frames", count, 2, _MOST_FRAMES)
+    if seconds is not None and fps is not None and abs(seconds * fps - count) > 1:
+        raise OptionError(f"frames must be left out, or be seconds times fps, {seconds * fps:g}; got {count}")
     if fps is None and seconds is not None:
         fps = number("pictures per second", count / seconds, minimum=0.1, maximum=1000)
     elif fps is None:

@@ -15,6 +15,7 @@ from clvol.base.errors import GeometryError, OptionError
 from clvol.base.progress import Progress, part_of
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.bricks import level_within
+from clvol.march.choose import without_masked
 from clvol.march.options import FieldOptions, PanelOptions, PictureOptions, as_size, chosen_mode
 from clvol.march.renderer import Renderer
 from clvol.march.slices import AXES, axis_directions, section, window_of_slices
@@ -119,7 +120,7 @@ def orthogonal(
     width, height = as_size(size)
     if min(width, height) < 2 * _GAP:
         raise OptionError(f"size must be at least {2 * _GAP} × {2 * _GAP}; got {width} × {height}")
-    source: Any = volume if is_in_parts(volume) else as_volume(volume)
+    source: Any = without_masked(volume if is_in_parts(volume) else as_volume(volume), held.pop("mask", None))
     grid: Volume = source.grid
     if grid.ndim != 3:
         raise OptionError(f"volume must have 3 axes; got shape {grid.shape}{if_image(grid.shape)}")

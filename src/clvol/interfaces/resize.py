@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import reals
-from clvol.base.checks import one_of, whole
+from clvol.base.checks import one_of, suggests_options, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device, as_device
 from clvol.interop.images import read_array
@@ -27,6 +27,7 @@ __all__ = ["resize"]
 _MODES = {"constant": "grid-constant", "edge": "nearest", "symmetric": "reflect", "reflect": "mirror", "wrap": "grid-wrap"}
 
 
+@suggests_options
 def resize(
     image: ArrayLike,
     output_shape: Iterable[int],

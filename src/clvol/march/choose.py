@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from clvol.base.checks import one_of, whole
 from clvol.base.errors import OptionError, OutOfMemoryError
-from clvol.bricks.continued import continued, lacks_some
+from clvol.bricks.continued import continued, holed, lacks_some
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
@@ -17,7 +17,7 @@ from clvol.scene.scene import Medium, Scene, as_scene, channels
 from clvol.spline.field import Field, as_field
 from clvol.spline.function import CLOSED, ContinuousFunction
 from clvol.volume.smoothing import filter_for, settled
-from clvol.volume.volume import Volume, as_volume, masked
+from clvol.volume.volume import as_volume, masked
 from clvol.volume.volumes import Volumes
 
 if TYPE_CHECKING:  # clusters need dask
@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # clusters need dask
 
 from clvol.march.source import ByBricks, InMemory, Several, by_parts, lacks_samples, row_for, single, usual_filter
 
-__all__ = ["source_of"]
+__all__ = ["source_of", "without_masked"]
 
 
 def source_of(
@@ -54,7 +54,7 @@ def source_of(
     if merge != "order" and cluster is None:
         raise OptionError(f"merge says how a cluster puts rays together; got {merge!r} and no cluster")
     if mask is not None and not isinstance(given, LazyVolume):
-        given = _masked(given, mask)
+        given = without_masked(given, mask)
     if isinstance(given, ContinuousFunction):
         if cluster is not None:
             raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
@@ -119,8 +119,12 @@ def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | N
     return as_scene(Medium(given, **words))  # type: ignore[arg-type]  # __post_init__ converts
 
 
-def _masked(given: Any, mask: ArrayLike) -> Volume | Medium | Scene:
-    """What is drawn, without the samples that a mask excludes."""
+def without_masked(given: Any, mask: ArrayLike | None) -> Any:
+    """What is drawn, without the samples that a mask excludes: a volume, lazy or not, a medium, or a scene of one."""
+    if mask is None:
+        return given
+    if isinstance(given, LazyVolume):
+        return holed(given, mask)
     if isinstance(given, ContinuousFunction):
         raise OptionError(
             f"mask takes a volume, of which coefficients are made; got a {type(given).__name__}: a Field takes "

@@ -14,6 +14,7 @@ from clvol.scene.clip import Cuts, cuts_of
 
 if TYPE_CHECKING:
     from clvol.march.renderer import Renderer
+    from clvol.march.source import Source
     from clvol.scene.camera import Camera
     from clvol.scene.mode import Mode
     from clvol.show.picture import Picture
@@ -26,14 +27,12 @@ _STEP = 16  # pixels between those that are looked at first
 _CHOICES = ("transfer", "isovalue", *WORDS)
 
 
-def warn_if_empty(
-    look: ResolvedLook, limits: tuple[float, float] | None, options: Mapping[str, Any], rgba: NDArray[np.floating[Any]]
-) -> None:
-    """Warn if a picture shows nothing of the volume, or cannot tell its samples apart.
-
-    `limits` are the smallest and the largest sample, if these are known; `options` those that were given for the picture.
-    """
-    reason = _alike(look, limits, options) or (_unseen(look, limits) if _is_empty(look, rgba) else "")
+def warn_if_empty(look: ResolvedLook, source: Source, options: Mapping[str, Any], rgba: NDArray[np.floating[Any]]) -> None:
+    """Warn if a picture shows nothing of what is drawn, or cannot tell its samples apart; `options` were given for the picture."""
+    alike = (_alike(one, one.preview.limits, options) for one in (look, *look.others)) if look.others else ()
+    if found := next(filter(None, alike), ""):
+        warn(f"of a medium of the scene: {found}")
+    reason = _alike(look, source.limits, options) or (_unseen(look, source) if _is_empty(look, rgba) else "")
     if reason:
         warn(reason)
 
@@ -42,7 +41,7 @@ def warn_of_refined(renderer: Renderer, picture: Picture, camera: Camera | None,
     """Warn of the last picture by `Renderer.refine` as `render` warns of its own."""
     source = renderer._source
     look = ResolvedLook.of(source.scene, source.preview, camera, chosen_mode(mode, options), options)  # type: ignore[arg-type]
-    warn_if_empty(look, source.limits, options, picture)
+    warn_if_empty(look, source, options, picture)
 
 
 def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapping[str, Any]) -> str:
@@ -68,10 +67,11 @@ def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapp
     return f"all samples, from {low:g} to {high:g}, are of one colour: the transfer function changes from {first:g} to {last:g}"
 
 
-def _unseen(look: ResolvedLook, limits: tuple[float, float] | None) -> str:
+def _unseen(look: ResolvedLook, source: Source) -> str:
     """Why nothing is seen."""
     if look.others:
         return f"nothing is seen of the {1 + len(look.others)} media: all that the picture shows has the colour of the background"
+    limits, row = source.limits, source.filter_of(look.mode)
     volume, surface = look.scene.media[0].volume, look.mode.surface
     cuts, (low, high) = cuts_of(look.clip), (volume.corners.min(0), volume.corners.max(0))
     if cuts.box is not None and _outside(cuts.box, volume):
@@ -81,6 +81,7 @@ def _unseen(look: ResolvedLook, limits: tuple[float, float] | None) -> str:
     if limits is not None and surface is not None and not limits[0] <= surface <= limits[1]:
         return f"nothing is seen: isovalue {surface:g} is outside the samples, which are from {limits[0]:g} to {limits[1]:g}"
     values = "" if limits is None else f", whose samples are from {limits[0]:g} to {limits[1]:g}"
+    values += f", smoothed by {row.name}" if row.smoothing else ""
     return f"nothing is seen of the volume{values}: all that the picture shows has the colour of the background"
 
 

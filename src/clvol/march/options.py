@@ -215,12 +215,12 @@ class FieldOptions(TypedDict, total=False):
     boundary: str | Boundary | None
     device: Device | str | int | None
     memory: int | None
+    mask: ArrayLike | None
 
 
 class RendererOptions(FieldOptions, total=False):
     """Options of `Renderer`."""
 
-    mask: ArrayLike | None
     cluster: ClusterLike | None
     merge: Literal["order", "tree"]
 
@@ -242,6 +242,7 @@ class ViewOptions(PanelOptions, total=False):
 
     filter: str | Filter | None
     boundary: str | Boundary | None
+    mask: ArrayLike | None
 
 
 class BatchOptions(PanelOptions, PictureOptions, FieldOptions, total=False):
@@ -258,13 +259,17 @@ KEYWORDS = (
 """Arguments of `Renderer.render`; all others are options of the mode."""
 
 
-def chosen_mode(mode: str | Mode, options: Mapping[str, Any], outputs: Collection[str] = ("rgba",)) -> Mode:
+def chosen_mode(
+    mode: str | Mode, options: Mapping[str, Any], outputs: Collection[str] = ("rgba",), others: Collection[str] = ()
+) -> Mode:
     """The mode with its options, which are all that are not options of a picture.
 
-    `OptionError` names one that is unknown, or that changes nothing in these outputs.
+    `OptionError` names one that is unknown, or that changes nothing in these outputs; `others` may have been meant by it.
     """
     of_mode = {name: value for name, value in options.items() if name not in KEYWORDS}
-    chosen = as_mode(mode, of_mode, (*KEYWORDS, *RendererOptions.__annotations__))
+    if misplaced := of_mode.keys() & RendererOptions.__annotations__.keys():
+        raise OptionError(f"{' and '.join(sorted(misplaced))} must be left to what draws the picture, such as Renderer(...)")
+    chosen = as_mode(mode, of_mode, (*KEYWORDS, *others))
     reasons = unheard(chosen, options, outputs)
     require_heard(chosen, reasons, reasons)
     return chosen

@@ -8,7 +8,7 @@ from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, Unpack, cast, overload
 
-from clvol.base.checks import number
+from clvol.base.checks import number, suggests_options
 from clvol.base.errors import OptionError
 from clvol.base.progress import require_callback, watched
 from clvol.march.choose import source_of
@@ -52,6 +52,7 @@ if TYPE_CHECKING:  # clusters need dask
 __all__ = ["OUTPUTS", "Output", "Renderer", "render"]
 
 
+@suggests_options
 class Renderer:
     """A scene whose volume is resident on a device, to be drawn many times. Leaving its ``with`` block frees the device's memory.
 
@@ -246,7 +247,7 @@ class Renderer:
         Warns
         -----
         ClvolWarning
-            Nothing is seen, or all samples look the same; or the picture will take a minute more, ten seconds after its beginning.
+            Nothing is seen, or all samples look the same; or, after ten seconds, the picture will take a minute more.
 
         Notes
         -----
@@ -254,8 +255,7 @@ class Renderer:
         samples and from the noise (see `clvol.march.uncertainty`). It is of first order, and too small where noise alone makes
         surfaces, and where smoothing or sparse samples lost a detail.
         """
-        wanted = as_outputs(outputs)
-        chosen = chosen_mode(mode, options, wanted)
+        chosen = chosen_mode(mode, options, wanted := as_outputs(outputs))
         self.device.require_usable()
         with self._source.in_use():
             require_callback("progress", progress)
@@ -266,7 +266,7 @@ class Renderer:
             uncertainty = self._source.uncertainty(chosen) if noise else None
             stage = staged(ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options), fine, options)
             pictures = self._source.draw(stage.drawn, fine, wanted != ("rgba",), watched("the picture", progress))
-            warn_if_empty(stage.drawn, self._source.limits, options, pictures["rgba"])
+            warn_if_empty(stage.drawn, self._source, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = stage.look.central or not self._source.filter_of(chosen).has_gradient
                 pictures["uncertainty"] = uncertainty(pictures["position"], noise, central=central)

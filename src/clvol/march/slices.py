@@ -24,6 +24,7 @@ from clvol.filter.filter import Filter
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.bricks import level_within
+from clvol.march.choose import without_masked
 from clvol.march.renderer import Renderer
 from clvol.march.source import row_for, single
 from clvol.scene.clip import Plane
@@ -82,6 +83,8 @@ class SliceOptions(TypedDict, total=False):
         Outside the volume, and where its samples are missing; None is transparent.
     progress : callable
         Called with the fraction done.
+    mask : array-like of bool or LazyVolume of bool, shape of the volume
+        True where a sample is missing, as of `clvol.Renderer`.
     """
 
     thickness: float
@@ -94,6 +97,7 @@ class SliceOptions(TypedDict, total=False):
     cmap: str | None
     background: Sequence[float] | str | None
     progress: Progress | None
+    mask: ArrayLike | None
 
 
 def slice(  # noqa: A001  # clvol.slice, as its users call it
@@ -158,7 +162,7 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
     >>> oblique = clvol.slice(volume, clvol.Plane((1, 1, 1), volume.center), thickness=0.2, mode="mip", size=(64, 64))
     """
     require_known("slice", options, SliceOptions.__annotations__)
-    given = _given(volume)
+    given = without_masked(_given(volume), options.pop("mask", None))
     grid: Volume = given.grid
     if grid.ndim != 3:
         raise OptionError(f"a slice is of a volume with 3 axes; got shape {grid.shape}{if_image(grid.shape)}")
@@ -210,7 +214,7 @@ def section(
     background = None if background is None else color_of("background", background)
     progress = options.get("progress")
     require_callback("progress", progress)
-    given = _given(volume)
+    given = without_masked(_given(volume), options.pop("mask", None))
     known: Volume = getattr(given, "volume", given).preview()  # a function has its volume
     if thickness and mode in (None, "mean") and known.is_labels:
         raise OptionError("mode of a slab of labels must be mip or minip, because the mean of two labels is a third; got mean")

@@ -229,8 +229,12 @@ class Several(Source):
         self.parts: dict[int, InMemory] = {}
         fields: dict[tuple[Any, ...], Field] = {}
         try:
-            for medium in scene.media:
-                row = settled(filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.volume)
+            for number, medium in enumerate(scene.media):
+                try:
+                    row = settled(filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.volume)
+                    lacks_samples(medium.volume)
+                except DataError as error:
+                    raise DataError(f"medium {number} of the scene: {error}") from error
                 key = id(medium.volume), row, medium.boundary  # looks of one volume share its coefficients
                 if key not in fields:
                     fields[key] = single(medium.volume, row, medium.boundary, device)

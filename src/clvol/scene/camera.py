@@ -167,6 +167,7 @@ class Viewpoint:
         )
 
 
+@suggests_options
 @dataclass(frozen=True)
 class Camera:
     """A camera; fields that are None are fitted to the volume on rendering.

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from clvol.base.arrays import reals
-from clvol.base.checks import number, one_of
+from clvol.base.checks import number, one_of, suggests_options
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, Block, Values
@@ -23,6 +23,7 @@ _FRAMES = ("world", "camera")
 LIGHTS = Block("lights_block", each=(FLOAT, 8 * MAX_LIGHTS), count=INT)  # direction, 1 for a headlight; colour, unused
 
 
+@suggests_options
 @dataclass(frozen=True)
 class Light:
     """A directional light.
@@ -67,6 +68,7 @@ class Light:
         return Light((x, y, z), self.color)
 
 
+@suggests_options
 @dataclass(frozen=True)
 class Material:
     """How a surface reflects light: ambient, diffuse and specular coefficients, and shininess.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import if_image, instance, one_of
+from clvol.base.checks import if_image, instance, one_of, suggests_options, warn
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.base.uniform import FLOAT, REACH, Block, Values
@@ -36,6 +37,7 @@ _MOST_MEDIA = 8
 _MIXES = ("add", "over")
 
 
+@suggests_options
 @dataclass(frozen=True, eq=False)
 class Medium:
     """A volume with its reconstruction between samples and the look of its matter.
@@ -158,6 +160,7 @@ class Medium:
         )
 
 
+@suggests_options
 @dataclass(frozen=True, eq=False)
 class Scene:
     """The content of a picture.
@@ -187,7 +190,12 @@ class Scene:
         colour.
     GeometryError
         `clip` is none of these, or has more than 64 planes or 8 corners. Media are in worlds of
-        different orientation, as those of a patient and of a stack of images.
+        different orientation, as those of a patient and of a stack of images, or their units differ.
+
+    Warns
+    -----
+    ClvolWarning
+        A medium overlaps no other, or DICOM says that media are in different frames of reference.
 
     Notes
     -----
@@ -220,9 +228,7 @@ class Scene:
         if not 1 <= len(media) <= _MOST_MEDIA:
             raise OptionError(f"a scene must have 1 to {_MOST_MEDIA} media; got {len(media)}")
         media = tuple(map(as_medium, media))
-        worlds = {medium.volume.space for medium in media if medium.volume.space}
-        if len(worlds) > 1:
-            raise GeometryError(f"the media of a scene must be in one world; got volumes in {' and '.join(sorted(worlds))}")
+        _require_one_world([medium.volume for medium in media])
         if self.mix not in _MIXES:
             raise one_of("mix", self.mix, _MIXES)
         object.__setattr__(self, "media", media)
@@ -237,6 +243,24 @@ class Scene:
     def clip_of(self, medium: Medium) -> Clip | None:
         """What is cut away of one of its media: by the scene, and by the medium itself."""
         return joined(self.clip, medium.clip)
+
+
+def _require_one_world(volumes: Sequence[Volume]) -> None:
+    """Raise if coordinates of volumes cannot be compared; warn if it seems that they are not meant to be."""
+    for what, names in (("world", {one.space for one in volumes}), ("unit", {one.units for one in volumes})):
+        if len(names - {""}) > 1:
+            raise GeometryError(f"the media of a scene must be in one {what}; got volumes in {' and '.join(sorted(names - {''}))}")
+    frames = {str(one.header.get("frame_of_reference", "")) for one in volumes} - {""}
+    if len(frames) > 1:
+        warn(
+            f"the media of a scene are in {len(frames)} DICOM frames of reference, whose coordinates are not related "
+            f"unless the volumes were registered: {' and '.join(sorted(frames))}"
+        )
+    ends = [(one.corners.min(0), one.corners.max(0)) for one in volumes]
+    for k, (low, high) in enumerate(ends if len(ends) > 1 else ()):
+        if not any((low < b).all() and (a < high).all() for n, (a, b) in enumerate(ends) if n != k):
+            spans = " to ".join(f"({', '.join(f'{v:.6g}' for v in corner)})" for corner in (low, high))
+            warn(f"medium {k} of a scene overlaps no other: it spans {spans}")
 
 
 def as_medium(choice: Medium | Volume | ArrayLike) -> Medium:
@@ -257,7 +281,12 @@ def channels(volumes: Volumes, **words: Any) -> tuple[Medium, ...]:
     if not volumes.colors or others:
         held = " of ".join(others) or f"{len(volumes)} volume"
         raise DataError(f"data must be one volume or the channels of one; got Volumes of {held}: take one, as volumes[0]")
-    return tuple(Medium(replace(volume, color=color), **words) for volume, color in zip(volumes, volumes.colors, strict=True))
+    shown = list(zip(volumes, volumes.colors, strict=True))
+    if volumes.leading.rgb:  # without alpha, and as bright as they are beside each other
+        shown, kind = shown[:3], np.asarray(volumes).dtype
+        top = float(np.iinfo(kind).max if kind.kind == "u" else max(volume.limits[1] for volume, _ in shown))
+        shown = [(replace(volume, clim=(0.0, top) if top > 0 else None), color) for volume, color in shown]
+    return tuple(Medium(replace(volume, color=color), **words) for volume, color in shown)
 
 
 def _outside(mask: ArrayLike | None, where: ArrayLike | None) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.arrays import reals
-from clvol.base.checks import number
+from clvol.base.checks import number, suggests_options
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import exponent_of, scaled, unscaled
@@ -34,6 +34,7 @@ _STEEPEST = 3e38
 _CMAP_NODES = 64
 
 
+@suggests_options
 @dataclass(frozen=True)
 class TransferFunction:
     """Colour and opacity, each piecewise linear in the value and constant outside its end points.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol.base import memory
-from clvol.base.checks import instance, one_of, several, whole
+from clvol.base.checks import instance, one_of, several, suggests_options, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.base.progress import part_of
 from clvol.device import as_device
@@ -58,6 +58,7 @@ class Warped(NamedTuple):
     jacobian: Volume | None
 
 
+@suggests_options
 def warp(
     volume: Volume | ArrayLike | Field,
     like: Volume | Volumes | ArrayLike,
@@ -172,6 +173,7 @@ def _steps(progress: Progress | None, count: int) -> Iterator[Progress | None]:
     return (part_of(progress, done / count, (done + 1) / count) for done in range(count))
 
 
+@suggests_options
 def resample_series(
     series: ArrayLike | Volumes | Sequence[Volume],
     transforms: Sequence[Transforms | None],

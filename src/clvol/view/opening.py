@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike
 
 from clvol.base.checks import if_image, instance
 from clvol.base.color import color_of
-from clvol.base.errors import DataError, GeometryError, OptionError
+from clvol.base.errors import ChunkError, DataError, GeometryError, MissingSampleError, OptionError
+from clvol.bricks.continued import holed
 from clvol.bricks.source import LazyVolume
 from clvol.device import Device
+from clvol.march.choose import without_masked
 from clvol.march.options import KEYWORDS
 from clvol.scene.camera import Camera
 from clvol.scene.clip import as_clip, cuts_of
@@ -47,14 +49,22 @@ class Opened(NamedTuple):
 def opened(
     scene: Viewable, device: Device | str | int | None, source: str | None, finer: Finer | None, options: dict[str, Any]
 ) -> Opened:
-    """Take a scene apart; of a `LazyVolume` the largest size that fits is read."""
+    """Take a scene apart; of a `LazyVolume` the largest size that fits is read, with NaN for what cannot be read."""
+    if (mask := options.pop("mask", None)) is not None:
+        if isinstance(scene, Volumes):
+            raise OptionError("mask takes one volume; got several, of which a view shows one at a time")
+        scene, source = without_masked(scene, mask), None  # which no text of a file tells
     if isinstance(scene, LazyVolume):
         first_state(scene.preview(), dict(options))  # refuses wrong options before all samples are read
         level = resident_level(scene)
         if level:
             finer = Finer(scene, level, source, device)
         source = source and f"{source}{f'.levels[{level - 1}]' if level else ''}.whole()"
-        scene = (scene, *scene.levels)[level].whole()
+        one = (scene, *scene.levels)[level]
+        try:
+            scene = one.whole()
+        except (ChunkError, MissingSampleError):
+            scene = holed(one).whole()
     coefficients = None
     if isinstance(scene, Field):
         if "filter" in options or "boundary" in options or device is not None:
@@ -63,6 +73,8 @@ def opened(
         scene = Medium(scene.coefficients.volume, filter=scene.filter, boundary=scene.boundary)
     volumes = scene if isinstance(scene, Volumes) else None
     if isinstance(scene, Scene):
+        if len(scene.media) > 1:
+            raise OptionError(f"a view shows one medium; got a scene of {len(scene.media)}: clvol.render draws it")
         options = {name: getattr(scene, name) for name in ("lights", "background", "clip")} | options
         scene = scene.media[0]
     if isinstance(scene, Medium):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
-from clvol.base.checks import number, one_of
+from clvol.base.checks import number, one_of, suggests_options
 from clvol.base.errors import DataError
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ _BLOCK: Final = 64  # samples along an edge of those extrapolated at a time
 _STEPS: Final = 20  # steps of conjugate gradients; the start is close: holes of 9 samples are within 2 % of the minimum
 
 
+@suggests_options
 @dataclass(frozen=True, eq=False)
 class Missing:
     """How to treat samples that are NaN or infinite, or excluded by a mask.

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import reals
-from clvol.base.checks import number, one_of, whole
+from clvol.base.checks import number, one_of, suggests_options, whole
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.base.frames import SPACES
@@ -43,6 +43,7 @@ _ABOUT = ("spacing", "origin", "direction", "units", "space", "name", "color", "
 _TINY_DETERMINANT = 1e-12
 
 
+@suggests_options
 @dataclass(frozen=True, eq=False)
 class Volume(Gridded):
     """Samples on a regular grid in world space.

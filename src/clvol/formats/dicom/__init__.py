@@ -17,7 +17,7 @@ from clvol.formats._choice import Choice, Pick, Series, chosen_series
 from clvol.formats._errors import foreign_errors
 from clvol.formats.dicom.header import ROOT, SUFFIXES, Frame, frames_of, has_pictures, leniently, names_of, numbers_of, read_header
 from clvol.formats.dicom.samples import decoded, samples_of
-from clvol.formats.dicom.stack import finite, geometry_of, grid_of, order_of, require_alike
+from clvol.formats.dicom.stack import finite, geometry_of, grid_of, order_of, require_alike, spread_out
 from clvol.formats.guarded.limits import announce
 from clvol.formats.guarded.messages import empty
 from clvol.interop.kinds import Content
@@ -113,12 +113,15 @@ def _volumes(path: Path, files: Sequence[Path], choose: Choice, alone: bool = Fa
     require_alike(path, frames)
     if first.get("SOPClassUID") == _SEGMENTATION:
         return _segments(path, files, first, frames, choose)
+    frames, where = spread_out(frames)
     placed = all(frame.position for frame in frames)
     film = _film(first) if len(files) == 1 and len(frames) > 1 and not placed else None
     leading, guessed = Leading(), ""
     about: dict[str, Any] = {"header": {"modality": names_of(first)[0]}}
     if "SegmentSequence" in first:
         about["labels"] = _segment_names(first)
+    if frame := str(first.get("FrameOfReferenceUID") or "").strip():
+        about["header"]["frame_of_reference"] = frame
     if first.get("PhotometricInterpretation") == "MONOCHROME1":  # shown inverted
         about["header"]["photometric"] = "MONOCHROME1"
     if film is not None:
@@ -128,6 +131,7 @@ def _volumes(path: Path, files: Sequence[Path], choose: Choice, alone: bool = Fa
             about["header"] |= {"time_step": film, "time_unit": "msec"}
     elif placed:
         order, leading, guessed, more = order_of(path, frames)
+        guessed = guessed or where
         about["header"] |= more
     else:
         order = np.lexsort(([frame.index for frame in frames], finite([frame.number for frame in frames])))[None]

@@ -102,6 +102,8 @@ class Frame:
         Holds all values that its bits can stand for; None: that of the decoded samples.
     clim : tuple of float or None
         The values that the source shows as black and as white.
+    location : float
+        Along the normal, in mm, where no position is given; NaN if unknown.
     number : float
         Of the instance; NaN if unknown.
     keys : dict
@@ -120,6 +122,7 @@ class Frame:
     scale: tuple[float, float] | None
     dtype: np.dtype[Any] | None
     clim: tuple[float, float] | None
+    location: float
     number: float
     keys: dict[str, Value]
     tile: tuple[slice, ...] = ()
@@ -286,6 +289,7 @@ def frames_of(path: Path, header: Any) -> list[Frame]:
                 scale=scale,
                 dtype=_dtype(header, bits, scale),
                 clim=_clim(groups),
+                location=(groups.numbers("SliceLocation") or (np.nan,))[0],
                 number=(groups.numbers("InstanceNumber") or (np.nan,))[0],
                 keys=_keys(groups, path),
             )
@@ -303,8 +307,8 @@ def _scale(path: Path, groups: _Groups) -> tuple[float, float] | None:
         return None
     found = []
     for names, default in ((("RescaleSlope", "DoseGridScaling"), 1.0), (("RescaleIntercept",), 0.0)):
-        name = next((name for name in names if groups.item(name) is not None), "")
-        value = next(iter(groups.numbers(name)), np.nan) if name else default
+        name = next((name for name in names if groups.numbers(name)), "")  # a blank one says nothing
+        value = groups.numbers(name)[0] if name else default
         if not np.isfinite(value) or (value == 0 and default):
             raise FormatError(f"{path.name} must have a finite {name}, and no slope of 0; it says {groups.value(name)}")
         found.append(value)

@@ -16,7 +16,7 @@ from clvol.base.errors import FormatError
 from clvol.formats.dicom.header import TIMES, Frame, Value, moved
 from clvol.volume.volumes import Leading
 
-__all__ = ["finite", "geometry_of", "grid_of", "order_of", "require_alike"]
+__all__ = ["finite", "geometry_of", "grid_of", "order_of", "require_alike", "spread_out"]
 
 _LARGEST_TURN = 1e-2  # between directions of parallel slices; some files give three digits
 _LARGEST_SHIFT = 0.05  # of the distance between slices
@@ -108,6 +108,23 @@ def order_of(path: Path, frames: Sequence[Frame]) -> tuple[NDArray[np.intp], Lea
     axis = "time" if all(name in TIMES for name in varying) else "volume"
     titles = tuple(", ".join(f"{name} {_said(keys.get(name, ()))}" for name in varying) for keys in chosen)
     return order, Leading((axis,), (int(counts[0]),), {axis: titles}), "", _time_step(chosen, varying)
+
+
+def spread_out(frames: Sequence[Frame]) -> tuple[list[Frame], str]:
+    """The frames, placed as far apart as they say where they lack places of their own; and what was guessed."""
+    first, turn = frames[0], frames[0].orientation
+    normal = np.cross(turn[:3], turn[3:]) if turn else np.array([0.0, 0.0, 1.0])
+    if not any(frame.position for frame in frames):
+        places = {frame.location for frame in frames}
+        if len(frames) < 2 or len(places) < len(frames) or not np.isfinite(list(places)).all():
+            return list(frames), ""
+        guess = "its slices say no position; they were placed by their SliceLocation"
+        return [replace(frame, position=moved((0.0, 0.0, 0.0), frame.location * normal)) for frame in frames], guess
+    alike = {(frame.path, frame.position, *((k, v) for k, v in frame.keys.items() if "stack" not in k.lower())) for frame in frames}
+    if len(frames) < 2 or len(alike) > 1 or not np.isfinite(first.between):
+        return list(frames), ""
+    guess = f"its {len(frames)} frames say one position; they were taken for slices, {first.between:g} mm apart"
+    return [replace(one, position=moved(one.position, n * first.between * normal)) for n, one in enumerate(frames)], guess
 
 
 def _sortable(key: tuple[Value, ...]) -> tuple[Any, ...]:

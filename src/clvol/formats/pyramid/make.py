@@ -11,7 +11,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import as_path, flag, if_image, one_of, several, whole
+from clvol.base.checks import as_path, flag, if_image, one_of, several, suggests_options, whole
 from clvol.base.errors import DataError, MissingDependencyError, OptionError
 from clvol.base.files import full_disk, require_suffix
 from clvol.base.rounding import wide
@@ -52,6 +52,7 @@ _LARGE = 16  # chunks of the source that take a 16th of the budget to unpack are
 _COST = {"reduce": 1.0, "bounds": 2.0}  # work per sample, about, for the progress
 
 
+@suggests_options
 def pyramid(
     source: LazyVolume | Volume | str | os.PathLike[str] | ArrayLike,
     path: str | os.PathLike[str],
