@@ -140,6 +140,11 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.show.picture.to_bytes(picture)[..., :3])
 
 
+def test_words_of_the_command_line_control_no_terminal(clvol_command: Command) -> None:
+    assert 'unknown command "bo\\x1b[31mgus"' in clvol_command("bo\x1b[31mgus").err
+    assert "unknown option --fil\\x1b[31mter" in clvol_command("render", SPHERE, "-o", "a.png", "--fil\x1b[31mter", "1").err
+
+
 def test_options_that_change_nothing_are_refused(clvol_command: Command) -> None:
     surface = ("--mode", "isosurface", "--isovalue", "-0.25")
     refused = clvol_command("render", SPHERE, "-o", "a.png", *SMALL, *surface, "--step", "0.3")

@@ -339,3 +339,24 @@ def test_media_that_may_not_be_meant_for_each_other_are_said(device: Device) -> 
         clvol.render(Scene([ball, np.full((4, 4, 4), np.nan)]), device=device)
     with pytest.warns(ClvolWarning, match="of a medium of the scene: the picture shows no structure: all samples are 5"):
         clvol.render(Scene([ball, np.full((8, 8, 8), 5.0)]), size=(16, 16), device=device)
+
+
+def test_words_of_a_medium_are_those_of_a_picture(device: Device) -> None:
+    ball = clvol.phantoms.sphere(10)
+    words: dict[str, Any] = {"cmap": "magma", "opacity": 0.4, "window": (0.2, 0.5)}
+    given: dict[str, Any] = {"size": (20, 16), "device": device}
+    for mode in ("composite", "mip"):
+        own = words if mode == "composite" else {name: value for name, value in words.items() if name != "opacity"}
+        want = clvol.render(ball, None, mode, **given, **own)
+        np.testing.assert_array_equal(clvol.render(Medium(ball, **words), None, mode, **given), want)
+        other = clvol.render(Medium(ball, **words), None, mode, **given, cmap="viridis")  # in place of all of the medium's
+        np.testing.assert_array_equal(other, clvol.render(ball, None, mode, **given, cmap="viridis"))
+    transfer = clvol.scene.look.look(ball, "composite", **words)
+    both = [Scene([Medium(ball, **look), Medium(ball, preset="mr-default")]) for look in (words, {"transfer": transfer})]
+    pictures = [clvol.render(scene, **given) for scene in both]
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    np.testing.assert_array_equal(clvol.view.View(Medium(ball, **words)).picture((20, 16)), clvol.render(ball, **given, **words))
+    with pytest.raises(OptionError, match="transfer must be left out where cmap say what it is"):
+        Medium(ball, transfer, cmap="gray")
+    with pytest.raises(OptionError, match=r"cmap must be left to the media of a scene of several: Medium\(..., cmap=...\)"):
+        clvol.render(both[0], cmap="gray", **given)

@@ -20,6 +20,7 @@ from cyclopts import CycloptsError
 
 from clvol.base.errors import ClvolError, ClvolWarning
 from clvol.base.interrupted import at_the_end, only_our_lines
+from clvol.base.printable import printable
 from clvol.cli import files, lists, pictures, view
 from clvol.cli.root import app
 from clvol.cli.speech import one_line
@@ -95,5 +96,5 @@ def _discard_output() -> None:
 def _fail(reason: str, code: int) -> NoReturn:
     at_the_end(code)
     _discard_output()
-    print(f"clvol: {reason}", file=sys.stderr)
+    print(f"clvol: {printable(reason)}", file=sys.stderr)  # the command line is repeated in it
     raise SystemExit(code) from None

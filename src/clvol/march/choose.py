@@ -123,7 +123,7 @@ def without_masked(given: Any, mask: ArrayLike | None) -> Any:
     """What is drawn, without the samples that a mask excludes: a volume, lazy or not, a medium, or a scene of one."""
     if mask is None:
         return given
-    if isinstance(given, LazyVolume):
+    if is_in_parts(given):
         return holed(given, mask)
     if isinstance(given, ContinuousFunction):
         raise OptionError(

@@ -20,6 +20,7 @@ from clvol.scene.fit import fitted
 from clvol.scene.look import look
 from clvol.scene.mode import as_mode, require_heard
 from clvol.scene.preset import as_preset
+from clvol.scene.transfer import WORDS
 
 if TYPE_CHECKING:  # clusters need dask
     from numpy.typing import ArrayLike
@@ -73,8 +74,6 @@ OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
 """Outputs of every mode."""
 _ALL_OUTPUTS = get_args(Output)
 _MAX_SIZE = 1 << 15  # pixels
-WORDS = ("preset", "window", "cmap", "opacity")
-"""Options that say in words what the transfer function is."""
 
 
 # -- options, as documented by `Renderer.render` -------------------------------------------------------------------------------
@@ -398,7 +397,9 @@ class ResolvedLook:
         instance("skipping", skipping, bool, np.bool_)
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
-        scene = _changed(scene, transfer_of(preview, mode, options), options)
+        (medium,) = scene.media
+        words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
+        scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
         transfer = scene.media[0].transfer or mode.transfer(preview)
         return cls(camera, mode.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
 
@@ -488,7 +489,10 @@ def _changed(scene: Scene, transfer: TransferFunction | None, options: RefineOpt
     changes: dict[str, Any] = {name: value for name in ("background", "clip") if (value := options.get(name, ...)) is not ...}
     if (lights := options.get("lights")) is not None:
         changes["lights"] = lights
-    own: dict[str, Any] = {"transfer": transfer, "material": options.get("material")}
-    if given := {name: value for name, value in own.items() if value is not None}:
-        changes["media"] = (replace(medium, **given),)
+    if (material := options.get("material")) is not None:
+        medium = replace(medium, material=material)
+    if transfer is not None:
+        medium = medium.with_transfer(transfer)
+    if medium is not scene.media[0]:
+        changes["media"] = (medium,)
     return replace(scene, **changes) if changes else scene

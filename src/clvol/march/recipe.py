@@ -216,7 +216,7 @@ def _settled(look: ResolvedLook, source: Source) -> scene.Medium:
     part = source.part(medium)
     row = medium.filter if source.by_bricks else part.filter_of(look.mode)  # each size of a LazyVolume may have its own
     shown = medium.transfer if "transfer" in look.mode.unheard else look.transfer
-    return replace(medium, filter=row, boundary=part.field.boundary, transfer=shown)
+    return replace(medium.with_transfer(shown), filter=row, boundary=part.field.boundary)
 
 
 def staged(look: ResolvedLook, fine: Fineness, options: Mapping[str, Any]) -> Staged:

@@ -226,7 +226,7 @@ class Several(Source):
     field: Field
 
     def __init__(self, scene: Scene, device: Device | str | int | None) -> None:
-        self.parts: dict[int, InMemory] = {}
+        self.parts: dict[tuple[Any, ...], InMemory] = {}
         fields: dict[tuple[Any, ...], Field] = {}
         try:
             for number, medium in enumerate(scene.media):
@@ -240,8 +240,8 @@ class Several(Source):
                     fields[key] = single(medium.volume, row, medium.boundary, device)
                     device = fields[key].device
                 one = replace(scene, media=(medium,))
-                self.parts[id(medium)] = InMemory(one, fields[key], medium.volume, (fields[key],))
-            super().__init__(scene, self.parts[id(scene.media[0])].field, scene.media[0].volume, (scene, None, None))
+                self.parts[_reconstructed(medium)] = InMemory(one, fields[key], medium.volume, (fields[key],))
+            super().__init__(scene, self.part(scene.media[0]).field, scene.media[0].volume, (scene, None, None))
         except BaseException:
             for field in fields.values():
                 field.close()
@@ -309,7 +309,12 @@ class Several(Source):
         return replace(first, others=tuple(others))
 
     def part(self, medium: Medium) -> InMemory:
-        return self.parts[id(medium)]
+        return self.parts[_reconstructed(medium)]
+
+
+def _reconstructed(medium: Medium) -> tuple[Any, ...]:
+    """What the function of a medium depends on, whatever its look."""
+    return id(medium.volume), medium.filter, medium.boundary
 
 
 class ByBricks(Source):

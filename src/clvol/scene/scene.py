@@ -19,7 +19,7 @@ from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 from clvol.scene.clip import Box, Clip, as_clip, joined
 from clvol.scene.light import KIT, Light, Material, as_lights
-from clvol.scene.transfer import TransferFunction
+from clvol.scene.transfer import WORDS, TransferFunction
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume, masked
 from clvol.volume.volumes import Volumes
@@ -66,11 +66,13 @@ class Medium:
     clip : (low, high), Plane, Corner, or a list of these, optional
         What is cut away of this medium alone, beside what `Scene.clip` cuts away of all, and in the same terms. A face shows the
         slice of what is cut there; media that go on in front of it or behind it stay as they are.
+    preset, window, cmap, opacity : optional
+        The transfer function in words instead, as of `clvol.render`, each mode's own.
 
     Raises
     ------
     OptionError
-        The volume does not have three axes, or the filter or boundary is unknown.
+        The volume does not have three axes, the filter or boundary is unknown, or there are words beside a transfer function.
     GeometryError
         `clip` is none of these, or has more than 64 planes or 8 corners, those of the scene included.
         Its spacings differ by a factor of more than 10⁶ or are outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
@@ -85,6 +87,10 @@ class Medium:
     boundary: Boundary = DEFAULT_BOUNDARY  # type: ignore[assignment]  # __post_init__ looks names up
     visible: bool = True
     clip: Clip | None = None
+    preset: str | None = None
+    window: tuple[float, float] | None = None
+    cmap: str | None = None
+    opacity: float | Sequence[tuple[float, float]] | None = None
     mask: InitVar[ArrayLike | None] = None
     where: InitVar[ArrayLike | None] = None
 
@@ -110,6 +116,8 @@ class Medium:
         object.__setattr__(self, "boundary", as_boundary(self.boundary))
         if self.transfer is not None:
             instance("transfer", self.transfer, TransferFunction)
+            if self.words:
+                raise OptionError(f"transfer must be left out where {' and '.join(self.words)} say what it is; got both")
         instance("material", self.material, Material)
         if self.clip is not None:
             object.__setattr__(self, "clip", as_clip(self.clip))
@@ -126,6 +134,15 @@ class Medium:
                 f"rendering takes axes of up to {REACH} samples, where float32 is accurate to 1/16 of a voxel; got shape "
                 f"{self.volume.shape}: render parts of it (Volume.crop), or use clvol.sample"
             )
+
+    @property
+    def words(self) -> dict[str, Any]:
+        """The transfer function in words: arguments of `clvol.scene.look.look`; nothing where it is not given in words."""
+        return {name: value for name in WORDS if (value := getattr(self, name)) is not None}
+
+    def with_transfer(self, transfer: TransferFunction | None) -> Medium:
+        """The same with a transfer function, instead of its own or of words."""
+        return replace(self, transfer=transfer, preset=None, window=None, cmap=None, opacity=None)
 
     @property
     def domain(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -21,7 +21,10 @@ from clvol.scene.preset import as_preset, automatic, unit_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["TransferFunction"]
+__all__ = ["WORDS", "TransferFunction"]
+
+WORDS = ("preset", "window", "cmap", "opacity")
+"""Words by which a transfer function may be given: arguments of `clvol.scene.look.look`."""
 
 _CELLS = 1024  # largest number of cells in a table of equal nodes, and of buckets for looking up pieces
 _ON_NODE = 1e-5  # tolerance for a point on a node, relative to a cell

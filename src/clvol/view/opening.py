@@ -96,8 +96,8 @@ def _of_medium(medium: Medium, options: dict[str, Any]) -> dict[str, Any]:
     given = {"material": medium.material} | options
     if not given.keys() & {"filter", "boundary"}:
         given |= {"filter": medium.filter, "boundary": medium.boundary}
-    if medium.transfer is not None and not given.keys() & {"transfer", *WORDS}:
-        given["transfer"] = medium.transfer
+    if not given.keys() & {"transfer", *WORDS}:
+        given |= medium.words if medium.transfer is None else {"transfer": medium.transfer}
     return given
 
 

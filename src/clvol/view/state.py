@@ -25,7 +25,7 @@ from clvol.scene.clip import Corner, Plane, as_clip
 from clvol.scene.light import MAX_LIGHTS, Light, Material
 from clvol.scene.mode import as_mode, heard_options
 from clvol.scene.preset import as_preset
-from clvol.scene.transfer import TransferFunction
+from clvol.scene.transfer import WORDS, TransferFunction
 from clvol.volume.volumes import COMPUTED
 
 __all__ = [
@@ -53,9 +53,6 @@ Pane: TypeAlias = Literal["3d", "x", "y", "z"]
 
 PANES: tuple[Pane, ...] = ("3d", "x", "y", "z")
 """Names of panes: the volume, and slices across x, y and z in the world."""
-
-WORDS = ("preset", "window", "cmap", "opacity")
-"""Fields that choose a transfer function in words."""
 
 VERSION = 1
 LAYOUTS = ("3d", "slice", "linked")
