@@ -106,3 +106,27 @@ def test_all_channels_are_no_picture(tmp_path: Path, capsys: pytest.CaptureFixtu
         main(["render", "a.ome.tiff", "-o", "a.png", "--channel", "all"])
     assert "channel must be" in capsys.readouterr().err
     assert not Path("a.png").exists()
+
+
+def test_a_band_that_samples_miss_is_said_with_the_step_that_shows_it(device: Device) -> None:
+    """Truth: the picture at a fortieth of the step."""
+    z, y, x = np.mgrid[-1:1:32j, -1:1:32j, -1:1:32j]
+    ball = clvol.Volume((1 - np.sqrt(x**2 + y**2 + z**2)).astype(np.float32))
+    given: dict[str, Any] = {"size": (48, 48), "rays": 1, "device": device}
+
+    def shell(width: float) -> clvol.TransferFunction:
+        return clvol.TransferFunction([(0, "white")], [(0.5 - width, 0), (0.5, 0.9), (0.5 + width, 0)])
+
+    for width, said, finer in ((0.06, "", 0.09), (0.008, "step=0.09", 0.09), (0.004, "step=0.05", 0.05)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            pictures = [
+                clvol.render(ball, transfer=shell(width), step=step, **given) for step in (0.5, 0.09 if width > 0.004 else 0.05)
+            ]
+        messages = [str(one.message) for one in caught]
+        assert len(messages) == bool(said)
+        assert said in "".join(messages)
+        true = clvol.render(ball, transfer=shell(width), step=0.0125, **given)
+        off, better = (float(np.sqrt(np.square(np.asarray(one) - true).mean())) for one in pictures)
+        assert better < 0.01
+        assert (off > 0.015) == bool(said)

@@ -125,7 +125,7 @@ def test_presets_show_matter_and_hide_air(name: str, mode: str) -> None:
     if mode == "composite":
         assert chosen == clvol.TransferFunction.preset(name, volume)
         seen = chosen(np.linspace(*volume.value_range, 500))
-        assert seen[0, 3] == 0
+        assert seen[0, 3] == 0 or name == "stat-map"  # which shows what is far below 0
         assert seen[:, 3].max() > 0.05
 
 
@@ -175,3 +175,17 @@ def test_a_preset_that_shows_nothing_of_a_volume_says_so() -> None:
         TransferFunction.preset("ct-skin", soft)
         TransferFunction.preset("mr-default", Volume(np.random.default_rng(0).random((8, 8, 8))))
         TransferFunction.preset("labels", Volume(np.arange(8).reshape(2, 2, 2), labels=True))
+
+
+def test_a_statistical_map_shows_what_is_significant() -> None:
+    """Beyond 3 on both sides, in warm and cold colours, whatever else the values are; less is no warning of its own."""
+    t = Volume(np.linspace(-9, 12, 512).reshape(8, 8, 8))
+    found = look(t, "composite", preset="stat-map")
+    values = np.array([-8.0, -4.0, -3.0, -2.9, 0.0, 2.9, 3.0, 4.0, 8.0])
+    red, _, blue, opacity = found(values).T
+    assert opacity.tolist() == pytest.approx([0.9, 0.2467, 0, 0, 0, 0, 0, 0.2467, 0.9], abs=1e-3)
+    assert (red > blue).tolist()[-2:] == [True, True]
+    assert (red < blue).tolist()[:2] == [True, True]
+    assert look(t, "mip", preset="stat-map").value_range == (0, 8)
+    with pytest.warns(ClvolWarning, match="about -3.5 and 3.5 on, and samples are from -1 to 1: nothing is seen"):
+        look(Volume(np.linspace(-1, 1, 64).reshape(4, 4, 4)), "composite", preset="stat-map")

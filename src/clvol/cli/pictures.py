@@ -253,7 +253,7 @@ def _refined(renderer: clvol.Renderer, shown: Preview, **options: Any) -> clvol.
     for picture in renderer.refine(seconds=_FIRST, progress=shown, **options):
         if not picture.final:
             shown.show(picture)
-    warn_of_refined(renderer, picture, **{name: value for name, value in options.items() if name not in ("size", "step")})
+    warn_of_refined(renderer, picture, **{name: value for name, value in options.items() if name != "size"})
     return picture
 
 

@@ -266,7 +266,7 @@ class Renderer:
             uncertainty = self._source.uncertainty(chosen) if noise else None
             stage = staged(ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options), fine, options)
             pictures = self._source.draw(stage.drawn, fine, wanted != ("rgba",), watched("the picture", progress))
-            warn_if_empty(stage.drawn, self._source, options, pictures["rgba"])
+            warn_if_empty(stage.drawn, fine.step, self._source, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = stage.look.central or not self._source.filter_of(chosen).has_gradient
                 pictures["uncertainty"] = uncertainty(pictures["position"], noise, central=central)

@@ -1,7 +1,7 @@
 """Points of colour and opacity for kinds of data: automatic ones, those of labels, and presets, named looks with one row each.
 
-CT presets are in Hounsfield units: air is -1000, water 0, and bone about 200 and above. The others are relative to a
-volume's matter: 0 is where it starts to show, 1 its brightest value (`clvol.volume.histogram`).
+CT presets are in Hounsfield units: air is -1000, water 0, and bone about 200 and above; that of statistical maps is in units of t
+or z. The others are relative to a volume's matter: 0 is where it starts to show, 1 its brightest value (`clvol.volume.histogram`).
 """
 
 from __future__ import annotations
@@ -54,6 +54,8 @@ _OPACITIES = (0.0, 0.12, 0.45, 0.88)  # at the foot, the start, the middle and t
 _THIN = (0.0, 0.05, 0.30, 0.80)  # the same, if a small part of matter is much brighter than the rest
 _EVEN = 0.15, 0.30  # the middle of matter, relative to its start and top, in that case and otherwise
 _OF_SIGNED = (0.0, 0.12, 0.50, 0.90)  # for signed data, where matter is sparse
+_T = (3.0, 3.5, 5.0, 8.0)  # t of nothing, of what is just seen, and of the brightest
+_BOTH = (-1, _COLD), (1, _WARM)
 _ACROSS = 110  # smallest diagonal in units of length, as in a cube of 64 samples along each axis
 _GOLDEN = 0.6180339887498949  # fraction of the hue circle per label: neighbouring numbers get distant hues, and no two the same
 _TONES = ((0.62, 0.98), (0.85, 0.85), (0.42, 0.92))  # saturation and value, in turn
@@ -179,8 +181,8 @@ class Preset:
     Parameters
     ----------
     name, description : str
-    unit : {"HU", "matter", "labels"}
-        Unit of the values below: Hounsfield units, relative to the volume's matter, or "labels", which has no values.
+    unit : {"HU", "t", "matter", "labels"}
+        Unit of the values below: Hounsfield units, t or z, relative to the volume's matter, or "labels", which has no values.
     colors, opacities : tuple of (value, color), tuple of (value, opacity)
         Without colours they are shades of the volume's own `color`, or of green.
     clim : (float, float)
@@ -189,7 +191,7 @@ class Preset:
 
     name: str
     description: str
-    unit: Literal["HU", "matter", "labels"]
+    unit: Literal["HU", "t", "matter", "labels"]
     colors: Colors = ()
     opacities: Opacities = ()
     clim: tuple[float, float] = (0.0, 1.0)
@@ -229,9 +231,9 @@ class Preset:
         least, most = volume.value_range
         at, seen = zip(*opacities, strict=True)
         if clim is None and not np.interp([least, most, *np.clip(at, least, most)], at, seen).any():
-            shown = [p for p, a in opacities if a > 0]
+            shown = " and ".join(f"{p:g}" for p in sorted((p for p, a in opacities if a > 0), key=abs)[: 1 + (at[0] < 0 < at[-1])])
             warn(
-                f"preset {self.name!r} shows values from about {shown[0]:g} on, and samples are from {least:g} to {most:g}: "
+                f"preset {self.name!r} shows values from about {shown} on, and samples are from {least:g} to {most:g}: "
                 "nothing is seen; window=(center, width) sets the range"
             )
         return tuple((value(p), c) for p, c in colors)[ends], opacities
@@ -245,7 +247,7 @@ class Preset:
         """Where the ends of its `clim` lie."""
         if clim is not None:
             return clim
-        if self.unit == "HU" and may_be_hounsfield(volume):
+        if self.unit == "t" or (self.unit == "HU" and may_be_hounsfield(volume)):
             return self.clim
         matter = matter_of(volume)
         low, high = self.clim
@@ -335,6 +337,14 @@ _ROWS = (
         "matter",
         ((0.0, (0.55, 0.62, 0.70)), (1.0, (1.0, 1.0, 1.0))),
         ((0.0, 0.0), (0.3, 0.01), (1.0, 0.08)),
+    ),
+    Preset(
+        "stat-map",
+        "statistical maps: t or z beyond 3, warm above and cold below",
+        "t",
+        tuple((sign * at, color) for sign, row in _BOTH for at, color in zip(_T[::sign], row[::sign], strict=True)),
+        tuple((sign * at, a) for sign, _ in _BOTH for at, a in zip(_T[::sign], _OF_SIGNED[::sign], strict=True)),
+        (0, 8),
     ),
     Preset("labels", "each label in its colour, opaque; nothing for the background", "labels"),
 )
