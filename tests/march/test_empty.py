@@ -120,9 +120,7 @@ def test_a_band_that_samples_miss_is_said_with_the_step_that_shows_it(device: De
     for width, said, finer in ((0.06, "", 0.09), (0.008, "step=0.09", 0.09), (0.004, "step=0.05", 0.05)):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            pictures = [
-                clvol.render(ball, transfer=shell(width), step=step, **given) for step in (0.5, 0.09 if width > 0.004 else 0.05)
-            ]
+            pictures = [clvol.render(ball, transfer=shell(width), step=step, **given) for step in (0.5, finer)]
         messages = [str(one.message) for one in caught]
         assert len(messages) == bool(said)
         assert said in "".join(messages)
