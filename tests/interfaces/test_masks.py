@@ -78,8 +78,6 @@ def test_a_view_shows_what_can_be_read(device: Device) -> None:  # noqa: ARG001
     assert lacking.picture((24, 24))[..., :3].max() > 0.5
 
 
-def test_a_view_of_several_media_is_refused() -> None:
-    with pytest.raises(OptionError, match="a view shows one medium; got a scene of 2"):
-        View(clvol.Scene([WHOLE, WHOLE]))
+def test_a_mask_is_of_one_volume() -> None:
     with pytest.raises(OptionError, match="mask takes one volume"):
         View(clvol.Volumes([clvol.Volume(WHOLE)] * 2), mask=MASK)

@@ -52,6 +52,7 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "cap": (True, False),
 }
 CHANGES_NO_BIT = {"skipping"}  # as it says
+OF_A_SCENE = {"media"}  # in tests/view/test_media.py
 OWN: tuple[dict[str, Any], ...] = ({}, {"shading": False}, {"method": "stepped"}, {"preset": "mr-default", "window": (0.4, 0.3)})
 BESIDE: dict[str, dict[str, Any]] = {"pixel_filter": {"rays": 4}, "cap": {"clip": VALUES["clip"][0]}}
 SIZE = (24, 18)
@@ -65,7 +66,7 @@ def renderer(device: Device) -> Iterator[clvol.Renderer]:
 
 
 def test_every_option_has_values() -> None:
-    assert VALUES.keys() | CHANGES_NO_BIT == PictureOptions.__annotations__.keys() | ModeOptions.__annotations__.keys()
+    assert VALUES.keys() | CHANGES_NO_BIT | OF_A_SCENE == PictureOptions.__annotations__.keys() | ModeOptions.__annotations__.keys()
 
 
 @pytest.mark.filterwarnings("ignore:preset 'ct-bone' is in Hounsfield")

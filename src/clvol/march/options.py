@@ -94,6 +94,9 @@ class LookOptions(TypedDict, total=False):
         no opacity.
     lights, background, clip
         In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or cuts, None for none.
+    media
+        In place of the scene's media, in their order: the same volumes, filters and boundaries (`Renderer.scene` has them), with
+        other looks, as ``replace(medium, visible=False)`` gives.
     gradient : {"analytic", "central"}
         "analytic" is the exact derivative of the function drawn. "central" takes differences of one voxel to either side, as many
         other programs do; with `hybrid` one voxel of the magnified grid, half of the volume's. `nearest` has no useful derivative
@@ -109,6 +112,7 @@ class LookOptions(TypedDict, total=False):
     lights: Light | Sequence[Light] | None
     background: Sequence[float] | str | EllipsisType | None
     clip: Clip | EllipsisType | None
+    media: Sequence[Medium] | None
     gradient: Literal["analytic", "central"]
 
 
@@ -381,6 +385,8 @@ class ResolvedLook:
         Of several media it is the look of the first in an order that does not depend on the scene's; they have previews of their
         own.
         """
+        if (media := options.get("media")) is not None:
+            scene = scene.with_looks(media)
         clip = options.get("clip", ...)
         cut = (scene.clip if clip is ... else clip) is not None or any(one.visible and one.clip is not None for one in scene.media)
         if not cut and getattr(mode, "cap", None) is not getattr(type(mode), "cap", None):

@@ -257,6 +257,21 @@ class Scene:
         for medium in media:
             self.clip_of(medium)  # no more cuts than a picture may have
 
+    def with_looks(self, media: Sequence[Medium]) -> Scene:
+        """The same with other looks of its media; `OptionError` if these are of other volumes, or reconstructed otherwise."""
+        rule = "the scene's, in their order, with its volumes, filters and boundaries"
+        if not isinstance(media, (list, tuple)) or len(media) != len(self.media):
+            raise OptionError(f"media must be {rule}; got {media!r:.200}")
+        for k, (own, other) in enumerate(zip(self.media, media, strict=True)):
+            instance("each of media", other, Medium)
+            if other.volume is not own.volume or (other.filter, other.boundary) != (own.filter, own.boundary):
+                raise OptionError(f"media must be {rule}; number {k} has others")
+        made: Scene = object.__new__(Scene)  # what is checked of a scene has not changed
+        vars(made).update(vars(self), media=tuple(media))
+        for medium in media:
+            made.clip_of(medium)
+        return made
+
     def clip_of(self, medium: Medium) -> Clip | None:
         """What is cut away of one of its media: by the scene, and by the medium itself."""
         return joined(self.clip, medium.clip)

@@ -53,7 +53,7 @@ class View:
     scene : Volume, LazyVolume, Volumes, Scene, Medium, Field or array-like, 3-D
         Of a `LazyVolume` the largest level is resident that fits, with its coefficients, into half of the memory that is available;
         a picture at rest whose pixels are finer is drawn by bricks. Of several volumes one is shown at a time, which the panel
-        chooses.
+        chooses. Of a scene of several media the panel, slices and picks are of the first; the others are drawn with it.
     device : Device, str or int, optional
     source : str, optional
         Python text by which copied programs get the volume, such as ``clvol.read("scan.nii.gz")``; of several, such as

@@ -53,6 +53,8 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
         lines += ["# volume: the clvol.LazyVolume that was viewed" if source is None else f"volume = {source}"]
     else:
         lines += _volume(resident, state)
+    if resident.others and name == "3d":
+        lines += [f"# others: the {len(resident.others)} other media of the scene that was viewed, a list of clvol.Medium"]
     draw = _drawn if name == "3d" else _cut
     if state.wiper is None:
         lines += _limited(resident, draw(resident, state, name, shown, size, "picture"))
@@ -106,7 +108,11 @@ def _drawn(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     words = _reconstruction(state) | {"size": size} | given
     words |= {"outputs": "visited"} if state.heat else {}
     words |= _device(resident)
-    texts = ["volume", _camera(camera), repr(mode), *(f"{key}={_text(value)}" for key, value in words.items())]
+    scene = "volume"
+    if resident.others:
+        own = [f"{key}={_text(words.pop(key))}" for key in ("filter", "boundary", "transfer", *WORDS, "material") if key in words]
+        scene = f"clvol.Scene([{_call('clvol.Medium', ['volume', *own])}, *others])"
+    texts = [scene, _camera(camera), repr(mode), *(f"{key}={_text(value)}" for key, value in words.items())]
     call = _call("clvol.render", texts)
     return [f"{result} = to_bytes(heat({call}))" if state.heat else f"{result} = {call}"]
 
@@ -259,6 +265,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "lights": "lights" in heard,
         "the material": heard.get("material") not in (None, Material()),
         "the other filter of the wiper": state.wiper is not None,
+        "the other media": bool(resident.others),
         "the heat map (--heat-map FILE)": state.heat,
     }
     unsaid = [words for words, is_so in inexpressible.items() if is_so]

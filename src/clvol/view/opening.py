@@ -44,6 +44,7 @@ class Opened(NamedTuple):
     device: Device | str | int | None
     source: str | None
     options: dict[str, Any]  # of `clvol.render`, that the scene or the caller gives
+    scene: Scene | None  # if it has several media: the volume is that of the first
 
 
 def opened(
@@ -65,7 +66,7 @@ def opened(
             scene = one.whole()
         except (ChunkError, MissingSampleError):
             scene = holed(one).whole()
-    coefficients = None
+    coefficients, several = None, None
     if isinstance(scene, Field):
         if "filter" in options or "boundary" in options or device is not None:
             raise OptionError("filter, boundary and device must be left to the field; got them beside it")
@@ -73,8 +74,7 @@ def opened(
         scene = Medium(scene.coefficients.volume, filter=scene.filter, boundary=scene.boundary)
     volumes = scene if isinstance(scene, Volumes) else None
     if isinstance(scene, Scene):
-        if len(scene.media) > 1:
-            raise OptionError(f"a view shows one medium; got a scene of {len(scene.media)}: clvol.render draws it")
+        several = scene if len(scene.media) > 1 else None
         options = {name: getattr(scene, name) for name in ("lights", "background", "clip")} | options
         scene = scene.media[0]
     if isinstance(scene, Medium):
@@ -88,7 +88,7 @@ def opened(
         options |= {name: options.get(name) or getattr(bounds, name) for name in ("filter", "boundary")}
     if volume.is_labels:  # whose colours depend on the labels that are resident
         finer = None
-    return Opened(volume, volumes, coefficients, finer, device, source, options)
+    return Opened(volume, volumes, coefficients, finer, device, source, options, several)
 
 
 def _of_medium(medium: Medium, options: dict[str, Any]) -> dict[str, Any]:

@@ -6,13 +6,15 @@ import contextlib
 import itertools
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 from clvol.base import memory
 from clvol.base.errors import OutOfMemoryError
 from clvol.device import Device
 from clvol.march.renderer import Renderer
+from clvol.scene.scene import Scene
+from clvol.scene.transfer import WORDS
 from clvol.spline.field import Field
 from clvol.view.catalog import Catalog, Which
 
@@ -37,11 +39,26 @@ class _Entry:
     used: int = 0
 
 
+class _OfScene(Renderer):
+    """A renderer of several media, whose pictures take the look of the first in words, as those of one medium do."""
+
+    def render(self, *arguments: Any, **options: Any) -> Any:
+        return super().render(*arguments, **self._of_first(options))
+
+    def refine(self, *arguments: Any, **options: Any) -> Any:
+        return super().refine(*arguments, **self._of_first(options))
+
+    def _of_first(self, options: dict[str, Any]) -> dict[str, Any]:
+        own = {name: options.pop(name) for name in ("transfer", *WORDS, "material") if name in options}
+        first, *others = self.scene.media
+        return options | {"media": (replace(first, **own), *others)}
+
+
 class Renderers:
     """A cache of renderers by filter, boundary and volume.
 
-    `given` are coefficients that the first volume already has; `ready` is called with what a new renderer shows; `limits` are those
-    of the device while it draws.
+    `given` are coefficients that the first volume already has; `scene` holds more media, which are drawn with it; `ready` is called
+    with what a new renderer shows; `limits` are those of the device while it draws.
     """
 
     def __init__(
@@ -49,11 +66,12 @@ class Renderers:
         catalog: Catalog,
         device: Device | str | int | None,
         given: Field | None,
+        scene: Scene | None,
         ready: Callable[[Which], None],
         limits: Mapping[str, Any],
     ) -> None:
         self._limits = limits
-        self._catalog, self._device, self._field, self._ready = catalog, device, given, ready
+        self._catalog, self._device, self._field, self._scene, self._ready = catalog, device, given, scene, ready
         self._lock = threading.Lock()
         self._counter = itertools.count(1)
         self._entries: dict[_Key, _Entry] = {}
@@ -139,11 +157,18 @@ class Renderers:
             return Renderer(given)
         row, boundary, which = key
         volume = self._catalog.volume_at(which)
+
+        def made() -> Renderer:
+            if self._scene is None:
+                return Renderer(volume, row, boundary, self._device)
+            first = replace(self._scene.media[0].with_transfer(None), volume=volume, filter=row, boundary=boundary)  # type: ignore[arg-type]  # names
+            return _OfScene(replace(self._scene, media=(first, *self._scene.media[1:])), device=self._device)
+
         try:
-            return Renderer(volume, row, boundary, self._device)
+            return made()
         except OutOfMemoryError:
             self._free(0)
-            return Renderer(volume, row, boundary, self._device)
+            return made()
 
     def _free(self, kept: int) -> None:
         """Close idle renderers, but the last few; of several volumes as many stay as there is room for."""

@@ -17,10 +17,12 @@ from clvol.filter.table import filters
 from clvol.march.options import ViewOptions, unheard
 from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
-from clvol.scene.fit import fitted
+from clvol.scene.clip import joined
+from clvol.scene.fit import Seen, fitted
 from clvol.scene.look import look
 from clvol.scene.mode import Mode, as_mode, mode_options, modes
 from clvol.scene.preset import presets
+from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.view.catalog import Catalog, Which
 from clvol.view.events import KEYS
@@ -67,8 +69,10 @@ class Resident:
         self.limits = dict(limits or {})
         self.finer, self.device, self.source, given = found.finer, found.device, found.source, found.options
         self.catalog = Catalog(found.volume, found.volumes, lambda: self.renderers.in_use())
-        self.renderers = Renderers(self.catalog, self.device, found.coefficients, self._learn, self.limits)
+        self.renderers = Renderers(self.catalog, self.device, found.coefficients, found.scene, self._learn, self.limits)
         self.title = title or (found.volume.name or "volume" if found.volumes is None else "volumes")
+        self.others = () if found.scene is None else tuple(one for one in found.scene.media[1:] if one.visible)
+        """The other media that are seen."""
         self.beside: dict[str, Any] = {name: given.pop(name) for name in _BESIDE if name in given}
         """Arguments of `clvol.render` that are not part of a state."""
         self.initial = first_state(found.volume, given)
@@ -154,8 +158,14 @@ class Resident:
     def placed(self, state: State, aspect: float) -> Camera:
         """The camera with its target, as a picture of this aspect ratio has it."""
         volume = self.catalog.volume_of(state)
-        camera = fitted(camera_of(state), volume, self.mode(state), self.transfer(state), state.clip, aspect)
+        others = [self._seen(other, state) for other in self.others]
+        camera = fitted(camera_of(state), volume, self.mode(state), self.transfer(state), state.clip, aspect, others=others)
         return targeted(camera, self.volume)
+
+    def _seen(self, other: Medium, state: State) -> Seen:
+        """What of another medium a camera is fitted to."""
+        mode = as_mode(state.mode, state.options).settled(other.volume)
+        return other.volume, mode, other.transfer or look(other.volume, mode, **other.words), joined(state.clip, other.clip)
 
     def filter_name(self, state: State, filter: str | None) -> str:
         """The full name of a filter, with its smoothing as it is settled for the volume."""

@@ -1,0 +1,57 @@
+"""A view of several media: the first is what is edited, sliced and picked, and the others are drawn with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import clvol
+from clvol.base.errors import OptionError
+from clvol.device import Device
+from clvol.view import View
+from clvol.view.panes import camera_of
+
+Z, Y, X = np.mgrid[-1:1:20j, -1:1:20j, -1:1:20j]
+SHELL = clvol.Volume((1 - np.sqrt(X**2 + Y**2 + Z**2)).astype(np.float32))
+CORE = clvol.Volume(
+    np.exp(-8 * ((X - 0.3) ** 2 + Y**2 + Z**2)).astype(np.float32)[::2, ::2, ::2], spacing=(2, 2, 2), origin=(0.5, 0.5, 0.5)
+)
+TISSUE = clvol.TransferFunction([(0, "bisque")], [(0.2, 0), (0.4, 0.03)])
+SCENE = clvol.Scene([clvol.Medium(SHELL, TISSUE), clvol.Medium(CORE, cmap="hot", opacity=0.5)], background=(0.1, 0.2, 0.3))
+SIZE = (32, 28)
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface", "mip"])
+def test_it_shows_the_scene_and_copies_it(mode: str, device: Device) -> None:  # noqa: ARG001
+    view = View(SCENE, mode=mode)
+    want = clvol.render(SCENE, camera_of(view.state), mode, SIZE)
+    assert_array_equal(view.picture(SIZE), want)
+    text = view.python(SIZE)
+    assert "# others: the 1 other media of the scene" in text
+    names: dict[str, Any] = {"clvol": clvol, "volume": SHELL, "others": list(SCENE.media[1:])}
+    exec(text, names)  # what was copied
+    assert_array_equal(names["picture"], want)
+
+
+def test_the_first_is_edited(device: Device) -> None:  # noqa: ARG001
+    view = View(SCENE)
+    blue = clvol.TransferFunction([(0, "blue")], [(0.2, 0), (0.4, 0.3)])
+    cut = clvol.Plane((0, -1, 0), SHELL.center)
+    view.state = replace(view.state, transfer=blue, cuts=(cut,), filter="linear")
+    changed = replace(SCENE, media=(clvol.Medium(SHELL, blue, filter="linear"), SCENE.media[1]), clip=cut)
+    assert_array_equal(view.picture(SIZE), clvol.render(changed, camera_of(view.state), size=SIZE))
+
+
+def test_a_renderer_takes_other_looks_of_its_media(device: Device) -> None:
+    with clvol.Renderer(SCENE, device=device) as renderer:
+        first, second = renderer.scene.media
+        for media in ([first, replace(second, visible=False)], [first.with_transfer(None), replace(second, cmap="viridis")]):
+            got = renderer.render(size=SIZE, media=media)
+            assert_array_equal(got, clvol.render(replace(SCENE, media=tuple(media)), size=SIZE, device=device))
+        for wrong in ([first], [second, first], [first, replace(second, filter="linear")], [first, CORE], "both"):
+            with pytest.raises(OptionError, match=r"media must be|each of media must be a Medium"):
+                renderer.render(size=SIZE, media=wrong)
