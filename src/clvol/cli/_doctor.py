@@ -25,6 +25,7 @@ _USES = {
     "microscopy": "TIFF stacks, Zarr",
     "hdf5": "HDF5, netCDF-4, Imaris",
     "vtk": "VTK files compressed with LZ4",
+    "mesh": "meshes of surfaces, and their files",
     "bioio": "microscope vendors' files",
     "figures": "figures and reports",
     "xarray": "labelled arrays",
