@@ -306,9 +306,10 @@ def _scale(path: Path, groups: _Groups) -> tuple[float, float] | None:
     if groups.header.get("ModalityLUTSequence"):
         return None
     found = []
+    blank = not any(groups.numbers(name) for name in ("RescaleSlope", "DoseGridScaling", "RescaleIntercept"))  # they say nothing
     for names, default in ((("RescaleSlope", "DoseGridScaling"), 1.0), (("RescaleIntercept",), 0.0)):
-        name = next((name for name in names if groups.numbers(name)), "")  # a blank one says nothing
-        value = groups.numbers(name)[0] if name else default
+        name = "" if blank else next((name for name in names if groups.item(name) is not None), "")
+        value = next(iter(groups.numbers(name)), np.nan) if name else default
         if not np.isfinite(value) or (value == 0 and default):
             raise FormatError(f"{path.name} must have a finite {name}, and no slope of 0; it says {groups.value(name)}")
         found.append(value)
