@@ -1,4 +1,4 @@
-"""Misspelt keywords get the one that was meant."""
+"""Misspelt keywords get the one that was meant, by us or, from 3.13 on, by Python."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ BALL = clvol.Volume(np.ones((4, 4, 4)))
     ],
 )
 def test_a_misspelt_keyword_gets_the_one_that_was_meant(function: Callable[..., Any], given: str, meant: str) -> None:
-    with pytest.raises(TypeError, match=rf"unexpected keyword argument '{given}' \(did you mean {meant}\b.*\?\)$"):
+    with pytest.raises(TypeError, match=rf"unexpected keyword argument '{given}'\W+[Dd]id you mean '?{meant}\b"):
         function(**{given: 1})
 
 
