@@ -119,7 +119,7 @@ def test_parity_with_the_reference(renderer: Renderer, case: str, clip: str, vie
         assert want[..., 3].max() > 0.5
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(10)
 @pytest.mark.parametrize("clip", CLIPS)
 @pytest.mark.parametrize("case", MODES)
 def test_skipping_and_bricks_change_no_bit(device: Device, case: str, clip: str) -> None:

@@ -64,6 +64,7 @@ def errors(scene: Scene, view: str, device: Device) -> tuple[float, float, float
     return float(apart.max()), float(np.sqrt((apart**2).mean())), float(deep)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("other", MEDIA)
 def test_two_media_are_the_references(device: Device, other: str, tile: str) -> None:
@@ -159,7 +160,7 @@ OWN: dict[str, Any] = {
 CUT = Plane((0, -1, 0.2), (0, 6, 0))
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(7)
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("other", ["one grid", "turned", "a slice"])
 @pytest.mark.parametrize("own", OWN)
