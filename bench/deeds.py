@@ -62,7 +62,7 @@ NOT_DONE = {
 }
 """Public names that no deed uses, and why."""
 
-MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean")
+MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean", "surfaces")
 FILTERS = (
     "linear",
     "bspline2",
@@ -252,6 +252,7 @@ _OF_MODE: dict[str, dict[str, Sequence[Any]]] = {
     "composite": {"shading": (False,), "termination": (0.0, 0.05)},
     "isosurface": {"isovalue": (0.3, 0.5), "method": ("stepped",), "color": ("steelblue",), "shading": (False,)},
     "attenuated": {"attenuation": (0.5, 5.0)},
+    "surfaces": {"surfaces": ("0.3:tan:0.4,0.6:teal", "1 sigma:red:0.5"), "shading": (False,)},
 }
 
 
@@ -298,7 +299,15 @@ def pictures_at_once(world: World, random: Random) -> Any:
 
 @_deed(6)
 def modes_as_classes(world: World, random: Random) -> Any:
-    classes = (clvol.Composite(), clvol.Isosurface(0.4), clvol.Mip(), clvol.Attenuated(1.0), clvol.Minip(), clvol.Mean())
+    classes = (
+        clvol.Composite(),
+        clvol.Isosurface(0.4),
+        clvol.Mip(),
+        clvol.Attenuated(1.0),
+        clvol.Minip(),
+        clvol.Mean(),
+        clvol.Surfaces(),
+    )
     chosen: clvol.Mode = _one(random, classes[: len(world.modes)])
     assert chosen.name in clvol.modes()
     return _one(random, world.renderers).render(_camera(random), chosen, (48, 48))

@@ -55,6 +55,9 @@
 #ifndef FACE_MATTERS
 #define FACE_MATTERS(frame, low, high) 0
 #endif
+#if !STRETCHES
+#define LAYERED 0
+#endif
 #if !RESTARTS
 #define restart(state, active)
 #endif

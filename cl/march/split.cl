@@ -4,7 +4,7 @@
 #include "march/picture.cl"
 #include "march/states.cl"
 
-// Samples number `from` to `to` of every ray, and REACH before, from the beginning or, if `carried`, from the states given. The numbers
+// Samples number `from` to `to` of every ray, and REACH before (but where each crossing counts), from the beginning or, if `carried`, from the states given. The numbers
 // of the second and further parts of rays count two more for each part before, whose ends have numbers of their own (MARGIN).
 kernel void march_rays(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,
                        global const uchar *missing, constant frame_t *frame, global const float4 *table, const float from, const float to, const int carried,
@@ -19,7 +19,7 @@ kernel void march_rays(COEFFICIENTS coefficients, const int4 extent, global cons
     for (int part = -1; next_part_of(&tile, frame, 0, &part);) {
         const float first = from - 2.0f * part, last = to - 2.0f * part;
         enter_tile(&tile, coefficients, extent, frame, table, part, first, last AND_MISSING);
-        tile.first = MAX(tile.first, carried ? first : first - REACH);
+        tile.first = MAX(tile.first, carried | LAYERED ? first : first - REACH);
         tile.last = MIN(tile.last, last);
         march_tile(&tile, coefficients, extent, minmax, sides, frame, table AND_MISSING);
     }

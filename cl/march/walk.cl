@@ -1,4 +1,4 @@
-// Rays from cell to cell: the exact first crossing of an isovalue.
+// Rays from cell to cell: the exact first crossing of an isovalue, or all crossings of several, in order.
 //
 // Within a cell the function along a ray is one polynomial (along.cl), whose first root is found without a step (bernstein.cl).
 // Between cells it may jump. A ray crosses the planes between cells at distances that depend only on their numbers, so a cell
@@ -7,10 +7,16 @@
 // The rays of a tile advance, packet by packet, until each is in a cell whose block may contain the isovalue. These are few, so
 // the cells are then gathered from the whole tile, and searched LANES at a time; so are the roots that were found.
 //
-// A mode with STRETCHES supplies SOUGHT(frame), the isovalue, and a state_t with
+// A mode with STRETCHES supplies SOUGHT(frame, k), the isovalues in ascending order, SURFACES(frame), how many there are, and a
+// state_t with
 //   hit    the first crossing, or NOWHERE
-//   side   of the part that was searched so far: 1 not below the isovalue, -1 below; 0 if there is none
-// Crossings at missing places (missing.cl) do not count: the search continues behind them.
+//   side   of the part that was searched so far: 1 and how many isovalues it is not below; 0 if there is none
+// Crossings at missing places (missing.cl) do not count: the search continues behind them. With LAYERED 1 it continues behind each
+// crossing; the mode then also supplies
+//   which  the number of the isovalue that is crossed there
+//   pass_hit(state, coefficients, sample, active)
+//          the crossing at `hit`, which becomes NOWHERE
+// A crossing counts in the one stretch that it lies in, although cells are searched whole.
 //
 // Set by the host: BLOCK, cells along an edge of the finest blocks; JUMPS, whether the function may jump between cells.
 
@@ -19,6 +25,7 @@
 #include "march/segments.cl"
 
 #define RAYS (PACKETS * LANES)
+#define LOOKS_ON (MISSING || LAYERED)   // whether the search may continue behind a crossing
 
 // -- one axis ---------------------------------------------------------------------------------------------------
 
@@ -122,9 +129,12 @@ INLINE axes_t axes_along(const ray_t *ray, constant geometry_block *geometry, co
     return axes;
 }
 
-// The bounds of LANES cells: whether they may contain the isovalue; whether the function is above it there; whether that holds for
-// the whole brick.
+// The bounds of LANES cells: whether they may contain an isovalue; whether the function is above the only one there; whether that
+// holds for the whole brick.
 typedef struct { mask held, above, uniform; } sides_t;
+
+// Whether the function is on another side.
+INLINE mask differ(const real one, const real other) { return (one != other) & (one != 0.0f) & (other != 0.0f); }
 
 // Numbers from 0 to `last`: lanes that are not active may be anywhere.
 INLINE mask limit_whole(mask i, mask last) { return choose_whole(i > last, last, choose_whole(i < 0, NONE, i)); }
@@ -145,7 +155,7 @@ INLINE sides_t sides_of(global const ulong2 *sides, constant frame_t *frame, con
     for (int i = 0; i < LANES; ++i) {
         const ulong2 brick = sides[at.each[i]];
         const int held = (int)(brick.x >> bits.each[i]) & 1, above = (int)(brick.y >> bits.each[i]) & 1;
-        known.each[i] = held | above << 1 | (brick.x == 0 && (brick.y == 0 || brick.y == ALL_CELLS)) << 2;
+        known.each[i] = held | above << 1 | ((brick.x == 0) & (LAYERED | (brick.y == 0) | (brick.y == ALL_CELLS))) << 2;
     }
     const sides_t s = { (known.all & 1) != 0, (known.all & 2) != 0, (known.all & 4) != 0 };
     return s;
@@ -162,8 +172,13 @@ typedef struct {
     mask active;
     lanes_u x, y, z, to_x, to_y, to_z;   // fractions of the cells there
     lanes_u side, sign;   // of the part searched; where this cell begins
-#if MISSING
+#if LOOKS_ON
     lanes_u after;        // where it ends
+#endif
+#if LAYERED
+    lanes_u from, to;     // the stretch
+    lanes_u last;         // the last crossing
+    lane_masks_u more;    // whether this cell may contain others
 #endif
     lane_masks_u found;   // whether it contains a root
 } walker_t;
@@ -194,19 +209,24 @@ OUT_OF_LINE real set_out(walker_t *w, const ray_t *ray, const state_t *state, co
     w->t = MAX(MAX(entry_of(&w->axes.x, w->cell.x), entry_of(&w->axes.y, w->cell.y)), MAX(entry_of(&w->axes.z, w->cell.z), ray->enter));
     w->side.all = state->side;
     w->found.all = NONE;
+#if LAYERED
+    w->from.all = from;
+    w->to.all = to;
+    w->last.all = -NOWHERE;
+#endif
     return choose(w->active, w->end - begin, (real)(0.0f));
 }
 
 // The first place past a jump at which a sample of the function is on the far side, so that every pixel is lit from there; the jump
 // itself if there is none nearby.
-INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const float value, const real jump, const real end,
-                        const real side, mask active)
+INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const real value, const real jump, const real end,
+                        const mask rising, mask active)
 {
 #if JUMPS
     constant float *high = sample->frame->geometry.high;
     real t = jump, further = 1e-7f * (magnitude(t) + high[0] + high[1] + high[2]);
     for (int i = 0; i < 8; ++i) {
-        active &= (value_at(coefficients, sample, t, active) < value) == (side < 0.0f);
+        active &= (value_at(coefficients, sample, t, active) < value) == (rising != 0);
         if (!any_lane(active))
             return t;
         t = choose(active, MIN(t + further, end), t);
@@ -221,14 +241,27 @@ INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const
 #if MISSING
 // Where the side changes between two cells, it is the place just past their border that may be missing.
 INLINE real past_border(const real t, const real length) { return madd(1e-3f, length, t); }
+#endif
+#if LOOKS_ON
 #define SIDE_AFTER(w) (w)->after
 #else
 #define SIDE_AFTER(w) (w)->sign
 #endif
 
+// The number of the first isovalue that is crossed from one side to another.
+INLINE real crossed_between(const real side, const real sign) { return side - choose(side < sign, (real)(1.0f), (real)(2.0f)); }
+
+INLINE real sought_of(constant frame_t *frame, const real which)
+{
+    real value = (real)(SOUGHT(frame, 0));
+    for (int k = 1; k < SURFACES(frame); ++k)
+        value = choose(which == (real)(k), (real)(SOUGHT(frame, k)), value);
+    return value;
+}
+
 // Advances rays to cells that may contain the isovalue. `looked`: whether their present cells were searched.
 OUT_OF_LINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const sample_t *sample, global const ulong2 *sides,
-                  const float value, int looked)
+                  int looked)
 {
     const ray_t *ray = sample->ray;
     const axes_t *axes = &w->axes;
@@ -239,10 +272,11 @@ OUT_OF_LINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, c
         w->until = MIN(exit, ray->leave);
         mask passed = w->active, far = NONE;
         if (!looked) {
-            if (!sample->frame->minmax.skipping)
+            if (!(sample->frame->minmax.skipping & !(LAYERED & JUMPS)))
                 return;   // any may
             const sides_t known = sides_of(sides, sample->frame, &w->cell);
-            SIDE_AFTER(w).all = w->sign.all = choose(known.above, (real)(1.0f), (real)(-1.0f));
+            // of several isovalues it is that of the cell before: between cells that may contain none the function does not jump
+            SIDE_AFTER(w).all = w->sign.all = LAYERED ? w->side.all : choose(known.above, (real)(2.0f), (real)(1.0f));
             passed &= !known.held;
             far = passed & known.uniform;
             if (any_lane(far))
@@ -251,16 +285,25 @@ OUT_OF_LINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, c
         if (!any_lane(passed))
             return;
         // sides change from one cell to the next where the function jumps, or by rounding
-        mask changed = passed & (w->side.all * w->sign.all < 0.0f);
+        mask changed = passed & differ(w->side.all, w->sign.all);
 #if MISSING
         changed &= !missing_at(sample->missing, sample->frame, ray, past_border(w->t, w->until - w->t), changed);
 #endif
-        if (any_lane(changed))
-            state->hit = choose(changed, beyond_jump(coefficients, sample, value, w->t, w->until, w->side.all, changed), state->hit);
-        w->side.all = choose(passed, SIDE_AFTER(w).all, w->side.all);
-#if MISSING
+        real after = SIDE_AFTER(w).all;
+        if (any_lane(changed)) {
+            const mask rising = w->side.all < w->sign.all;
+            const real which = crossed_between(w->side.all, w->sign.all);
+            const real t = beyond_jump(coefficients, sample, sought_of(sample->frame, which), w->t, w->until, rising, changed);
+            state->hit = choose(changed, t, state->hit);
+#if LAYERED
+            state->which = choose(changed, which, state->which);
+            after = choose(changed, w->side.all + choose(rising, (real)(1.0f), (real)(-1.0f)), after);
+#endif
+        }
+        w->side.all = choose(passed, after, w->side.all);
+#if LOOKS_ON
         // the next stretch searches a cell that a ray stops in once more, from its beginning
-        w->side.all = choose(passed & !(exit < w->end) & (w->sign.all != w->after.all), (real)(0.0f), w->side.all);
+        w->side.all = choose(passed & !changed & !(exit < w->end) & (w->sign.all != w->after.all), (real)(0.0f), w->side.all);
 #endif
         passed &= !changed;
         w->active &= !changed & (!passed | (exit < w->end));
@@ -284,7 +327,7 @@ typedef struct {
     lanes_u from, length, q[COEFFICIENT_COUNT];
 } roots_t;
 
-OUT_OF_LINE void refine_roots(roots_t *roots, state_t *states)
+OUT_OF_LINE void refine_roots(roots_t *roots, walker_t *walkers, state_t *states)
 {
     real q[COEFFICIENT_COUNT];
 #pragma unroll
@@ -293,8 +336,16 @@ OUT_OF_LINE void refine_roots(roots_t *roots, state_t *states)
     const lanes_u hit = { madd(root_between(q), roots->length.all, roots->from.all) };
     for (int i = 0; i < roots->count; ++i) {
         state_t *state = states + roots->ray[i] / LANES;
+        const int lane = roots->ray[i] % LANES;
         lanes_u hits = { state->hit };
-        hits.each[roots->ray[i] % LANES] = hit.each[i];
+#if LAYERED
+        walker_t *w = walkers + roots->ray[i] / LANES;
+        if (hit.each[i] <= w->last.each[lane] || hit.each[i] < w->from.each[lane] || hit.each[i] >= w->to.each[lane]) {
+            w->found.each[lane] = 0;
+            continue;
+        }
+#endif
+        hits.each[lane] = hit.each[i];
         state->hit = hits.all;
     }
     roots->count = 0;
@@ -302,8 +353,8 @@ OUT_OF_LINE void refine_roots(roots_t *roots, state_t *states)
 
 #if MISSING
 
-#define LOOKED_ALONG , const tile_t *tile, constant frame_t *frame MISSING_TOO
-#define LOOKING_ALONG , tile, frame AND_MISSING
+#define LOOKED_ALONG , const tile_t *tile MISSING_TOO
+#define LOOKING_ALONG , tile AND_MISSING
 
 // The lines of some rays of a tile, side by side.
 INLINE ray_t lines_of(const tile_t *tile, const int *rays, const int count)
@@ -323,10 +374,31 @@ INLINE ray_t lines_of(const tile_t *tile, const int *rays, const int count)
     return lines;
 }
 
-// The first crossing that is at no missing place, of polynomials on stretches of these rays; lanes that have none are left out of
-// the result. `hit` is where it is.
+#else
+#define LOOKED_ALONG
+#define LOOKING_ALONG
+#endif
+
+#if LOOKS_ON
+
+INLINE void less(real p[COEFFICIENT_COUNT], const real q[COEFFICIENT_COUNT], const float value)
+{
+#pragma unroll
+    for (int j = 0; j < COEFFICIENT_COUNT; ++j)
+        p[j] = q[j] - value;
+}
+
+#if MISSING
+#define AT_MISSING(t, active) missing_at(missing, frame, lines, t, active)
+#else
+#define AT_MISSING(t, active) NONE
+#endif
+
+// The first crossing past `last` and `begun`, before `to` and at no missing place, of polynomials on stretches of these rays; lanes
+// that have none are left out of the result. `hit` is where it is.
 OUT_OF_LINE mask first_shown(const real polynomial[COEFFICIENT_COUNT], const ray_t *lines, const real from, const real length,
-                             mask active, constant frame_t *frame, real *hit MISSING_TOO)
+                             const real last, const real begun, const real to, mask active, constant frame_t *frame,
+                             real *hit MISSING_TOO)
 {
     real rest[COEFFICIENT_COUNT], before[COEFFICIENT_COUNT];
     real begin = (real)(0.0f), share = (real)(1.0f);   // of the stretch, the rest that is still to be searched
@@ -341,7 +413,7 @@ OUT_OF_LINE mask first_shown(const real polynomial[COEFFICIENT_COUNT], const ray
             q[j] = rest[j];
         active &= first_change(q, active, &start, &width);
         const real place = madd(madd(root_between(q), width, start), share, begin), t = madd(place, length, from);
-        const mask hidden = missing_at(missing, frame, lines, t, active), shown = active & !hidden;
+        const mask hidden = AT_MISSING(t, active) | (t <= last) | (t < begun) | (t >= to), shown = active & !hidden;
         *hit = choose(shown, t, *hit);
         found |= shown;
         const real past = start + width;   // where the part ends that has this root alone
@@ -353,15 +425,15 @@ OUT_OF_LINE mask first_shown(const real polynomial[COEFFICIENT_COUNT], const ray
     return found;
 }
 
-#else
-#define LOOKED_ALONG
-#define LOOKING_ALONG
 #endif
 
 // Searches the cells of some rays.
 OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, COEFFICIENTS coefficients, const int4 extent,
-                           const float value, roots_t *roots, state_t *states LOOKED_ALONG)
+                           constant frame_t *frame, roots_t *roots, state_t *states LOOKED_ALONG)
 {
+#if LAYERED
+    lanes_u last, begun, to;
+#endif
     lanes_u x, y, z, to_x, to_y, to_z, from, length, side;
     cursor_t slices[LANES];
     lane_masks_u active;
@@ -377,35 +449,100 @@ OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, 
         length.each[i] = until.each[lane] - t.each[lane];
         side.each[i] = w->side.each[lane];
         active.each[i] = i < count ? -1 : 0;
+#if LAYERED
+        last.each[i] = w->last.each[lane];
+        begun.each[i] = w->from.each[lane];
+        to.each[i] = w->to.each[lane];
+#endif
     }
-    real q[COEFFICIENT_COUNT], start = (real)(0.0f), width = (real)(1.0f);
+    real q[COEFFICIENT_COUNT];
     function_along(coefficients, extent, slices, x.all, to_x.all, y.all, to_y.all, z.all, to_z.all, q);
-#pragma unroll
-    for (int j = 0; j < COEFFICIENT_COUNT; ++j)
-        q[j] -= value;
-    const lanes_u sign = { choose(q[0] < 0.0f, (real)(-1.0f), (real)(1.0f)) };
-    const changes_t changes = changes_of(q);
+    lanes_u sign = { (real)(1.0f) };
+#if LOOKS_ON
+    lanes_u end = sign, hit = { NOWHERE }, which = { (real)(0.0f) };
+    for (int k = 0; k < SURFACES(frame); ++k) {
+        sign.all += choose(q[0] - SOUGHT(frame, k) < 0.0f, (real)(0.0f), (real)(1.0f));
+        end.all += choose(q[BERNSTEIN_DEGREE] - SOUGHT(frame, k) < 0.0f, (real)(0.0f), (real)(1.0f));
+    }
+    mask jumps = (active.all != 0) & differ(side.all, sign.all);
 #if MISSING
-    lanes_u end = { choose(q[BERNSTEIN_DEGREE] < 0.0f, (real)(-1.0f), (real)(1.0f)) }, hit = { NOWHERE };
     const ray_t lines = lines_of(tile, rays, count);
-    mask jumps = (active.all != 0) & (side.all * sign.all < 0.0f);
     jumps &= !missing_at(missing, frame, &lines, past_border(from.all, length.all), jumps);
-    lane_masks_u found = { changes.once & !jumps & (active.all != 0) };
-    found.all = first_shown(q, &lines, from.all, length.all, found.all, frame, &hit.all, missing);
+#define ALONG_LINES &lines
+#else
+#define ALONG_LINES 0
+#endif
+#if LAYERED
+#define STILL_SOUGHT last.all, begun.all, to.all
+#else
+#define STILL_SOUGHT -NOWHERE, -NOWHERE, NOWHERE
+#endif
+    lane_masks_u found = { NONE }, alone = found;   // a crossing; whether it is the only one of the cell
+    for (int k = 0; k < SURFACES(frame); ++k) {
+        real p[COEFFICIENT_COUNT];
+        changes_t changes;
+        less(p, q, SOUGHT(frame, k));
+        changes = changes_of(p);
+        which.all = choose(changes.once, (real)(k), which.all);
+        alone.all = (alone.all & !changes.once) | (changes.once & !changes.twice & !found.all);
+        found.all |= changes.once;
+    }
+    found.all &= !jumps & (active.all != 0);
+    alone.all &= MISSING ? NONE : found.all;
+    const mask several = found.all & !alone.all;
+    if (any_lane(several)) {
+        found.all = alone.all;
+        for (int k = 0; k < SURFACES(frame); ++k) {
+            real p[COEFFICIENT_COUNT], t = NOWHERE;
+            less(p, q, SOUGHT(frame, k));
+            mask crossed = changes_of(p).once & several;
+            if (any_lane(crossed))
+                crossed = first_shown(p, ALONG_LINES, from.all, length.all, STILL_SOUGHT, crossed, frame, &t AND_MISSING);
+            crossed &= t < hit.all;
+            hit.all = choose(crossed, t, hit.all);
+            which.all = choose(crossed, (real)(k), which.all);
+            found.all |= crossed;
+        }
+    }
     for (int i = 0; i < count; ++i) {
         const int lane = rays[i] % LANES;
         walker_t *w = walkers + rays[i] / LANES;
+        state_t *state = states + rays[i] / LANES;
         w->sign.each[lane] = sign.each[i];
         w->after.each[lane] = end.each[i];
-        if (found.each[i]) {
-            w->found.each[lane] = found.each[i];
-            lanes_u hits = { states[rays[i] / LANES].hit };
-            hits.each[lane] = hit.each[i];
-            states[rays[i] / LANES].hit = hits.all;
+        if (!found.each[i])
+            continue;
+        w->found.each[lane] = found.each[i];
+#if LAYERED
+        lanes_u numbers = { state->which };
+        numbers.each[lane] = which.each[i];
+        state->which = numbers.all;
+        w->more.each[lane] = alone.each[i] ? 0 : -1;
+        if (alone.each[i]) {
+            for (int j = 0; j < COEFFICIENT_COUNT; ++j) {
+                const lanes_u coefficient = { q[j] };
+                roots->q[j].each[roots->count] = coefficient.each[i] - SOUGHT(frame, (int)which.each[i]);
+            }
+            roots->from.each[roots->count] = from.each[i];
+            roots->length.each[roots->count] = length.each[i];
+            roots->ray[roots->count] = rays[i];
+            if (++roots->count == LANES)
+                refine_roots(roots, walkers, states);
+            continue;
         }
+#endif
+        lanes_u hits = { state->hit };
+        hits.each[lane] = hit.each[i];
+        state->hit = hits.all;
     }
 #else
-    lane_masks_u found = { changes.once & !(side.all * sign.all < 0.0f) & (active.all != 0) };
+    real start = (real)(0.0f), width = (real)(1.0f);
+#pragma unroll
+    for (int j = 0; j < COEFFICIENT_COUNT; ++j)
+        q[j] -= SOUGHT(frame, 0);
+    sign.all += choose(q[0] < 0.0f, (real)(0.0f), (real)(1.0f));
+    const changes_t changes = changes_of(q);
+    lane_masks_u found = { changes.once & !differ(side.all, sign.all) & (active.all != 0) };
     if (any_lane(found.all & changes.twice))
         found.all = first_change(q, found.all, &start, &width);
     const lanes_u begin = { madd(start, length.all, from.all) }, part = { width * length.all };
@@ -423,20 +560,40 @@ OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, 
         roots->length.each[roots->count] = part.each[i];
         roots->ray[roots->count] = rays[i];
         if (++roots->count == LANES)
-            refine_roots(roots, states);
+            refine_roots(roots, walkers, states);
     }
 #endif
 }
 
-// Walks the rays of a tile from sample number start to stop, and all between them, to the first crossing of the isovalue.
+#if LAYERED
+
+// Rays of a packet pass through the crossings that were found. Returns those that must be searched again where they are.
+OUT_OF_LINE mask pass_hits(walker_t *w, state_t *state, COEFFICIENTS coefficients, const sample_t *sample)
+{
+    const mask met = state->hit < NOWHERE;
+    if (!any_lane(met))
+        return NONE;
+    const mask jumped = met & !w->found.all;   // in front of their cells
+    w->last.all = choose(met, state->hit, w->last.all);
+    w->found.all = NONE;
+    pass_hit(state, coefficients, sample, met);
+    const mask on = met & !finished(state, sample->frame), again = on & (w->more.all | jumped);
+    w->active = (w->active & !met) | (on & !again);
+    return again;
+}
+
+#endif
+
+// Walks the rays of a tile from sample number start to stop, and all between them.
 OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const ulong2 *sides,
                               constant frame_t *frame, global const float4 *table, const mask wanted[PACKETS], const float start,
                               const float stop MISSING_TOO)
 {
-    const float value = SOUGHT(frame);
     walker_t walkers[PACKETS];
     roots_t roots;
-    int rays[RAYS + 1];
+    int rays[RAYS + 1], looked = 0;
+    plane_t none;   // no sample is being gathered
+    none.usable = 0;
     roots.count = 0;
     for (int g = 0; g < PACKETS; ++g) {
         const ray_t *ray = tile->rays + g;
@@ -448,14 +605,22 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
         const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
         tile->gathered[g] += choose(wanted[g], WINDOWED ? choose(ray->step > 0.0f, MIN(length / ray->step, samples), (real)(1.0f)) : samples, (real)(0.0f));
     }
-    for (int looked = 0;; looked = 1) {
-        int count = 0;
+    for (;;) {
+        int count = 0, met = 0;
         for (int g = 0; g < PACKETS; ++g) {
             walker_t *w = walkers + g;
-            if (!any_lane(w->active))
+            state_t *state = tile->states + g;
+            if (!any_lane(w->active | (LAYERED ? wanted[g] & (state->hit < NOWHERE) : NONE)))
                 continue;
-            const sample_t sample = { frame, table, extent, tile->rays + g, 0, 0, 0.0f, 0 AND_MISSING };
-            go_on(w, tile->states + g, coefficients, &sample, sides, value, looked);
+            const sample_t sample = { frame, table, extent, tile->rays + g, &none, 0, 0.0f, 0 AND_MISSING };
+#if LAYERED
+            const mask again = pass_hits(w, state, coefficients, &sample);
+#endif
+            go_on(w, state, coefficients, &sample, sides, looked);
+#if LAYERED
+            w->active |= again;
+            met |= any_lane(state->hit < NOWHERE);
+#endif
             w->x.all = fraction_at(&w->axes.x, w->cell.x, w->t);
             w->y.all = fraction_at(&w->axes.y, w->cell.y, w->t);
             w->z.all = fraction_at(&w->axes.z, w->cell.z, w->t);
@@ -468,13 +633,18 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
                 count += active.each[i] != 0;
             }
         }
-        if (count == 0)
+        if (count == 0 && !met)
             break;
         for (int i = 0; i < count; i += LANES)
-            look_into(walkers, rays + i, MIN(count - i, LANES), coefficients, extent, value, &roots, tile->states LOOKING_ALONG);
+            look_into(walkers, rays + i, MIN(count - i, LANES), coefficients, extent, frame, &roots, tile->states LOOKING_ALONG);
+#if LAYERED
+        if (roots.count)
+            refine_roots(&roots, walkers, tile->states);
+#endif
+        looked = 1;
     }
     if (roots.count)
-        refine_roots(&roots, tile->states);
+        refine_roots(&roots, walkers, tile->states);
     for (int g = 0; g < PACKETS; ++g)
         if (any_lane(wanted[g])) {
             tile->states[g].side = choose(wanted[g], walkers[g].side.all, tile->states[g].side);

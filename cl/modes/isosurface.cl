@@ -5,7 +5,9 @@
 typedef struct { real hit, side; } state_t;
 
 #define STRETCHES 1
-#define SOUGHT(frame) (frame)->mode.isovalue
+#define LAYERED 0
+#define SURFACES(frame) 1
+#define SOUGHT(frame, k) (frame)->mode.isovalue
 #define REACH 1.0f   // a stretch extends to where the next begins
 #define ANY_ORDER 0
 #define PROMISE(low, high) 0.0f
@@ -30,7 +32,7 @@ INLINE void merge(state_t *front, const state_t *back)
     front->side = choose(back->side == 0.0f, front->side, back->side);
 }
 
-#define CAPPED ((real)(2.0f))   // side of rays that ended at a cap
+#define CAPPED ((real)(3.0f))   // side of rays that ended at a cap
 #define ON_FACE(state) ((state)->side == CAPPED)
 #define RESTARTS 1
 

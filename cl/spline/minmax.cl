@@ -31,7 +31,17 @@ INLINE void widen(float *low, float *high, float tap_min, float tap_max)
     }
 }
 
-// -- sides: for each cell, whether the function there may hold a value, else whether it is above -----------------
+// -- sides: for each cell, whether the function there may have one of some values, and whether it is above the first -
+
+typedef union { float8 all; float each[8]; } values_u;
+
+INLINE int holds_any(const values_u *values, const int count, const float low, const float high)
+{
+    int some = 0;
+    for (int k = 0; k < count; ++k)
+        some |= !(low > values->each[k] || high < values->each[k]);
+    return some;
+}
 
 // A number (may hold, is above) for each brick, of a bit for each cell. From those of block (bx, by, bz), `along` of them along x.
 INLINE void store_bricks(global ulong2 *sides, const ulong2 *bricks, const int4 blocks, const int bx, const int by, const int bz,
@@ -138,11 +148,13 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
     }
 }
 
-// The same for each single cell: on which side of a value the function is. A brick is SIDES_EDGE cells along each axis.
+// The same for each single cell: whether the function may have one of `count` values there, and whether it is above the first. A brick
+// is SIDES_EDGE cells along each axis.
 kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
-                       global const float2 *bounds, const float value, global ulong2 *sides)
+                       global const float2 *bounds, const float8 sought, const int count, global ulong2 *sides)
 {
     const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
+    const values_u values = { sought };
     float low = INFINITY, high = -INFINITY;
     for (int b = 0; b < LANES / BLOCK && bx + b < blocks.x; ++b) {
         const float2 bound = bounds[((size_t)bz * blocks.y + by) * blocks.x + bx + b];
@@ -151,8 +163,8 @@ kernel void side_cells(global const float *restrict coefficients, const int4 ext
     }
     ulong2 bricks[BRICKS][BRICKS][LANES / SIDES_EDGE];
     for (int i = 0; i < BRICKS * BRICKS * (LANES / SIDES_EDGE); ++i)
-        (&bricks[0][0][0])[i] = (ulong2)(0, low > value ? ALL_CELLS : 0);
-    if (!(low > value || high < value)) {
+        (&bricks[0][0][0])[i] = (ulong2)(0, low > values.each[0] ? ALL_CELLS : 0);
+    if (holds_any(&values, count, low, high)) {
         float8 tap_min, tap_max;
         lines_t lines;
         control_lines(lines, coefficients, extent, first, bx, by, bz, &tap_min, &tap_max);
@@ -185,7 +197,8 @@ kernel void side_cells(global const float *restrict coefficients, const int4 ext
                 }
                 for (int i = 0; i < LANES; ++i) {
                     widen(&l.each[i], &h.each[i], tap_mins.each[0], tap_maxs.each[0]);
-                    const ulong bit = (ulong)1 << BIT_OF(i, y, z), above = l.each[i] > value, held = !(above || h.each[i] < value);
+                    const ulong bit = (ulong)1 << BIT_OF(i, y, z), above = l.each[i] > values.each[0];
+                    const int held = holds_any(&values, count, l.each[i], h.each[i]);
                     bricks[z / SIDES_EDGE][y / SIDES_EDGE][i / SIDES_EDGE] |= (ulong2)(held ? bit : 0, above ? bit : 0);
                 }
             }
@@ -220,11 +233,12 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
 
 // No tighter than whole blocks.
 kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
-                       global const float2 *bounds, const float value, global ulong2 *sides)
+                       global const float2 *bounds, const float8 sought, const int count, global ulong2 *sides)
 {
     const int bx = get_global_id(0), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     const float2 bound = bounds[((size_t)bz * blocks.y + by) * blocks.x + bx];
-    const int above = bound.x > value, held = !(above || bound.y < value);
+    const values_u values = { sought };
+    const int above = bound.x > values.each[0], held = holds_any(&values, count, bound.x, bound.y);
     ulong2 bricks[BRICKS][BRICKS][BRICKS];
     for (int i = 0; i < BRICKS * BRICKS * BRICKS; ++i)
         (&bricks[0][0][0])[i] = (ulong2)(held ? ALL_CELLS : 0, above ? ALL_CELLS : 0);

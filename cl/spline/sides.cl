@@ -1,4 +1,4 @@
-// The format of the side of a value on which the function lies in each cell: two bits, SIDES_EDGE cubed cells for each brick.
+// The format of what is known of the function in each cell beside some values: two bits, SIDES_EDGE cubed cells for each brick.
 //
 // Cells are numbered by their first tap among the stored coefficients, as in minmax.cl.
 //

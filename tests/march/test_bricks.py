@@ -33,6 +33,7 @@ MODES: list[tuple[str, dict[str, Any]]] = [
     ("composite", {}),
     ("isosurface", {}),
     ("isosurface", {"method": "stepped"}),
+    ("surfaces", {"surfaces": "0.3:tan:0.4,0.5:teal:0.5,0.7:red:0.7"}),
     ("mip", {}),
     ("attenuated", {}),
     ("minip", {}),

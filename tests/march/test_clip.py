@@ -30,6 +30,8 @@ MODES: dict[str, tuple[str, dict[str, Any]]] = {
     "surface": ("isosurface", {"isovalue": 0.5}),
     "cap of values": ("isosurface", {"isovalue": 0.5, "cap": True, "transfer": TRANSFER}),
     "colored cap": ("isosurface", {"isovalue": 0.5, "cap": "red", "shading": False}),
+    "surfaces": ("surfaces", {"surfaces": "0.3:tan:0.4,0.5:teal:0.5,0.7:red:0.7"}),
+    "surfaces, capped": ("surfaces", {"surfaces": "0.4:tan:0.4,0.7:red:0.7", "cap": True, "transfer": TRANSFER}),
     "stepped, capped": ("isosurface", {"isovalue": 0.5, "cap": True, "method": "stepped"}),
     "mip": ("mip", {}),
     "minip": ("minip", {}),
@@ -195,7 +197,7 @@ def test_cuts_that_cut_nothing_change_no_bit(renderer: Renderer, mode: str) -> N
     with Renderer(grid, device=renderer.device) as flat:
         for view in (Camera.orbit(0, 0, projection="orthographic", fit="volume"), Camera.orbit(40, -30, fit="volume")):
             look: dict[str, Any] = {"size": SIZE, "rays": 1}
-            capped = {"cap": True} if mode in ("composite", "isosurface") else {}
+            capped = {"cap": True} if mode in ("composite", "isosurface", "surfaces") else {}
             want = flat.render(view, mode, **look)
             np.testing.assert_array_equal(flat.render(view, mode, clip=clip, **capped, **look), want)
 

@@ -46,6 +46,7 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "termination": (0.5,),
     "isovalue": (0.3,),
     "color": ("red",),
+    "surfaces": ([(0.3, "red", 0.5)],),
     "method": ("stepped",),
     "tolerance": (0.5,),
     "attenuation": (9.0,),
@@ -95,9 +96,9 @@ def test_an_option_changes_the_picture_or_is_refused(renderer: clvol.Renderer, m
             both or "changes nothing" in words or (name in ModeOptions.__annotations__ and name not in mode_options(as_mode(mode)))
         )
     assert {"background", "clip", "rays", "pixel_filter"} <= {*heard}
-    assert ("cmap" in heard) == (mode != "isosurface")
+    assert ("cmap" in heard) == (mode not in ("isosurface", "surfaces"))
     assert ("opacity" in heard) == (mode == "composite")
-    assert ("lights" in heard) == (mode in ("composite", "isosurface") and own.get("shading", True))
+    assert ("lights" in heard) == (mode in ("composite", "isosurface", "surfaces") and own.get("shading", True))
 
 
 def test_outputs_hear_what_they_show(renderer: clvol.Renderer) -> None:
@@ -194,6 +195,6 @@ def test_a_viewer_keeps_for_other_modes_what_this_one_does_not_show(device: Devi
             state = replace(resident.initial, mode=mode, filter=chosen)
             with clvol.Renderer(volume, chosen, device=device) as renderer:
                 renderer.render(size=(8, 6), **resident.arguments(state))
-            assert ("cmap" in resident.arguments(state)) == (mode != "isosurface")
+            assert ("cmap" in resident.arguments(state)) == (mode not in ("isosurface", "surfaces"))
     finally:
         resident.close()

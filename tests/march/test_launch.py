@@ -29,7 +29,8 @@ from tests.march.looks import TILES, suited
 
 SIZE = (41, 35)
 TRANSFER = TransferFunction(((0.0, "navy"), (0.5, "orange"), (1.0, "white")), ((0.2, 0.0), (0.5, 0.25), (1.0, 0.9)))
-EXACT = [name for name in modes() if name not in ("composite", "mean")]  # nothing accumulates
+EXACT = [name for name in modes() if name not in ("composite", "surfaces", "mean")]  # nothing accumulates
+SURFACES = ((0.3, "tan", 0.4), (0.5, "teal", 0.5), (0.7, "red", 1))  # in ascending order, as settled
 CAMERAS = {
     "across": Camera.orbit(25, 35, fit="volume"),
     "along an axis": Camera.orbit(0, 0, projection="orthographic", fit="volume"),
@@ -47,7 +48,7 @@ def frame_of(
     renderer: Renderer, mode: str, camera: Camera, *, skipping: bool = True, termination: float = 0.0, clip: Clip | None = None
 ) -> Frame:
     evaluator = choose_evaluator(renderer.device, renderer.filter)
-    chosen = as_mode(mode, suited(mode, {"isovalue": 0.5, "termination": termination}))
+    chosen = as_mode(mode, suited(mode, {"isovalue": 0.5, "surfaces": SURFACES, "termination": termination}))
     scene = Scene(renderer.volume, background=None, clip=clip)
     look = ResolvedLook(camera, chosen, scene, TRANSFER, central=False, skipping=skipping, preview=renderer.volume)
     coefficients = renderer.field.coefficients
@@ -57,7 +58,7 @@ def frame_of(
 
 def check(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], mode: str, *, carried: bool = False) -> None:
     assert np.isfinite(want["depth"]).any() or mode == "mean"
-    assert want["rgba"][..., 3].max() == 1 if mode != "composite" else want["rgba"][..., 3].max() > 0.5
+    assert want["rgba"][..., 3].max() == 1 if mode not in ("composite", "surfaces") else want["rgba"][..., 3].max() > 0.5
     for name in ("rgba", "depth", "normal", "position"):
         if mode in EXACT or carried:
             np.testing.assert_array_equal(got[name], want[name], err_msg=name)

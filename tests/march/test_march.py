@@ -44,6 +44,7 @@ OPTIONS: dict[str, Any] = {
     "background": None,
     "outputs": OUTPUTS[:-1],
     "isovalue": 0.5,
+    "surfaces": [(0.35, "orange", 0.3), (0.6, "teal", 0.6), (0.85, "white", 0.9)],
     "termination": 0.0,
     "rays": 1,
     "lights": HEADLIGHT,  # continuous where normals turn over; others are tested below
@@ -180,10 +181,10 @@ def allowance(filter: str, mode: str, device: Device, ways: dict[str, str] | Non
     base = Allowance()
     if mode == "composite":
         base = replace(base, depth=2e-4, position=2e-4)  # depth errs by the light's rounding over how fast it falls
-    if mode == "isosurface":
+    if mode in ("isosurface", "surfaces"):
         # depth errs by rounding over the slope along the ray, so grazing rays err most
         base = replace(base, rgba=2e-4, rms=2e-5, depth=2e-4, position=2e-4, normal=1e-3, pixels=0.0025)
-    if mode == "isosurface" and row.continuity == 0:
+    if mode in ("isosurface", "surfaces") and row.continuity == 0:
         base = replace(base, pixels=0.005)  # the normal jumps where the surface passes a cell's face
     if mode == "attenuated":
         base = replace(base, pixels=0.0025)  # one pixel: a normal that lies across the ray, by chance, may face either way

@@ -228,14 +228,14 @@ def _values_shown(
     some = volume.preview()
     estimated = some.shape != volume.shape and getattr(volume, "statistics", None) is None
     settled_mode = mode.settled(some)
-    if settled_mode.surface is not None:
-        given = mode.surface is not None or getattr(mode, "isovalue", None) is not None  # such as "3sigma"
-        name, values, chosen = "isovalue", [settled_mode.surface], not given
+    if values := list(settled_mode.isovalues):
+        given = mode.isovalues or getattr(mode, "isovalue", None) is not None or getattr(mode, "surfaces", None)  # such as "3sigma"
+        name, chosen = "isovalue" if len(values) == 1 else "isovalues", not given
     else:
         low, high = (transfer or settled_mode.transfer(some)).value_range
         name, values, chosen = "window", [(low + high) / 2, high - low], transfer is None
     if as_json:
-        return {name: values if name == "window" else values[0]} | ({"estimated": True} if estimated and chosen else {})
+        return {name: values[0] if name == "isovalue" else values} | ({"estimated": True} if estimated and chosen else {})
     reason = isovalue_of(some)[1] if chosen and name == "isovalue" else ""
     words = [reason, f"estimated from {some.data.size} of {math.prod(volume.shape)} samples" if estimated and chosen else ""]
     said = "; ".join(filter(None, words))

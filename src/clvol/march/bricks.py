@@ -292,7 +292,7 @@ class Pass:
         missing = nothing = self._table  # any buffer: it is not read
         if frame.gaps is not None:
             missing, values["gaps"] = frame.gaps.part(brick.low, brick.high, frame.planes.step)
-        sides = nothing if minmax is None or (surface := frame.surface) is None else minmax.sides(surface)
+        sides = minmax.sides(sought) if minmax is not None and (sought := frame.sought) else nothing
         self._over(
             "march_brick",
             area,

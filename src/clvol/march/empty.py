@@ -63,7 +63,7 @@ def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapp
         chosen = look.scene.media[0].transfer is not None or any(options.get(name) is not None for name in _CHOICES)
         return "" if chosen else f"the picture shows no structure: all samples are {low:g}"
     mode, transfer = look.mode, look.transfer
-    if mode.surface is not None or (mode.ramp < 1 and high > transfer.value_range[0]):  # which shows smaller values, too
+    if mode.isovalues or (mode.ramp < 1 and high > transfer.value_range[0]):  # which shows smaller values, too
         return ""
     first, last = transfer.value_range
     if mode.shows == "matter" and not transfer.opacity_within(low, high):
@@ -82,14 +82,17 @@ def _unseen(look: ResolvedLook, source: Source) -> str:
     if look.others:
         return f"nothing is seen of the {1 + len(look.others)} media: all that the picture shows has the colour of the background"
     limits, row = source.limits, source.filter_of(look.mode)
-    volume, surface = look.scene.media[0].volume, look.mode.surface
+    volume, surfaces = look.scene.media[0].volume, look.mode.isovalues
     cuts, (low, high) = cuts_of(look.clip), (volume.corners.min(0), volume.corners.max(0))
     if cuts.box is not None and _outside(cuts.box, volume):
         return f"nothing is seen: clip lies outside the volume, which spans {_point(low)} to {_point(high)}"
     if cuts != Cuts() and not _some_kept(cuts, volume):
         return f"nothing is seen: clip cuts away the whole volume, which spans {_point(low)} to {_point(high)}"
-    if limits is not None and surface is not None and not limits[0] <= surface <= limits[1]:
-        return f"nothing is seen: isovalue {surface:g} is outside the samples, which are from {limits[0]:g} to {limits[1]:g}"
+    if limits is not None and surfaces and not any(limits[0] <= surface <= limits[1] for surface in surfaces):
+        which = " and ".join(f"{surface:g}" for surface in surfaces)
+        some = "isovalue {} is" if len(surfaces) == 1 else "isovalues {} are"
+        span = f"from {limits[0]:g} to {limits[1]:g}"
+        return f"nothing is seen: {some.format(which)} outside the samples, which are {span}"
     values = "" if limits is None else f", whose samples are from {limits[0]:g} to {limits[1]:g}"
     values += f", smoothed by {row.name}" if row.smoothing else ""
     return f"nothing is seen of the volume{values}: all that the picture shows has the colour of the background"

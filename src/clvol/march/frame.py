@@ -99,7 +99,7 @@ class Frame:
     coefficients: Coefficients | Whole
     minmax: MinMax | None  # if empty space is skipped
     gaps: Gaps | None  # if samples are missing
-    sides: Any  # a buffer for the mode's isovalue, if it searches stretches and empty space is skipped
+    sides: Any  # a buffer for the mode's isovalues, if it searches stretches and empty space is skipped
     mode: Mode  # settled for the medium's volume
     transfer: TransferFunction
     evaluator: Evaluator
@@ -118,10 +118,9 @@ class Frame:
         return self.coefficients.device
 
     @property
-    def surface(self) -> float | None:
-        """The stored value whose surface is searched for between samples; None for modes that take samples."""
-        mode = self.mode
-        return float(self.coefficients.stored(mode.surface)) if mode.stretches and mode.surface is not None else None
+    def sought(self) -> tuple[float, ...]:
+        """The stored values whose surfaces are searched for between samples; none for modes that take samples."""
+        return tuple(float(self.coefficients.stored(v)) for v in self.mode.isovalues) if self.mode.stretches else ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -229,9 +228,9 @@ class Subject:
             return replace(frames[0], values=values, media=frames)
         rails = Rails.along(volume, Planes(volume, view, aspect, *(_STRETCHES if look.mode.stretches else (step, SEGMENT))))
         made = replace(self, look=look)._frame(size, guides, aspect, view, rails)
-        if self.minmax is None or (surface := made.surface) is None:
+        if self.minmax is None or not (sought := made.sought):
             return made
-        return replace(made, sides=self.minmax.sides(surface, progress))
+        return replace(made, sides=self.minmax.sides(sought, progress))
 
     def _frame(self, size: tuple[int, int], guides: bool, aspect: float, view: Viewpoint, rails: Rails) -> Frame:
         """The frame of this medium alone, with samples on these rails."""

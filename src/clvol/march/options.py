@@ -123,6 +123,7 @@ class ModeOptions(TypedDict, total=False):
     termination: float
     isovalue: float | str | None
     color: Sequence[float] | str
+    surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None
     method: Literal["exact", "stepped"]
     tolerance: float
     attenuation: float

@@ -207,8 +207,8 @@ class InMemory(Source):
 
     def uncertainty(self, mode: Mode) -> Uncertainty:
         field = self.function(mode)
-        if mode.shows != "surface":
-            raise OptionError(f'the output "uncertainty" is of surfaces: mode must be isosurface; got {mode.name!r}')
+        if mode.shows != "surface" or not mode.finished_there:  # at one place of a ray
+            raise OptionError(f'the output "uncertainty" is of one surface: mode must be isosurface; got {mode.name!r}')
         if not field.filter.has_gradient:
             raise OptionError(f'the output "uncertainty" needs a filter that has slopes; got {field.filter.name!r}')
         if mode.capped:
@@ -266,6 +266,8 @@ class Several(Source):
     def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:
         for part in self.parts.values():
             part.require_heard(mode, options)
+        if mode.shows == "surface" and not mode.finished_there:
+            raise OptionError(f"mode {mode.name!r} draws one medium: surfaces of several would hide each other out of order")
         projected = "depth", "normal", "position", "visited"
         without = {"matter": ("normal", "visited"), "surface": ("visited",)}.get(mode.shows, projected)
         refused = [name for name in outputs if name in without]

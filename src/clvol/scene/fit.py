@@ -138,7 +138,7 @@ def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, cli
     """
     known = _known.setdefault(volume, {})
     box = cuts_of(clip).box
-    key = (mode.surface, None, box) if mode.surface is not None else (mode.shows == "matter", transfer, box)
+    key = (mode.isovalues, None, box) if mode.isovalues else (mode.shows == "matter", transfer, box)
     found = known.get(key)
     if found is None:
         found = _sphere(volume, mode, transfer, box)
@@ -158,9 +158,9 @@ def _sphere(
     some, volume = found
     whole = Sphere(tuple(map(float, volume.center)), volume.radius)  # type: ignore[arg-type]  # three
     some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
-    surface = mode.surface is not None
+    surface = bool(mode.isovalues)
     present = np.isfinite(some)
-    seen = _shown(some, mode, transfer) if mode.surface is None else _crossed(some >= np.float64(mode.surface), present)
+    seen = np.logical_or.reduce([_crossed(some >= v, present) for v in mode.isovalues]) if surface else _shown(some, mode, transfer)
     seen &= present
 
     unit = volume.mean_spacing  # relative to the volume's centre, so that no square overflows

@@ -7,6 +7,7 @@ mode raises an error that names it, and so does one that changes nothing in the 
 from __future__ import annotations
 
 import inspect
+import itertools
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -38,6 +39,7 @@ __all__ = [
     "Mip",
     "Mode",
     "ModeTable",
+    "Surfaces",
     "as_mode",
     "every_option",
     "heard_options",
@@ -52,6 +54,8 @@ _FILE = re.compile(f"modes/{_WORD.pattern}[.]cl")
 _FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
 _SIGMAS = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?:sigma|σ)\s*", re.IGNORECASE | re.ASCII)
 _MOST_FIELDS = 64  # largest number of fields in a ray's state
+_MOST_SURFACES = 8
+_BONE, _RED = (0.93, 0.87, 0.76), (0.80, 0.25, 0.20)
 _SHOWN = ("matter", "surface", "max", "min", "mean")
 _SOUGHT = ("largest", "smallest", "any")
 
@@ -118,9 +122,9 @@ class Mode:
         return bool(getattr(self, "shading", False))
 
     @property
-    def surface(self) -> float | None:
-        """The isovalue of a settled mode; None for modes that show no surface."""
-        return None
+    def isovalues(self) -> tuple[float, ...]:
+        """Those of a settled mode's surfaces, in ascending order; none for modes that show no surface."""
+        return ()
 
     @property
     def unheard(self) -> Mapping[str, str]:
@@ -257,7 +261,7 @@ class Isosurface(Mode):
     """
 
     isovalue: float | str | None = None
-    color: Sequence[float] | str = (0.93, 0.87, 0.76)
+    color: Sequence[float] | str = _BONE
     shading: bool = True
     method: Literal["exact", "stepped"] = "exact"
     tolerance: float = 1e-4
@@ -280,7 +284,7 @@ class Isosurface(Mode):
         _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
         if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
             raise one_of("method", self.method, ("exact", "stepped"))
-        _set(self, cap=bool(self.cap) if isinstance(self.cap, (bool, np.bool_)) else color_of("cap", self.cap))
+        _set(self, cap=_cap(self.cap))
         _set(self, capped=self.cap is not False)
         if self.method == "stepped":
             _set(self, state_fields=4)  # with the last sample
@@ -294,19 +298,17 @@ class Isosurface(Mode):
         return self.method == "exact"
 
     @property
-    def surface(self) -> float | None:
-        return None if isinstance(self.isovalue, str) else self.isovalue
+    def isovalues(self) -> tuple[float, ...]:
+        return (self.isovalue,) if isinstance(self.isovalue, float) else ()
 
     @property
     def unheard(self) -> Mapping[str, str]:
-        colors = () if self.cap is True else ("transfer", "preset", "window", "cmap", "color_bar")
-        words = dict.fromkeys((*colors, "opacity"), "a surface is opaque and of one color")
         exact = {"tolerance": 'method="exact" needs none'} if self.method == "exact" else {}
-        return {**super().unheard, **words, **exact}
+        return {**super().unheard, **_uncolored(self.cap), **exact}
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
-        assert isinstance(self.isovalue, float)  # settled
-        return low <= self.isovalue <= high or (self.capped and high >= self.isovalue)
+        (surface,) = self.isovalues  # settled
+        return low <= surface <= high or (self.capped and high >= surface)
 
     def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002
         return "" if self.stretches else "stepped surfaces"
@@ -316,16 +318,108 @@ class Isosurface(Mode):
         return "surfaces of method 'stepped' or between labels, which are between two samples" if between else ""
 
     def settled(self, volume: Volume) -> Self:
-        if isinstance(self.isovalue, str):
-            mean, deviation = spread_of(volume)
-            return replace(self, isovalue=mean + _sigmas(self.isovalue) * deviation)
-        return self if self.isovalue is not None else replace(self, isovalue=isovalue_of(volume)[0])
+        return replace(self, isovalue=isovalue_of(volume)[0] if self.isovalue is None else _isovalue(self.isovalue, volume))
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
-        assert isinstance(self.isovalue, float)  # settled
-        cap, color = (int(self.cap), 0.0) if isinstance(self.cap, bool) else (2, self.cap)
-        surface = stored(self.isovalue)
-        return self.BLOCK(isovalue=surface, tolerance=self.tolerance, color=self.color, cap=cap, cap_color=color)
+        (surface,) = (stored(value) for value in self.isovalues)  # settled
+        return self.BLOCK(isovalue=surface, tolerance=self.tolerance, color=self.color, **_cap_block(self.cap))
+
+
+@dataclass(frozen=True)
+class Surfaces(Mode):
+    """Several isosurfaces inside each other, translucent or not: every crossing along the ray, in order.
+
+    Each is exact, as by `Isosurface`, so that thin shells have both of their sides; `step` has no effect. A surface stops its share
+    of light at each crossing, from whichever side and at whichever angle.
+
+    Parameters
+    ----------
+    surfaces : sequence of (value, color, opacity) or str, optional
+        1 to 8 surfaces: the isovalue, a number or as "3sigma" of `Isosurface`; red, green and blue in 0..1, a name or a hex code;
+        and the opacity, which is the share of light that each crossing stops, 0 to 1, by default 1. As text the same:
+        ``"300:bisque:0.3,1200:white"``. By default two: that of `Isosurface`, translucent, and one halfway from there to the
+        brightest matter.
+    shading : bool
+        Gradient shading of the surfaces.
+    cap : bool, three numbers or a name
+        Closes what a cut (`clip`) opens, where values are not below the lowest isovalue, with an unlit, opaque face. True: it shows
+        the slice, in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> from clvol.volume.phantoms import marschner_lobb
+    >>> volume = marschner_lobb(40)
+    >>> picture = clvol.render(volume, mode="surfaces", surfaces=[(0.3, "bisque", 0.4), (0.6, "firebrick", 1)], size=(64, 64))
+    """
+
+    surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
+    shading: bool = True
+    cap: bool | Sequence[float] | str = False
+
+    name: ClassVar[str] = "surfaces"
+    description: ClassVar[str] = "several translucent isosurfaces inside each other, shaded"
+    state_fields: ClassVar[int] = 8
+    endpoints: ClassVar[bool] = True
+    stretches: ClassVar[bool] = True
+    shows: ClassVar[Literal["matter", "surface"] | Projection] = "surface"
+    BLOCK: ClassVar[Block] = Block(
+        "mode_block",
+        isovalue=FLOAT,
+        count=INT,
+        isovalues=(FLOAT, _MOST_SURFACES),
+        colors=(FLOAT, 4 * _MOST_SURFACES),
+        cap=INT,
+        cap_color=(FLOAT, 3),
+    )
+
+    def __post_init__(self) -> None:
+        if self.surfaces is not None:
+            _set(self, surfaces=_surfaces(self.surfaces))
+        _set(self, shading=_switch("shading", self.shading), cap=_cap(self.cap))
+        _set(self, capped=self.cap is not False)
+
+    @property
+    def isovalues(self) -> tuple[float, ...]:
+        values = tuple(surface[0] for surface in self.surfaces or ())
+        return tuple(value for value in values if isinstance(value, float)) if not any(isinstance(v, str) for v in values) else ()
+
+    @property
+    def unheard(self) -> Mapping[str, str]:
+        return {**super().unheard, **_uncolored(self.cap)}
+
+    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
+        values = self.isovalues
+        return any(low <= value <= high for value in values) or (self.capped and high >= values[0])
+
+    def between_samples(self, *, guides: bool) -> str:
+        return "the depth and normals of translucent surfaces" if guides else ""
+
+    def unmergeable(self, *, guides: bool, smooth: bool) -> str:
+        between = "" if smooth else "surfaces of a function that jumps, which are between two samples"
+        return "the depth and normals of surfaces, which depend on transmittance" if guides else between
+
+    def settled(self, volume: Volume) -> Self:
+        if volume.is_labels:
+            raise OptionError("surfaces are of a function, and labels are names: draw them by mode 'isosurface' or 'composite'")
+        if self.surfaces is None:
+            outer, top = isovalue_of(volume)[0], matter_of(volume)
+            inner = (outer + top.value(top.top)) / 2
+            return replace(self, surfaces=((outer, _BONE, 0.3), (inner, _RED, 1.0))[: 1 + (inner != outer)])
+        assert isinstance(self.surfaces, tuple)  # not text
+        known = sorted((_isovalue(value, volume), *look) for value, *look in self.surfaces)
+        for one, other in itertools.pairwise(known):
+            if one[0] == other[0]:
+                raise OptionError(f"surfaces must have different isovalues; got {one[0]:g} twice")
+        return replace(self, surfaces=tuple(known))
+
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
+        values, colors = np.zeros(_MOST_SURFACES, np.float32), np.zeros((_MOST_SURFACES, 4), np.float32)
+        assert isinstance(self.surfaces, tuple)  # settled
+        for k, (value, color, opacity) in enumerate(self.surfaces):
+            values[k], colors[k] = stored(value), (*color, opacity)
+        count = len(self.surfaces)
+        return self.BLOCK(isovalue=values[0], count=count, isovalues=values, colors=colors.ravel(), **_cap_block(self.cap))
 
 
 @dataclass(frozen=True)
@@ -399,7 +493,7 @@ class Mean(_Opaque):
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "mean"
 
 
-_TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Mip, Attenuated, Minip, Mean)}
+_TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Surfaces, Mip, Attenuated, Minip, Mean)}
 
 
 class ModeTable(Named[Mode]):
@@ -510,8 +604,60 @@ def _sigmas(text: str) -> float:
     """The number in "3sigma"."""
     match = _SIGMAS.fullmatch(text)
     if match is None:
-        raise OptionError(f"isovalue must be a number, or standard deviations above the mean as '3sigma'; got {text[:80]!r}")
+        raise OptionError(f"an isovalue must be a number, or standard deviations above the mean as '3sigma'; got {text[:80]!r}")
     return number("isovalue", float(match[1]))
+
+
+def _isovalue(given: float | str, volume: Volume) -> float:
+    """An isovalue as a number."""
+    if not isinstance(given, str):
+        return given
+    mean, deviation = spread_of(volume)
+    return mean + _sigmas(given) * deviation
+
+
+def _surfaces(given: object) -> tuple[tuple[float | str, tuple[float, ...], float], ...]:
+    """Surfaces as (isovalue, colour, opacity), the isovalue as text only if it depends on the volume."""
+    rule = "(value, color, opacity), or text as '300:bisque:0.3,1200:white'"
+    if isinstance(given, str):
+        given = [tuple(part.strip() for part in item.split(":")) for item in given.split(",")]
+    if not isinstance(given, Sequence) or not 1 <= len(given) <= _MOST_SURFACES:
+        raise OptionError(f"surfaces must be 1 to {_MOST_SURFACES} of {rule}; got {given!r}")
+    made = []
+    for one in given:
+        if not isinstance(one, Sequence) or isinstance(one, str) or len(one) not in (2, 3):
+            raise OptionError(f"a surface must be {rule}; got {one!r}")
+        value, color, opacity = (*one, 1)[:3]
+        if isinstance(value, str) and not _is_number(value):
+            _sigmas(value)
+        else:
+            value = number("a surface's isovalue", float(value) if isinstance(value, str) else value)
+        shown = float(opacity) if isinstance(opacity, str) and _is_number(opacity) else opacity
+        made.append((value, color_of("a surface's color", color), number("a surface's opacity", shown, minimum=0, maximum=1)))
+    return tuple(made)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _cap(given: object) -> bool | tuple[float, float, float]:
+    return bool(given) if isinstance(given, (bool, np.bool_)) else color_of("cap", given)  # type: ignore[arg-type]  # it checks
+
+
+def _cap_block(cap: bool | Sequence[float] | str) -> dict[str, Any]:
+    kind, color = (int(cap), 0.0) if isinstance(cap, bool) else (2, cap)
+    return {"cap": kind, "cap_color": color}
+
+
+def _uncolored(cap: object) -> dict[str, str]:
+    """Options that choose colours of values, which surfaces do not show."""
+    colors = () if cap is True else ("transfer", "preset", "window", "cmap", "color_bar")
+    return dict.fromkeys((*colors, "opacity"), "surfaces have colours of their own")
 
 
 def _switch(what: str, value: object) -> bool:

@@ -32,12 +32,13 @@ if TYPE_CHECKING:
     from clvol.spline.evaluator import Evaluator
     from clvol.volume.volume import Volume
 
-__all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "Cell", "MinMax", "bernstein", "bytes_beside", "minmax_block"]
+__all__ = ["BLOCK", "MAX_LEVELS", "MAX_SIDES", "MINMAX", "Cell", "MinMax", "bernstein", "bytes_beside", "minmax_block"]
 
 Cell: TypeAlias = tuple[int, int, int]
 
 BLOCK = 4  # samples along an edge of a finest block
 MAX_LEVELS = 12
+MAX_SIDES = 8  # values, of side_cells
 MINMAX = Block("minmax_block", margin=FLOAT, skipping=INT, levels=INT, blocks=(INT, 3), level_at=(INT, MAX_LEVELS))
 _HULL_TAPS, _HULL_DEGREE = 6, 5  # wider filters would have thousands of control points for each cell
 _EPSILON = 2.0**-23
@@ -133,7 +134,7 @@ class MinMax:
         defines = _defines(coefficients.filter, blur)
         self._built, self._hull = device.build("spline/minmax.cl", defines), bool(defines["HULL"])
         self._lock = threading.RLock()  # a signal handler may re-enter
-        self._sides: tuple[float, Any] | None = None
+        self._sides: tuple[tuple[float, ...], Any] | None = None
         try:
             self._over_blocks("minmax_cells", self.buffer)
             levels = [np.array([*size, at], np.int32) for size, at in zip(sizes, self.offsets, strict=True)]
@@ -153,21 +154,24 @@ class MinMax:
             coarsest = ends[self.offsets[-1] :]
             return float(coarsest[:, 0].min()), float(coarsest[:, 1].max())
 
-    def sides(self, value: float, progress: Callable[[float], object] | None = None) -> Any:
-        """The side of a value on which the function is in each cell, in the format of sides.cl: 16 bytes for 64 cells.
+    def sides(self, values: tuple[float, ...], progress: Callable[[float], object] | None = None) -> Any:
+        """Whether the function may have one of up to `MAX_SIDES` values in each cell, and whether it is above the first, in the
+        format of sides.cl: 16 bytes for 64 cells.
 
-        The result is cached until another value is requested. `progress` is called with the fraction done, and may raise.
+        The result is cached until other values are requested. `progress` is called with the fraction done, and may raise.
         """
         with self._lock:
-            if self._sides is None or self._sides[0] != value:
+            if self._sides is None or self._sides[0] != values:
                 self._sides = None  # not two at a time
-                self._sides = (value, self._sides_of(value, progress))
+                self._sides = (values, self._sides_of(values, progress))
             return self._sides[1]
 
-    def _sides_of(self, value: float, progress: Callable[[float], object] | None) -> Any:
+    def _sides_of(self, values: tuple[float, ...], progress: Callable[[float], object] | None) -> Any:
         coefficients, device = self.coefficients, self.coefficients.device
         buffer = device.buffers.allocate(2 * math.prod(self.blocks) * (BLOCK * coefficients.filter.scale) ** 3 // 8)
-        self._over_blocks("side_cells", self.buffer, np.float32(value), buffer, progress=progress)
+        sought = np.zeros(MAX_SIDES, np.float32)
+        sought[: len(values)] = values
+        self._over_blocks("side_cells", self.buffer, sought, np.int32(len(values)), buffer, progress=progress)
         return buffer
 
     def _over_blocks(self, name: str, *arguments: Any, progress: Callable[[float], object] | None = None) -> None:

@@ -41,7 +41,7 @@ KEYS: Mapping[str, str] = {
     "PageUp, PageDown": "next / previous slice",
     "+, -": "zoom",
     "[, ]": "roll by 15°",
-    "1 to 6": "the mode",
+    "1 to 7": "the mode",
     "x, y, z": "look along an axis; in slices: the slice across it",
     ", and .": "the previous / next of several volumes, along time if there are times",
     "f": "fit",
@@ -69,7 +69,7 @@ _PINCH = 60.0  # likewise of a pinch
 _SLICE_NOTCH = 100.0  # dy per slice
 _HELD = {"i": "isovalue", "w": "window", "c": "crop"}
 _THINNEST = 1e-3  # least thickness of the crop box, relative to the volume's
-_MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean")
+_MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean", "surfaces")
 
 
 @dataclass(frozen=True)

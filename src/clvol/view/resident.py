@@ -42,6 +42,7 @@ _COLOR_MAPS = (
     "gray", "bone", "hot", "viridis", "magma", "inferno", "plasma", "cividis", "turbo", "coolwarm", "cool", "copper", "pink",
     "twilight", "cubehelix", "rainbow",
 )  # fmt: skip
+_KINDS = ("color", "surfaces")  # controls of their own
 _CHOICES: Mapping[str, list[str]] = {"method": ["exact", "stepped"]}
 _RANGES: Mapping[str, list[float]] = {"termination": [0, 0.5], "tolerance": [0, 1], "attenuation": [0, 40]}
 _KEPT = 64  # descriptions of volumes
@@ -262,7 +263,7 @@ def _options(mode: Mode) -> dict[str, Any]:
 
 
 def _option(default: Any, name: str, says: str) -> dict[str, Any]:
-    kind = "flag" if isinstance(default, bool) else "color" if name == "color" else "choice" if name in _CHOICES else "number"
+    kind = "flag" if isinstance(default, bool) else name if name in _KINDS else "choice" if name in _CHOICES else "number"
     option = {"kind": kind, "default": plain(default), "help": says}
     if name in _CHOICES:
         option["choices"] = _CHOICES[name]

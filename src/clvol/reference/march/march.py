@@ -30,7 +30,7 @@ from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Clip, as_clip, cuts_of
 from clvol.scene.fit import fitted
 from clvol.scene.light import KIT, Light, Material, as_lights
-from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode, mode_options
+from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, Surfaces, as_mode, mode_options
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume, as_volume
@@ -42,7 +42,8 @@ Bools: TypeAlias = NDArray[np.bool_]
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
 _ROUNDING = 2.0**-19  # gradients below this share of the value per voxel may be rounding of the kernels' float32
 _FACE = 16  # unit distances of matter that are as opaque as the face of a cut
-_PAST = 1e-7  # voxels behind a crossing that is not shown
+_PAST = 1e-7  # voxels behind a crossing, from where the next is sought
+_FAINT = 1e-6  # rays through surfaces end where less light is left
 _BISECTIONS = 38  # to 1e-12 of a step; down to the last bit, rounding could cross a jump again
 
 
@@ -300,8 +301,8 @@ def render(
         return is_missing(volume, points, row) if some_missing else np.zeros(points.shape[:-1], np.bool_)
 
     def solid(labels: Array) -> Bools:
-        if chosen.surface is not None:
-            return labels >= chosen.surface
+        if chosen.isovalues:
+            return labels >= chosen.isovalues[0]
         return np.asarray(transfer(labels)[..., 3] > 0)
 
     def slope(points: Array) -> Array:
@@ -351,7 +352,7 @@ def render(
             values = np.full(t.shape, math.nan)
             which, k = np.nonzero(there)
             values[there] = value(cast.at(t[which, k], which))
-            if chosen.surface is None:
+            if not chosen.isovalues:
                 there[there] = ~missing(cast.at(t[which, k], which))
             face = cut & chosen.capped
             face[face] = ~missing(cast.at(cast.enter[face], face))
@@ -485,6 +486,47 @@ def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered
     return rgb, np.isfinite(depth).astype(float), depth
 
 
+def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
+    """All crossings of each isovalue, one after the other; then those of a ray in the order of t."""
+    assert isinstance(mode.surfaces, tuple)  # it is settled
+    n = samples.t.shape[0]
+    rgb, light, depth = np.zeros((n, 3)), np.ones(n), np.full(n, math.inf)
+    for part in samples.parts:
+        crossings: list[tuple[Any, ...]] = []  # (ray, t, rank among those of one jump, colour, opacity)
+        for k, (value, color, opacity) in enumerate(mode.surfaces):
+            on = np.arange(n)
+            rays = part.rays
+            while True:
+                t = _first_shown(scene, rays, value)
+                hit = np.flatnonzero(np.isfinite(t))
+                if not hit.size:
+                    break
+                at = rays.at(t[hit], hit)
+                colors = np.tile(np.asarray(color, float), (hit.size, 1))
+                if mode.shading:
+                    colors = scene.lit(scene.gradient(at), np.full(hit.size, value), colors, rays.direction[hit])
+                falling = scene.value(rays.at(t[hit] - 100 * _PAST, hit)) >= value
+                crossings += zip(on[hit], t[hit], np.where(falling, -k, k), colors, [opacity] * hit.size, strict=True)
+                on = on[hit]
+                behind = t[hit] + _PAST * min(scene.volume.spacing)
+                rays = Rays(rays.origin[hit], rays.direction[hit], behind, rays.leave[hit])
+        cap = part.face.copy()
+        cap[cap] = scene.value(part.rays.at(part.rays.enter[cap], cap)) >= mode.isovalues[0]
+        for ray in np.flatnonzero(cap):
+            value = scene.value(part.rays.at(part.rays.enter[ray : ray + 1], np.array([ray])))
+            color = scene.transfer(value)[0, :3] if mode.cap is True else np.asarray(mode.cap, float)
+            crossings.append((ray, part.rays.enter[ray], 0, color, 1.0))
+        for ray, t, _, color, opacity in sorted(crossings, key=lambda crossing: crossing[1:3]):
+            if light[ray] < _FAINT:
+                continue
+            rgb[ray] += light[ray] * opacity * color
+            left = light[ray] * (1 - opacity)
+            if left <= 0.5 < light[ray]:
+                depth[ray] = t
+            light[ray] = left
+    return rgb, 1 - light, depth
+
+
 def _first_shown(scene: _Scene, rays: Rays, isovalue: float) -> Array:
     """The first crossing that is not at a missing place."""
     depth = first_crossings(scene.value, scene.volume, scene.filter, rays, isovalue)
@@ -555,6 +597,7 @@ def _mean(scene: _Scene, mode: Mode, samples: _Samples) -> _Gathered:  # noqa: A
 MODES: dict[str, Callable[[_Scene, Any, _Samples], _Gathered]] = {
     "composite": _composite,
     "isosurface": _isosurface,
+    "surfaces": _surfaces,
     "mip": _mip,
     "attenuated": _attenuated,
     "minip": _minip,

@@ -30,7 +30,7 @@ __all__ = ["ansi", "keys_of", "show_in_terminal"]
 
 _FINER = 2  # pixels drawn for one shown, along each axis
 _OPEN, _CLOSE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"  # to the alternate screen without cursor, and back
-_HELP = "q quit  arrows turn  +/- zoom  1-6 mode  f fit  u undo"
+_HELP = "q quit  arrows turn  +/- zoom  1-7 mode  f fit  u undo"
 _KEYS = {
     "\x1b[A": "ArrowUp", "\x1b[B": "ArrowDown", "\x1b[C": "ArrowRight", "\x1b[D": "ArrowLeft",
     "\x1bOA": "ArrowUp", "\x1bOB": "ArrowDown", "\x1bOC": "ArrowRight", "\x1bOD": "ArrowLeft",

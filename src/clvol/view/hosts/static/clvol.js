@@ -173,6 +173,19 @@ function colorBox(label, changed) {
   return { element: row(label, box), box, show: (value) => Array.isArray(value) && (box.value = hex(value)) };
 }
 
+/** Surfaces as text, "value:color:opacity,...": a picture is asked for when the box is left or Enter is pressed. */
+function surfacesBox(label, changed, hint) {
+  const box = make("input", { type: "text", "aria-label": label, title: hint, spellcheck: false, onchange: () => changed(box.value) });
+  const words = ([value, color, opacity]) => `${typeof value === "number" ? short(value) : value}:${hex(color)}:${short(opacity, 3)}`;
+  return {
+    element: row(label, box),
+    box,
+    show(value) {
+      if (document.activeElement !== box && Array.isArray(value)) box.value = value.map(words).join(", ");
+    },
+  };
+}
+
 function button(text, pressed, { label, title, kind = "" } = {}) {
   return make("button", { type: "button", class: `clvol-button ${kind}`, "aria-label": label, title: title ?? label, onclick: pressed }, text);
 }
@@ -1292,6 +1305,7 @@ class Panel {
     const edges = this.viewer.info.histogram?.edges ?? [0, 1];
     if (about.kind === "flag") return toggle(name, change, about.help);
     if (about.kind === "color") return colorBox(name, change);
+    if (about.kind === "surfaces") return surfacesBox(name, change, about.help);
     if (about.kind === "choice") {
       const made = choice(name, change, about.help);
       made.fill(about.choices);
