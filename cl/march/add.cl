@@ -22,8 +22,7 @@ kernel void add_medium(COEFFICIENTS coefficients, const int4 extent, global cons
             rest.each[i] = STATE_AT(OPACITY_FIELD + 1);
         }
         state_t *state = tile.states + g;
-        state->opacity = opacity.all;
-        state->rest = rest.all;
+        light_left(state, opacity.all, rest.all);
         state->slots = slots_of(sums, touched, number, tiles, g, PACKETS, from);
         tile.going[g] &= !finished(state, frame);
     }

@@ -6,6 +6,7 @@
 #include "transfer/ramp.cl"
 
 #define SLOT 4   // numbers of each ray
+#define OPACITY_FIELD 3   // of the states that mix.cl keeps, which are those of composite.cl; followed by the rest
 #define OPAQUE ((real)(-1e9f))   // of opaque matter: finite, so that its colour has a weight
 
 typedef struct {
@@ -49,10 +50,9 @@ INLINE void add_sample(const slots_t *slots, const float number, const color_t c
     }
 }
 
-// A face in front of all samples, which begin with number `begin`.
-INLINE void add_face(const slots_t *slots, const real begin, const color_t color, const real through, const mask seen)
+// The same where lanes have numbers of their own.
+INLINE void add_each(const slots_t *slots, const real number, const color_t color, const real through, const mask seen)
 {
-    const real number = begin - 1.0f;
     const float last = max_lane(choose(seen, number, -NOWHERE));
     for (float n = min_lane(choose(seen, number, NOWHERE)); n <= last; n += 1.0f)
         add_sample(slots, n, color, through, seen & (number == n));

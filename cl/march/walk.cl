@@ -25,6 +25,7 @@
 #include "march/segments.cl"
 
 #define RAYS (PACKETS * LANES)
+#define AHEAD (ADDED ? 0.5f : 0.0f)   // samples, by which stretches begin before their first one: added to media, half
 #define LOOKS_ON (MISSING || LAYERED)   // whether the search may continue behind a crossing
 
 // -- one axis ---------------------------------------------------------------------------------------------------
@@ -600,8 +601,8 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
         walkers[g].active = wanted[g];
         if (!any_lane(wanted[g]))
             continue;
-        const real length = set_out(walkers + g, ray, tile->states + g, frame, extent.w, madd(start, ray->step, ray->first),
-                                    madd(stop + 1.0f, ray->step, ray->first), wanted[g]);
+        const real length = set_out(walkers + g, ray, tile->states + g, frame, extent.w, madd(start - AHEAD, ray->step, ray->first),
+                                    madd(stop + 1.0f - AHEAD, ray->step, ray->first), wanted[g]);
         const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
         tile->gathered[g] += choose(wanted[g], WINDOWED ? choose(ray->step > 0.0f, MIN(length / ray->step, samples), (real)(1.0f)) : samples, (real)(0.0f));
     }

@@ -13,7 +13,6 @@ typedef struct {
 #endif
 } state_t;
 
-#define OPACITY_FIELD 3   // of the state, followed by the rest
 #define REACH 0.0f
 #define ANY_ORDER 0
 #define PROMISE(low, high) 0.0f
@@ -27,6 +26,14 @@ INLINE void begin(state_t *s)
 INLINE real transmittance(const state_t *s) { return (1.0f - s->opacity) - s->rest; }
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return transmittance(s) <= frame->mode.termination; }
+
+#if ADDED
+INLINE void light_left(state_t *s, const real opacity, const real rest)
+{
+    s->opacity = opacity;
+    s->rest = rest;
+}
+#endif
 
 INLINE void add_opacity(state_t *s, real share, mask active)
 {
@@ -90,7 +97,7 @@ INLINE mask gather_face(state_t *s, COEFFICIENTS coefficients, const sample_t *s
     const mask seen = active & (color.opacity > 0.0f);
     const real through = log_light(color, (real)(FACE));
 #if ADDED
-    add_face(&s->slots, sample->ray->begin, color, through, seen);
+    add_each(&s->slots, sample->ray->begin - 1.0f, color, through, seen);   // in front of all samples
 #endif
     const real light = transmittance(s), share = light * one_less_exp_2(through);
     s->red = choose(seen, madd(share, color.red, s->red), s->red);

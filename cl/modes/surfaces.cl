@@ -3,8 +3,14 @@
 #include "march/sample.cl"
 #include "march/light.cl"
 #include "march/cap.cl"
+#include "march/slots.cl"
 
-typedef struct { real red, green, blue, light, depth, side, hit, which; } state_t;
+typedef struct {
+    real red, green, blue, light, depth, side, hit, which;
+#if ADDED
+    slots_t slots;   // where surfaces are added to the samples of media
+#endif
+} state_t;
 
 #define STRETCHES 1
 #define LAYERED 1
@@ -25,14 +31,22 @@ INLINE void begin(state_t *s)
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->light < FAINT; }
 
+#if ADDED
+INLINE void light_left(state_t *s, const real opacity, const real rest) { s->light = (1.0f - opacity) - rest; }
+#endif
+
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
     return layer_within(frame, low, high);
 }
 
 // A surface of this colour at t. The place of the result is that at which half of the light is stopped.
-INLINE void pass_surface(state_t *s, const color_t color, const real t, const mask active)
+INLINE void pass_surface(state_t *s, const sample_t *sample, const color_t color, const real t, const mask active)
 {
+#if ADDED
+    const ray_t *ray = sample->ray;   // to the sample whose stretch it lies in
+    add_each(&s->slots, round_down((t - ray->first) / ray->step + 0.5f), color, log_2(1.0f - color.opacity), active);
+#endif
     const real share = choose(active, s->light * color.opacity, (real)(0.0f)), left = s->light * (1.0f - color.opacity);
     s->red = madd(share, color.red, s->red);
     s->green = madd(share, color.green, s->green);
@@ -48,7 +62,7 @@ INLINE void pass_hit(state_t *s, COEFFICIENTS coefficients, const sample_t *samp
     color_t color = layer_of(frame, s->which, &value);
     if (SHADED)
         color = shade(frame, color, gradient_at(coefficients, sample, choose(active, s->hit, sample->ray->enter), active), value, sample->ray->world);
-    pass_surface(s, color, s->hit, active);
+    pass_surface(s, sample, color, s->hit, active);
     s->hit = choose(active, NOWHERE, s->hit);
 }
 
@@ -73,7 +87,7 @@ INLINE mask gather_face(state_t *s, COEFFICIENTS coefficients, const sample_t *s
     const mask met = meets_cap(sample, value, active);
     color_t color = cap_color(sample, value);
     color.opacity = (real)(1.0f);
-    pass_surface(s, color, sample->ray->enter, met);
+    pass_surface(s, sample, color, sample->ray->enter, met);
     return met;
 }
 

@@ -93,8 +93,34 @@ def test_all_media_are_the_references(device: Device, view: str) -> None:
     assert deep < 1e-4
 
 
+SHELLS = {"surfaces": [(0.35, "bisque", 0.3), (0.6, "teal", 0.5), (0.8, "red", 1.0)], "transfer": None}
+
+
+@pytest.mark.parametrize("view", ["perspective", "wide"])
+def test_surfaces_among_media_are_the_references(device: Device, view: str) -> None:
+    """Of the grid that leads, of another, and cut open; a crossing halfway between two samples may count for either."""
+    turned = replace(MEDIA["turned"], **SHELLS, filter="bspline3", clip=CUTS["plane"])
+    look = {"size": SIZE, "step": 0.7, "rays": 1, "termination": 0, "device": device}
+    for media in ([FIRST, replace(MEDIA["one grid"], **SHELLS)], [FIRST, turned], [replace(FIRST, **SHELLS), turned]):
+        want = render_media(Scene(media), camera(view), SIZE, 0.7)["rgba"]
+        got = clvol.render(Scene(media), camera(view), **look)
+        skipped = clvol.render(Scene(media[::-1]), camera(view), skipping=False, **look)
+        np.testing.assert_array_equal(got, skipped)
+        apart = np.abs(got - want).max(-1)
+        assert (apart > 4e-4).sum() <= 4, np.sort(apart.ravel())[-8:]  # grazing rays err most, as on isosurfaces
+
+
+def test_surfaces_alone_in_a_scene_are_those_of_the_mode(device: Device) -> None:
+    clear = replace(MEDIA["other spacings"], transfer=TransferFunction([(0, "white")], [(0, 0)]))
+    shells, look = replace(FIRST, **SHELLS), {"size": SIZE, "rays": 1, "device": device}
+    want = clvol.render(replace(FIRST, transfer=None), camera("perspective"), "surfaces", surfaces=SHELLS["surfaces"], **look)
+    np.testing.assert_array_equal(clvol.render(shells, camera("perspective"), **look), want)
+    got = clvol.render(Scene([shells, clear]), camera("perspective"), **look)
+    assert (np.abs(got - want).max(-1) > 1e-5).sum() <= 4  # two crossings within a step mix
+
+
 def test_the_order_changes_no_bit(device: Device) -> None:
-    media = [FIRST, *MEDIA.values(), replace(FIRST, volume=MEDIA["one grid"].volume)]
+    media = [FIRST, *MEDIA.values(), replace(FIRST, volume=MEDIA["one grid"].volume), replace(FIRST, **SHELLS)]
     want = clvol.render(Scene(media), camera("perspective"), size=SIZE, device=device)
     for turn in (1, 3):
         turned = media[turn:] + media[:turn]
@@ -292,6 +318,12 @@ REFUSED: dict[str, tuple[Any, str]] = {
         "none of the scene's 2 is visible",
     ),
     "a mix of matter": (lambda: clvol.render(replace(TWO, mix="over")), 'mix="over" changes nothing in composite'),
+    "surfaces of a projection": (
+        lambda: clvol.render(Scene([FIRST, replace(FIRST, **SHELLS)]), mode="mip"),
+        "surfaces of a medium change nothing in mip",
+    ),
+    "surfaces and a transfer function": (lambda: Medium(FIRST.volume, cmap="bone", **SHELLS), "cmap must be left out"),
+    "surfaces that are none": (lambda: Medium(FIRST.volume, surfaces="0.5"), "a surface must be"),
     "by bricks": (lambda: clvol.Renderer(TWO, memory=1 << 26), "memory takes one medium"),
     "on a cluster": (lambda: clvol.Renderer(TWO, cluster=2), "cluster takes one medium"),
     "a mask for which": (lambda: clvol.Renderer(TWO, mask=np.zeros((20, 22, 24), bool)), "mask must be left to the media"),

@@ -197,6 +197,11 @@ class Subject:
         return self.look.central or not self.coefficients.filter.has_gradient
 
     @property
+    def mode(self) -> Mode:
+        """The mode of the picture: of several media, some may show surfaces in it."""
+        return self.look.unsettled or self.look.mode
+
+    @property
     def medium(self) -> Medium:
         """The medium of the look."""
         return self.look.scene.media[0]
@@ -221,13 +226,17 @@ class Subject:
         if self.others:
             media = self, *self.others
             rails = Rails.across([one.medium for one in media], view, aspect, step)
-            frames = tuple(one._frame(size, guides, aspect, view, rails) for one in media)
-            values = frames[0].values.copy()
+            frames = tuple(one._searched(one._frame(size, guides, aspect, view, rails), progress) for one in media)
+            mixed = replace(self, look=replace(look, mode=self.mode))._frame(size, guides, aspect, view, rails)
+            values = mixed.values.copy()
             values["geometry"]["low"], values["geometry"]["high"] = rails.low, rails.high
             values["clip"] = clip_block(look.scene.clip, volume, volume.mean_spacing)
-            return replace(frames[0], values=values, media=frames)
+            return replace(mixed, values=values, media=frames)
         rails = Rails.along(volume, Planes(volume, view, aspect, *(_STRETCHES if look.mode.stretches else (step, SEGMENT))))
-        made = replace(self, look=look)._frame(size, guides, aspect, view, rails)
+        return self._searched(replace(self, look=look)._frame(size, guides, aspect, view, rails), progress)
+
+    def _searched(self, made: Frame, progress: Progress | None) -> Frame:
+        """A frame with what is known of its cells, if surfaces are searched for in them."""
         if self.minmax is None or not (sought := made.sought):
             return made
         return replace(made, sides=self.minmax.sides(sought, progress))

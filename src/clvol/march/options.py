@@ -18,7 +18,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted
 from clvol.scene.look import look
-from clvol.scene.mode import as_mode, require_heard
+from clvol.scene.mode import Surfaces, as_mode, require_heard
 from clvol.scene.preset import as_preset
 from clvol.scene.transfer import WORDS
 
@@ -405,10 +405,13 @@ class ResolvedLook:
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
         (medium,) = scene.media
+        if medium.surfaces and mode.shows != "matter":
+            raise OptionError(f"surfaces of a medium change nothing in {mode.name}: they are for composite; leave them out")
         words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
         scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
         transfer = scene.media[0].transfer or mode.transfer(preview)
-        return cls(camera, mode.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
+        shown = Surfaces(medium.surfaces, mode.shaded) if medium.surfaces else mode
+        return cls(camera, shown.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
 
     @classmethod
     def _of_several(cls, scene: Scene, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
@@ -475,7 +478,7 @@ def _rank(medium: Medium, transfer: TransferFunction) -> tuple[Any, ...]:
     """A key by which media are in one order, whatever their list's: the finest grid is first."""
     volume = medium.volume
     place = volume.mean_spacing, volume.spacing, volume.size, volume.origin, tuple(np.ravel(volume.direction))
-    own = medium.material, medium.filter, medium.boundary, cuts_of(medium.clip)
+    own = medium.material, medium.filter, medium.boundary, cuts_of(medium.clip), medium.surfaces
     look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, *own))
     return place, look, zlib.crc32(np.ascontiguousarray(volume.data).view(np.uint8).data)
 

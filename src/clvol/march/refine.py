@@ -95,7 +95,7 @@ class Wanted:
     def kind(self) -> tuple[Any, ...]:
         """A key that pictures with comparable times share: how they are drawn."""
         subject, drawn = self.subject, self.subject.coefficients
-        mode, tile = subject.look.mode, drawn.device.limits.tile
+        mode, tile = subject.mode, drawn.device.limits.tile
         return (
             mode.file,
             mode.shaded,
@@ -116,7 +116,7 @@ class Wanted:
     @property
     def long_steps(self) -> list[float]:
         """Steps that a first picture may have; longer ones only where all samples count, and where there are steps."""
-        mode, steps = self.subject.look.mode, [self.step]
+        mode, steps = self.subject.mode, [self.step]
         if mode.shows in ("matter", "mean") and not mode.stretches:
             while 2 * steps[-1] <= _LONGEST:
                 steps.append(2 * steps[-1])

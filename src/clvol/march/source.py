@@ -280,7 +280,7 @@ class Several(Source):
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
         if not look.others:
             return self.part(look.scene.media[0]).draw(look, fine, guides, progress)
-        if look.mode.shows == "matter":
+        if (look.unsettled or look.mode).shows == "matter":
             frame = self._subject(look).frame(fine.size, fine.step, guides=guides)
             return launch.drawn(MediaDrawing(frame, fine.rays, fine.filter), fine.rays, progress)
         looks, surfaces = (look, *look.others), look.mode.shows == "surface"
@@ -294,7 +294,7 @@ class Several(Source):
         return {**together, "rgba": over(background, together["rgba"])}
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
-        if look.mode.shows == "matter" and look.others:
+        if (look.unsettled or look.mode).shows == "matter" and look.others:
             wanted = Wanted(self._subject(look), fine.size, fine.step, fine.rays, fine.filter)
             return Refinement(wanted, asked, self._rates).pictures(self.in_use)
 

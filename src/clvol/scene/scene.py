@@ -19,6 +19,7 @@ from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 from clvol.scene.clip import Box, Clip, as_clip, joined
 from clvol.scene.light import KIT, Light, Material, as_lights
+from clvol.scene.mode import Surfaces
 from clvol.scene.transfer import WORDS, TransferFunction
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume, masked
@@ -68,6 +69,9 @@ class Medium:
         slice of what is cut there; media that go on in front of it or behind it stay as they are.
     preset, window, cmap, opacity : optional
         The transfer function in words instead, as of `clvol.render`, each mode's own.
+    surfaces : sequence of (value, color, opacity) or str, optional
+        Isosurfaces instead of its matter, as of `clvol.Surfaces`, in and among the other media of a "composite"; within a step they
+        mix with matter.
 
     Raises
     ------
@@ -91,6 +95,7 @@ class Medium:
     window: tuple[float, float] | None = None
     cmap: str | None = None
     opacity: float | Sequence[tuple[float, float]] | None = None
+    surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
     mask: InitVar[ArrayLike | None] = None
     where: InitVar[ArrayLike | None] = None
 
@@ -119,6 +124,11 @@ class Medium:
             if self.words:
                 raise OptionError(f"transfer must be left out where {' and '.join(self.words)} say what it is; got both")
         instance("material", self.material, Material)
+        if self.surfaces is not None:
+            object.__setattr__(self, "surfaces", Surfaces(self.surfaces).surfaces)
+            if self.transfer is not None or self.words:
+                given = " and ".join(self.words or ("transfer",))
+                raise OptionError(f"surfaces of a medium have colours of their own: {given} must be left out")
         if self.clip is not None:
             object.__setattr__(self, "clip", as_clip(self.clip))
         if self.volume.ndim != 3:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +15,19 @@ from clvol.base.arrays import Array
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.march import flat_below, planes_across, shade
 from clvol.reference.march.rays import Rays, camera_rays, kept_parts
+from clvol.reference.march.roots import first_crossings
 from clvol.reference.spline.points import sample
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Cuts, cuts_of
 from clvol.scene.scene import Medium, Scene
+from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume
 
 __all__ = ["render_media"]
 
 _OPAQUE = 1e9  # greatest optical thickness, so that colours of opaque matter have weights
+_PAST = 1e-7  # voxels behind a crossing, from where the next is sought
 _FACE = 16  # unit distances of matter that are as opaque as the face of a cut
 
 
@@ -30,7 +36,8 @@ def render_media(
 ) -> dict[str, Array]:
     """The picture of a scene's media in "composite", without termination, and its depth.
 
-    The camera has a target and a radius, or a position; all media have a transfer function. The grid of medium number `lead` has
+    The camera has a target and a radius, or a position; all media have a transfer function, or surfaces with numbers as isovalues,
+    each crossing of which is at the place of the nearest sample. The grid of medium number `lead` has
     the planes of the samples, whose stretches are half a step to either side, except from where a ray enters a medium to the first
     of its samples, and from the last to where it leaves. A ray that meets none has a sample in its middle, at the next plane's
     place. A ray that enters at the face of a cut has the slice, unlit, for 16 unit distances, at the place before its first sample.
@@ -43,7 +50,18 @@ def render_media(
     for medium in scene.media:
         whole = camera_rays(medium.volume, view, size, (0.5, 0.5), None, medium.boundary.edge)
         unit = (medium.transfer and medium.transfer.unit_distance) or medium.volume.mean_spacing
+        shown: Any = medium.surfaces  # as (isovalue, colour, opacity)
         for rays, face in _kept(whole, scene, medium):
+            if shown:
+                for value, color, opacity in shown:
+                    plain = replace(medium, surfaces=None, transfer=TransferFunction(((0, color),), ((0, 0.5),)))
+                    for which, at in _crossings(medium, rays, value):
+                        _, rgb = _matter(plain, scene, rays, view, which, at, shading)
+                        slot = np.abs(t[which] - at[:, None]).argmin(1)
+                        thickness = np.full(which.size, min(-math.log1p(-opacity) if opacity < 1 else math.inf, _OPAQUE))
+                        np.add.at(optical, (which, slot), thickness)
+                        np.add.at(light, (which, slot), thickness[:, None] * rgb)
+                continue
             which, slot, at, length = _samples(rays, t, world_step)
             stopped, rgb = _matter(medium, scene, rays, view, which, at, shading)
             thickness = np.multiply(stopped, length / unit, out=np.zeros_like(stopped), where=length > 0)
@@ -137,6 +155,21 @@ def _samples(rays: Rays, t: Array, step: Array) -> tuple[NDArray[np.intp], NDArr
         np.concatenate([t[which, slot], middle]),
         np.concatenate([(far - near)[which, slot], rays.leave[alone] - rays.enter[alone]]),
     )
+
+
+def _crossings(medium: Medium, rays: Rays, isovalue: float) -> Iterator[tuple[NDArray[np.intp], Array]]:
+    """The rays that cross a surface, and where: first all first crossings, then all second ones, and so on."""
+    row = as_filter(medium.filter or DEFAULT_FILTER)
+    rule = medium.boundary if medium.boundary.edge else "mirror"
+    on = np.arange(len(rays.enter))
+    while True:
+        at = first_crossings(lambda p: sample(medium.volume, p, row, rule), medium.volume, row, rays, isovalue)
+        hit = np.flatnonzero(np.isfinite(at))
+        if not hit.size:
+            return
+        on = on[hit]
+        yield on, at[hit]
+        rays = Rays(rays.origin[hit], rays.direction[hit], at[hit] + _PAST * min(medium.volume.spacing), rays.leave[hit])
 
 
 def _matter(
