@@ -3,6 +3,7 @@
 #include "march/sample.cl"
 #include "march/light.cl"
 #include "march/cap.cl"
+#include "march/colored.cl"
 
 // hit: where along the rays, or NOWHERE. capped: where that is on a cap, which is not lit.
 INLINE color_t surface_color(COEFFICIENTS coefficients, const sample_t *sample, const real hit_t, const mask capped)
@@ -10,6 +11,7 @@ INLINE color_t surface_color(COEFFICIENTS coefficients, const sample_t *sample, 
     constant float *surface = sample->frame->mode.color;
     const mask hit = hit_t < NOWHERE;
     color_t color = { (real)(surface[0]), (real)(surface[1]), (real)(surface[2]), choose(hit, (real)(1.0f), (real)(0.0f)), (real)(0.0f) };
+    color_by(&color, coefficients, sample, choose(hit, hit_t, sample->ray->enter), hit);
     if (SHADED && any_lane(hit)) {
         const real3 gradient = gradient_at(coefficients, sample, choose(hit, hit_t, sample->ray->enter), hit);
         color = shade(sample->frame, color, gradient, (real)(sample->frame->mode.isovalue), sample->ray->world);

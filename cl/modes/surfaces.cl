@@ -3,6 +3,7 @@
 #include "march/sample.cl"
 #include "march/light.cl"
 #include "march/cap.cl"
+#include "march/colored.cl"
 #include "march/slots.cl"
 
 typedef struct {
@@ -60,6 +61,7 @@ INLINE void pass_hit(state_t *s, COEFFICIENTS coefficients, const sample_t *samp
     constant frame_t *frame = sample->frame;
     real value;
     color_t color = layer_of(frame, s->which, &value);
+    color_by(&color, coefficients, sample, choose(active, s->hit, sample->ray->enter), active);
     if (SHADED)
         color = shade(frame, color, gradient_at(coefficients, sample, choose(active, s->hit, sample->ray->enter), active), value, sample->ray->world);
     pass_surface(s, sample, color, s->hit, active);

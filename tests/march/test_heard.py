@@ -47,6 +47,7 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "isovalue": (0.3,),
     "color": ("red",),
     "surfaces": ([(0.3, "red", 0.5)],),
+    "color_by": ("k1", "k2", "mean curvature", "gaussian curvature"),
     "method": ("stepped",),
     "tolerance": (0.5,),
     "attenuation": (9.0,),

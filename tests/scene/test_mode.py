@@ -63,7 +63,7 @@ def test_unknown_modes(wrong: Any) -> None:
 def test_options_of_other_modes_are_rejected_by_name() -> None:
     with pytest.raises(OptionError, match="isovalue is no option of mip, but of isosurface; mip has none"):
         as_mode("mip", {"isovalue": 0.5})
-    with pytest.raises(OptionError, match="shading is no option of mean, but of composite and isosurface; mean has none"):
+    with pytest.raises(OptionError, match="shading is no option of mean, but of composite and isosurface and surfaces; mean has none"):
         as_mode("mean", {"shading": True})
     with pytest.raises(OptionError, match="speed is no option of composite; composite has shading, termination"):
         as_mode("composite", {"speed": 1})
@@ -119,7 +119,7 @@ def test_levels_in_standard_deviations(text: str, sigmas: float) -> None:
         seen = np.asarray(samples, np.float64)[np.isfinite(samples)]
         unit = max(1.0, float(np.abs(seen).max()))
         expected = ((seen / unit).mean() + sigmas * (seen / unit).std()) * unit
-        assert as_mode("isosurface", {"isovalue": text}).settled(Volume(samples)).surface == pytest.approx(expected, rel=1e-12)
+        assert as_mode("isosurface", {"isovalue": text}).settled(Volume(samples)).isovalues == pytest.approx((expected,), rel=1e-12)
 
 
 def test_the_default_look_of_each_mode() -> None:

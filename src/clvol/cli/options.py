@@ -489,7 +489,7 @@ class Furniture:
 
 _ALSO = {"isovalue": "--threshold"}
 """Common names of the options of modes."""
-_KINDS = {"isovalue": float | str, "cap": str, "surfaces": str}
+_KINDS = {"isovalue": float | str, "cap": str, "surfaces": str, "color_by": str}
 """Types that a default does not show."""
 _CAPS = {"values": True, "none": False}
 """Caps that are no colours, by their names in the shell."""

@@ -18,11 +18,13 @@ from clvol.march.rails import RAILS, Rails
 from clvol.scene.camera import Viewpoint
 from clvol.scene.clip import CLIP, clip_block
 from clvol.scene.light import LIGHTS, Material, lights_block
+from clvol.scene.mode import CURVATURES, colored_by
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.build import along_defines
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.minmax import BLOCK, MINMAX, minmax_block
+from clvol.volume.stored import AS_THEY_ARE
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
@@ -173,6 +175,7 @@ class Frame:
             "SEVERAL": int(self.several),
             "ADDED": int(added),
             "MISSING": int(self.gaps is not None),
+            "CURVED": (CURVATURES.index(colored) + 1 if (colored := colored_by(mode)) else 0),
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
@@ -246,7 +249,7 @@ class Subject:
         look, coefficients, minmax = self.look, self.coefficients, self.minmax
         scene, mode, stored, medium = look.scene, look.mode, coefficients.stored, self.medium
         (width, height), volume, unit = size, medium.volume, rails.volume.mean_spacing
-        transfer = look.transfer
+        transfer, shown = look.transfer, AS_THEY_ARE if colored_by(mode) else stored  # values that colours are of
         if transfer.unit_distance is None:
             transfer = replace(transfer, unit_distance=volume.mean_spacing)
         block, _ = frame_block(mode.BLOCK)
@@ -256,7 +259,7 @@ class Subject:
             clip=clip_block(look.clip, volume, unit),
             planes=rails.planes.block(),
             rails=rails.block(volume, view, width, height, aspect),
-            transfer=transfer.block(unit, stored),
+            transfer=transfer.block(unit, shown),
             material=medium.material.block(),
             lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
@@ -290,7 +293,7 @@ class Subject:
             volume.is_labels and not coefficients.filter.has_gradient,
             guides,
             values,
-            look.transfer.table(stored),
+            look.transfer.table(shown),
             several=rails.several,
         )
 

@@ -124,6 +124,7 @@ class ModeOptions(TypedDict, total=False):
     isovalue: float | str | None
     color: Sequence[float] | str
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None
+    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature"] | None
     method: Literal["exact", "stepped"]
     tolerance: float
     attenuation: float

@@ -30,6 +30,7 @@ from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume
 
 __all__ = [
+    "CURVATURES",
     "DEFAULT_MODE",
     "Attenuated",
     "Composite",
@@ -41,6 +42,7 @@ __all__ = [
     "ModeTable",
     "Surfaces",
     "as_mode",
+    "colored_by",
     "every_option",
     "heard_options",
     "mode_options",
@@ -55,6 +57,10 @@ _FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
 _SIGMAS = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?:sigma|σ)\s*", re.IGNORECASE | re.ASCII)
 _MOST_FIELDS = 64  # largest number of fields in a ray's state
 _MOST_SURFACES = 8
+_GAUSSIAN = "gaussian curvature"
+CURVATURES = ("k1", "k2", "mean curvature", _GAUSSIAN)
+"""What surfaces may be coloured by, in the order of curvature.cl."""
+_BENT = 1 / 8  # the curvature of the strongest colours, times the spacing
 _BONE, _RED = (0.93, 0.87, 0.76), (0.80, 0.25, 0.20)
 _SHOWN = ("matter", "surface", "max", "min", "mean")
 _SOUGHT = ("largest", "smallest", "any")
@@ -157,7 +163,8 @@ class Mode:
         """The default transfer function for this volume.
 
         Labels have a colour each, but where values are blended or fade along the ray. A projection's range is the volume's own
-        (`Volume.clim`), or else from the projections of its samples along the axes; a volume's `clim` is not for means.
+        (`Volume.clim`), or else from the projections of its samples along the axes; a volume's `clim` is not for means. Curvatures
+        are shown from blue, where a surface is hollow, to red, both in full where it bends like a ball of 8 samples.
         """
         if volume.is_labels and self.shows != "mean" and self.ramp == 1:
             return TransferFunction.preset("labels", volume)
@@ -167,6 +174,9 @@ class Mode:
         """The same for values, from black to white between `clim`, (low, high), if it is given."""
         if self.shows == "matter":
             return TransferFunction.automatic(volume, clim)
+        if colored_by(self):
+            most = (_BENT / volume.mean_spacing) ** (2 if colored_by(self) == _GAUSSIAN else 1)
+            return TransferFunction.from_cmap("matplotlib:coolwarm", clim or (-most, most))
         matter = matter_of(volume)
         if self.shows == "surface":  # whose caps are slices: from the background to the brightest
             usual = matter.value(matter.top, -1 if matter.signed else 1), matter.value(matter.top if matter.signed else 0)
@@ -258,6 +268,10 @@ class Isosurface(Mode):
     cap : bool, three numbers or a name
         Closes what a cut (`clip`) opens, where values are not below the isovalue, with an unlit face. True: it shows the slice,
         in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
+    color_by : {"k1", "k2", "mean curvature", "gaussian curvature"}, optional
+        Colours the surface by its curvature, from the exact derivatives of the function: the larger or the smaller principal one,
+        their mean or their product, per world unit (squared). It is positive where the surface bends as that of a bright ball.
+        `transfer`, `window` and `cmap` are then those of curvatures.
     """
 
     isovalue: float | str | None = None
@@ -266,6 +280,7 @@ class Isosurface(Mode):
     method: Literal["exact", "stepped"] = "exact"
     tolerance: float = 1e-4
     cap: bool | Sequence[float] | str = False
+    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature"] | None = None
 
     name: ClassVar[str] = "isosurface"
     description: ClassVar[str] = "the first isosurface along the ray, shaded"
@@ -285,6 +300,7 @@ class Isosurface(Mode):
         if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
             raise one_of("method", self.method, ("exact", "stepped"))
         _set(self, cap=_cap(self.cap))
+        _set(self, color_by=_color_by(self.color_by, self.cap))
         _set(self, capped=self.cap is not False)
         if self.method == "stepped":
             _set(self, state_fields=4)  # with the last sample
@@ -304,7 +320,8 @@ class Isosurface(Mode):
     @property
     def unheard(self) -> Mapping[str, str]:
         exact = {"tolerance": 'method="exact" needs none'} if self.method == "exact" else {}
-        return {**super().unheard, **_uncolored(self.cap), **exact}
+        own = {"color": "color_by chooses the colours"} if self.color_by else {}
+        return {**super().unheard, **_uncolored(self.cap, self.color_by), **exact, **own}
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
         (surface,) = self.isovalues  # settled
@@ -344,6 +361,8 @@ class Surfaces(Mode):
     cap : bool, three numbers or a name
         Closes what a cut (`clip`) opens, where values are not below the lowest isovalue, with an unlit, opaque face. True: it shows
         the slice, in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
+    color_by : {"k1", "k2", "mean curvature", "gaussian curvature"}, optional
+        Colours all surfaces by their curvature instead, as of `Isosurface`; opacities stay.
 
     Examples
     --------
@@ -356,6 +375,7 @@ class Surfaces(Mode):
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
     shading: bool = True
     cap: bool | Sequence[float] | str = False
+    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature"] | None = None
 
     name: ClassVar[str] = "surfaces"
     description: ClassVar[str] = "several translucent isosurfaces inside each other, shaded"
@@ -377,6 +397,7 @@ class Surfaces(Mode):
         if self.surfaces is not None:
             _set(self, surfaces=_surfaces(self.surfaces))
         _set(self, shading=_switch("shading", self.shading), cap=_cap(self.cap))
+        _set(self, color_by=_color_by(self.color_by, self.cap))
         _set(self, capped=self.cap is not False)
 
     @property
@@ -386,7 +407,7 @@ class Surfaces(Mode):
 
     @property
     def unheard(self) -> Mapping[str, str]:
-        return {**super().unheard, **_uncolored(self.cap)}
+        return {**super().unheard, **_uncolored(self.cap, self.color_by)}
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
         values = self.isovalues
@@ -509,6 +530,11 @@ class ModeTable(Named[Mode]):
 def modes() -> ModeTable:
     """The modes by name, with default options; their descriptions when shown."""
     return ModeTable({name: mode() for name, mode in _TABLE.items()})
+
+
+def colored_by(mode: Mode) -> str:
+    """What colours the surfaces of a mode, if they have no colours of their own: one of `CURVATURES`, or ""."""
+    return getattr(mode, "color_by", None) or ""
 
 
 def every_option() -> set[str]:
@@ -654,10 +680,22 @@ def _cap_block(cap: bool | Sequence[float] | str) -> dict[str, Any]:
     return {"cap": kind, "cap_color": color}
 
 
-def _uncolored(cap: object) -> dict[str, str]:
+def _uncolored(cap: object, color_by: str | None) -> dict[str, str]:
     """Options that choose colours of values, which surfaces do not show."""
-    colors = () if cap is True else ("transfer", "preset", "window", "cmap", "color_bar")
+    shown = () if color_by else ("transfer", "window", "cmap", "color_bar")
+    colors = () if cap is True else (*shown, "preset")
     return dict.fromkeys((*colors, "opacity"), "surfaces have colours of their own")
+
+
+def _color_by(given: str | None, cap: object) -> str | None:
+    """What surfaces are coloured by; "none", as shells and panels say it, is None."""
+    if given is None or given == "none":
+        return None
+    if given not in CURVATURES:
+        raise one_of("color_by", given, CURVATURES)
+    if cap is True:
+        raise OptionError("cap=True shows values, and color_by curvatures, by one transfer function: give the cap a color")
+    return given
 
 
 def _switch(what: str, value: object) -> bool:

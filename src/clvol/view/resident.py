@@ -20,7 +20,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import joined
 from clvol.scene.fit import Seen, fitted
 from clvol.scene.look import look
-from clvol.scene.mode import Mode, as_mode, mode_options, modes
+from clvol.scene.mode import CURVATURES, Mode, as_mode, colored_by, mode_options, modes
 from clvol.scene.preset import presets
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
@@ -43,7 +43,7 @@ _COLOR_MAPS = (
     "twilight", "cubehelix", "rainbow",
 )  # fmt: skip
 _KINDS = ("color", "surfaces")  # controls of their own
-_CHOICES: Mapping[str, list[str]] = {"method": ["exact", "stepped"]}
+_CHOICES: Mapping[str, list[str]] = {"method": ["exact", "stepped"], "color_by": ["none", *CURVATURES]}
 _RANGES: Mapping[str, list[float]] = {"termination": [0, 0.5], "tolerance": [0, 1], "attenuation": [0, 40]}
 _KEPT = 64  # descriptions of volumes
 _BESIDE = ("gradient", "rays", "pixel_filter", "skipping")  # passed on, and in no state
@@ -258,7 +258,7 @@ def _description(volume: Volume, title: str, axes: list[dict[str, Any]], labels:
 
 def _options(mode: Mode) -> dict[str, Any]:
     says = mode_options(mode)
-    settled = {"cap": mode.capped}  # it may follow from another option
+    settled = {"cap": mode.capped, "color_by": colored_by(mode) or "none"}  # "cap" may follow from another option
     return {f.name: _option(settled.get(f.name, getattr(mode, f.name)), f.name, says[f.name]) for f in fields(mode)}
 
 

@@ -224,6 +224,7 @@ class _Scene:
     value: Callable[[Array], Array]
     missing: Callable[[Array], Bools]
     gradient: Callable[[Array], Array]
+    hessian: Callable[[Array], Array]
     filter: Filter
     lit: Callable[[Array, Array, Array, Array], Array]  # gradient, values, colour and direction to colour
     transfer: TransferFunction
@@ -333,6 +334,7 @@ def render(
         value,
         missing,
         slope,
+        lambda points: sample(present, points, row, inside, 2),
         row,
         lambda g, v, c, d: shade(g, c, d, material, lit_by, flat_below(volume, v - taken_off)),
         transfer,
@@ -479,6 +481,8 @@ def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered
     hit = np.flatnonzero(np.isfinite(depth))
     rgb = np.zeros((depth.size, 3))
     rgb[hit] = mode.color
+    if mode.color_by:
+        rgb[hit] = scene.transfer(_curvatures(scene, mode.color_by, rays.at(depth[hit], hit)))[:, :3]
     if mode.shading:
         gradient = scene.gradient(rays.at(depth[hit], hit))
         rgb[hit] = scene.lit(gradient, np.full(hit.size, mode.isovalue), rgb[hit], rays.direction[hit])
@@ -503,6 +507,8 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
                     break
                 at = rays.at(t[hit], hit)
                 colors = np.tile(np.asarray(color, float), (hit.size, 1))
+                if mode.color_by:
+                    colors = scene.transfer(_curvatures(scene, mode.color_by, at))[:, :3]
                 if mode.shading:
                     colors = scene.lit(scene.gradient(at), np.full(hit.size, value), colors, rays.direction[hit])
                 falling = scene.value(rays.at(t[hit] - 100 * _PAST, hit)) >= value
@@ -525,6 +531,20 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
                 depth[ray] = t
             light[ray] = left
     return rgb, 1 - light, depth
+
+
+def _curvatures(scene: _Scene, which: str, points: Array) -> Array:
+    """By the invariants of the shape operator -P H P / |∇f|, with P the projection on the tangent plane."""
+    gradient = scene.gradient(points)
+    length = np.linalg.norm(gradient, axis=1)
+    normal = gradient / length[:, None]
+    tangent = np.eye(3) - normal[:, :, None] * normal[:, None, :]
+    shape = -tangent @ scene.hessian(points) @ tangent / length[:, None, None]
+    mean = np.trace(shape, axis1=1, axis2=2) / 2
+    product = (4 * mean**2 - np.trace(shape @ shape, axis1=1, axis2=2)) / 2
+    apart = np.sqrt(np.maximum(mean**2 - product, 0))
+    each: dict[str, Array] = {"k1": mean + apart, "k2": mean - apart, "mean curvature": mean, "gaussian curvature": product}
+    return each[which]
 
 
 def _first_shown(scene: _Scene, rays: Rays, isovalue: float) -> Array:
