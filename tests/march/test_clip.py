@@ -174,7 +174,7 @@ def test_no_other_pixel_changes_by_a_bit(renderer: Renderer, clip: str, view: st
     assert kept.any()
     for case in MODES:
         options = {"background": None, "rays": 1} | {name: value for name, value in MODES[case][1].items() if name != "cap"}
-        if "transfer" in options and MODES[case][0] == "isosurface":
+        if "transfer" in options and MODES[case][0] in ("isosurface", "surfaces"):
             del options["transfer"]
         plain = renderer.render(CAMERAS[view], MODES[case][0], SIZE, step=0.37, **options)
         cut = drawn(renderer, case, view, CLIPS[clip])

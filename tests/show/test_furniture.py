@@ -176,7 +176,7 @@ def test_labels_have_their_names_in_their_colors() -> None:
 
 
 def test_a_surface_has_one_color_and_no_bar() -> None:
-    with pytest.raises(OptionError, match="color_bar changes nothing in isosurface: a surface is opaque and of one color"):
+    with pytest.raises(OptionError, match="color_bar changes nothing in isosurface: surfaces have colours of their own"):
         clvol.render(volume(), mode="isosurface", size=SIZE, color_bar=True)
 
 

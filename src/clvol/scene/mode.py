@@ -588,9 +588,14 @@ def _made(choice: str | Mode | type[Mode], options: Mapping[str, Any], others: I
     for name in options:
         if name not in known:
             having = [other for other, mode in _TABLE.items() if name in _option_names(mode)]
-            hint = f", but of {' and '.join(having)}" if having else did_you_mean(name, [*known, *others])
+            hint = f", but of {_listed(having)}" if having else did_you_mean(name, [*known, *others])
             raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(known) or 'none'}")
     return replace(choice, **options)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in a sentence: "a, b and c"."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _option_names(mode: Mode | type[Mode]) -> list[str]:
