@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clvol import Volume, Volumes
+from clvol import Volume, Volumes, phantoms
 from clvol.device import Device
 from clvol.view import Session, State, View
 from clvol.volume.volumes import Leading
@@ -212,3 +212,23 @@ def luminance(color: str) -> float:
     """Of WCAG, of a colour such as "rgb(28, 33, 39)"."""
     shares = np.array([int(c) for c in color.strip("rgba()").split(",")[:3]]) / 255
     return float(np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722))
+
+
+@pytest.fixture
+def waves(browser: Browser, device: Device) -> Iterator[Watched]:  # noqa: ARG001
+    yield from shown(browser, Watched(phantoms.marschner_lobb(20), mode="surfaces", color_by="k1"))
+
+
+def test_surfaces_as_text_and_what_colors_them(browser: Browser, waves: Watched) -> None:
+    box = "document.querySelector('input[aria-label=surfaces]')"
+    assert browser.js(f"return {box}.value").count(":") == 4  # the two that are chosen from the samples
+    before = picture(browser)
+    browser.js(f"{box}.value = '0.3:#ffe4c4:0.4, 0.7:#ff0000'; {box}.dispatchEvent(new Event('change'))")
+    browser.wait(f"{FINAL} && {box}.value === '0.3:#ffe4c4:0.4, 0.7:#ff0000:1'", 30)
+    assert waves.last.state.options["surfaces"][1][0] == 0.7
+    by = "[...document.querySelectorAll('.clvol-body select')].find((list) => [...list.options].some((o) => o.value === 'k2'))"
+    assert browser.js(f"return {by}.value") == "k1"
+    browser.js(f"{by}.value = 'none'; {by}.dispatchEvent(new Event('change'))")
+    browser.wait(lambda: waves.last.state.options["color_by"] is None, 30)
+    browser.wait(FINAL, 30)
+    assert (picture(browser) != before).any()
