@@ -322,7 +322,7 @@ REFUSED: dict[str, tuple[Any, type[Exception], str]] = {
     "caps of projections": (
         lambda: clvol.render(VOLUME, mode="mip", cap=True),
         OptionError,
-        "cap is no option of mip, but of composite and iso",
+        "cap is no option of mip, but of composite, iso",
     ),
     "a cap of no colour": (lambda: Isosurface(cap="reddish"), OptionError, "cap must be three numbers, or the name"),
     "a coloured slice": (lambda: Composite(cap="red"), OptionError, "cap must be True or False"),
