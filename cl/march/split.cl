@@ -4,8 +4,9 @@
 #include "march/picture.cl"
 #include "march/states.cl"
 
-// Samples number `from` to `to` of every ray, and REACH before (but where each crossing counts), from the beginning or, if `carried`, from the states given. The numbers
-// of the second and further parts of rays count two more for each part before, whose ends have numbers of their own (MARGIN).
+// Samples number `from` to `to` of every ray, and REACH before (but where each crossing counts), from the beginning or, if `carried`,
+// from the states given. The numbers of the second and further parts of rays count two more for each part before, whose ends have
+// numbers of their own (MARGIN).
 kernel void march_rays(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,
                        global const uchar *missing, constant frame_t *frame, global const float4 *table, const float from, const float to, const int carried,
                        global float *states)

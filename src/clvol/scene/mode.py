@@ -242,7 +242,24 @@ class Composite(Mode):
 
 
 @dataclass(frozen=True)
-class Isosurface(Mode):
+class _OfSurfaces(Mode):
+    """What modes have in common that show isosurfaces: caps, and colours by curvature."""
+
+    endpoints: ClassVar[bool] = True
+    shows: ClassVar[Literal["matter", "surface"] | Projection] = "surface"
+
+    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
+        values = self.isovalues  # settled
+        return any(low <= value <= high for value in values) or (self.capped and high >= values[0])
+
+    def _set_looks(self, shading: object, cap: object, color_by: str | None) -> None:
+        """Set what their constructors are given."""
+        cap = _cap(cap)
+        _set(self, shading=_switch("shading", shading), cap=cap, capped=cap is not False, color_by=_color_by(color_by, cap))
+
+
+@dataclass(frozen=True)
+class Isosurface(_OfSurfaces):
     """The first isosurface along the ray, shaded.
 
     Parameters
@@ -285,9 +302,7 @@ class Isosurface(Mode):
     name: ClassVar[str] = "isosurface"
     description: ClassVar[str] = "the first isosurface along the ray, shaded"
     state_fields: ClassVar[int] = 2
-    endpoints: ClassVar[bool] = True
     finished_there: ClassVar[bool] = True
-    shows: ClassVar[Literal["matter", "surface"] | Projection] = "surface"
     BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3), cap=INT, cap_color=(FLOAT, 3))
 
     def __post_init__(self) -> None:
@@ -295,13 +310,11 @@ class Isosurface(Mode):
             _sigmas(self.isovalue)
         elif self.isovalue is not None:
             _set(self, isovalue=number("isovalue", self.isovalue))
-        _set(self, color=color_of("color", self.color), shading=_switch("shading", self.shading))
+        _set(self, color=color_of("color", self.color))
+        self._set_looks(self.shading, self.cap, self.color_by)
         _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
         if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
             raise one_of("method", self.method, ("exact", "stepped"))
-        _set(self, cap=_cap(self.cap))
-        _set(self, color_by=_color_by(self.color_by, self.cap))
-        _set(self, capped=self.cap is not False)
         if self.method == "stepped":
             _set(self, state_fields=4)  # with the last sample
 
@@ -323,10 +336,6 @@ class Isosurface(Mode):
         own = {"color": "color_by chooses the colours"} if self.color_by else {}
         return {**super().unheard, **_uncolored(self.cap, self.color_by), **exact, **own}
 
-    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
-        (surface,) = self.isovalues  # settled
-        return low <= surface <= high or (self.capped and high >= surface)
-
     def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002
         return "" if self.stretches else "stepped surfaces"
 
@@ -343,7 +352,7 @@ class Isosurface(Mode):
 
 
 @dataclass(frozen=True)
-class Surfaces(Mode):
+class Surfaces(_OfSurfaces):
     """Several isosurfaces inside each other, translucent or not: every crossing along the ray, in order.
 
     Each is exact, as by `Isosurface`, so that thin shells have both of their sides; `step` has no effect. A surface stops its share
@@ -380,9 +389,7 @@ class Surfaces(Mode):
     name: ClassVar[str] = "surfaces"
     description: ClassVar[str] = "several translucent isosurfaces inside each other, shaded"
     state_fields: ClassVar[int] = 8
-    endpoints: ClassVar[bool] = True
     stretches: ClassVar[bool] = True
-    shows: ClassVar[Literal["matter", "surface"] | Projection] = "surface"
     BLOCK: ClassVar[Block] = Block(
         "mode_block",
         isovalue=FLOAT,
@@ -396,22 +403,17 @@ class Surfaces(Mode):
     def __post_init__(self) -> None:
         if self.surfaces is not None:
             _set(self, surfaces=_surfaces(self.surfaces))
-        _set(self, shading=_switch("shading", self.shading), cap=_cap(self.cap))
-        _set(self, color_by=_color_by(self.color_by, self.cap))
-        _set(self, capped=self.cap is not False)
+        self._set_looks(self.shading, self.cap, self.color_by)
 
     @property
     def isovalues(self) -> tuple[float, ...]:
-        values = tuple(surface[0] for surface in self.surfaces or ())
-        return tuple(value for value in values if isinstance(value, float)) if not any(isinstance(v, str) for v in values) else ()
+        values = [surface[0] for surface in self.surfaces or ()]
+        numbers = tuple(value for value in values if isinstance(value, float))
+        return numbers if len(numbers) == len(values) else ()
 
     @property
     def unheard(self) -> Mapping[str, str]:
         return {**super().unheard, **_uncolored(self.cap, self.color_by)}
-
-    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
-        values = self.isovalues
-        return any(low <= value <= high for value in values) or (self.capped and high >= values[0])
 
     def between_samples(self, *, guides: bool) -> str:
         return "the depth and normals of translucent surfaces" if guides else ""

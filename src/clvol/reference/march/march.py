@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -24,7 +25,7 @@ from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.missing import continued, is_missing
 from clvol.reference.march.rays import Rays, camera_rays, face_normals, kept_parts
-from clvol.reference.march.roots import first_crossings
+from clvol.reference.march.roots import crossings_by, first_crossings
 from clvol.reference.spline.points import sample
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Clip, as_clip, cuts_of
@@ -498,24 +499,15 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
     for part in samples.parts:
         crossings: list[tuple[Any, ...]] = []  # (ray, t, rank among those of one jump, colour, opacity)
         for k, (value, color, opacity) in enumerate(mode.surfaces):
-            on = np.arange(n)
-            rays = part.rays
-            while True:
-                t = _first_shown(scene, rays, value)
-                hit = np.flatnonzero(np.isfinite(t))
-                if not hit.size:
-                    break
-                at = rays.at(t[hit], hit)
-                colors = np.tile(np.asarray(color, float), (hit.size, 1))
+            for on, t in crossings_by(partial(_first_shown, scene, isovalue=value), scene.volume, part.rays):
+                at = part.rays.at(t, on)
+                colors = np.tile(np.asarray(color, float), (on.size, 1))
                 if mode.color_by:
                     colors = scene.transfer(_curvatures(scene, mode.color_by, at))[:, :3]
                 if mode.shading:
-                    colors = scene.lit(scene.gradient(at), np.full(hit.size, value), colors, rays.direction[hit])
-                falling = scene.value(rays.at(t[hit] - 100 * _PAST, hit)) >= value
-                crossings += zip(on[hit], t[hit], np.where(falling, -k, k), colors, [opacity] * hit.size, strict=True)
-                on = on[hit]
-                behind = t[hit] + _PAST * min(scene.volume.spacing)
-                rays = Rays(rays.origin[hit], rays.direction[hit], behind, rays.leave[hit])
+                    colors = scene.lit(scene.gradient(at), np.full(on.size, value), colors, part.rays.direction[on])
+                falling = scene.value(part.rays.at(t - 100 * _PAST, on)) >= value
+                crossings += zip(on, t, np.where(falling, -k, k), colors, [opacity] * on.size, strict=True)
         cap = part.face.copy()
         cap[cap] = scene.value(part.rays.at(part.rays.enter[cap], cap)) >= mode.isovalues[0]
         for ray in np.flatnonzero(cap):

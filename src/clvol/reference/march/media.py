@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from clvol.base.arrays import Array
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.march import flat_below, planes_across, shade
 from clvol.reference.march.rays import Rays, camera_rays, kept_parts
-from clvol.reference.march.roots import first_crossings
+from clvol.reference.march.roots import crossings_by, first_crossings
 from clvol.reference.spline.points import sample
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Cuts, cuts_of
@@ -27,7 +27,6 @@ from clvol.volume.volume import Volume
 __all__ = ["render_media"]
 
 _OPAQUE = 1e9  # greatest optical thickness, so that colours of opaque matter have weights
-_PAST = 1e-7  # voxels behind a crossing, from where the next is sought
 _FACE = 16  # unit distances of matter that are as opaque as the face of a cut
 
 
@@ -55,7 +54,7 @@ def render_media(
             if shown:
                 for value, color, opacity in shown:
                     plain = replace(medium, surfaces=None, transfer=TransferFunction(((0, color),), ((0, 0.5),)))
-                    for which, at in _crossings(medium, rays, value):
+                    for which, at in crossings_by(partial(_first, medium, isovalue=value), medium.volume, rays):
                         _, rgb = _matter(plain, scene, rays, view, which, at, shading)
                         slot = np.abs(t[which] - at[:, None]).argmin(1)
                         thickness = np.full(which.size, min(-math.log1p(-opacity) if opacity < 1 else math.inf, _OPAQUE))
@@ -157,19 +156,11 @@ def _samples(rays: Rays, t: Array, step: Array) -> tuple[NDArray[np.intp], NDArr
     )
 
 
-def _crossings(medium: Medium, rays: Rays, isovalue: float) -> Iterator[tuple[NDArray[np.intp], Array]]:
-    """The rays that cross a surface, and where: first all first crossings, then all second ones, and so on."""
+def _first(medium: Medium, rays: Rays, isovalue: float) -> Array:
+    """Where rays cross a surface first."""
     row = as_filter(medium.filter or DEFAULT_FILTER)
     rule = medium.boundary if medium.boundary.edge else "mirror"
-    on = np.arange(len(rays.enter))
-    while True:
-        at = first_crossings(lambda p: sample(medium.volume, p, row, rule), medium.volume, row, rays, isovalue)
-        hit = np.flatnonzero(np.isfinite(at))
-        if not hit.size:
-            return
-        on = on[hit]
-        yield on, at[hit]
-        rays = Rays(rays.origin[hit], rays.direction[hit], at[hit] + _PAST * min(medium.volume.spacing), rays.leave[hit])
+    return first_crossings(lambda p: sample(medium.volume, p, row, rule), medium.volume, row, rays, isovalue)
 
 
 def _matter(

@@ -7,7 +7,7 @@ eigenvalues of the colleague matrix (Good 1961; Boyd, "Solving Transcendental Eq
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -18,11 +18,12 @@ from clvol.filter.filter import Filter
 from clvol.reference.march.rays import Rays
 from clvol.volume.volume import Volume
 
-__all__ = ["first_crossings"]
+__all__ = ["crossings_by", "first_crossings"]
 
 _LINES = 1 << 11  # lines at a time, to limit memory
 _EDGE = 1e-10  # tolerance for roots outside a piece, in half its length
 _REAL = 1e-7  # tolerance for imaginary parts, which for double roots are the square root of rounding
+_BEHIND = 1e-7  # voxels behind a crossing, from where the next is sought
 _NOTHING = 1e-14  # leading coefficients below this share of the largest are rounding errors
 _PAST = 1e-9  # voxels past a jump, to its far side
 
@@ -38,6 +39,19 @@ def first_crossings(value: Callable[[Array], Array], volume: Volume, filter: Fil
     for part in np.array_split(there, -(-there.size // _LINES)) if there.size else []:
         t[part] = _first(value, volume, filter, rays[part], isovalue)
     return t
+
+
+def crossings_by(first: Callable[[Rays], Array], volume: Volume, rays: Rays) -> Iterator[tuple[NDArray[np.intp], Array]]:
+    """The rays that cross a surface, and at which t: all first crossings, then all second ones, by what finds first ones."""
+    on = np.arange(len(rays.enter))
+    while True:
+        t = first(rays)
+        hit = np.flatnonzero(np.isfinite(t))
+        if not hit.size:
+            return
+        on = on[hit]
+        yield on, t[hit]
+        rays = Rays(rays.origin[hit], rays.direction[hit], t[hit] + _BEHIND * min(volume.spacing), rays.leave[hit])
 
 
 def _first(value: Callable[[Array], Array], volume: Volume, filter: Filter, rays: Rays, isovalue: float) -> Array:
