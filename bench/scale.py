@@ -33,7 +33,7 @@ from bench.bricks import Shells
 from clvol.bricks.field import BrickedField
 from clvol.dask.cluster import Cluster, as_cluster
 from clvol.march import cluster as parts
-from clvol.march.bricks import pixels_of
+from clvol.march.window import pixels_of
 
 _CAMERA = clvol.Camera.orbit(30, 20, fit="volume")
 _PIXELS = 512

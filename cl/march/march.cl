@@ -264,6 +264,47 @@ INLINE int next_part_of(tile_t *tile, constant frame_t *frame, global const floa
     return more;
 }
 
+#if WINDOWED
+
+// The interval of t in which rays may have samples in the window; empty if `enter` is past `leave`.
+INLINE void stretch_in_window(constant frame_t *frame, const ray_t *ray, real *enter, real *leave)
+{
+    const float reserve = 2.0f * frame->window.margin + ASTRAY;
+    constant float *low = frame->window.low, *high = frame->window.high;
+    *enter = ray->enter;
+    *leave = ray->leave;
+    clip_axis(ray->origin.x, ray->direction.x, low[0] - reserve, high[0] + reserve, enter, leave);
+    clip_axis(ray->origin.y, ray->direction.y, low[1] - reserve, high[1] + reserve, enter, leave);
+    clip_axis(ray->origin.z, ray->direction.z, low[2] - reserve, high[2] + reserve, enter, leave);
+}
+
+// Keeps the rays of a tile that may have samples in the window, and of these the sample numbers that may be inside.
+INLINE int enter_window(tile_t *tile, constant frame_t *frame)
+{
+    float first = INFINITY, last = -INFINITY;
+    int some = 0;
+    for (int g = 0; g < PACKETS; ++g) {
+        const ray_t *ray = tile->rays + g;
+        real enter, leave;
+        stretch_in_window(frame, ray, &enter, &leave);
+        tile->going[g] &= enter <= leave;
+        if (!any_lane(tile->going[g]))
+            continue;
+        some = 1;
+        const mask apart = ray->alone;   // its step is 0
+        const real per_step = 1.0f / choose(apart, (real)(1.0f), ray->step);
+        const real from = choose(apart, ray->begin, round_down((enter - ray->first) * per_step) - 1.0f);
+        const real to = choose(apart, ray->end, round_down((leave - ray->first) * per_step) + 2.0f);
+        first = MIN(first, min_lane(choose(tile->going[g], from, NOWHERE)));
+        last = MAX(last, max_lane(choose(tile->going[g], to, -NOWHERE)));
+    }
+    tile->first = MAX(tile->first, first);
+    tile->last = MIN(tile->last, last);
+    return some;
+}
+
+#endif
+
 // Rays enter, or enter again behind a corner, those whose samples then have a number between `from` and `to`: the face of a cut is
 // in front of all samples.
 INLINE void enter_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame, global const float4 *table,

@@ -56,5 +56,6 @@ INLINE mask in_window(constant frame_t *frame, const ray_t *ray, const real t)
 #define STORED_TO(frame, extent, axis) ((axis) == 0 ? (extent).x : (axis) == 1 ? (extent).y : (extent).z)
 #define WHOLE STORED_TO
 #define BLOCKS_FROM(frame, axis) 0
+#define whole_pointer(coefficients, extent, frame) (coefficients)
 
 #endif

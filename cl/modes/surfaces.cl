@@ -33,7 +33,18 @@ INLINE void begin(state_t *s)
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->light < FAINT; }
 
 #if ADDED
-INLINE void light_left(state_t *s, const real opacity, const real rest) { s->light = (1.0f - opacity) - rest; }
+INLINE void set_light(state_t *s, const real opacity, const real rest, const real side)
+{
+    s->light = (1.0f - opacity) - rest;
+    s->side = side;
+}
+
+INLINE void light_of(const state_t *s, real *opacity, real *rest, real *side)
+{
+    *opacity = (real)(1.0f);
+    *rest = -s->light;   // which is exact
+    *side = s->side;
+}
 #endif
 
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)

@@ -16,7 +16,7 @@ from clvol.base.errors import FormatError
 from clvol.bricks.chunks import Chunks, lines_of
 from clvol.bricks.field import _needs
 from clvol.device import Device
-from clvol.march.bricks import front_to_back
+from clvol.march.window import front_to_back
 from tests.bricks.test_source import Counted
 
 DATA = np.random.default_rng(0).integers(0, 4000, (40, 50, 60), np.uint16)

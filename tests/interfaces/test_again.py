@@ -81,6 +81,17 @@ def test_several_media_are_the_same_to_the_bit(folder: Path, mode: str, device: 
         render_again(path)
 
 
+def test_several_media_that_are_read_by_bricks_are_again(folder: Path, device: Device) -> None:
+    red = clvol.TransferFunction(((0, "red"),), ((0.2, 0), (0.7, 0.4)))
+    np.save(folder / "ball.npy", clvol.phantoms.sphere(12).data)
+    media = clvol.Medium(clvol.open(folder / "ball.npy"), red), clvol.Medium(clvol.read(folder / "volume.nrrd"))  # type: ignore[arg-type]
+    first = clvol.render(clvol.Scene(media), size=SIZE, device=device)
+    np.testing.assert_array_equal(render_again(first.save(folder / "several.png"), device=device), first)
+    np.save(folder / "ball.npy", clvol.phantoms.sphere(14).data)
+    with pytest.raises(DataError, match=r"ball\.npy has changed since"):
+        render_again(folder / "several.png")
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_it_is_the_same_to_the_bit(folder: Path, case: str, device: Device) -> None:
     first = clvol.render(clvol.read(folder / "volume.nrrd"), size=SIZE, device=device, **CASES[case])

@@ -16,8 +16,9 @@ import clvol
 import clvol.device
 from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.bricks.field import BrickedField
-from clvol.march.bricks import Pass, front_to_back, level_of
+from clvol.march.bricks import Pass, level_of
 from clvol.march.renderer import Renderer
+from clvol.march.window import front_to_back
 from clvol.spline.evaluator import DIRECT
 from tests.bricks.test_source import Counted
 

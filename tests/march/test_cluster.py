@@ -130,6 +130,23 @@ def test_from_any_view_with_a_prefilter(
     np.testing.assert_array_equal(many, one)
 
 
+@pytest.mark.parametrize("rays", ["auto", 2])
+def test_several_media_go_together_in_each_worker(cluster: Cluster, volume: clvol.LazyVolume, rays: Any) -> None:
+    look = clvol.TransferFunction([(0, "red"), (1, "white")], [(0.3, 0), (1, 0.2)])
+    ball = clvol.Volume(clvol.phantoms.sphere(24).data, (2, 2, 2), (1, 2, 3))
+    scene = clvol.Scene([clvol.Medium(volume, look, filter="mitchell"), clvol.Medium(ball, look, filter="linear")])  # type: ignore[arg-type]
+    with Renderer(scene) as one, Renderer(scene, cluster=cluster) as many:
+        done: list[float] = []
+        want = one.render(size=(90, 70), rays=rays, outputs=["rgba", "depth"])
+        got = many.render(size=(90, 70), rays=rays, outputs=["rgba", "depth"], progress=done.append)
+        assert done[-1] == 1
+        for name in want:
+            np.testing.assert_array_equal(got[name], want[name])
+        surface = {"size": (40, 30), "mode": "isosurface", "isovalue": 0.5}
+        np.testing.assert_array_equal(many.render(**surface), one.render(**surface))
+        assert len(pickle.dumps(many)) < 1 << 20
+
+
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize(("mode", "options"), [pair for pair in MODES if "method" not in pair[1]])
 def test_merging_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import clvol
-from clvol import Camera, Corner, Medium, Plane, Scene, TransferFunction, Volume
+from clvol import Camera, Corner, LazyVolume, Medium, Plane, Scene, TransferFunction, Volume
 from clvol.base.errors import ClvolError, ClvolWarning, DataError, GeometryError, OptionError
 from clvol.device import Device
 from clvol.reference.march.media import render_media
@@ -307,6 +308,89 @@ def test_refined_pictures_end_with_the_whole_one(device: Device) -> None:
             np.testing.assert_array_equal(last, renderer.render(camera("perspective"), mode, (80, 60)))
 
 
+def lazy(medium: Medium, **changes: Any) -> Medium:
+    """A medium that is read by bricks."""
+    volume: Any = LazyVolume(
+        medium.volume.data, **{name: getattr(medium.volume, name) for name in ("spacing", "origin", "direction")}
+    )
+    return replace(medium, volume=volume, **changes)
+
+
+def small_bricks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("clvol.bricks.field.edge_for", lambda *_, **_options: 8)
+
+
+HOLED = np.where(np.random.default_rng(3).random((18, 12, 22)) < 0.02, np.nan, MEDIA["turned"].volume.data)
+OPAQUE = {"surfaces": [(0.4, "red", 0.4), (0.55, "white", 1.0)], "transfer": None}
+BRICKED: dict[str, tuple[Medium, ...]] = {
+    "matter": (replace(FIRST, filter="catmull-rom"), MEDIA["one grid"], MEDIA["turned"]),
+    "surfaces": (replace(FIRST, filter="bspline3-approx", **OPAQUE), replace(MEDIA["turned"], filter="nearest", **OPAQUE)),
+    "cut": (replace(FIRST, filter="linear", clip=Corner((8, 8, 8), (40, 40, 40))), replace(MEDIA["a slice"], filter="nearest")),
+    "missing": (replace(FIRST, filter="linear"), replace(MEDIA["turned"], volume=replace(MEDIA["turned"].volume, data=HOLED))),
+}
+
+
+@pytest.mark.one_in(2)
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("case", BRICKED)
+def test_bricks_change_no_bit(case: str, view: str, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    small_bricks(monkeypatch)
+    first, *others = BRICKED[case]
+    look: dict[str, Any] = {
+        "clip": Plane((1, 0.3, 0.2), (16, 11, 10)),
+        "rays": "auto",
+        "outputs": ("rgba", "depth"),
+        "device": device,
+    }
+    want = clvol.render(Scene([first, *others]), camera(view), size=SIZE, **look)
+    for media in ([lazy(first), *others], [first, *map(lazy, others)], [*map(lazy, others[::-1]), lazy(first)]):
+        got = clvol.render(Scene(media), camera(view), size=SIZE, **look)
+        for name in want:
+            np.testing.assert_array_equal(got[name], want[name], name)
+    assert want["rgba"].any()
+
+
+def test_by_bricks_other_modes_and_what_is_read(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    small_bricks(monkeypatch)
+    media = MEDIA["one grid"], MEDIA["turned"]
+    with clvol.Renderer(Scene(list(map(lazy, media))), device=device, memory=1 << 22) as renderer:
+        for mode in ("isosurface", "mip", "mean"):
+            want = clvol.render(Scene(media), camera("wide"), mode, SIZE, device=device)
+            np.testing.assert_array_equal(renderer.render(camera("wide"), mode, SIZE), want)
+        *_, last = renderer.refine(camera("wide"), size=SIZE)
+        np.testing.assert_array_equal(last, renderer.render(camera("wide"), size=SIZE, skipping=False))
+        hidden = [replace(renderer.scene.media[0], visible=False), lazy_of(renderer, 1)]
+        np.testing.assert_array_equal(renderer.render(size=SIZE, media=hidden), clvol.render(media[1], size=SIZE, device=device))
+        again = pickle.loads(pickle.dumps(renderer))
+        np.testing.assert_array_equal(again.render(camera("wide"), size=SIZE), last)
+        again.close()
+    alone = lazy(media[1])
+    np.testing.assert_array_equal(clvol.render(alone, size=SIZE, device=device), clvol.render(media[1], size=SIZE, device=device))
+
+
+def lazy_of(renderer: clvol.Renderer, number: int) -> Medium:
+    """A medium as it was given, of the volume that is read by bricks."""
+    (asked, *_), _ = renderer._source.recipe()
+    return asked.media[number]
+
+
+def test_each_medium_has_a_level_of_its_own(device: Device) -> None:
+    fine = Volume(gaussian_filter(np.random.default_rng(4).normal(size=(32, 32, 32)), 2).astype(np.float32))
+    coarse = Volume(fine.data[::2, ::2, ::2], (2, 2, 2), (0.5, 0.5, 0.5))
+    levels = LazyVolume(fine.data, levels=[LazyVolume(coarse.data, coarse.spacing, coarse.origin)])
+    look = TransferFunction([(0, "white")], [(0, 0), (0.1, 0.2)], unit_distance=1.0)
+    media = Medium(fine, look, filter="linear"), Medium(levels, look, filter="linear"), Medium(coarse, look, filter="linear")  # type: ignore[arg-type]
+    own = Medium(Volume(np.zeros((8, 8, 8), np.float32), spacing=(4, 4, 4)), soft("red", 0.5), filter="linear")
+    view = Camera.orbit(target=fine.center, radius=30)  # type: ignore[arg-type]  # three
+    fine_one, of_levels, coarse_one = (Scene([medium, own]) for medium in media)
+    for lod, want in ((0.0, fine_one), (8.0, coarse_one)):
+        got = clvol.render(of_levels, view, size=SIZE, lod=lod, device=device)
+        assert np.abs(got - clvol.render(want, view, size=SIZE, device=device)).max() < 1e-6
+    with clvol.Renderer(of_levels, device=device) as renderer:
+        pictures = list(renderer.refine(view, size=SIZE, lod=0.0))
+    assert [picture.final for picture in pictures] == [False, True]
+
+
 TWO = Scene([FIRST, MEDIA["one grid"]])
 REFUSED: dict[str, tuple[Any, str]] = {
     "a transfer function of which": (lambda: clvol.render(TWO, transfer=soft("red", 0.1)), "transfer must be left to the media"),
@@ -324,8 +408,9 @@ REFUSED: dict[str, tuple[Any, str]] = {
     ),
     "surfaces and a transfer function": (lambda: Medium(FIRST.volume, cmap="bone", **SHELLS), "cmap must be left out"),
     "surfaces that are none": (lambda: Medium(FIRST.volume, surfaces="0.5"), "a surface must be"),
-    "by bricks": (lambda: clvol.Renderer(TWO, memory=1 << 26), "memory takes one medium"),
-    "on a cluster": (lambda: clvol.Renderer(TWO, cluster=2), "cluster takes one medium"),
+    "too little memory": (lambda: clvol.Renderer(Scene([lazy(FIRST), FIRST]), memory=1000), "memory must be"),
+    "another volume": (lambda: clvol.render(TWO, media=[lazy(FIRST), TWO.media[1]]), "media must be the scene's"),
+    "levels of one size": (lambda: clvol.render(Scene([lazy(FIRST), FIRST]), lod=2.0), "lod changes nothing"),
     "a mask for which": (lambda: clvol.Renderer(TWO, mask=np.zeros((20, 22, 24), bool)), "mask must be left to the media"),
     "a cap where nothing is cut": (lambda: clvol.render(TWO, mode="isosurface", cap=True), "nothing is cut away by clip"),
     "uncertainty": (lambda: clvol.render(TWO, mode="isosurface", outputs="uncertainty"), "takes a scene of one medium"),

@@ -89,6 +89,12 @@ class Buffers:
             self._launches.settle()
             opencl().enqueue_copy(driver.queue, array, buffer)
 
+    def copy(self, source: Any, target: Any, size: int) -> None:
+        """Copy the first bytes of a buffer to another."""
+        driver = self._driver
+        with driver.errors:
+            opencl().enqueue_copy(driver.queue, target, source, byte_count=size)
+
     def clear(self, buffer: Any, first: int, count: int, kind: type[np.generic] = np.float32) -> None:
         """Set `count` numbers of a buffer, from number `first` on, to zero."""
         driver = self._driver

@@ -80,7 +80,7 @@ def render_again(
     if others:
         return _several_again(path, volume, recipe, seen, device, progress)
     given = volume is not None
-    volume = _found(path, medium.volume, recipe) if volume is None else volume
+    volume = _found(path, medium.volume, by_bricks=recipe.by_bricks) if volume is None else volume
     same = facts_text(volume.grid, volume.preview()) == facts_text(medium.volume, medium.volume)
     if not same and not given:
         raise _changed(path, medium.volume)
@@ -111,11 +111,17 @@ def _several_again(
     if volume is not None:
         raise OptionError(f"volume stands for the only medium of a picture; {path} shows {len(recipe.scene.media)}: leave it out")
     media = []
-    for medium in recipe.scene.media:
-        found = _found(path, medium.volume, recipe)
+    for number, medium in enumerate(recipe.scene.media):
+        lazy = number in recipe.bricked
+        found = _found(path, medium.volume, by_bricks=lazy)
         if facts_text(found.grid, found.preview()) != facts_text(medium.volume, medium.volume):
             raise _changed(path, medium.volume)
-        media.append(replace(medium, volume=found if isinstance(found, Volume) else found.whole()))
+        if lazy:
+            found = as_lazy(found)
+            if found.levels:
+                seen = seen | {"lod": recipe.lod}
+        own: Any = found if lazy or isinstance(found, Volume) else found.whole()
+        media.append(replace(medium, volume=own))
     with as_device(device).limited(**recipe.limits), Renderer(replace(recipe.scene, media=tuple(media)), device=device) as renderer:
         picture: Picture = renderer.render(recipe.camera, progress=progress, **seen)
     if recipe.size == seen["size"]:
@@ -137,7 +143,7 @@ def facts_text(volume: Volume, preview: Volume) -> str:
     return repr({name: np.asarray(value).tolist() for name, value in known.items()})
 
 
-def _found(path: Path, wanted: Volume, recipe: Recipe) -> Volume | LazyVolume:
+def _found(path: Path, wanted: Volume, *, by_bricks: bool) -> Volume | LazyVolume:
     """The volume of a picture, from where it was."""
     known: dict[str, Any] = dict(provenance_of(wanted) or {})
     source = known.pop("path", None)
@@ -154,7 +160,7 @@ def _found(path: Path, wanted: Volume, recipe: Recipe) -> Volume | LazyVolume:
         )
     filled = known.pop("fill_nan", None)
     try:
-        if recipe.by_bricks and known.get("missing") is None and filled is None:
+        if by_bricks and known.get("missing") is None and filled is None:
             return opened(place, **known)
         return _filled(read(place, **known), filled)
     except TypeError as error:

@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, Unpack
 
 import numpy as np
 
@@ -351,6 +351,12 @@ def _shown(samples: Volume, options: Mapping[str, Any]) -> dict[str, Any]:
     return rest | {"mode": mode}
 
 
+class _Some(NamedTuple):
+    """A medium of few samples, from which its look is chosen."""
+
+    preview: Volume
+
+
 def _place(volumes: Sequence[Drawable], looks: Sequence[Mapping[str, Any]], aspect: float) -> dict[str, Any]:
     """Target and radius of a camera that sees what any volume shows in any look; nothing for a placed camera, or one look."""
     cameras = [look.get("camera") or Camera.orbit() for look in looks]
@@ -366,7 +372,8 @@ def _place(volumes: Sequence[Drawable], looks: Sequence[Mapping[str, Any]], aspe
             options = dict(look)
             options.pop("camera", None)
             mode = chosen_mode(options.pop("mode", DEFAULT_MODE), options)
-            placed.append(ResolvedLook.of(as_scene(Medium(some)), some, camera, mode, options).placed(aspect).camera)  # type: ignore[arg-type]  # by name
+            found = ResolvedLook.of(as_scene(Medium(some)), lambda medium: _Some(medium.volume), camera, mode, options)  # type: ignore[arg-type]  # by name
+            placed.append(found.placed(aspect).camera)
     centers = np.array([one.target for one in placed])
     center = (centers.min(0) + centers.max(0)) / 2
     reach = max(float(np.linalg.norm(c - center)) + (one.radius or 0.0) for c, one in zip(centers, placed, strict=True))

@@ -6,12 +6,11 @@ and never read, if no unfinished ray reaches them, or if none of their values is
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +18,15 @@ from numpy.typing import NDArray
 from clvol.base import memory
 from clvol.base.progress import part_of
 from clvol.march.launch import Drawing, launched_over, lent_pictures, pictures_of
+from clvol.march.window import Area, boxes_of, brick_inputs, front_to_back, may_matter, pixels_of, pyramid_of, set_ends, share_of
 from clvol.spline.lease import release
-from clvol.spline.minmax import minmax_block
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
-    from clvol.base.uniform import Values
     from clvol.bricks.field import BrickedField
     from clvol.bricks.grid import Brick
     from clvol.bricks.residents import Resident
-    from clvol.bricks.source import Index, LazyVolume
+    from clvol.bricks.source import LazyVolume
     from clvol.device.program import Program
     from clvol.filter.filter import Filter
     from clvol.march.frame import Frame
@@ -37,23 +35,7 @@ if TYPE_CHECKING:
     from clvol.spline.minmax import MinMax
     from clvol.volume.volume import Volume
 
-__all__ = [
-    "STEPPED_AT_MOST",
-    "Area",
-    "BrickedDrawing",
-    "Carried",
-    "Pass",
-    "boxes_of",
-    "fields_of",
-    "front_to_back",
-    "level_of",
-    "level_within",
-    "nearest_to",
-    "pixels_of",
-]
-
-Area: TypeAlias = tuple[int, int, int, int]
-"""x, y, width and height in pixels."""
+__all__ = ["STEPPED_AT_MOST", "BrickedDrawing", "Carried", "Pass", "fields_of", "level_of", "level_within", "nearest_to"]
 
 STEPPED_AT_MOST = 3.0
 """Most voxels between two samples of a ray, if a picture depends on the function between them: the width of a brick's rim."""
@@ -80,11 +62,6 @@ class BrickedDrawing(Drawing):
     ) -> None:
         super().__init__(frame, rays, filter)
         self._field, self._view, self._skipping = field, view, skipping
-
-    @property
-    def _beside(self) -> int:
-        """Most pixels between a ray and its pixel."""
-        return math.ceil(max(float(np.abs(offset - 0.5).max()) for offset, _ in self._pattern))
 
     def _make_ready(self) -> None:
         self._program = self.frame.program("march/bricks.cl", windowed=True)
@@ -160,9 +137,7 @@ class BrickedDrawing(Drawing):
                             if self._wanted(passes, following):
                                 field.store.read_ahead(following)
                                 break
-                        minmax = (
-                            field.bounds.pyramid(part, self.frame.evaluator) if self._skipping and self.frame.mode.skips else None
-                        )
+                        minmax = pyramid_of(self.frame, field, part, skipping=self._skipping)
                         if self._may_matter(brick):  # again, with the bounds of the brick just read
                             for one, area in wanted:
                                 one.march(part, minmax, brick, field, area)
@@ -195,11 +170,7 @@ class BrickedDrawing(Drawing):
 
     def _may_matter(self, brick: Brick) -> bool:
         """Whether some value in a brick may be visible, by its known bounds."""
-        mode = self.frame.mode
-        if not (self._skipping and mode.skips):
-            return True
-        ends = self._field.bounds.of(brick)
-        return ends is None or mode.interval_matters(*ends, self.frame.transfer)
+        return may_matter(self.frame, self._field, brick, skipping=self._skipping)
 
 
 @dataclass(frozen=True)
@@ -273,7 +244,7 @@ class Pass:
     def asks_for(self, brick: Brick, ends: tuple[float, float] | None, area: Area) -> bool:
         """Whether any ray of an area meets a brick, and stored values between its `ends` could change the ray's result."""
         device, values, found = self.frame.device, self.frame.values.copy(), np.zeros(1, np.int32)
-        values["window"]["low"], values["window"]["high"] = brick.low, brick.high
+        set_ends(values, brick, self.frame)
         low, high = (-_ANY, _ANY) if ends is None else ends
         wanted = device.buffers.upload(found)
         block = device.buffers.upload(values[None])
@@ -284,32 +255,10 @@ class Pass:
 
     def march(self, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField, area: Area) -> None:
         """March rays through a resident brick."""
-        frame, device = self.frame, self.frame.device
-        values = frame.values.copy()
-        _set_window(values, own, minmax, brick, field)
-        values["minmax"] = minmax_block(minmax, field.volume.grid, frame.planes.margin)
-        made = own.coefficients
-        missing = nothing = self._table  # any buffer: it is not read
-        if frame.gaps is not None:
-            missing, values["gaps"] = frame.gaps.part(brick.low, brick.high, frame.planes.step)
-        sides = minmax.sides(sought) if minmax is not None and (sought := frame.sought) else nothing
-        self._over(
-            "march_brick",
-            area,
-            made.argument(frame.evaluator),
-            made.extent,
-            nothing if minmax is None else minmax.buffer,
-            sides,
-            missing,
-            device.buffers.upload(values[None]),
-            self._table,
-            self._places,
-            self._memory,
-            self._shown,
-            self._flags,
-            share=max(min(1.0, field.edge / n) for n in field.volume.size),
-        )
-        device.buffers.download(self._flags, self._going)
+        inputs = brick_inputs(self.frame, own, minmax, brick, field, self._table)
+        rays = self._places, self._memory, self._shown, self._flags
+        self._over("march_brick", area, *inputs, *rays, share=share_of(field))
+        self.frame.device.buffers.download(self._flags, self._going)
 
     @property
     def going(self) -> bool:
@@ -371,30 +320,6 @@ class Pass:
         release(self.frame.device, self._memory, self._shown)
 
 
-def front_to_back(field: BrickedField, view: Viewpoint, box: tuple[Index, Index] | None = None) -> list[Brick]:
-    """The bricks of a field, or of a box of them, in an order in which none is behind one that comes later.
-
-    Along each axis they are ordered outwards from the eye, or along the view. The axes may then be nested in any order; an axis
-    along which chunks are no longer than bricks is first, so that chunks are decompressed for one layer of bricks at a time.
-    """
-    grid, inverse = field.volume.grid, field.volume.grid.world_to_index_matrix
-    ways = []
-    for axis, (first, past) in enumerate(zip(*(box or ((0, 0, 0), field.bricks.counts)), strict=True)):
-        if view.orthographic:
-            forwards = float((inverse @ view.forward)[axis]) >= 0
-            ways.append(list(range(first, past)) if forwards else list(range(first, past))[::-1])
-            continue
-        eye = (float(view.eye_in(grid)[axis]) - field.bricks.offset) / field.edge
-        nearest = min(max(math.floor(eye), first), past - 1)
-        ways.append([*range(nearest, past), *range(first, nearest)[::-1]])  # neighbours, which share chunks, are successive
-    x, y, z = ways
-    along = np.abs(inverse @ view.forward)
-    order = sorted(range(3), key=lambda axis: (field.long_chunks[axis], -along[axis], -axis))
-    lists = [(x, y, z)[axis] for axis in order]
-    places = (dict(zip(order, at, strict=True)) for at in itertools.product(*lists))
-    return [field.bricks[at[0], at[1], at[2]] for at in places]
-
-
 def level_of(volume: LazyVolume, view: Viewpoint, size: tuple[int, int], pixels: float) -> int:
     """The coarsest level whose voxels span at most `pixels` where the volume is nearest to the viewer; 0 is the finest."""
     nearest = 1.0 if view.orthographic else nearest_to(volume, view)
@@ -415,48 +340,3 @@ def fields_of(frame: Frame) -> int:
     """Numbers stored for each ray."""
     mode = frame.mode
     return mode.state_fields + 1 + 3 * mode.finished_there + 3 * frame.guides
-
-
-def _set_window(values: Values, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> None:
-    """Set the kernels' parameters of the resident part in a frame's block."""
-    stored_from = [first * field.filter.scale for first in brick.first]
-    z, y, x = own.coefficients.shape
-    cells_from, cells_to = field.bricks.cells(brick)
-    first = (0, 0, 0) if minmax is None else minmax.first
-    window = values["window"]
-    window["low"], window["high"] = brick.low, brick.high
-    window["cells_from"], window["cells_to"] = cells_from, cells_to
-    window["stored_from"] = stored_from
-    window["stored_to"] = [first + n for first, n in zip(stored_from, (x, y, z), strict=True)]
-    window["blocks_from"] = [a + b for a, b in zip(stored_from, first, strict=True)]
-    window["whole"] = field.coefficients.extent[:3]
-
-
-def boxes_of(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.float32]:
-    """The box of a picture in which the rays of each tile of a list are: left, top, right, bottom; (rows, columns, 4)."""
-    rows, columns = -(-places.shape[0] // down), -(-places.shape[1] // across)
-    boxes = np.empty((rows, columns, 4), np.float32)
-    for i in range(rows):
-        for j in range(columns):
-            tile = places[i * down : (i + 1) * down, j * across : (j + 1) * across].reshape(-1, 2)
-            boxes[i, j] = (*tile.min(0), *tile.max(0))
-    return boxes
-
-
-def pixels_of(brick: Brick, view: Viewpoint, grid: Volume, width: int, height: int, beside: int) -> Area:
-    """The pixels (left, top, right, bottom) between which rays lie that meet a brick; all of them if it reaches behind the eye."""
-    low = np.maximum(np.asarray(brick.low), -0.5) - 1
-    high = np.minimum(np.asarray(brick.high), np.asarray(grid.size) - 0.5) + 1
-    corners = low + np.array(list(itertools.product((0, 1), repeat=3))) * (high - low)
-    away = grid.index_to_world(corners) - view.eye
-    ahead = away @ view.forward
-    spread = np.ones(8)
-    if not view.orthographic:
-        if ahead.min() <= 1e-3 * grid.mean_spacing:
-            return 0, 0, width, height
-        spread = ahead
-    x = (away @ view.right / (spread * view.half_height * width / height) + 1) / 2 * width
-    y = (1 - away @ view.up / (spread * view.half_height)) / 2 * height
-    left, top = (max(0, math.floor(min(float(v.min()), 1e9)) - 1 - beside) for v in (x, y))
-    right, bottom = (min(n, math.ceil(max(float(v.max()), -1e9)) + 2 + beside) for v, n in ((x, width), (y, height)))
-    return left, top, right, bottom

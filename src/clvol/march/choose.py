@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from clvol.base.checks import one_of, whole
-from clvol.base.errors import OptionError, OutOfMemoryError
+from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.bricks.continued import continued, holed, lacks_some
-from clvol.bricks.field import BrickedField
+from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
+from clvol.march.media import MediaDrawing
 from clvol.march.options import MERGES
 from clvol.scene.scene import Medium, Scene, as_scene, channels
 from clvol.spline.field import Field, as_field
@@ -27,8 +30,10 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
+    from clvol.march.cluster import Workers
     from clvol.march.options import Merge
     from clvol.march.source import Drawable, Source
+    from clvol.volume.volume import Volume
 
 
 from clvol.march.source import ByBricks, InMemory, Several, by_parts, lacks_samples, row_for, single, usual_filter
@@ -59,49 +64,136 @@ def source_of(
         if cluster is not None:
             raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
         return _of_field(given, filter, boundary, device, memory)
+    how = _How(device, memory, cluster is None)
     if isinstance(given, LazyVolume):
         memory_for(given, memory)  # before anything is read
-        if mask is not None or lacks_some(given):
+        if mask is not None:
             given = continued(given, mask)
         row = filter if usual is None else row_for(given, filter, usual)
-        field = BrickedField(
-            given, usual_filter(given) if row is None else row, boundary, device, memory=memory, at_once=cluster is None
-        )
-        medium = Medium(field.coefficients.volume, filter=None if row is None else field.filter, boundary=field.boundary)
-        scene, preview = as_scene(medium), given.preview()
-        arguments: tuple[Any, ...] = given, medium.filter, medium.boundary
+        field, medium = _lazy(given, row, boundary, how)
+        scene, preview = as_scene(medium), field.volume.preview()
+        arguments: tuple[Any, ...] = field.volume, medium.filter, medium.boundary
     else:
         if memory is not None:  # which has no effect where the coefficients fit on the device
-            memory = whole("memory", memory, 1)
-        scene = _scene(given, filter, boundary, usual)
+            how = how._replace(memory=whole("memory", memory, 1))
+        asked = scene = _scene(given, filter, boundary, usual)
         if len(scene.media) > 1:
-            return _of_several(scene, device, memory, cluster)
-        (medium,) = scene.media
-        arguments, preview = (scene, None, None), medium.volume
-        row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
-        if lacks_samples(medium.volume):
-            row = settled(row, medium.volume)  # before they are filled
-        if cluster is None:
+            return _of_several(scene, how, cluster, merge)
+        made, medium, preview = _made(scene.media[0], how)
+        if medium is not scene.media[0]:
+            scene = scene.of_media([medium])
+        arguments = asked, None, None
+        if isinstance(made, Field):
+            return InMemory(scene, made, preview, arguments)
+        field = made
+    workers = None
+    if cluster is not None:
+        from clvol.march.cluster import Workers
+
+        workers = Workers(cluster, merge, device, memory)
+        field = workers.shared_out(field)
+    return ByBricks(scene, field, preview, arguments, workers)
+
+
+def _source(
+    scene: Scene, field: Field | BrickedField, preview: Volume, arguments: tuple[Any, ...], workers: Workers | None = None
+) -> InMemory | ByBricks:
+    """The source of a scene of one medium."""
+    if isinstance(field, Field):
+        return InMemory(scene, field, preview, arguments)
+    return ByBricks(scene, field, preview, arguments, workers)
+
+
+class _How(NamedTuple):
+    """How functions are made."""
+
+    device: Device | str | int | None
+    memory: int | None
+    here: bool  # in this process, not by those of a cluster
+    sharing: int = 1  # how many share the memory
+
+    def budget(self, volume: LazyVolume) -> int | None:
+        """Bytes for the bricks of a volume."""
+        if self.sharing == 1:
+            return self.memory
+        return memory_for(volume, None, self.sharing) if self.memory is None else self.memory // self.sharing
+
+
+def _lazy(volume: LazyVolume, row: str | Filter | None, boundary: str | Boundary | None, how: _How) -> tuple[BrickedField, Medium]:
+    """The function of a volume that is read by bricks, and its medium."""
+    if lacks_some(volume):
+        volume = continued(volume)
+    used = usual_filter(volume) if row is None else row
+    field = BrickedField(volume, used, boundary, how.device, memory=how.budget(volume), at_once=how.here)
+    known = field.coefficients.volume
+    return field, Medium(known, filter=None if row is None else field.filter, boundary=field.boundary)
+
+
+def _made(medium: Medium, how: _How) -> tuple[Field | BrickedField, Medium, Volume]:
+    """The function of a medium, by bricks if need be; the medium, of what is known of a volume in parts; and its preview."""
+    volume: Any = medium.volume
+    if is_in_parts(volume):
+        memory_for(volume, how.memory)
+        field, made = _lazy(volume, medium.filter, medium.boundary, how)
+        vars(made.volume)["_of"] = medium  # which looks may be given of: `Medium.with_look`
+        return field, replace(medium, volume=made.volume, filter=made.filter), field.volume.preview()
+    row = filter_for(volume, medium.filter, PICTURE_FILTER)
+    if lacks_samples(volume):
+        row = settled(row, volume)  # before they are filled
+    if how.here:
+        try:
+            return single(volume, row, medium.boundary, how.device), medium, volume
+        except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
+            pass
+    lazy = as_lazy(by_parts(volume))
+    return BrickedField(lazy, row, medium.boundary, how.device, memory=how.budget(lazy), at_once=how.here), medium, volume
+
+
+def _of_several(scene: Scene, how: _How, cluster: ClusterLike | None, merge: Merge) -> Source:
+    """The source of several media."""
+    how = how._replace(sharing=len(scene.media))
+    workers, device = None, how.device
+    begin: Callable[..., MediaDrawing] = MediaDrawing
+    keywords: dict[str, Any] = {} if how.memory is None else {"memory": how.memory}
+    if cluster is not None:
+        from clvol.march.cluster import ClusterMediaDrawing, Workers
+
+        workers = Workers(cluster, merge, device, how.memory, how.sharing)
+        begin, keywords = partial(ClusterMediaDrawing, workers), workers.keywords
+    made: dict[tuple[Any, ...], tuple[Field | BrickedField, Medium, Volume]] = {}
+    media, parts = [], []
+    try:
+        for number, medium in enumerate(scene.media):
             try:
-                made = single(medium.volume, row, medium.boundary, device)
-                return InMemory(scene, made, preview, arguments)
-            except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
-                pass
-        field = BrickedField(by_parts(medium.volume), row, medium.boundary, device, memory=memory, at_once=cluster is None)
-    if cluster is None:
-        return ByBricks(scene, field, preview, arguments)
-    from clvol.march.cluster import Workers
+                key = _function_of(medium)
+                if key not in made:
+                    made[key] = _made(medium, how)
+            except DataError as error:
+                raise DataError(f"medium {number} of the scene: {error}") from error
+            field, known, preview = made[key]
+            if workers is not None:
+                field = workers.shared_out(cast("BrickedField", field))
+                made[key] = field, known, preview
+            how = how._replace(device=field.device)
+            if known.volume is not medium.volume:
+                medium = replace(medium, volume=known.volume, filter=known.filter)
+            media.append(medium)
+            parts.append(_source(scene.of_media([medium]), field, preview, (field,), workers))
+        arguments = scene, None, None, how.device if workers is None else device
+        return Several(scene.of_media(media), parts, arguments, keywords, begin)
+    except BaseException:
+        for field, *_ in made.values():
+            field.close()
+        raise
 
-    workers = Workers(cluster, merge, device, memory)
-    return ByBricks(scene, workers.shared_out(field), preview, arguments, workers)
 
-
-def _of_several(scene: Scene, device: Device | str | int | None, memory: int | None, cluster: ClusterLike | None) -> Source:
-    """The source of several media, all of whose coefficients fit on the device."""
-    for name, value in (("cluster", cluster), ("memory", memory)):
-        if value is not None:
-            raise OptionError(f"{name} takes one medium, which is read by bricks; several are drawn in memory. Got {value!r}")
-    return Several(scene, device)
+def _function_of(medium: Medium) -> tuple[Any, ...]:
+    """What coefficients depend on, which looks of one volume share."""
+    volume: Any = medium.volume
+    row = medium.filter
+    if not is_in_parts(volume):
+        row = settled(filter_for(volume, row, PICTURE_FILTER), volume)
+    return id(volume), row, medium.boundary
 
 
 def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | None, usual: str | None) -> Scene:

@@ -4,6 +4,9 @@ A kd-tree divides the bricks into boxes, so that they have a visibility order fr
 areas. "order": the states of an area's rays go from box to box, front to back, while other boxes work on other areas; the picture
 equals that of a single process to the last bit, and hidden boxes are not read. "tree": rays go through all boxes at once, and
 their states are merged in pairs; no box waits for another, but hidden boxes are read.
+
+Of several media each worker draws areas of the picture, and reads what it sees: samples of all media go together before light goes
+through them, so that rays stay where they are. The picture is that of one process, to the last bit.
 """
 
 from __future__ import annotations
@@ -14,9 +17,9 @@ import threading
 import uuid
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +40,12 @@ from clvol.dask.cluster import (
     worker_device,
 )
 from clvol.device import Device
-from clvol.march.bricks import BrickedDrawing, boxes_of, front_to_back, pixels_of
+from clvol.march.bricks import BrickedDrawing
 from clvol.march.frame import tile_of
 from clvol.march.gaps import Gaps
+from clvol.march.launch import pictures_of
+from clvol.march.media import Bricked, MediaDrawing
+from clvol.march.window import boxes_of, front_to_back, pixels_of
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
@@ -47,18 +53,22 @@ if TYPE_CHECKING:
     from clvol.dask.cluster import Cluster, ClusterLike
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
-    from clvol.march.bricks import Area, Carried, Pass
+    from clvol.march.bricks import Carried, Pass
     from clvol.march.frame import Frame
+    from clvol.march.launch import Picture
     from clvol.march.options import Merge
+    from clvol.march.window import Area
     from clvol.scene.camera import Viewpoint
 
-__all__ = ["ClusterDrawing", "Group", "Shared", "Workers", "groups_of", "visible"]
+__all__ = ["ClusterDrawing", "ClusterMediaDrawing", "Group", "Shared", "Workers", "groups_of", "visible"]
 
 _GROUPS = 4  # boxes for each worker
 _AREAS = 4  # areas of a picture for each worker
+_AREAS_OF_MEDIA = 2  # the same of several media: what areas share is read by several workers
 _SMALLEST = 32  # pixels; the edges of areas are multiples of it
 _LEAST = 32  # samples along the smallest edge of a brick: margins are as wide as that
 _FIELDS = 4  # fields that a worker keeps
+_T = TypeVar("_T")
 
 
 # -- groups of bricks ----------------------------------------------------------------------------------------------------------
@@ -144,6 +154,7 @@ class _Recipe:
     boundary: Boundary
     device: str | int | None
     memory: int | None
+    sharing: int
     edge: int
     ranks: dict[str, int]
     version: str = field(default_factory=version)
@@ -155,6 +166,18 @@ class _Job:
 
     whole: Frame
     frames: tuple[tuple[Frame, NDArray[np.float32] | None], ...]
+    rays: int | Literal["auto"]
+    filter: Filter
+    view: Viewpoint
+    skipping: bool
+
+
+@dataclass(frozen=True)
+class _MediaJob:
+    """A picture: its frames without coefficients, one for each ray of a pixel, and the media of each in it."""
+
+    whole: Frame
+    frames: tuple[Frame, ...]
     rays: int | Literal["auto"]
     filter: Filter
     view: Viewpoint
@@ -174,12 +197,14 @@ class Shared:
     """A field whose bricks are distributed over the workers of a cluster; this process reads none of them.
 
     Without a `device` the workers of a host that has several GPUs take turns at them; without `memory`, bytes for the bricks of
-    each, they share what one process would have.
+    each, they share what one process would have. Of these `sharing` fields of a picture have equal parts.
     """
 
-    def __init__(self, cluster: Cluster, field: BrickedField, device: str | int | None, memory: int | None) -> None:
+    def __init__(
+        self, cluster: Cluster, field: BrickedField, device: str | int | None, memory: int | None, sharing: int = 1
+    ) -> None:
         self.cluster, self.field = cluster, field
-        self._device, self._memory = device, memory
+        self._device, self._memory, self._sharing = device, memory, sharing
         self.token = uuid.uuid4().hex
         self.share()
 
@@ -195,6 +220,7 @@ class Shared:
             field.boundary,
             self._device,
             self._memory,
+            self._sharing,
             field.edge,
             self.cluster.local_ranks(),
         )
@@ -236,8 +262,8 @@ class ClusterDrawing(BrickedDrawing):
     def _by_workers(
         self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], progress: Progress | None
     ) -> None:
-        bare = tuple((_bare(frame), places) for frame, places in frames)
-        job = _Job(_bare(self.frame), bare, self._asked, self._filter, self._view, self._skipping)
+        sent = tuple((_bare(frame), places) for frame, places in frames)
+        job = _Job(_bare(self.frame), sent, self._asked, self._filter, self._view, self._skipping)
         groups = [
             group
             for group in visible(self._shared.tree, self._field, self._view)
@@ -384,20 +410,97 @@ class _Work:
 
 def _bare(frame: Frame) -> Frame:
     """A frame without device objects."""
-    return replace(frame, coefficients=None, minmax=None, gaps=None, sides=None)  # type: ignore[arg-type]  # workers put in their own
+    media = tuple(map(_bare, frame.media))
+    return replace(frame, coefficients=None, minmax=None, gaps=None, sides=None, media=media)  # type: ignore[arg-type]  # see `_with_own`
 
 
-def _same_job(job: _Job) -> _Job:
+def _same_job(job: _T) -> _T:
     """A task that returns its argument, so that the scheduler keeps it and can send it again."""
     return job
 
 
-class Workers:
-    """The workers of a cluster that draw a renderer's pictures; `device` and `memory` are each worker's, as they were given."""
+class ClusterMediaDrawing(MediaDrawing):
+    """A picture in progress, as a `MediaDrawing`, whose areas the workers of a cluster draw."""
 
-    def __init__(self, cluster: ClusterLike, merge: Merge, device: Device | str | int | None, memory: int | None) -> None:
+    def __init__(
+        self, workers: Workers, frame: Frame, rays: int | Literal["auto"], filter: str | Filter, *, bricked: Bricked
+    ) -> None:
+        self._asked, self._workers, self._read = rays, workers, bricked
+        super().__init__(frame, rays, filter, bricked=bricked)
+
+    def _make_ready(self) -> None:
+        """Nothing is drawn here."""
+
+    def cast(self, rays: int, progress: Progress | None = None, until: float = math.inf) -> bool:  # noqa: ARG002  # all or nothing
+        frame, last = self.frame, min(self.rays, self.cast_rays + rays)
+        frames = tuple(frame.sampled(*self._pattern[i], i, self.rays) for i in range(self.cast_rays, last))
+        self._by_workers(frames, None, self.arrays, progress)
+        self.cast_rays = last
+        return True
+
+    def _cast_listed(self, rays: Frame, places: NDArray[np.float32], progress: Progress | None) -> dict[str, Picture]:
+        arrays = pictures_of(rays)
+        self._by_workers((rays,), places, arrays, progress)
+        return arrays
+
+    def _by_workers(
+        self, frames: tuple[Frame, ...], places: NDArray[np.float32] | None, arrays: dict[str, Picture], progress: Progress | None
+    ) -> None:
+        try:
+            self._draw_areas(frames, places, arrays, progress)
+        except LostError:  # other work may have killed workers
+            for shared in self._shared:
+                shared.share()
+            self._draw_areas(frames, places, arrays, progress)
+
+    @property
+    def _shared(self) -> list[Shared]:
+        return [self._workers.share(field) for field in self._read.fields if field is not None]  # all are by bricks
+
+    def _draw_areas(
+        self, frames: tuple[Frame, ...], places: NDArray[np.float32] | None, arrays: dict[str, Picture], progress: Progress | None
+    ) -> None:
+        cluster, recipes, (width, height) = self._workers.cluster, [shared.recipe for shared in self._shared], frames[0].size
+        read = self._read
+        job = _MediaJob(_bare(self.frame), tuple(map(_bare, frames)), self._asked, self._filter, read.view, read.skipping)
+        sent = cluster.submit(_same_job, job)
+        areas = _areas((width, height), _AREAS_OF_MEDIA * max(1, len(cluster.workers)), listed=places is not None)
+        listed = [None if places is None else places[y * width : (y + h) * width] for _, y, _, h in areas]
+        futures = [cluster.submit(draw_area, recipes, sent, area, rows) for area, rows in zip(areas, listed, strict=True)]
+        try:
+            for done, (i, drawn) in enumerate(cluster.as_completed(futures), 1):
+                x, y, w, h = areas[i]
+                for name, part in drawn.items():
+                    arrays[name][y : y + h, x : x + w] = part
+                if progress:
+                    progress(done / len(areas))
+        except PoisonError as error:
+            raise ClusterError(f"each worker dies that draws this picture: {error}") from error
+        finally:
+            cluster.cancel(futures)
+
+
+def _areas(size: tuple[int, int], wanted: int, *, listed: bool) -> list[Area]:
+    """Areas of a picture, or of a list of rays whole rows, which begin at tiles."""
+    width, height = size
+    across = width
+    if not listed:
+        across = max(_SMALLEST, -(-math.isqrt(width * height // wanted) // _SMALLEST) * _SMALLEST)
+    down = max(_SMALLEST, -(-(width * height // wanted) // across // _SMALLEST) * _SMALLEST)
+    return [(x, y, min(across, width - x), min(down, height - y)) for y in range(0, height, down) for x in range(0, width, across)]
+
+
+class Workers:
+    """The workers of a cluster that draw a renderer's pictures; `device` and `memory` are each worker's, as they were given.
+
+    `sharing` media of each picture share the memory.
+    """
+
+    def __init__(
+        self, cluster: ClusterLike, merge: Merge, device: Device | str | int | None, memory: int | None, sharing: int = 1
+    ) -> None:
         self.cluster, self.merge, self.device = as_cluster(cluster), merge, device
-        self._given, self._memory = cluster, memory
+        self._given, self._memory, self._sharing = cluster, memory, sharing
         self._shared: dict[int, Shared] = {}
         self._lock = threading.RLock()  # a signal handler may re-enter
 
@@ -422,7 +525,7 @@ class Workers:
             found = self._shared.get(id(field))
             if found is None:
                 device = self.device.name if isinstance(self.device, Device) else self.device
-                found = self._shared[id(field)] = Shared(self.cluster, field, device, self._memory)
+                found = self._shared[id(field)] = Shared(self.cluster, field, device, self._memory, self._sharing)
             elif found.workers != self.cluster.workers:
                 found.share()
             return found
@@ -446,7 +549,7 @@ _lock = WorkerLock()  # kernels use all cores, and memory holds one field's bric
 
 
 def _field_of(recipe: _Recipe) -> BrickedField:
-    """The field of a recipe; other fields free their bricks for it."""
+    """The field of a recipe."""
     if recipe.version != version():
         raise ClusterError(f"workers must have clvol {recipe.version}; {worker_address()} has {version()}")
     if recipe.token not in _fields:
@@ -457,25 +560,35 @@ def _field_of(recipe: _Recipe) -> BrickedField:
         except DeviceError as error:
             raise ClusterError(f"workers must have an OpenCL device; {worker_address()} has none: {error}") from error
         volume = recipe.volume.as_known(recipe.limits, recipe.labels)
-        memory = recipe.memory or memory_for(volume, None, local_size(recipe.ranks))
+        memory = (recipe.memory or memory_for(volume, None, local_size(recipe.ranks))) // recipe.sharing
         _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, memory=memory, edge=recipe.edge)
     field = _fields[recipe.token]
     _fields.move_to_end(recipe.token)
-    for other in _fields.values():
-        if other is not field:
-            other.drop()
-    while len(_fields) > _FIELDS:
-        _fields.popitem(last=False)[1].close()
     return field
 
 
 @contextmanager
-def _locked(recipe: _Recipe) -> Iterator[BrickedField]:
-    """The field of a recipe, exclusively for this task."""
-    with _lock:
-        field = _field_of(recipe)
-        with field.in_use():
-            yield field
+def _locked(*recipes: _Recipe) -> Iterator[list[BrickedField]]:
+    """The fields of recipes, exclusively for this task; others free their bricks for them."""
+    with _lock, ExitStack() as held:
+        fields = [_field_of(recipe) for recipe in recipes]
+        for other in _fields.values():
+            if other not in fields:
+                other.drop()
+        while len(_fields) > max(_FIELDS, len(fields)):
+            _fields.popitem(last=False)[1].close()
+        for field in fields:
+            held.enter_context(field.in_use())
+        yield fields
+
+
+def _with_own(frame: Frame, fields: Sequence[BrickedField]) -> Frame:
+    """A frame with this process's own objects of a device; of several media each with those of its field."""
+    first = fields[0]
+    gaps = None if first.volume.where is None else Gaps(first.volume.where, first.device)
+    tile = tile_of(first.device, frame.evaluator)
+    media = tuple(_with_own(one, [field]) for one, field in zip(frame.media, fields, strict=True)) if frame.media else ()
+    return replace(frame, coefficients=first.coefficients, tile=tile, gaps=gaps, media=media)
 
 
 def _forget(token: str) -> None:
@@ -487,18 +600,14 @@ def _forget(token: str) -> None:
 
 def _begun(field: BrickedField, job: _Job, number: int, area: Area) -> tuple[BrickedDrawing, Pass]:
     """The rays of an area of frame `number`."""
-    tile = tile_of(field.device, job.whole.evaluator)
-    gaps = None if field.volume.where is None else Gaps(field.volume.where, field.device)
-    own: dict[str, Any] = {"coefficients": field.coefficients, "tile": tile, "gaps": gaps}
-    whole = replace(job.whole, **own)
     frame, places = job.frames[number]
-    drawing = BrickedDrawing(whole, job.rays, job.filter, field, job.view, skipping=job.skipping)
-    return drawing, drawing.begun(replace(frame, **own), places, area)
+    drawing = BrickedDrawing(_with_own(job.whole, [field]), job.rays, job.filter, field, job.view, skipping=job.skipping)
+    return drawing, drawing.begun(_with_own(frame, [field]), places, area)
 
 
 def march_group(recipe: _Recipe, job: _Job, number: int, group: Group, area: Area, before: _Marched | None) -> _Marched:
     """March the rays of an area of frame `number` through a group, from their start or with the states after other groups."""
-    with _locked(recipe) as field:
+    with _locked(recipe) as (field,):
         drawing, rays = _begun(field, job, number, area)
         try:
             if before is not None:
@@ -515,9 +624,17 @@ def march_group(recipe: _Recipe, job: _Job, number: int, group: Group, area: Are
             rays.release()
 
 
+def draw_area(recipes: Sequence[Any], job: _MediaJob, area: Area, places: NDArray[np.float32] | None) -> dict[str, Picture]:
+    """An area of a picture, by all of its rays; of a list those that cross it at these places."""
+    with _locked(*recipes) as fields:
+        whole, *frames = (_with_own(frame, fields) for frame in (job.whole, *job.frames))
+        drawing = MediaDrawing(whole, job.rays, job.filter, bricked=Bricked(tuple(fields), job.view, job.skipping))
+        return drawing.of_area(frames, area, places)
+
+
 def merge_groups(recipe: _Recipe, job: _Job, number: int, front: _Marched, back: _Marched) -> _Marched:
     """Merge the states of rays that were marched through groups separately, `back` behind `front`."""
-    with _locked(recipe) as field:
+    with _locked(recipe) as (field,):
         _, rays = _begun(field, job, number, front.carried.area)
         _, behind = _begun(field, job, number, front.carried.area)
         try:
@@ -535,7 +652,7 @@ def read_bricks(recipe: _Recipe, bricks: Sequence[Index], key: str) -> None:
     import distributed
 
     client: Any = distributed.get_client()
-    with _locked(recipe) as field:
+    with _locked(recipe) as (field,):
         for number, at in enumerate(bricks):
             client.set_metadata([key], number)
             with field.store.resident(field.bricks[at]):

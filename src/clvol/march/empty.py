@@ -50,7 +50,7 @@ def warn_of_refined(
 ) -> None:
     """Warn of the last picture by `Renderer.refine` as `render` warns of its own."""
     source = renderer._source
-    look = ResolvedLook.of(source.scene, source.preview, camera, chosen_mode(mode, options), options)  # type: ignore[arg-type]
+    look = ResolvedLook.of(source.scene, source.part, camera, chosen_mode(mode, options), options)  # type: ignore[arg-type]
     warn_if_empty(look, step, source, options, picture)
 
 

@@ -69,6 +69,7 @@ WINDOW = Block(  # the resident part of a volume that is read by bricks: window.
     stored_to=(INT, 3),
     blocks_from=(INT, 3),
     whole=(INT, 3),
+    margin=FLOAT,
 )
 
 
@@ -114,6 +115,8 @@ class Frame:
     table: NDArray[np.float32]  # the transfer function's nodes or pieces
     media: tuple[Frame, ...] = ()  # of several media in one picture, of which this is the first, but all of their domain
     several: bool = False  # whether samples lie on planes that several media share
+    margin: float = 0.0  # the rounding error of positions in samples, at most ...
+    stride: float = 0.0  # ... and the most of them that a ray advances at a step
 
     @property
     def device(self) -> Device:
@@ -249,7 +252,8 @@ class Subject:
         look, coefficients, minmax = self.look, self.coefficients, self.minmax
         scene, mode, stored, medium = look.scene, look.mode, coefficients.stored, self.medium
         (width, height), volume, unit = size, medium.volume, rails.volume.mean_spacing
-        transfer, shown = look.transfer, AS_THEY_ARE if colored_by(mode) else stored  # values that colours are of
+        margin = rails.margin(volume, view, aspect)
+        transfer, shown = look.transfer, AS_THEY_ARE if colored_by(mode) in CURVATURES else stored  # values that colours are of
         if transfer.unit_distance is None:
             transfer = replace(transfer, unit_distance=volume.mean_spacing)
         block, _ = frame_block(mode.BLOCK)
@@ -263,7 +267,7 @@ class Subject:
             material=medium.material.block(),
             lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
-            minmax=minmax_block(minmax, volume, rails.margin(volume, view, aspect)),
+            minmax=minmax_block(minmax, volume, margin),
             window=np.zeros((), WINDOW.dtype),
             gaps=gaps_block(self.gaps),
             picture=PICTURE(
@@ -295,6 +299,8 @@ class Subject:
             values,
             look.transfer.table(shown),
             several=rails.several,
+            margin=margin,
+            stride=rails.stride(volume),
         )
 
     def placed(self, aspect: float) -> Subject:

@@ -105,6 +105,11 @@ class Drawing:
         self.arrays = pictures_of(frame)
         self._make_ready()
 
+    @property
+    def _beside(self) -> int:
+        """Most pixels between a ray and its pixel."""
+        return math.ceil(max(float(np.abs(offset - 0.5).max()) for offset, _ in self._pattern))
+
     def _make_ready(self) -> None:
         """Build the kernel and upload its inputs."""
         self._kernel, self._inputs = self.frame.program("march/draw.cl").kernel("draw"), Inputs(self.frame)
@@ -281,9 +286,10 @@ class Inputs:
     """The inputs of a frame's kernels, on the device."""
 
     def __init__(self, frame: Frame) -> None:
-        assert isinstance(frame.coefficients, Coefficients)  # all are resident
-        self.source, self.extent = frame.coefficients.argument(frame.evaluator), frame.coefficients.extent
+        held = frame.coefficients
         self.table = frame.device.buffers.upload(frame.table)
+        self.source = held.argument(frame.evaluator) if isinstance(held, Coefficients) else self.table  # bricks come one at a time
+        self.extent = held.extent
         self.minmax = self.table if frame.minmax is None else frame.minmax.buffer  # any buffer: it is not read
         self.sides = self.table if frame.sides is None else frame.sides
         self.missing = self.table if frame.gaps is None else frame.gaps.buffer

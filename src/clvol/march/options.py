@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import EllipsisType
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, get_args
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypedDict, get_args
 
 import numpy as np
 
@@ -52,6 +52,7 @@ __all__ = [
     "Output",
     "PanelOptions",
     "PictureOptions",
+    "Previewed",
     "RefineOptions",
     "RenderOptions",
     "RendererOptions",
@@ -366,6 +367,13 @@ def require_room(size: tuple[int, int], outputs: tuple[str, ...], *, edges: bool
 # -- what is seen ---------------------------------------------------------------------------------------------------------------
 
 
+class Previewed(Protocol):
+    """What has samples from which a look is chosen."""
+
+    @property
+    def preview(self) -> Volume: ...
+
+
 @dataclass(frozen=True)
 class ResolvedLook:
     """What a picture shows, with everything resolved except its fineness."""
@@ -381,11 +389,12 @@ class ResolvedLook:
     unsettled: Mode | None = None  # the mode of several, which is settled for each
 
     @classmethod
-    def of(cls, scene: Scene, preview: Volume, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
-        """The look of a scene; options left open are chosen from the samples of its preview.
+    def of(
+        cls, scene: Scene, part_of: Callable[[Medium], Previewed], camera: Camera | None, mode: Mode, options: RefineOptions
+    ) -> ResolvedLook:
+        """The look of a scene; options left open are chosen from the previews of its parts.
 
-        Of several media it is the look of the first in an order that does not depend on the scene's; they have previews of their
-        own.
+        Of several media it is the look of the first in an order that does not depend on the scene's.
         """
         if (media := options.get("media")) is not None:
             scene = scene.with_looks(media)
@@ -394,18 +403,21 @@ class ResolvedLook:
         if not cut and getattr(mode, "cap", None) is not getattr(type(mode), "cap", None):
             require_heard(mode, ("cap",), {"cap": "nothing is cut away by clip"})
         if len(scene.media) > 1:
-            return cls._of_several(scene, camera, mode, options)
-        return cls._of_one(scene, preview, camera, mode, options)
+            return cls._of_several(scene, part_of, camera, mode, options)
+        return cls._of_one(scene, part_of, camera, mode, options)
 
     @classmethod
-    def _of_one(cls, scene: Scene, preview: Volume, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
-        camera = Camera.orbit() if camera is None else camera
-        instance("camera", camera, Camera)
+    def _of_one(
+        cls, scene: Scene, part_of: Callable[[Medium], Previewed], camera: Camera | None, mode: Mode, options: RefineOptions
+    ) -> ResolvedLook:
         skipping, gradient = options.get("skipping", True), options.get("gradient", "analytic")
         instance("skipping", skipping, bool, np.bool_)
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
         (medium,) = scene.media
+        preview = part_of(medium).preview
+        camera = Camera.orbit() if camera is None else camera
+        instance("camera", camera, Camera)
         if medium.surfaces and mode.shows != "matter":
             raise OptionError(f"surfaces of a medium change nothing in {mode.name}: they are for composite; leave them out")
         words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
@@ -415,7 +427,9 @@ class ResolvedLook:
         return cls(camera, shown.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
 
     @classmethod
-    def _of_several(cls, scene: Scene, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
+    def _of_several(
+        cls, scene: Scene, part_of: Callable[[Medium], Previewed], camera: Camera | None, mode: Mode, options: RefineOptions
+    ) -> ResolvedLook:
         own = [name for name in ("transfer", *WORDS, "material") if options.get(name) is not None]
         if own:
             raise OptionError(f"{' and '.join(own)} must be left to the media of a scene of several: Medium(..., {own[0]}=...)")
@@ -424,9 +438,9 @@ class ResolvedLook:
         media = [medium for medium in scene.media if medium.visible]
         if not media:
             raise OptionError(f"a picture must show a medium; none of the scene's {len(scene.media)} is visible")
-        looks = [cls._of_one(replace(scene, media=(one,)), one.volume, camera, mode, options) for one in media]
+        looks = [cls._of_one(replace(scene, media=(one,)), part_of, camera, mode, options) for one in media]
         if mode.shows == "matter":
-            looks.sort(key=lambda look: _rank(look.scene.media[0], look.transfer))
+            looks.sort(key=lambda look: _rank(look.scene.media[0], look.transfer, look.preview))
         return replace(looks[0], others=tuple(looks[1:]), unsettled=mode)
 
     @property
@@ -475,13 +489,13 @@ class ResolvedLook:
         return replace(self, scene=replace(self.scene, media=(seen,)), camera=camera, transfer=transfer)
 
 
-def _rank(medium: Medium, transfer: TransferFunction) -> tuple[Any, ...]:
+def _rank(medium: Medium, transfer: TransferFunction, preview: Volume) -> tuple[Any, ...]:
     """A key by which media are in one order, whatever their list's: the finest grid is first."""
     volume = medium.volume
     place = volume.mean_spacing, volume.spacing, volume.size, volume.origin, tuple(np.ravel(volume.direction))
     own = medium.material, medium.filter, medium.boundary, cuts_of(medium.clip), medium.surfaces
     look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, *own))
-    return place, look, zlib.crc32(np.ascontiguousarray(volume.data).view(np.uint8).data)
+    return place, look, zlib.crc32(np.ascontiguousarray(preview.data).view(np.uint8).data)
 
 
 def transfer_of(preview: Volume, mode: Mode, options: Mapping[str, Any]) -> TransferFunction | None:

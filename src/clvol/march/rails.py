@@ -86,6 +86,12 @@ class Rails:
             return self.planes.margin
         return max(self.planes.margin, 2.0**-22 * view.reach(volume, aspect))
 
+    def stride(self, volume: Volume) -> float:
+        """The most of a medium's samples that a ray advances at a step, along one axis."""
+        if volume is self.volume:
+            return self.planes.step
+        return self.planes.step * max(self.volume.spacing) / min(volume.spacing)
+
 
 def _corners(medium: Medium) -> NDArray[np.float64]:
     low, high = medium.domain

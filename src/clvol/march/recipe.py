@@ -21,7 +21,7 @@ from clvol.scene.clip import cuts_of
 from clvol.scene.mode import colored_by
 from clvol.show.furniture import Bar, Furnished, Furniture, Stage, furnished
 from clvol.show.picture import as_pictures
-from clvol.volume.provenance import facts_of, provenance_of
+from clvol.volume.provenance import facts_of, provenance_of, recognise
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ class Recipe:
         How finely it was drawn.
     furniture : Furniture or None
     by_bricks : bool
+    bricked : tuple of int
+        Of several media the numbers of those that were read by bricks.
     limits : mapping
         Limits of the device that change roundings, where they were set.
     device : str
@@ -75,10 +77,9 @@ class Recipe:
     central: bool = False
     furniture: Furniture | None = None
     by_bricks: bool = False
+    bricked: tuple[int, ...] = ()
     limits: Mapping[str, str] = field(default_factory=dict)
     device: str = ""
-    lazy: Any = field(default=None, init=False, repr=False)  # the LazyVolume, for whose grid the scene's volume stands
-    preview: Volume | None = field(default=None, init=False, repr=False)  # samples by which it is recognised
 
     def __post_init__(self) -> None:
         kinds = {
@@ -118,9 +119,8 @@ class Recipe:
         """The text of a file in a folder, to which paths of volumes are relative; None if a part is no clvol object."""
 
         def described(volume: Volume) -> dict[str, Any]:
-            known = provenance_of(volume) or (None if self.lazy is None else provenance_of(self.lazy))
-            preview = volume if self.preview is None or self.lazy is None else self.preview
-            return facts_of(volume, preview) | {"source": None if known is None else _relative(known, folder)}
+            known = provenance_of(volume)
+            return facts_of(volume, volume) | {"source": None if known is None else _relative(known, folder)}
 
         try:
             return serial.to_text(self, CLASSES, {Volume: described}, clvol=clvol.__version__, version=VERSION)
@@ -197,17 +197,20 @@ class Staged(NamedTuple):
     def recipe(self, source: Source) -> Recipe:
         """What makes the picture."""
         look, fine = self.look, self.fine
-        settled = replace(look.scene, media=tuple(_settled(one, source) for one in (look, *look.others)))
+        looks = look, *look.others
+        settled = look.scene.of_media([_settled(one, source) for one in looks])
+        parts = [source.part(one.scene.media[0]) for one in looks]
         device = source.field.device
         forced = {name: value for name in _FORCED if (value := getattr(device.limits, name)) != "auto"}
         central = look.central and look.mode.shaded and source.filter_of(look.mode).has_gradient
+        bricked = tuple(k for k, part in enumerate(parts) if part.by_bricks) if look.others else ()
         how = (fine.size, fine.step, fine.rays, fine.filter, fine.lod, central)
         recipe = Recipe(
-            settled, look.camera, look.unsettled or look.mode, *how, self.furniture, source.by_bricks, forced, device.name
+            settled, look.camera, look.unsettled or look.mode, *how, self.furniture, source.by_bricks, bricked, forced, device.name
         )
-        if source.by_bricks and source.preview is not look.scene.media[0].volume:  # it is not in memory
-            object.__setattr__(recipe, "lazy", source.field.volume)
-            object.__setattr__(recipe, "preview", source.preview)
+        for one, part in zip(looks, parts, strict=True):
+            if part.by_bricks and part.preview is not one.scene.media[0].volume:  # it is not in memory
+                recognise(one.scene.media[0].volume, part.preview, part.field.volume)
         return recipe
 
 
@@ -215,7 +218,7 @@ def _settled(look: ResolvedLook, source: Source) -> scene.Medium:
     """The medium of a look, with its filter, boundary and transfer function."""
     (medium,) = look.scene.media
     part = source.part(medium)
-    row = medium.filter if source.by_bricks else part.filter_of(look.mode)  # each size of a LazyVolume may have its own
+    row = medium.filter if part.by_bricks else part.filter_of(look.mode)  # each size of a LazyVolume may have its own
     shown = medium.transfer if "transfer" in look.mode.unheard else look.transfer
     return replace(medium.with_transfer(shown), filter=row, boundary=part.field.boundary)
 

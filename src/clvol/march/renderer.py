@@ -202,7 +202,7 @@ class Renderer:
         Parameters
         ----------
         camera : Camera, optional
-            Default `Camera.orbit()`, fitted to the volume.
+            Default `Camera.orbit()`, fitted to the volume; thin stacks of images are seen from above, elevation 55 to 90.
         mode : str or Mode
             "composite", "isosurface", "mip", "minip", "mean", ...: see `clvol.modes`.
         size : (width, height)
@@ -264,7 +264,7 @@ class Renderer:
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, wanted, edges=fine.rays == "auto")
             uncertainty = self._source.uncertainty(chosen) if noise else None
-            stage = staged(ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options), fine, options)
+            stage = staged(ResolvedLook.of(self.scene, self._source.part, camera, chosen, options), fine, options)
             pictures = self._source.draw(stage.drawn, fine, wanted != ("rgba",), watched("the picture", progress))
             warn_if_empty(stage.drawn, fine.step, self._source, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
@@ -347,7 +347,7 @@ class Renderer:
             self._source.require_heard(chosen, options)
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, ("rgba",), edges=fine.rays == "auto")
-            look = ResolvedLook.of(self.scene, self._source.preview, camera, chosen, options)
+            look = ResolvedLook.of(self.scene, self._source.part, camera, chosen, options)
             return refined(self._source.refine(look, fine, Asked(seconds, cancelled, progress, began)), self._source, look, fine)
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,18 +23,18 @@ from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.frame import Subject
 from clvol.march.gaps import Gaps
-from clvol.march.media import MediaDrawing
+from clvol.march.media import Bricked, MediaDrawing
 from clvol.march.mixed import mixed, nearest, over
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
-from clvol.scene.mode import colored_by
+from clvol.scene.mode import CURVATURES, colored_by
 from clvol.scene.scene import Medium, Scene
 from clvol.spline.evaluator import DIRECT, choose_evaluator, require_names
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
 from clvol.volume.missing import Missing, extrapolated
-from clvol.volume.smoothing import filter_for, settled
+from clvol.volume.smoothing import filter_for
 from clvol.volume.stored import RENUMBER, names_beyond
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
@@ -47,6 +47,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.march.cluster import Workers
     from clvol.march.options import Fineness, RefineOptions, ResolvedLook
     from clvol.march.refine import Asked, Refined
+    from clvol.scene.camera import Viewpoint
     from clvol.scene.mode import Mode
     from clvol.spline.evaluator import Evaluator
 
@@ -113,7 +114,7 @@ class Source(ABC):
         row = self.filter_of(mode)
         if "gradient" in options and not row.has_gradient:
             raise OptionError(f"gradient changes nothing with {row.name}, which has no slopes; leave it out")
-        if (colored := colored_by(mode)) and row.continuity < 1:
+        if (colored := colored_by(mode)) in CURVATURES and row.continuity < 1:
             raise OptionError(f"color_by {colored} takes a filter with continuous slopes, such as bspline3; got {row.name}")
         if options.get("lod", "auto") != "auto" and not self.sizes:
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
@@ -157,7 +158,38 @@ class Source(ABC):
         """The errors of surfaces, computed on first use."""
 
 
-class InMemory(Source):
+class Seen(NamedTuple):
+    """A look of a function, for a frame."""
+
+    subject: Subject
+    field: Field | BrickedField
+    bricks: BrickedField | None  # the same, if its bricks are resident one at a time
+
+
+class OneMedium(Source):
+    """The function of a single medium."""
+
+    coarsest: int = 0
+    """The number of its lowest resolution; the finest is 0."""
+
+    def level(self, fine: Fineness, view: Viewpoint) -> int:  # noqa: ARG002  # volumes in memory have one
+        """The level whose voxels are about as fine as the picture's pixels."""
+        return 0
+
+    @abstractmethod
+    def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool) -> Seen:
+        """A look of a level."""
+
+    @abstractmethod
+    def drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
+        """The picture of a look of a level."""
+
+    def leave_out(self) -> bool:
+        """Take the function for one that lacks samples; False if that is known, or cannot be."""
+        return False
+
+
+class InMemory(OneMedium):
     """A function whose coefficients are all on the device."""
 
     field: Field
@@ -184,21 +216,25 @@ class InMemory(Source):
             return made
 
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
-        frame = self._subject(look).frame(fine.size, fine.step, guides=guides)
-        pictures = launch.draw(frame, fine.rays, fine.filter, progress)
-        self.shown = self.function(look.mode)
+        return self.drawn(look, fine, 0, guides, progress)
+
+    def drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
+        seen = self.seen(look, fine, level, guides)
+        pictures = launch.draw(seen.subject.frame(fine.size, fine.step, guides=guides), fine.rays, fine.filter, progress)
+        self.shown = seen.field
         return pictures
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
-        wanted = Wanted(self._subject(look), fine.size, fine.step, fine.rays, fine.filter)
+        wanted = Wanted(self.seen(look, fine, 0, False).subject, fine.size, fine.step, fine.rays, fine.filter)
         return Refinement(wanted, asked, self._rates).pictures(self.in_use)
 
-    def _subject(self, look: ResolvedLook) -> Subject:
+    def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool) -> Seen:  # noqa: ARG002
         """A look of the function, with its pyramid of minima and maxima where space is skipped."""
         field = self.function(look.mode)
         evaluator = choose_evaluator(field.device, field.filter, bits=_BITS)
         pyramid = self._pyramid(field, evaluator) if look.skipping and look.mode.skips else None
-        return Subject(look.of_values(field.coefficients.volume), field.coefficients, pyramid, evaluator, self._gaps)
+        own = look.of_values(field.coefficients.volume)
+        return Seen(Subject(own, field.coefficients, pyramid, evaluator, self._gaps), field, None)
 
     def _pyramid(self, field: Field, evaluator: Evaluator) -> MinMax:
         with self._lock:
@@ -223,106 +259,7 @@ class InMemory(Source):
             return self._uncertainty
 
 
-class Several(Source):
-    """Functions of several media, all in memory."""
-
-    field: Field
-
-    def __init__(self, scene: Scene, device: Device | str | int | None) -> None:
-        self.parts: dict[tuple[Any, ...], InMemory] = {}
-        fields: dict[tuple[Any, ...], Field] = {}
-        try:
-            for number, medium in enumerate(scene.media):
-                try:
-                    row = settled(filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.volume)
-                    lacks_samples(medium.volume)
-                except DataError as error:
-                    raise DataError(f"medium {number} of the scene: {error}") from error
-                key = id(medium.volume), row, medium.boundary  # looks of one volume share its coefficients
-                if key not in fields:
-                    fields[key] = single(medium.volume, row, medium.boundary, device)
-                    device = fields[key].device
-                one = replace(scene, media=(medium,))
-                self.parts[_reconstructed(medium)] = InMemory(one, fields[key], medium.volume, (fields[key],))
-            super().__init__(scene, self.part(scene.media[0]).field, scene.media[0].volume, (scene, None, None))
-        except BaseException:
-            for field in fields.values():
-                field.close()
-            raise
-        self._rates: dict[tuple[Any, ...], Rate] = {}
-        self._owned = True
-        for close in (*(one.close for one in fields.values()), *(part.lease.close for part in self.parts.values())):
-            self.lease.frees(close)
-
-    @contextmanager
-    def in_use(self) -> Iterator[None]:
-        with ExitStack() as held:
-            held.enter_context(self.lease.held())
-            for part in self.parts.values():
-                held.enter_context(part.in_use())
-            yield
-
-    @property
-    def limits(self) -> tuple[float, float] | None:
-        return None
-
-    def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:
-        for part in self.parts.values():
-            part.require_heard(mode, options)
-        if mode.shows == "surface" and not mode.finished_there:
-            raise OptionError(f"mode {mode.name!r} draws one medium: surfaces of several would hide each other out of order")
-        projected = "depth", "normal", "position", "visited"
-        without = {"matter": ("normal", "visited"), "surface": ("visited",)}.get(mode.shows, projected)
-        refused = [name for name in outputs if name in without]
-        if refused:
-            raise OptionError(f"{' and '.join(refused)} of several media in {mode.name} would be of which? Draw one of them")
-
-    def function(self, mode: Mode, level: int = 0) -> Field:
-        return self.part(self.scene.media[0]).function(mode, level)
-
-    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
-        if not look.others:
-            return self.part(look.scene.media[0]).draw(look, fine, guides, progress)
-        if (look.unsettled or look.mode).shows == "matter":
-            frame = self._subject(look).frame(fine.size, fine.step, guides=guides)
-            return launch.drawn(MediaDrawing(frame, fine.rays, fine.filter), fine.rays, progress)
-        looks, surfaces = (look, *look.others), look.mode.shows == "surface"
-        camera, background = look.placed(fine.size[0] / fine.size[1]).camera, look.scene.background
-        pictures = []
-        for i, one in enumerate(looks):
-            own = replace(one, camera=camera, others=(), scene=replace(one.scene, background=None))
-            part = part_of(progress, i / len(looks), (i + 1) / len(looks))
-            pictures.append(self.part(one.scene.media[0]).draw(own, fine, guides or surfaces, part))
-        together = nearest(pictures) if surfaces else {"rgba": mixed([one["rgba"] for one in pictures], self.scene.mix)}
-        return {**together, "rgba": over(background, together["rgba"])}
-
-    def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
-        if (look.unsettled or look.mode).shows == "matter" and look.others:
-            wanted = Wanted(self._subject(look), fine.size, fine.step, fine.rays, fine.filter)
-            return Refinement(wanted, asked, self._rates).pictures(self.in_use)
-
-        def draw(level: int, report: Progress) -> launch.Picture:  # noqa: ARG001  # there is one
-            return self.draw(look, fine, False, report)["rgba"]
-
-        return refined_by_levels(draw, range(1), fine.step, asked, self.in_use)
-
-    def uncertainty(self, mode: Mode) -> Uncertainty:  # noqa: ARG002
-        raise OptionError('the output "uncertainty" takes a scene of one medium')
-
-    def _subject(self, look: ResolvedLook) -> Subject:
-        first, *others = (self.part(one.scene.media[0])._subject(one) for one in (look, *look.others))
-        return replace(first, others=tuple(others))
-
-    def part(self, medium: Medium) -> InMemory:
-        return self.parts[_reconstructed(medium)]
-
-
-def _reconstructed(medium: Medium) -> tuple[Any, ...]:
-    """What the function of a medium depends on, whatever its look."""
-    return id(medium.volume), medium.filter, medium.boundary
-
-
-class ByBricks(Source):
+class ByBricks(OneMedium):
     """A function whose bricks are on the device one at a time."""
 
     by_bricks: ClassVar[bool] = True
@@ -375,13 +312,15 @@ class ByBricks(Source):
         made: BrickedField = self._unsmoothed
         return made
 
-    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
-        self._require_direct()
-        return self._draw(look, fine, self._level(look, fine), guides, progress)
+    @property
+    def coarsest(self) -> int:  # type: ignore[override]  # of what is read
+        return len(self.field.volume.levels)
 
-    def _level(self, look: ResolvedLook, fine: Fineness) -> int:
-        """The level whose voxels are about as fine as the picture's pixels."""
-        return level_of(self.field.volume, look.view(fine.size), fine.size, fine.lod)
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        return self.drawn(look, fine, self.level(fine, look.view(fine.size)), guides, progress)
+
+    def level(self, fine: Fineness, view: Viewpoint) -> int:
+        return level_of(self.field.volume, view, fine.size, fine.lod)
 
     def _require_direct(self) -> None:
         limits = self.field.device.limits
@@ -391,40 +330,43 @@ class ByBricks(Source):
                 f"bricks are read by direct taps from buffers; got evaluator {limits.evaluator!r} and fetch {limits.fetch!r}"
             )
 
-    def _draw(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
-        """The picture; again, if only its bricks showed that samples are missing."""
-        volume = self.field.volume
+    def drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
         try:
             return self._drawn(look, fine, level, guides, progress)
-        except (ChunkError, MissingSampleError):
-            if volume.where is not None or volume.missing is not None:
+        except (ChunkError, MissingSampleError):  # only its bricks showed that samples are missing
+            if not self.leave_out():
                 raise
-            self._leave_out()
             return self._drawn(look, fine, level, guides, progress)
 
-    def _leave_out(self) -> None:
-        """Take the function for one that lacks samples."""
+    def leave_out(self) -> bool:
         with self._lock:
             field = self.field
-            if field.volume.where is None:
-                own = field.filter, field.boundary, field.device
-                made = BrickedField(continued(field.volume), *own, at_once=self._workers is None, beside=field)
-                self.field = made if self._workers is None else self._workers.shared_out(made)
-                self.lease.frees(self.field.close)
-                self._unsmoothed, self._levels = None, {}
+            if field.volume.where is not None or field.volume.missing is not None:
+                return False
+            own = field.filter, field.boundary, field.device
+            made = BrickedField(continued(field.volume), *own, at_once=self._workers is None, beside=field)
+            self.field = made if self._workers is None else self._workers.shared_out(made)
+            self.lease.frees(self.field.close)
+            self._unsmoothed, self._levels = None, {}
+            return True
 
-    def _drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
+    def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool) -> Seen:
+        self._require_direct()
         field = self.function(look.mode, level)
         between = look.mode.between_samples(guides=guides)
         if between and fine.step > STEPPED_AT_MOST:
             raise OptionError(
                 f"step must be at most {STEPPED_AT_MOST:g} for {between} of a volume that is read by bricks; got {fine.step:g}"
             )
+        own = look.of_level(field.coefficients.volume, field.boundary)
+        gaps = None if field.volume.where is None else Gaps(field.volume.where, field.device)
+        return Seen(Subject(own, field.coefficients, None, DIRECT, gaps), field, field)
+
+    def _drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
+        subject, _, field = self.seen(look, fine, level, guides)
+        assert field is not None
         with field.in_use():
-            own = look.of_level(field.coefficients.volume, field.boundary)
-            gaps = None if field.volume.where is None else Gaps(field.volume.where, field.device)
-            frame = Subject(own, field.coefficients, None, DIRECT, gaps).frame(fine.size, fine.step, guides=guides)
-            view = own.view(fine.size)
+            frame, view = subject.frame(fine.size, fine.step, guides=guides), subject.look.view(fine.size)
             make = BrickedDrawing if self._workers is None else self._workers.drawing
             drawing = make(frame, fine.rays, fine.filter, field, view, skipping=look.skipping)
             made = launch.drawn(drawing, fine.rays, progress)
@@ -432,16 +374,157 @@ class ByBricks(Source):
             return made
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
-        self._require_direct()
-
         def draw(level: int, report: Progress) -> launch.Picture:
-            return self._draw(look, fine, level, False, report)["rgba"]
+            return self.drawn(look, fine, level, False, report)["rgba"]
 
-        levels = range(len(self.field.volume.levels), self._level(look, fine) - 1, -1)
+        levels = range(self.coarsest, self.level(fine, look.view(fine.size)) - 1, -1)
         return refined_by_levels(draw, levels, fine.step, asked, self.in_use)
 
     def uncertainty(self, mode: Mode) -> Uncertainty:  # noqa: ARG002
         raise OptionError('the output "uncertainty" takes a volume that is in memory; got one that is read by bricks')
+
+
+class Several(Source):
+    """Functions of several media, each in memory or by bricks, each by the source of its own."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        parts: Sequence[OneMedium],
+        arguments: tuple[Any, ...],
+        keywords: dict[str, Any],
+        begin: Callable[..., MediaDrawing],
+    ) -> None:
+        """`parts` are in the order of the scene's media; `begin` makes a picture in progress."""
+        self.parts = {_reconstructed(medium): part for medium, part in zip(scene.media, parts, strict=True)}
+        super().__init__(scene, parts[0].field, parts[0].preview, arguments)
+        self._keywords, self._begin, self._owned = keywords, begin, True
+        self._rates: dict[tuple[Any, ...], Rate] = {}
+        for field in {id(part.field): part.field for part in parts}.values():
+            self.lease.frees(field.close)
+        for part in {id(part): part for part in parts}.values():
+            self.lease.frees(part.lease.close)
+
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        with ExitStack() as held:
+            held.enter_context(self.lease.held())
+            for part in self.parts.values():
+                held.enter_context(part.in_use())
+            yield
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        return None
+
+    @property
+    def sizes(self) -> bool:
+        return any(part.sizes for part in self.parts.values())
+
+    def levels(self) -> tuple[BrickedField, ...]:
+        return tuple(level for part in self.parts.values() for level in part.levels())
+
+    def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        return self.arguments, self._keywords
+
+    def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:
+        if options.get("lod", "auto") != "auto" and self.sizes:
+            options = {name: value for name, value in options.items() if name != "lod"}  # type: ignore[assignment]  # it has them
+        for part in self.parts.values():
+            part.require_heard(mode, options)
+        if mode.shows == "surface" and not mode.finished_there:
+            raise OptionError(f"mode {mode.name!r} draws one medium: surfaces of several would hide each other out of order")
+        projected = "depth", "normal", "position", "visited"
+        without = {"matter": ("normal", "visited"), "surface": ("visited",)}.get(mode.shows, projected)
+        refused = [name for name in outputs if name in without]
+        if refused:
+            raise OptionError(f"{' and '.join(refused)} of several media in {mode.name} would be of which? Draw one of them")
+
+    def function(self, mode: Mode, level: int = 0) -> Field | BrickedField:
+        return self.part(self.scene.media[0]).function(mode, level)
+
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        return self._draw(look, fine, 0, guides, progress)
+
+    def _draw(self, look: ResolvedLook, fine: Fineness, coarsest: int, guides: bool, progress: Progress | None) -> Pictures:
+        """The picture; of media in several sizes none is finer than this level, if there is one so coarse."""
+        if not look.others:
+            return self._drawn_alone(look, fine, coarsest, guides, progress)
+        try:
+            return self._drawn(look, fine, coarsest, guides, progress)
+        except (ChunkError, MissingSampleError):  # by bricks, which only then showed that samples are missing
+            left_out = [part.leave_out() for part in self.parts.values()]
+            if not any(left_out):
+                raise
+            return self._drawn(look, fine, coarsest, guides, progress)
+
+    def _drawn(self, look: ResolvedLook, fine: Fineness, coarsest: int, guides: bool, progress: Progress | None) -> Pictures:
+        camera, view = look.placed(fine.size[0] / fine.size[1]).camera, look.view(fine.size)
+        looks = tuple(replace(one, camera=camera) for one in (look, *look.others))  # in place, whatever the level of a medium
+        surfaces = look.mode.shows == "surface"
+        if (look.unsettled or look.mode).shows == "matter":
+            seen = [self._own(one).seen(one, fine, self._level(one, fine, view, coarsest), guides) for one in looks]
+            bricks = tuple(one.bricks for one in seen)
+            bricked = Bricked(bricks, view, look.skipping) if any(field is not None for field in bricks) else None
+            with ExitStack() as held:
+                for each in seen:
+                    held.enter_context(each.field.in_use())
+                frame = _together(seen).frame(fine.size, fine.step, guides=guides)
+                return launch.drawn(self._begin(frame, fine.rays, fine.filter, bricked=bricked), fine.rays, progress)
+        background = look.scene.background
+        pictures = []
+        for i, one in enumerate(looks):
+            own = replace(one, others=(), scene=replace(one.scene, background=None))
+            part = part_of(progress, i / len(looks), (i + 1) / len(looks))
+            pictures.append(self._drawn_alone(own, fine, coarsest, guides or surfaces, part))
+        together = nearest(pictures) if surfaces else {"rgba": mixed([one["rgba"] for one in pictures], self.scene.mix)}
+        return {**together, "rgba": over(background, together["rgba"])}
+
+    def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
+        looks = look, *look.others
+        parts = [self._own(one) for one in looks]
+        if (look.unsettled or look.mode).shows == "matter" and look.others and not any(part.by_bricks for part in parts):
+            subject = _together([part.seen(one, fine, 0, False) for part, one in zip(parts, looks, strict=True)])
+            return Refinement(Wanted(subject, fine.size, fine.step, fine.rays, fine.filter), asked, self._rates).pictures(
+                self.in_use
+            )
+
+        def draw(level: int, report: Progress) -> launch.Picture:
+            return self._draw(look, fine, level, False, report)["rgba"]
+
+        view = look.view(fine.size)
+        ends = [(part.level(fine, view), part.coarsest) for part in parts]
+        finest, coarsest = min(level for level, _ in ends), max(level for _, level in ends)
+        return refined_by_levels(draw, range(coarsest, finest - 1, -1), fine.step, asked, self.in_use)
+
+    def uncertainty(self, mode: Mode) -> Uncertainty:  # noqa: ARG002
+        raise OptionError('the output "uncertainty" takes a scene of one medium')
+
+    def part(self, medium: Medium) -> OneMedium:
+        return self.parts[_reconstructed(medium)]
+
+    def _own(self, look: ResolvedLook) -> OneMedium:
+        return self.part(look.scene.media[0])
+
+    def _level(self, look: ResolvedLook, fine: Fineness, view: Viewpoint, coarsest: int) -> int:
+        """The level of a medium, where none is to be finer than one."""
+        part = self._own(look)
+        return max(part.level(fine, view), min(coarsest, part.coarsest))
+
+    def _drawn_alone(self, look: ResolvedLook, fine: Fineness, coarsest: int, guides: bool, progress: Progress | None) -> Pictures:
+        level = self._level(look, fine, look.view(fine.size), coarsest)
+        return self._own(look).drawn(look, fine, level, guides, progress)
+
+
+def _together(seen: Sequence[Seen]) -> Subject:
+    """Several media in one picture, of which the first leads."""
+    first, *others = (one.subject for one in seen)
+    return replace(first, others=tuple(others))
+
+
+def _reconstructed(medium: Medium) -> tuple[Any, ...]:
+    """What the function of a medium depends on, whatever its look."""
+    return id(medium.volume), medium.filter, medium.boundary
 
 
 def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, replace
+from importlib import import_module
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ from clvol.base.uniform import FLOAT, REACH, Block, Values
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
+from clvol.interop.dispatch import is_in_parts
 from clvol.scene.clip import Box, Clip, as_clip, joined
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.mode import Surfaces
@@ -45,8 +47,8 @@ class Medium:
 
     Parameters
     ----------
-    volume : Volume or array-like, 3-D
-        The samples.
+    volume : Volume, LazyVolume or array-like, 3-D
+        The samples; a LazyVolume is read by bricks.
     transfer : TransferFunction, optional
         From values to colours and opacities; default: chosen by the mode of the picture.
     material : Material
@@ -111,9 +113,11 @@ class Medium:
     )
 
     def __post_init__(self, mask: ArrayLike | None, where: ArrayLike | None) -> None:
-        volume = as_volume(self.volume)
+        lazy = is_in_parts(self.volume)
+        volume = self.volume if lazy else as_volume(self.volume)
         if mask is not None or where is not None:
-            volume = masked(volume, _outside(mask, where))
+            outside = _outside(mask, where)
+            volume = import_module("clvol.bricks.continued").holed(volume, outside) if lazy else masked(volume, outside)
         object.__setattr__(self, "volume", volume)
         instance("visible", self.visible, bool, np.bool_)
         if self.filter is not None:
@@ -153,6 +157,13 @@ class Medium:
     def with_transfer(self, transfer: TransferFunction | None) -> Medium:
         """The same with a transfer function, instead of its own or of words."""
         return replace(self, transfer=transfer, preset=None, window=None, cmap=None, opacity=None)
+
+    def with_look(self, other: Medium) -> Medium | None:
+        """The same with the look of another medium of this function, as it is here or was given; None if that is of another."""
+        given = vars(self.volume).get("_of", self) if is_in_parts(other.volume) else self
+        if other.volume is not given.volume or (other.filter, other.boundary) != (given.filter, given.boundary):
+            return None
+        return other if given is self else replace(other, volume=self.volume, filter=self.filter, boundary=self.boundary)
 
     @property
     def domain(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -194,7 +205,7 @@ class Scene:
 
     Parameters
     ----------
-    media : Medium, Volume, array-like, a sequence of these, or Volumes
+    media : Medium, Volume, LazyVolume, array-like, a sequence of these, or Volumes
         The media to render, 1 to 8, on one grid or on several; or the channels of `Volumes`, each in its colour. (Give a Field
         directly to a `Renderer`.)
     lights : Light or sequence of Light
@@ -250,12 +261,14 @@ class Scene:
 
     def __post_init__(self) -> None:
         media: Any = channels(self.media) if isinstance(self.media, Volumes) else self.media
-        if not isinstance(media, (list, tuple)) or (media and not any(isinstance(m, (Medium, Volume, np.ndarray)) for m in media)):
+        if not isinstance(media, (list, tuple)) or (
+            media and not any(isinstance(m, (Medium, Volume, np.ndarray)) or is_in_parts(m) for m in media)
+        ):
             media = (media,)  # a volume or an array, possibly nested lists
         if not 1 <= len(media) <= _MOST_MEDIA:
             raise OptionError(f"a scene must have 1 to {_MOST_MEDIA} media; got {len(media)}")
         media = tuple(map(as_medium, media))
-        _require_one_world([medium.volume for medium in media])
+        _require_one_world([medium.volume.grid for medium in media])
         if self.mix not in _MIXES:
             raise one_of("mix", self.mix, _MIXES)
         object.__setattr__(self, "media", media)
@@ -272,14 +285,21 @@ class Scene:
         rule = "the scene's, in their order, with its volumes, filters and boundaries"
         if not isinstance(media, (list, tuple)) or len(media) != len(self.media):
             raise OptionError(f"media must be {rule}; got {media!r:.200}")
+        seen = []
         for k, (own, other) in enumerate(zip(self.media, media, strict=True)):
             instance("each of media", other, Medium)
-            if other.volume is not own.volume or (other.filter, other.boundary) != (own.filter, own.boundary):
+            if (medium := own.with_look(other)) is None:
                 raise OptionError(f"media must be {rule}; number {k} has others")
-        made: Scene = object.__new__(Scene)  # what is checked of a scene has not changed
-        vars(made).update(vars(self), media=tuple(media))
-        for medium in media:
+            seen.append(medium)
+        made = self.of_media(seen)
+        for medium in seen:
             made.clip_of(medium)
+        return made
+
+    def of_media(self, media: Sequence[Medium]) -> Scene:
+        """The same of media that are where its own are: what is checked of a scene does not change."""
+        made: Scene = object.__new__(Scene)
+        vars(made).update(vars(self), media=tuple(media))
         return made
 
     def clip_of(self, medium: Medium) -> Clip | None:

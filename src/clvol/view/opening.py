@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -14,6 +14,7 @@ from clvol.base.errors import ChunkError, DataError, GeometryError, MissingSampl
 from clvol.bricks.continued import holed
 from clvol.bricks.source import LazyVolume
 from clvol.device import Device
+from clvol.interop.dispatch import is_in_parts
 from clvol.march.choose import without_masked
 from clvol.march.options import KEYWORDS
 from clvol.scene.camera import Camera
@@ -74,6 +75,8 @@ def opened(
         scene = Medium(scene.coefficients.volume, filter=scene.filter, boundary=scene.boundary)
     volumes = scene if isinstance(scene, Volumes) else None
     if isinstance(scene, Scene):
+        if any(is_in_parts(medium.volume) for medium in scene.media):
+            scene, source = replace(scene, media=tuple(map(_resident, scene.media))), None
         several = scene if len(scene.media) > 1 else None
         options = {name: getattr(scene, name) for name in ("lights", "background", "clip")} | options
         scene = scene.media[0]
@@ -89,6 +92,14 @@ def opened(
     if volume.is_labels:  # whose colours depend on the labels that are resident
         finer = None
     return Opened(volume, volumes, coefficients, finer, device, source, options, several)
+
+
+def _resident(medium: Medium) -> Medium:
+    """A medium in memory: of a volume that is read by parts the largest size that fits."""
+    volume: Any = medium.volume
+    if not is_in_parts(volume):
+        return medium
+    return replace(medium, volume=(volume, *volume.levels)[resident_level(volume)].whole())
 
 
 def _of_medium(medium: Medium, options: dict[str, Any]) -> dict[str, Any]:

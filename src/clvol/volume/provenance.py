@@ -10,7 +10,7 @@ import numpy as np
 
 from clvol.volume.volume import Volume
 
-__all__ = ["Provenance", "facts_of", "note", "provenance_of"]
+__all__ = ["Provenance", "facts_of", "note", "provenance_of", "recognise"]
 
 Provenance: TypeAlias = Mapping[str, Any]
 """Its "path", and options with which it was read."""
@@ -40,6 +40,13 @@ def facts_of(volume: Volume, preview: Volume) -> dict[str, Any]:
     names = ("shape", "spacing", "origin", "direction", "units", "space")
     known = {name: getattr(volume, name) for name in names}
     return known | {"dtype": volume.data.dtype.newbyteorder("=").str[1:], "sum": _sum_of(preview)}
+
+
+def recognise(known: Volume, preview: Volume, given: object) -> None:
+    """Let what is known of a volume that is read by parts be recognised as it is: by its preview, and where it came from."""
+    vars(known)["_sum"] = _sum_of(preview)
+    if (source := provenance_of(given)) is not None:
+        vars(known)["_provenance"] = source
 
 
 def _sum_of(volume: Volume) -> int:
