@@ -12,6 +12,9 @@ import pytest
 import clvol
 from clvol.base.errors import ClvolWarning, OptionError
 from clvol.device import Device
+from clvol.reference.march.march import render as render_reference
+from clvol.scene.camera import Camera
+from clvol.scene.fit import usual_camera
 from clvol.scene.look import look
 from clvol.scene.mode import modes
 from clvol.scene.preset import label_color
@@ -189,3 +192,55 @@ def test_a_statistical_map_shows_what_is_significant() -> None:
     assert look(t, "mip", preset="stat-map").value_range == (0, 8)
     with pytest.warns(ClvolWarning, match="about -3.5 and 3.5 on, and samples are from -1 to 1: nothing is seen"):
         look(Volume(np.linspace(-1, 1, 64).reshape(4, 4, 4)), "composite", preset="stat-map")
+
+
+def viridis(transfer: TransferFunction) -> bool:
+    """Whether colours are those of the perceptual map, and half transparent."""
+    (_, first), *_, (_, last) = transfer.colors
+    return bool(np.abs(np.subtract(first, (0.27, 0, 0.33))).max() < 0.02 and transfer.opacities[-1][1] < 0.2 and last[0] > 0.9)
+
+
+def test_simulations_show_their_values() -> None:
+    speed = np.hypot(np.sin(X / 3) + np.cos(Y / 4), np.cos(Z / 5) + 0.3 * np.sin(X / 5))
+    for spacing in ((1, 1, 1), (1, 1, 3)):
+        assert viridis(TransferFunction.automatic(Volume(speed, spacing=spacing)))
+    measured: dict[str, Volume] = {
+        "noise": SCAN,
+        "whole numbers": Volume(np.round(1000 * speed).astype(np.int16)),
+        "a patient": Volume(speed, space="LPS"),
+        "a stack": Volume(speed, space="image"),
+        "a channel": Volume(speed, color="red"),  # type: ignore[arg-type]  # a name
+        "a masked scan": Volume(np.where(FAR < 8, SCAN.data, 0.0)),
+        "a mask": Volume((FAR < 8).astype(float) + 0.5 * (FAR < 4)),
+        "both signs": Volume(np.sin(X / 3) * np.sin(Y / 3) * np.sin(Z / 3)),
+    }
+    assert not [name for name, volume in measured.items() if viridis(TransferFunction.automatic(volume))]
+
+
+def test_thin_stacks_are_seen_from_above_and_glow() -> None:
+    spots = np.maximum(0, 200 - 60 * FAR[8:12]) + 3 * np.abs(NOISE[8:12])
+    stack = Volume(spots, space="image")
+    for depth, elevation in ((0.01, 90), (1.0, 62), (1.25, 55)):
+        camera = usual_camera(replace(stack, spacing=(1, 1, depth)))
+        assert np.degrees(np.arcsin(-camera.direction[2])) == pytest.approx(elevation, abs=0.5)
+    assert usual_camera(replace(stack, spacing=(1, 1, 2))) == usual_camera(replace(stack, space="")) == Camera.orbit()
+    green = [color for _, color in TransferFunction.automatic(stack).colors]
+    assert all(g > max(r, b) for r, g, b in green)
+    for other in (replace(stack, data=250 - spots), replace(stack, space=""), replace(stack, color="red")):  # type: ignore[arg-type]
+        assert [color for _, color in TransferFunction.automatic(other).colors] != green
+
+
+def test_surfaces_of_labels_have_their_colors(device: Device) -> None:
+    for method in ("exact", "stepped"):
+        got = clvol.render(LABELS, mode="isosurface", method=method, size=(40, 40), shading=False, device=device, rays=1)
+        lit = {tuple(np.round(pixel, 3)) for pixel in got[got[..., 3] > 0][:, :3].tolist()} - {(0, 0, 0)}
+        assert lit == {tuple(np.round(label_color(2), 3))}
+    want = render_reference(LABELS, None, "isosurface", "nearest", size=(40, 40), outputs="rgba")
+    shaded = clvol.render(LABELS, mode="isosurface", size=(40, 40), device=device, rays=1)
+    assert np.abs(shaded - want).max() < 1e-5
+    red = clvol.render(LABELS, mode="isosurface", color="red", shading=False, size=(8, 8), device=device)
+    np.testing.assert_array_equal(red[4, 4, :3], [1, 0, 0])
+    with pytest.raises(OptionError, match="takes a volume of labels"):
+        clvol.render(SCAN, mode="isosurface", color_by="label", device=device)
+    with pytest.raises(OptionError, match="color_by must be one of"):
+        clvol.Surfaces(color_by="label")  # type: ignore[arg-type]

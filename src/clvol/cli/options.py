@@ -19,6 +19,7 @@ from clvol.device import as_device
 from clvol.formats.opening import WholeOnlyError, opened_if
 from clvol.interfaces.movie import series_of
 from clvol.march.options import unheard
+from clvol.scene.fit import usual_camera
 from clvol.scene.look import look as look_of
 from clvol.scene.mode import Mode, as_mode, every_option, mode_options, require_heard
 
@@ -369,8 +370,10 @@ class Look:
         Literal["analytic", "central"] | None,
         Parameter(help="The gradient that lighting uses. [default: analytic, where the filter has slopes]", show_default=False),
     ] = None
-    azimuth: Annotated[float, Parameter(help="Degrees about the z axis.")] = 30.0
-    elevation: Annotated[float, Parameter(help="Degrees above the xy plane.")] = 20.0
+    azimuth: Annotated[float | None, Parameter(help="Degrees about the z axis; 30, but for thin stacks of images.")] = None
+    elevation: Annotated[
+        float | None, Parameter(help="Degrees above the xy plane; 20, but for thin stacks of images: 55 to 90.")
+    ] = None
     zoom: Annotated[float, Parameter(help="Magnification, relative to the fitted view.")] = 1.0
     fit: Annotated[Literal["matter", "volume"], Parameter(help="What fills the picture: everything visible, or the volume.")] = (
         "matter"
@@ -383,7 +386,7 @@ class Look:
         """Arguments of `clvol.render`."""
         given: dict[str, Any] = {name: getattr(self, name) for name in ("rays", "pixel_filter", "gradient")}
         given |= {"clip": self.cuts() or None, "transfer": self._transfer(volume)}
-        given |= {"camera": self.camera(), "mode": self.mode, "step": self.step, "background": self.background}
+        given |= {"camera": self.camera(volume), "mode": self.mode, "step": self.step, "background": self.background}
         given = {name: value for name, value in given.items() if value is not None}
         return given | ({"background": None} if self.background == "none" else {})
 
@@ -422,9 +425,17 @@ class Look:
         with as_device(device).limited(**limits) if limits else contextlib.nullcontext():
             yield
 
-    def camera(self) -> clvol.Camera:
-        """The camera."""
-        return clvol.Camera.orbit(self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection, fit=self.fit)
+    def camera(self, volume: clvol.Volume) -> clvol.Camera:
+        """The camera for a volume."""
+        own: dict[str, Any] = {"zoom": self.zoom, "projection": self.projection, "fit": self.fit}
+        if self.azimuth is None and self.elevation is None:
+            return replace(usual_camera(volume), **own)
+        return clvol.Camera.orbit(*self.turned, **own)
+
+    @property
+    def turned(self) -> tuple[float, float]:
+        """Azimuth and elevation, where some are given."""
+        return 30.0 if self.azimuth is None else self.azimuth, 20.0 if self.elevation is None else self.elevation
 
     def _transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
         """The requested transfer function; None: the mode's default."""

@@ -293,7 +293,8 @@ def batch(
     reader = input or Input()
     speech.require_picture(Path(f"picture{Path(output).suffix}"))
     camera = {"zoom": look.zoom, "projection": look.projection, "fit": look.fit}
-    cameras = clvol.Camera.turntable(turn, look.elevation, azimuth=look.azimuth, **camera) if turn != 1 else None
+    azimuth, elevation = look.turned
+    cameras = clvol.Camera.turntable(turn, elevation, azimuth=azimuth, **camera) if turn != 1 else None
     with speech.progress("drawing", json) as progress:
         drawn = clvol.batch(
             sources,

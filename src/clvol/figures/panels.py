@@ -27,7 +27,7 @@ from clvol.march.renderer import Renderer
 from clvol.reference.march.exact import draw_function
 from clvol.scene.camera import Camera
 from clvol.scene.clip import as_clip
-from clvol.scene.fit import fitted
+from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.light import Light, Material
 from clvol.scene.mode import DEFAULT_MODE, as_mode, every_option, require_heard
 from clvol.scene.transfer import TransferFunction
@@ -284,7 +284,7 @@ def settled(volume: Volume, options: dict[str, Any]) -> dict[str, Any]:
         look.pop(word, None)
     if isinstance(transfer, TransferFunction):  # an error otherwise, by `render`
         clip = None if look.get("clip") is None else as_clip(look["clip"])
-        look["camera"] = fitted(look.get("camera") or Camera.orbit(), volume, mode, transfer, clip)
+        look["camera"] = fitted(look.get("camera") or usual_camera(volume), volume, mode, transfer, clip)
         look["transfer"] = replace(transfer, unit_distance=transfer.unit_distance or volume.mean_spacing)
     if "transfer" in mode.unheard:
         del look["transfer"]

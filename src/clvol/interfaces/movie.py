@@ -28,6 +28,7 @@ from clvol.march.choose import without_masked
 from clvol.march.options import KEYWORDS, WORDS, BatchOptions, FieldOptions, ResolvedLook, as_size, chosen_mode, transfer_of
 from clvol.march.source import row_for
 from clvol.scene.camera import Camera
+from clvol.scene.fit import usual_camera
 from clvol.scene.keyframes import Keyframes
 from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode
 from clvol.scene.scene import Medium, as_scene
@@ -335,7 +336,7 @@ def _shots(
     for i in range(count):
         options = options_at(i / (count - 1) if keys is not None else 0.0)
         volume = volumes[i * len(volumes) // count]
-        camera = options.get("camera") or Camera.orbit()
+        camera = options.get("camera") or usual_camera(volume.grid)
         options["camera"] = _turned(replace(camera, **place), 360 * turns * i / count, volume)
         shots.append(Shot(volume, options))
     return shots
@@ -359,7 +360,7 @@ class _Some(NamedTuple):
 
 def _place(volumes: Sequence[Drawable], looks: Sequence[Mapping[str, Any]], aspect: float) -> dict[str, Any]:
     """Target and radius of a camera that sees what any volume shows in any look; nothing for a placed camera, or one look."""
-    cameras = [look.get("camera") or Camera.orbit() for look in looks]
+    cameras = [look.get("camera") or usual_camera(volumes[0].grid) for look in looks]
     known = ("position", "target", "distance", "radius")
     if len(volumes) * len(looks) == 1 or any(getattr(one, what) is not None for one in cameras for what in known):
         return {}

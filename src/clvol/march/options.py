@@ -16,7 +16,7 @@ from clvol.base.errors import OptionError
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.scene.camera import Camera
 from clvol.scene.clip import cuts_of
-from clvol.scene.fit import fitted
+from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.look import look
 from clvol.scene.mode import Surfaces, as_mode, require_heard
 from clvol.scene.preset import as_preset
@@ -125,7 +125,7 @@ class ModeOptions(TypedDict, total=False):
     isovalue: float | str | None
     color: Sequence[float] | str
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None
-    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature"] | None
+    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "label"] | None
     method: Literal["exact", "stepped"]
     tolerance: float
     attenuation: float
@@ -416,7 +416,7 @@ class ResolvedLook:
             raise one_of("gradient", gradient, ("analytic", "central"))
         (medium,) = scene.media
         preview = part_of(medium).preview
-        camera = Camera.orbit() if camera is None else camera
+        camera = usual_camera(preview) if camera is None else camera
         instance("camera", camera, Camera)
         if medium.surfaces and mode.shows != "matter":
             raise OptionError(f"surfaces of a medium change nothing in {mode.name}: they are for composite; leave them out")

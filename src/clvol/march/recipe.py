@@ -18,7 +18,7 @@ from clvol.filter import boundary
 from clvol.filter import filter as filters
 from clvol.scene import camera, clip, light, mode, scene, transfer
 from clvol.scene.clip import cuts_of
-from clvol.scene.mode import colored_by
+from clvol.scene.mode import BY_LABEL, colored_by
 from clvol.show.furniture import Bar, Furnished, Furniture, Stage, furnished
 from clvol.show.picture import as_pictures
 from clvol.volume.provenance import facts_of, provenance_of, recognise
@@ -294,4 +294,4 @@ def _bar(look: ResolvedLook) -> Bar:
         labels = volume.labels if isinstance(volume.labels, Mapping) else None
         if labels is None:
             labels = {int(value): str(int(value)) for value in np.unique(volume.data)[:_MOST_LABELS]}
-    return Bar(look.transfer, look.mode.shows == "matter", colored_by(look.mode) or volume.name, labels)
+    return Bar(look.transfer, look.mode.shows == "matter", colored_by(look.mode).replace(BY_LABEL, "") or volume.name, labels)

@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip, cuts_of
 from clvol.scene.mode import Mode
+from clvol.scene.preset import thinness
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.evenly import evenly
 from clvol.volume.volume import Volume
 
-__all__ = ["Seen", "Sphere", "fitted", "sphere_of_matter"]
+__all__ = ["Seen", "Sphere", "fitted", "sphere_of_matter", "usual_camera"]
 
 Bools: TypeAlias = NDArray[np.bool_]
 Seen: TypeAlias = tuple[Volume, Mode, TransferFunction, Clip | None]
@@ -50,6 +51,12 @@ class Sphere:
     radius: float
     outer: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
     """Vectors from the centre to the outermost visible samples, (n, 3); None for the sphere of the volume."""
+
+
+def usual_camera(volume: Volume) -> Camera:
+    """The camera where none is given: `Camera.orbit`, but of thin stacks of images from above, the thinner the steeper."""
+    thin = thinness(volume)
+    return Camera.orbit() if thin > 1 else Camera.orbit(30 * thin, 90 - 35 * thin)
 
 
 def fitted(

@@ -30,6 +30,7 @@ from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume
 
 __all__ = [
+    "BY_LABEL",
     "CURVATURES",
     "DEFAULT_MODE",
     "Attenuated",
@@ -59,6 +60,8 @@ _MOST_FIELDS = 64  # largest number of fields in a ray's state
 _MOST_SURFACES = 8
 _GAUSSIAN = "gaussian curvature"
 CURVATURES = ("k1", "k2", "mean curvature", _GAUSSIAN)
+BY_LABEL = "label"
+"""What colours surfaces of labels, unless they are given a colour."""
 """What surfaces may be coloured by, in the order of curvature.cl."""
 _BENT = 1 / 8  # the curvature of the strongest colours, times the spacing
 _BONE, _RED = (0.93, 0.87, 0.76), (0.80, 0.25, 0.20)
@@ -174,7 +177,7 @@ class Mode:
         """The same for values, from black to white between `clim`, (low, high), if it is given."""
         if self.shows == "matter":
             return TransferFunction.automatic(volume, clim)
-        if colored_by(self):
+        if colored_by(self) in CURVATURES:
             most = (_BENT / volume.mean_spacing) ** (2 if colored_by(self) == _GAUSSIAN else 1)
             return TransferFunction.from_cmap("matplotlib:coolwarm", clim or (-most, most))
         matter = matter_of(volume)
@@ -270,7 +273,8 @@ class Isosurface(_OfSurfaces):
         deviations, as maps of electron microscopy and crystallography are shown; of a volume larger than memory, of those of
         its `LazyVolume.preview`.
     color : three numbers or a name
-        Colour of the surface: red, green and blue in 0..1, a name or a hex code.
+        Colour of the surface: red, green and blue in 0..1, a name or a hex code. Labels have those of the transfer function, unless
+        there is another here.
     shading : bool
         Gradient shading of the surface.
     method : {"exact", "stepped"}
@@ -288,7 +292,7 @@ class Isosurface(_OfSurfaces):
     color_by : {"k1", "k2", "mean curvature", "gaussian curvature"}, optional
         Colours the surface by its curvature, from the exact derivatives of the function: the larger or the smaller principal one,
         their mean or their product, per world unit (squared). It is positive where the surface bends as that of a bright ball.
-        `transfer`, `window` and `cmap` are then those of curvatures.
+        `transfer`, `window` and `cmap` are then those of curvatures. "label" stands for the colours of labels.
     """
 
     isovalue: float | str | None = None
@@ -297,7 +301,7 @@ class Isosurface(_OfSurfaces):
     method: Literal["exact", "stepped"] = "exact"
     tolerance: float = 1e-4
     cap: bool | Sequence[float] | str = False
-    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature"] | None = None
+    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "label"] | None = None
 
     name: ClassVar[str] = "isosurface"
     description: ClassVar[str] = "the first isosurface along the ray, shaded"
@@ -344,7 +348,11 @@ class Isosurface(_OfSurfaces):
         return "surfaces of method 'stepped' or between labels, which are between two samples" if between else ""
 
     def settled(self, volume: Volume) -> Self:
-        return replace(self, isovalue=isovalue_of(volume)[0] if self.isovalue is None else _isovalue(self.isovalue, volume))
+        value = isovalue_of(volume)[0] if self.isovalue is None else _isovalue(self.isovalue, volume)
+        if self.color_by == BY_LABEL and not volume.is_labels:
+            raise OptionError(f'color_by="{BY_LABEL}" takes a volume of labels; got one of other samples')
+        own = volume.is_labels and self.color == _BONE and self.color_by is None
+        return replace(self, isovalue=value, color_by="label" if own else self.color_by)
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         (surface,) = (stored(value) for value in self.isovalues)  # settled
@@ -404,6 +412,8 @@ class Surfaces(_OfSurfaces):
         if self.surfaces is not None:
             _set(self, surfaces=_surfaces(self.surfaces))
         self._set_looks(self.shading, self.cap, self.color_by)
+        if self.color_by == BY_LABEL:
+            raise one_of("color_by", self.color_by, CURVATURES)
 
     @property
     def isovalues(self) -> tuple[float, ...]:
@@ -535,7 +545,7 @@ def modes() -> ModeTable:
 
 
 def colored_by(mode: Mode) -> str:
-    """What colours the surfaces of a mode, if they have no colours of their own: one of `CURVATURES`, or ""."""
+    """What colours the surfaces of a mode, if they have no colours of their own: one of `CURVATURES`, `BY_LABEL`, or ""."""
     return getattr(mode, "color_by", None) or ""
 
 
@@ -698,9 +708,9 @@ def _color_by(given: str | None, cap: object) -> str | None:
     """What surfaces are coloured by; "none", as shells and panels say it, is None."""
     if given is None or given == "none":
         return None
-    if given not in CURVATURES:
+    if given not in (*CURVATURES, BY_LABEL):
         raise one_of("color_by", given, CURVATURES)
-    if cap is True:
+    if cap is True and given != BY_LABEL:
         raise OptionError("cap=True shows values, and color_by curvatures, by one transfer function: give the cap a color")
     return given
 

@@ -7,9 +7,10 @@ or z. The others are relative to a volume's matter: 0 is where it starts to show
 from __future__ import annotations
 
 import colorsys
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,22 @@ _ACROSS = 110  # smallest diagonal in units of length, as in a cube of 64 sample
 _GOLDEN = 0.6180339887498949  # fraction of the hue circle per label: neighbouring numbers get distant hues, and no two the same
 _TONES = ((0.62, 0.98), (0.85, 0.85), (0.42, 0.92))  # saturation and value, in turn
 _GREEN = (0.25, 0.95, 0.40)
+_THIN_STACK = 0.25  # of its narrower side, up to which a stack is thin
+_LIT = 0.5  # of the samples, what glows in the dark
+_LOOKED_AT, _MANY = 1 << 12, 32  # samples, and distinct values among them; labels and masks have few
+_CLEAN = 2e-4  # noise, relative to the range of matter, up to which samples were computed and not measured
+_VIRIDIS: tuple[Color, ...] = (
+    (0.27, 0.00, 0.33),
+    (0.28, 0.18, 0.48),
+    (0.23, 0.32, 0.55),
+    (0.17, 0.45, 0.56),
+    (0.13, 0.57, 0.55),
+    (0.16, 0.68, 0.50),
+    (0.37, 0.79, 0.38),
+    (0.68, 0.86, 0.19),
+    (0.99, 0.91, 0.14),
+)
+_HALF = (0.0, 0.005, 0.04, 0.16)  # so that values inside are seen
 
 
 def automatic(volume: Volume, clim: tuple[float, float] | None = None) -> tuple[Colors, Opacities]:
@@ -68,7 +85,9 @@ def automatic(volume: Volume, clim: tuple[float, float] | None = None) -> tuple[
     least, most = volume.value_range
     if not least < most and clim is None:  # constant data: show it as fog
         return ((least, FOG if volume.color is None else volume.color),), ((least, 0.02),)
-    sides = [(1, _FLESH if volume.color is None else shades(volume.color))]
+    computed = _is_computed(volume, matter)
+    color = _GREEN if volume.color is None and _glows(volume, matter) else volume.color
+    sides = [(1, shades(color) if color is not None else _VIRIDIS if computed else _FLESH)]
     if matter.signed:
         sides = [(1, _WARM), (-1, _COLD)]
     foot, start, middle, top = matter.foot, matter.start, matter.middle, matter.top
@@ -90,12 +109,43 @@ def automatic(volume: Volume, clim: tuple[float, float] | None = None) -> tuple[
         foot, start, middle, top = _within(volume.clim, matter)
     colors: list[tuple[float, Color]] = []
     opacities: list[tuple[float, float]] = []
-    rise = _OF_SIGNED if matter.signed else _rise(start, middle, top)
-    places = (foot, start + _RISE * (middle - start), middle, top)
+    rise = _OF_SIGNED if matter.signed else _HALF if computed else _rise(start, middle, top)
+    places = np.linspace(foot, top, len(_VIRIDIS)).tolist() if computed else (foot, start + _RISE * (middle - start), middle, top)
     for side, tones in sides:
         colors += [(matter.value(d, side), c) for d, c in zip(places, tones, strict=True)]
         opacities += [(matter.value(d, side), a) for d, a in zip((foot, start, middle, top), rise, strict=True)]
     return tuple(sorted(colors, key=_by_value)), tuple(sorted(opacities, key=_by_value))
+
+
+def _is_computed(volume: Volume, matter: Matter) -> bool:
+    """Whether samples are of a simulation: many values without noise, of no patient, stack or channel."""
+    if volume.data.dtype.kind != "f" or volume.space or volume.color is not None or volume.clim is not None or matter.signed:
+        return False
+    if matter.ground is not None:  # as of masked scans, most of whose samples say nothing of noise
+        return False
+    if len(np.unique(_some(volume))) < _MANY:
+        return False
+    return volume.noise.sigma <= _CLEAN * abs(matter.value(matter.top) - matter.value(0))
+
+
+def thinness(volume: Volume) -> float:
+    """How thin a stack of images is, from 0 to 1; more for what is no thin stack."""
+    if volume.space != "image" or volume.ndim != 3:
+        return math.inf
+    x, y, z = (n * length for n, length in zip(volume.size, volume.spacing, strict=True))
+    return z / min(x, y) / _THIN_STACK
+
+
+def _glows(volume: Volume, matter: Matter) -> bool:
+    """Whether a thin stack of images is of light in the dark, as in a fluorescence microscope."""
+    if thinness(volume) > 1 or matter.signed or matter.sign < 0:
+        return False
+    return float((_some(volume) > matter.value(matter.start)).mean()) < _LIT
+
+
+def _some(volume: Volume) -> NDArray[Any]:
+    step = max(1, round((volume.data.size / _LOOKED_AT) ** (1 / volume.ndim)))
+    return volume.data[(slice(None, None, step),) * volume.ndim]
 
 
 def unit_of(volume: Volume) -> float | None:

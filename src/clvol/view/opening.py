@@ -19,6 +19,7 @@ from clvol.march.choose import without_masked
 from clvol.march.options import KEYWORDS
 from clvol.scene.camera import Camera
 from clvol.scene.clip import as_clip, cuts_of
+from clvol.scene.fit import usual_camera
 from clvol.scene.look import look
 from clvol.scene.mode import as_mode, modes
 from clvol.scene.scene import Medium, Scene
@@ -141,7 +142,7 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
     if camera is not None:
         instance("camera", camera, Camera)
     return State(
-        camera=_camera_state(volume, camera or Camera.orbit()),
+        camera=_camera_state(volume, camera or usual_camera(volume)),
         mode=chosen.name,
         options={name: plain(value) for name, value in options.items()},
         filter=None if row is None else getattr(row, "name", row),

@@ -29,7 +29,7 @@ from clvol.reference.march.roots import crossings_by, first_crossings
 from clvol.reference.spline.points import sample
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Clip, as_clip, cuts_of
-from clvol.scene.fit import fitted
+from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, Surfaces, as_mode, mode_options
 from clvol.scene.transfer import TransferFunction
@@ -329,7 +329,7 @@ def render(
     width, height = size
     clip = None if clip is None else as_clip(clip)
     cuts = cuts_of(clip)
-    view = fitted(camera or Camera.orbit(), volume, chosen, transfer, clip, width / height).view(volume, width / height)
+    view = fitted(camera or usual_camera(volume), volume, chosen, transfer, clip, width / height).view(volume, width / height)
     lit_by = [light.placed(view) for light in as_lights(lights)]
     scene = _Scene(
         value,
@@ -482,7 +482,9 @@ def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered
     hit = np.flatnonzero(np.isfinite(depth))
     rgb = np.zeros((depth.size, 3))
     rgb[hit] = mode.color
-    if mode.color_by:
+    if mode.color_by == "label" and not scene.filter.has_gradient:
+        rgb[hit] = scene.transfer(scene.value(rays.at(depth[hit] + 100 * _PAST, hit)))[:, :3]
+    elif mode.color_by and mode.color_by != "label":
         rgb[hit] = scene.transfer(_curvatures(scene, mode.color_by, rays.at(depth[hit], hit)))[:, :3]
     if mode.shading:
         gradient = scene.gradient(rays.at(depth[hit], hit))
