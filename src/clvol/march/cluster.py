@@ -154,9 +154,9 @@ class _Recipe:
     boundary: Boundary
     device: str | int | None
     memory: int | None
-    sharing: int
     edge: int
     ranks: dict[str, int]
+    sharing: int = 1
     version: str = field(default_factory=version)
 
 
@@ -220,9 +220,9 @@ class Shared:
             field.boundary,
             self._device,
             self._memory,
-            self._sharing,
             field.edge,
             self.cluster.local_ranks(),
+            self._sharing,
         )
         self.workers = self.cluster.workers
         self.tree = groups_of(field.bricks.counts, _GROUPS * max(1, len(self.workers)))
