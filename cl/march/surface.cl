@@ -16,6 +16,7 @@ INLINE color_t surface_color(COEFFICIENTS coefficients, const sample_t *sample, 
         const real3 gradient = gradient_at(coefficients, sample, choose(hit, hit_t, sample->ray->enter), hit);
         color = shade(sample->frame, color, gradient, (real)(sample->frame->mode.isovalue), sample->ray->world);
     }
+    outline(&color, coefficients, sample, choose(hit, hit_t, sample->ray->enter), hit);
     if (any_lane(capped)) {
         const color_t cap = cap_color(sample, value_at(coefficients, sample, choose(capped, hit_t, sample->ray->enter), capped));
         color.red = choose(capped, cap.red, color.red);

@@ -75,6 +75,7 @@ INLINE void pass_hit(state_t *s, COEFFICIENTS coefficients, const sample_t *samp
     color_by(&color, coefficients, sample, choose(active, s->hit, sample->ray->enter), active);
     if (SHADED)
         color = shade(frame, color, gradient_at(coefficients, sample, choose(active, s->hit, sample->ray->enter), active), value, sample->ray->world);
+    outline(&color, coefficients, sample, choose(active, s->hit, sample->ray->enter), active);
     pass_surface(s, sample, color, s->hit, active);
     s->hit = choose(active, NOWHERE, s->hit);
 }

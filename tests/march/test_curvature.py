@@ -117,11 +117,53 @@ def test_by_bricks_and_lit_they_are_the_same(device: Device) -> None:
         np.testing.assert_array_equal(bricked.render(**look), whole.render(**look))
 
 
+@pytest.mark.parametrize(("tile", "projection"), [("planes", "perspective"), ("rays", "orthographic")])
+def test_outlines_are_the_references(device: Device, tile: str, projection: Any) -> None:
+    volume, camera = block(oblique=True), Camera.orbit(33, 21, fit="volume", projection=projection)
+    looks: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("isosurface", {"isovalue": 0.5}),
+        ("surfaces", {"surfaces": "0.3:tan:0.4,0.6:red"}),
+    )
+    for mode, own in looks:
+        with device.limited(tile=TILES[tile]), Renderer(volume, "bspline3", device=device) as renderer:
+            got = renderer.render(camera, mode, (40, 30), outline=2.0, rays=1, **own)
+            plain = renderer.render(camera, mode, (40, 30), rays=1, **own)
+        want: Any = reference.render(volume, camera, mode, "bspline3", "mirror", (40, 30), outline=2.0, **own)
+        assert np.abs(got - want).max() < 2e-3
+        assert (np.abs(got - plain).max(-1) > 0.1).sum() > 20
+
+
+@pytest.mark.parametrize(("radius", "thickness"), [(6.0, 4.0), (14.0, 1.5), (14.0, 4.0)])
+def test_outlines_are_as_thick_everywhere(device: Device, radius: float, thickness: float) -> None:
+    """The ring of a ball, whatever its size, on unequal spacings."""
+    (x, y, z), place = grid(30, 42, 44, spacing=(0.9, 1.0, 1.4))
+    ball = Volume(-(x**2 + y**2 + z**2), **place)
+    camera = Camera.orbit(20, 30, projection="orthographic", target=(0, 0, 0), radius=16)
+    look: dict[str, Any] = {"isovalue": -(radius**2), "shading": False, "color": "white", "rays": 1, "device": device}
+    picture = clvol.render(ball, camera, "isosurface", (300, 300), filter="bspline3", outline=thickness, background="white", **look)
+    dark = float((1 - picture[..., 0]).sum())  # in pixels
+    rim = 300 / 32 * radius
+    assert dark / (2 * np.pi * (rim - thickness / 2)) == pytest.approx(thickness, abs=0.06)
+
+
+def test_by_bricks_outlines_are_the_same(device: Device) -> None:
+    data = np.asarray(clvol.phantoms.marschner_lobb(40).data)
+    with (
+        Renderer(Volume(data), "mitchell", device=device) as whole,
+        clvol.BrickedField(Volume(data), "mitchell", device=device, edge=16) as field,
+        Renderer(field) as bricked,
+    ):
+        look: dict[str, Any] = {"mode": "isosurface", "isovalue": 0.5, "outline": 1.5, "size": (60, 50)}
+        np.testing.assert_array_equal(bricked.render(**look), whole.render(**look))
+
+
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a name": ({"color_by": "curvature"}, "color_by must be one of k1, k2, mean curvature, gaussian curvature"),
     "the colour it has not": ({"color_by": "k1", "color": "red"}, "color changes nothing in isosurface: color_by chooses"),
     "two transfer functions": ({"color_by": "k1", "cap": True}, "give the cap a color"),
     "a filter with kinks": ({"color_by": "k1", "filter": "linear"}, "takes a filter with continuous slopes"),
+    "an outline of a filter with kinks": ({"outline": 2, "filter": "linear"}, "outline takes a filter with continuous slopes"),
+    "no thickness": ({"outline": -1}, "outline must be"),
     "a preset": ({"color_by": "k1", "preset": "ct-bone"}, "preset changes nothing"),
 }
 

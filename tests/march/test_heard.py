@@ -48,6 +48,7 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "color": ("red",),
     "surfaces": ([(0.3, "red", 0.5)],),
     "color_by": ("k1", "k2", "mean curvature", "gaussian curvature"),
+    "outline": (2.0,),
     "method": ("stepped",),
     "tolerance": (0.5,),
     "attenuation": (9.0,),

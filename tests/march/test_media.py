@@ -325,8 +325,10 @@ OPAQUE = {"surfaces": [(0.4, "red", 0.4), (0.55, "white", 1.0)], "transfer": Non
 BRICKED: dict[str, tuple[Medium, ...]] = {
     "matter": (replace(FIRST, filter="catmull-rom"), MEDIA["one grid"], MEDIA["turned"]),
     "surfaces": (replace(FIRST, filter="bspline3-approx", **OPAQUE), replace(MEDIA["turned"], filter="nearest", **OPAQUE)),
-    "cut": (replace(FIRST, filter="linear", clip=Corner((8, 8, 8), (40, 40, 40))), replace(MEDIA["a slice"], filter="nearest")),
-    "missing": (replace(FIRST, filter="linear"), replace(MEDIA["turned"], volume=replace(MEDIA["turned"].volume, data=HOLED))),
+    "cut, and some missing": (
+        replace(FIRST, filter="linear", clip=Corner((8, 8, 8), (40, 40, 40))),
+        replace(MEDIA["turned"], volume=replace(MEDIA["turned"].volume, data=HOLED)),
+    ),
 }
 
 

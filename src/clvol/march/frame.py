@@ -18,7 +18,7 @@ from clvol.march.rails import RAILS, Rails
 from clvol.scene.camera import Viewpoint
 from clvol.scene.clip import CLIP, clip_block
 from clvol.scene.light import LIGHTS, Material, lights_block
-from clvol.scene.mode import BY_LABEL, CURVATURES, colored_by
+from clvol.scene.mode import BY_LABEL, CURVATURES, colored_by, outlined
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.build import along_defines
@@ -179,6 +179,7 @@ class Frame:
             "ADDED": int(added),
             "MISSING": int(self.gaps is not None),
             "CURVED": CURVATURES.index(colored) + 1 if (colored := colored_by(mode)) in CURVATURES else 0,
+            "OUTLINED": int(outlined(mode)),
             "BY_LABEL": int(colored == BY_LABEL and self.labels),
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),

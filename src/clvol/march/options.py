@@ -126,6 +126,7 @@ class ModeOptions(TypedDict, total=False):
     color: Sequence[float] | str
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None
     color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "label"] | None
+    outline: float
     method: Literal["exact", "stepped"]
     tolerance: float
     attenuation: float

@@ -27,7 +27,7 @@ from clvol.march.media import Bricked, MediaDrawing
 from clvol.march.mixed import mixed, nearest, over
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
-from clvol.scene.mode import CURVATURES, colored_by
+from clvol.scene.mode import CURVATURES, colored_by, outlined
 from clvol.scene.scene import Medium, Scene
 from clvol.spline.evaluator import DIRECT, choose_evaluator, require_names
 from clvol.spline.field import Field
@@ -116,6 +116,8 @@ class Source(ABC):
             raise OptionError(f"gradient changes nothing with {row.name}, which has no slopes; leave it out")
         if (colored := colored_by(mode)) in CURVATURES and row.continuity < 1:
             raise OptionError(f"color_by {colored} takes a filter with continuous slopes, such as bspline3; got {row.name}")
+        if outlined(mode) and row.continuity < 1:
+            raise OptionError(f"outline takes a filter with continuous slopes, such as bspline3; got {row.name}")
         if options.get("lod", "auto") != "auto" and not self.sizes:
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
 

@@ -48,6 +48,7 @@ __all__ = [
     "heard_options",
     "mode_options",
     "modes",
+    "outlined",
     "require_heard",
 ]
 
@@ -255,9 +256,10 @@ class _OfSurfaces(Mode):
         values = self.isovalues  # settled
         return any(low <= value <= high for value in values) or (self.capped and high >= values[0])
 
-    def _set_looks(self, shading: object, cap: object, color_by: str | None) -> None:
+    def _set_looks(self, shading: object, cap: object, color_by: str | None, outline: float) -> None:
         """Set what their constructors are given."""
         cap = _cap(cap)
+        _set(self, outline=number("outline", outline, minimum=0, maximum=100))
         _set(self, shading=_switch("shading", shading), cap=cap, capped=cap is not False, color_by=_color_by(color_by, cap))
 
 
@@ -293,6 +295,9 @@ class Isosurface(_OfSurfaces):
         Colours the surface by its curvature, from the exact derivatives of the function: the larger or the smaller principal one,
         their mean or their product, per world unit (squared). It is positive where the surface bends as that of a bright ball.
         `transfer`, `window` and `cmap` are then those of curvatures. "label" stands for the colours of labels.
+    outline : float
+        Thickness in pixels of a dark line along its rim as it is seen, also in front of other parts of it; from its exact curvature
+        along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.
     """
 
     isovalue: float | str | None = None
@@ -302,12 +307,15 @@ class Isosurface(_OfSurfaces):
     tolerance: float = 1e-4
     cap: bool | Sequence[float] | str = False
     color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "label"] | None = None
+    outline: float = 0.0
 
     name: ClassVar[str] = "isosurface"
     description: ClassVar[str] = "the first isosurface along the ray, shaded"
     state_fields: ClassVar[int] = 2
     finished_there: ClassVar[bool] = True
-    BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3), cap=INT, cap_color=(FLOAT, 3))
+    BLOCK: ClassVar[Block] = Block(
+        "mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3), cap=INT, cap_color=(FLOAT, 3), outline=FLOAT
+    )
 
     def __post_init__(self) -> None:
         if isinstance(self.isovalue, str):
@@ -315,7 +323,7 @@ class Isosurface(_OfSurfaces):
         elif self.isovalue is not None:
             _set(self, isovalue=number("isovalue", self.isovalue))
         _set(self, color=color_of("color", self.color))
-        self._set_looks(self.shading, self.cap, self.color_by)
+        self._set_looks(self.shading, self.cap, self.color_by, self.outline)
         _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
         if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
             raise one_of("method", self.method, ("exact", "stepped"))
@@ -356,7 +364,9 @@ class Isosurface(_OfSurfaces):
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         (surface,) = (stored(value) for value in self.isovalues)  # settled
-        return self.BLOCK(isovalue=surface, tolerance=self.tolerance, color=self.color, **_cap_block(self.cap))
+        return self.BLOCK(
+            isovalue=surface, tolerance=self.tolerance, color=self.color, outline=self.outline, **_cap_block(self.cap)
+        )
 
 
 @dataclass(frozen=True)
@@ -387,12 +397,16 @@ class Surfaces(_OfSurfaces):
     >>> from clvol.volume.phantoms import marschner_lobb
     >>> volume = marschner_lobb(40)
     >>> picture = clvol.render(volume, mode="surfaces", surfaces=[(0.3, "bisque", 0.4), (0.6, "firebrick", 1)], size=(64, 64))
+    outline : float
+        Thickness in pixels of a dark line along their rims as they are seen, also in front of other parts of them; from their exact
+        curvature along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.
     """
 
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
     shading: bool = True
     cap: bool | Sequence[float] | str = False
     color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature"] | None = None
+    outline: float = 0.0
 
     name: ClassVar[str] = "surfaces"
     description: ClassVar[str] = "several translucent isosurfaces inside each other, shaded"
@@ -406,12 +420,13 @@ class Surfaces(_OfSurfaces):
         colors=(FLOAT, 4 * _MOST_SURFACES),
         cap=INT,
         cap_color=(FLOAT, 3),
+        outline=FLOAT,
     )
 
     def __post_init__(self) -> None:
         if self.surfaces is not None:
             _set(self, surfaces=_surfaces(self.surfaces))
-        self._set_looks(self.shading, self.cap, self.color_by)
+        self._set_looks(self.shading, self.cap, self.color_by, self.outline)
         if self.color_by == BY_LABEL:
             raise one_of("color_by", self.color_by, CURVATURES)
 
@@ -452,7 +467,9 @@ class Surfaces(_OfSurfaces):
         for k, (value, color, opacity) in enumerate(self.surfaces):
             values[k], colors[k] = stored(value), (*color, opacity)
         count = len(self.surfaces)
-        return self.BLOCK(isovalue=values[0], count=count, isovalues=values, colors=colors.ravel(), **_cap_block(self.cap))
+        return self.BLOCK(
+            isovalue=values[0], count=count, isovalues=values, colors=colors.ravel(), outline=self.outline, **_cap_block(self.cap)
+        )
 
 
 @dataclass(frozen=True)
@@ -547,6 +564,11 @@ def modes() -> ModeTable:
 def colored_by(mode: Mode) -> str:
     """What colours the surfaces of a mode, if they have no colours of their own: one of `CURVATURES`, `BY_LABEL`, or ""."""
     return getattr(mode, "color_by", None) or ""
+
+
+def outlined(mode: Mode) -> bool:
+    """Whether the surfaces of a mode have outlines."""
+    return getattr(mode, "outline", 0.0) > 0
 
 
 def every_option() -> set[str]:

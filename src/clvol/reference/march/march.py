@@ -232,6 +232,7 @@ class _Scene:
     unit_distance: float
     volume: Volume
     view: Viewpoint
+    height: int  # of the picture in pixels
 
 
 def render(
@@ -342,6 +343,7 @@ def render(
         transfer.unit_distance or float(np.mean(volume.spacing)),
         volume,
         view,
+        height,
     )
     axis, planes = planes_across(volume, view, width / height, step)
     total = np.zeros((width * height, 4))
@@ -489,6 +491,8 @@ def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered
     if mode.shading:
         gradient = scene.gradient(rays.at(depth[hit], hit))
         rgb[hit] = scene.lit(gradient, np.full(hit.size, mode.isovalue), rgb[hit], rays.direction[hit])
+    if mode.outline:
+        rgb[hit] *= _outlined(scene, mode.outline, rays.at(depth[hit], hit), rays.direction[hit])
     rgb[capped] = scene.transfer(scene.value(rays.at(depth[capped], capped)))[:, :3] if mode.cap is True else mode.cap
     return rgb, np.isfinite(depth).astype(float), depth
 
@@ -508,6 +512,8 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
                     colors = scene.transfer(_curvatures(scene, mode.color_by, at))[:, :3]
                 if mode.shading:
                     colors = scene.lit(scene.gradient(at), np.full(on.size, value), colors, part.rays.direction[on])
+                if mode.outline:
+                    colors = colors * _outlined(scene, mode.outline, at, part.rays.direction[on])
                 falling = scene.value(part.rays.at(t - 100 * _PAST, on)) >= value
                 crossings += zip(on, t, np.where(falling, -k, k), colors, [opacity] * on.size, strict=True)
         cap = part.face.copy()
@@ -527,13 +533,32 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
     return rgb, 1 - light, depth
 
 
-def _curvatures(scene: _Scene, which: str, points: Array) -> Array:
-    """By the invariants of the shape operator -P H P / |∇f|, with P the projection on the tangent plane."""
+def _shape(scene: _Scene, points: Array) -> tuple[Array, Array]:
+    """The shape operator -P H P / |∇f|, with P the projection on the tangent plane; and the unit gradient."""
     gradient = scene.gradient(points)
     length = np.linalg.norm(gradient, axis=1)
     normal = gradient / length[:, None]
     tangent = np.eye(3) - normal[:, :, None] * normal[:, None, :]
-    shape = -tangent @ scene.hessian(points) @ tangent / length[:, None, None]
+    return -tangent @ scene.hessian(points) @ tangent / length[:, None, None], normal
+
+
+def _outlined(scene: _Scene, thickness: float, points: Array, direction: Array) -> Array:
+    """What an outline leaves of colours, (N, 1): by the angle of which the cosine is that between ray and normal."""
+    shape, normal = _shape(scene, points)
+    facing = np.einsum("nk,nk->n", normal, direction)
+    turned = np.arccos(np.clip(np.abs(facing), 0, 1))  # from the middle of the circle to its rim
+    along = direction - facing[:, None] * normal
+    bent = np.sign(facing) * np.einsum("nj,njk,nk->n", along, shape, along) / np.maximum(np.einsum("nk,nk->n", along, along), 1e-12)
+    depth = 1.0 if scene.view.orthographic else (points - scene.view.eye) @ scene.view.forward
+    pixel = 2 * scene.view.half_height * depth / scene.height
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = np.where(bent > 0, (1 - np.sin(turned)) / (bent * pixel), math.inf)
+    return 1 - np.clip(thickness + 0.5 - pixels, 0, 1)[:, None]
+
+
+def _curvatures(scene: _Scene, which: str, points: Array) -> Array:
+    """By the invariants of the shape operator."""
+    shape, _ = _shape(scene, points)
     mean = np.trace(shape, axis1=1, axis2=2) / 2
     product = (4 * mean**2 - np.trace(shape @ shape, axis1=1, axis2=2)) / 2
     apart = np.sqrt(np.maximum(mean**2 - product, 0))
