@@ -204,6 +204,7 @@ def test_simulations_show_their_values() -> None:
     speed = np.hypot(np.sin(X / 3) + np.cos(Y / 4), np.cos(Z / 5) + 0.3 * np.sin(X / 5))
     for spacing in ((1, 1, 1), (1, 1, 3)):
         assert viridis(TransferFunction.automatic(Volume(speed, spacing=spacing)))
+    assert viridis(TransferFunction.automatic(Volume(np.where(FAR < 8, 1 + speed, 0.0))))  # in a vacuum
     measured: dict[str, Volume] = {
         "noise": SCAN,
         "whole numbers": Volume(np.round(1000 * speed).astype(np.int16)),

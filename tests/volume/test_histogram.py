@@ -61,6 +61,17 @@ def test_noise_of_air_is_invisible() -> None:
     assert (seen[BALL] > 0).mean() > 0.99
 
 
+@pytest.mark.parametrize("kind", ["white", "magnitude"])
+def test_vessels_are_the_matter_of_noise_that_fills_a_volume(kind: str) -> None:
+    vessel, rng = np.hypot(X - 8, Y - 6 - Z / 4) < 1.5, np.random.default_rng(3)
+    real, other = 60.0 + 160 * vessel + rng.normal(0, 20, SHAPE), rng.normal(0, 20, SHAPE)
+    found = matter_of(Volume(np.hypot(real, other) if kind == "magnitude" else real))
+    assert 110 < found.isovalue < 150
+    assert found.value(found.foot) > 90
+    for plain in (60 + other, 60 + other + 60 * BALL, 60 + other / 20 + 160 * vessel):  # only noise; much matter; without noise
+        assert "fills" not in matter_of(Volume(plain)).reason
+
+
 def test_a_bright_background_is_recognised_at_the_faces() -> None:
     data = np.where(BALL, 80, 200) + RNG.normal(0, 8, SHAPE)
     assert matter_of(Volume(data)).sign == -1

@@ -65,6 +65,8 @@ _THIN_STACK = 0.25  # of its narrower side, up to which a stack is thin
 _LIT = 0.5  # of the samples, what glows in the dark
 _LOOKED_AT, _MANY = 1 << 12, 32  # samples, and distinct values among them; labels and masks have few
 _CLEAN = 2e-4  # noise, relative to the range of matter, up to which samples were computed and not measured
+_CUBED = 64  # half the edge of the part whose noise is estimated beside a background
+_MEDIAN_OF_NORMAL = 0.6745  # of magnitudes, in standard deviations
 _VIRIDIS: tuple[Color, ...] = (
     (0.27, 0.00, 0.33),
     (0.28, 0.18, 0.48),
@@ -121,11 +123,23 @@ def _is_computed(volume: Volume, matter: Matter) -> bool:
     """Whether samples are of a simulation: many values without noise, of no patient, stack or channel."""
     if volume.data.dtype.kind != "f" or volume.space or volume.color is not None or volume.clim is not None or matter.signed:
         return False
-    if matter.ground is not None:  # as of masked scans, most of whose samples say nothing of noise
-        return False
     if len(np.unique(_some(volume))) < _MANY:
         return False
-    return volume.noise.sigma <= _CLEAN * abs(matter.value(matter.top) - matter.value(0))
+    sigma = volume.noise.sigma if matter.ground is None else _noise_beside(volume, matter.ground)
+    return sigma <= _CLEAN * abs(matter.value(matter.top) - matter.value(0))
+
+
+def _noise_beside(volume: Volume, ground: float) -> float:
+    """The standard deviation of noise where no sample is the background, by second differences; inf if there is none.
+
+    Most samples of a masked scan are its background, and say nothing of noise.
+    """
+    middle = tuple(slice(max(0, n // 2 - _CUBED), n // 2 + _CUBED) for n in volume.shape)
+    data, whole = volume.data[middle].astype(np.float64), np.isfinite(volume.data[middle]) & (volume.data[middle] != ground)
+    for axis in range(data.ndim):
+        data, ends = np.diff(data, 2, axis=axis), np.moveaxis(whole, axis, 0)
+        whole = np.moveaxis(ends[2:] & ends[1:-1] & ends[:-2], 0, axis)
+    return float(np.median(np.abs(data[whole]))) / (_MEDIAN_OF_NORMAL * 6 ** (data.ndim / 2)) if whole.any() else math.inf
 
 
 def thinness(volume: Volume) -> float:

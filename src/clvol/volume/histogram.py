@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -61,6 +61,11 @@ _FEWEST = 0.05  # smallest fraction of samples in the smaller class
 _FOOT = 0.35  # fraction of the way from the threshold back to the background where matter starts to show
 _AIR = (-1100.0, -900.0)  # CT numbers of air, in Hounsfield units
 _NO_MATTER = (-700.0, -500.0)  # CT numbers between lung and fat, in Hounsfield units
+_BELL = (1.7, 2.6)  # how much wider four standard deviations of noise are than two of them: 2, if it is normal
+_RARE = 5.0  # standard deviations of noise above its median, from where on few samples ...
+_FEW_OF_ALL = (1e-4, 0.05)  # ... these fractions of all, are the matter in a volume that noise fills
+_CLEAR = 3.0  # and those above its median where matter begins: pictures smooth such noise to less than half
+_NOISY = 0.5  # smallest fraction of the spread of such a volume that is noise
 _DIM = 0.05  # fraction of the columns of samples that a projection shows black ...
 _BRIGHT = 0.98  # ... and fraction of the others that it shows at most white
 _LIT = 0.02  # fraction of the way from black to the brightest, without a few outliers, above which a column is lit
@@ -162,7 +167,9 @@ def matter_of(volume: Volume) -> Matter:
         sign = 1 if _quantile(values, 0.995) - origin >= origin - _quantile(values, 0.005) else -1
     # signed distances fall, then rise: merge the two sorted parts
     away = np.sort(np.abs(values - origin), kind="stable") if signed else np.maximum(sign * (values - origin), 0)[::sign]
-    return _parted(away, exponent, origin, ground, sign, signed=signed, span=float(scaled(high, exponent) - scaled(low, exponent)))
+    span = float(scaled(high, exponent) - scaled(low, exponent))
+    rare = None if signed or ground is not None else _rare_in_noise(volume, away, exponent)
+    return _parted(away, _Axis(exponent, origin, sign), ground, signed=signed, span=span, rare=rare)
 
 
 @_remembered
@@ -275,17 +282,43 @@ def may_be_hounsfield(volume: Volume) -> bool:
 # -- inner -------------------------------------------------------------------------------------------------
 
 
-def _parted(away: Array, exponent: int, origin: float, ground: float | None, sign: int, *, signed: bool, span: float) -> Matter:
-    """Separate background and matter, from sorted distances."""
+def _rare_in_noise(volume: Volume, away: Array, exponent: int) -> float | None:
+    """Where noise ends that fills a volume with something rare and bright in it, as vessels in angiograms; else None."""
+    lowest, low, median, high, highest = (_quantile(away, share) for share in (0.023, 0.159, 0.5, 0.841, 0.977))
+    spread = (high - low) / 2
+    bright = away[np.searchsorted(away, median + _RARE * spread) :]
+    if not spread or not _FEW_OF_ALL[0] <= bright.size / away.size <= _FEW_OF_ALL[1]:
+        return None
+    split = abs(_otsu(away)[0] - median) <= 1.5 * spread  # noise into two
+    if not (split and _BELL[0] <= (highest - lowest) / (high - low) <= _BELL[1]):
+        return None
+    if volume.noise.rms < _NOISY * unscaled(spread, exponent):
+        return None
+    return median + _CLEAR * spread
+
+
+class _Axis(NamedTuple):
+    """Distances from an origin, to one side: see `Matter`."""
+
+    exponent: int
+    origin: float
+    sign: int
+
+    def value(self, distance: float) -> float:
+        return unscaled(self.origin + self.sign * distance, self.exponent)
+
+
+def _parted(away: Array, axis: _Axis, ground: float | None, *, signed: bool, span: float, rare: float | None) -> Matter:
+    """Separate background and matter, from sorted distances; `rare` is where matter begins in noise that fills the volume."""
     rest = away[np.searchsorted(away, 0, side="right") :] if ground is not None else away
     threshold, reason = _otsu(rest if signed else away)[0], "splits the values in two (Otsu)"
+    if rare is not None:
+        threshold, reason = rare, "lies above the noise that fills the volume"
     step = _step_beside(rest) if ground is not None else 0.0
     median = _quantile(rest, 0.5)
     even = ground is not None and _quantile(rest, 0.95) - _quantile(rest, 0.05) <= _EVEN * median
     start = surface = threshold
-
-    def value(distance: float) -> float:
-        return unscaled(origin + sign * distance, exponent)
+    value = axis.value
 
     if even and threshold < _quantile(rest, 0.05):
         start = surface = median / 2
@@ -309,7 +342,17 @@ def _parted(away: Array, exponent: int, origin: float, ground: float | None, sig
     top = max(_quantile(inside, 0.995) if inside.size else away[-1], start + 1e-3 * span)
     middle = min(max(_quantile(inside, 0.5) if inside.size else 0.0, start + 0.15 * (top - start)), start + 0.5 * (top - start))
     return Matter(
-        exponent, origin, None if ground is None else value(0), sign, signed, foot, start, middle, top, value(surface), reason
+        axis.exponent,
+        axis.origin,
+        None if ground is None else value(0),
+        axis.sign,
+        signed,
+        foot,
+        start,
+        middle,
+        top,
+        value(surface),
+        reason,
     )
 
 
