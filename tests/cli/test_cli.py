@@ -1437,3 +1437,22 @@ def test_one_corrupt_chunk_leaves_the_others(clvol_command: Command) -> None:
     smooth = clvol.read("smooth.npz").data
     assert np.array_equal(smooth[32:], data[32:])
     assert np.abs(smooth - data).max() < 0.2 * data.max()  # and not 1000, the brightest that was damaged
+
+
+def test_volumes_of_other_files_are_in_the_picture_and_color_it(clvol_command: Command) -> None:
+    """The picture that Python draws of the same scene, which is drawn again from what the file says."""
+    for name, size in (("a", 14), ("b", 10)):
+        clvol.write(clvol.phantoms.sphere(size), f"{name},1.nrrd")
+    draw = ("render", "a,1.nrrd", "--output", "p.png", *SMALL)
+    clvol_command(*draw, "--with", "b,1.nrrd,preset=ct-bone,opacity=0.5,filter=linear", "--opacity", "0.1")
+    shown = iio.imread("p.png")
+    first, other = clvol.read("a,1.nrrd"), clvol.Medium(clvol.read("b,1.nrrd"), preset="ct-bone", opacity=0.5, filter="linear")
+    media = clvol.Medium(first, opacity=0.1), other
+    clvol.render(clvol.Scene(media), size=(16, 12)).save("q.png")
+    np.testing.assert_array_equal(iio.imread("q.png"), shown)
+    surface = ("--mode", "isosurface", "--colors", "b,1.nrrd,cmap=hot", "--color-bar")
+    assert clvol_command(*draw, *surface).code == 0
+    assert clvol_command("render", "--from", "p.png", "--output", "q.png").code == 0
+    np.testing.assert_array_equal(iio.imread("q.png"), iio.imread("p.png"))
+    clvol_command(*draw, "--with", "b,1.nrrd,window=3").fails(1, "window of b,1.nrrd must be center/width; got '3'")
+    clvol_command(*draw, "--mode", "mip", "--colors", "b,1.nrrd").fails(1, "color_by of a medium changes nothing in mip")

@@ -552,16 +552,18 @@ def own_options(
     *,
     shown: bool = True,
     around: Mapping[str, Any] | None = None,
+    colored: bool = False,
 ) -> dict[str, Any]:
     """The options given for the mode; raises, before the volume is read, if it does not have them.
 
     It raises too if an option of the look changes nothing in it, unless other modes may follow, as in a viewer (`shown` is False).
+    `colored`: another volume colours what the mode shows.
     """
     options = {} if own is None else own.options()
     mode = as_mode(look.mode, options)
     if shown:
         look.require_heard(mode, outputs)
-    require_heard(mode, unheard(mode, around or {}, outputs))
+    require_heard(mode, unheard(mode, around or {}, outputs).keys() - ({"color_bar"} if colored else set()))
     return options
 
 

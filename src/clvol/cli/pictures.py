@@ -20,6 +20,7 @@ from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import by_bricks as are_by_bricks
 from clvol.bricks.source import memory_for
 from clvol.cli import speech
+from clvol.cli.media import Others
 from clvol.cli.options import (
     Background,
     Boundary,
@@ -54,7 +55,7 @@ from clvol.interfaces.batches import needs_whole
 from clvol.interfaces.movie import pooled
 from clvol.interfaces.orthogonal import ORIENTATIONS
 from clvol.march.empty import warn_of_refined
-from clvol.march.source import row_for
+from clvol.march.function import row_for
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.scene.mode import as_mode
 from clvol.show import movies
@@ -82,6 +83,7 @@ def render(
     *,
     output: Output,
     from_: Annotated[Path | None, Parameter(name="--from", show_default=False)] = None,
+    others: Others | None = None,
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     size: Annotated[Size | None, Parameter(help="Width and height in pixels. [default: 512 512]", show_default=False)] = None,
     device: DeviceName = None,
@@ -145,6 +147,7 @@ def render(
             "heat_map": heat_map,
             "memory": memory,
         }
+        refused |= {"other volumes": others}
         refused |= {"uncertainty": uncertainty, "by_bricks": by_bricks, "lod": lod != "auto", "together": together}
         if given := [name for name, value in refused.items() if value]:
             raise OptionError(f"--from says all that a picture shows: leave out other options; got some of {', '.join(given)}")
@@ -158,7 +161,9 @@ def render(
     outputs += ["visited"] if verbose or heat_map is not None else []
     outputs += ["uncertainty"] if uncertainty is not None else []
     around = furniture.options() if furniture else {}
-    options = own_options(look, own, outputs, around=around) | ({} if lod == "auto" else {"lod": lod})
+    options = own_options(look, own, outputs, around=around, colored=others is not None and others.colors is not None) | (
+        {} if lod == "auto" else {"lod": lod}
+    )
     most = None if memory is None else bytes_of(memory)
     whole = needs_whole(look.limits(), () if uncertainty is None else ("uncertainty",))
     cluster = together.cluster if together else None
@@ -170,7 +175,10 @@ def render(
         options |= look.options(volume.preview()) | around
         begun = time.perf_counter()
         wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
-        with clvol.Renderer(volume, wanted, look.boundary, device, memory=most, cluster=cluster) as renderer:
+        held: dict[str, Any] = {"scene": volume, "filter": wanted, "boundary": look.boundary}
+        if others:
+            held = {"scene": others.scene(volume, wanted, look.boundary, options.pop("transfer", None))}
+        with clvol.Renderer(**held, device=device, memory=most, cluster=cluster) as renderer:
             ready = time.perf_counter()
             shows = preview and progress is not None and isinstance(renderer.field, clvol.Field)
             if shows and isinstance(progress, _preview()):
