@@ -17,5 +17,5 @@ INLINE color_t cap_color(const sample_t *sample, const real value)
 {
     constant float *plain = sample->frame->mode.cap_color;
     const color_t color = { (real)(plain[0]), (real)(plain[1]), (real)(plain[2]), (real)(1.0f), (real)(0.0f) };
-    return sample->frame->mode.cap == 1 ? classify(sample->frame, sample->table, value) : color;
+    return sample->frame->mode.cap == 1 ? classify(&sample->frame->transfer, sample->table, value) : color;
 }

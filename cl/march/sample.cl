@@ -77,7 +77,7 @@ RARE float value_beside(COEFFICIENTS coefficients, const int4 extent, cell_t c, 
 #if LABELS == 2
 #define SOLID(sample, value) ((value) >= (sample)->frame->mode.isovalue)
 #else
-#define SOLID(sample, value) (!transparent((sample)->frame, (sample)->table, value, value))
+#define SOLID(sample, value) (!transparent(&(sample)->frame->transfer, (sample)->table, value, value))
 #endif
 
 // Labels are names, and their differences are meaningless: solid regions have a surface, and regions that touch have none between

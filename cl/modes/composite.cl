@@ -3,6 +3,7 @@
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
 #include "march/light.cl"
+#include "march/colored.cl"
 #include "march/slots.cl"
 
 // Opacity is accumulated with its rounding error (Kahan), so that sums of thousands of thin samples are exact.
@@ -66,16 +67,17 @@ INLINE void absorb(state_t *s, const color_t color, const real through, const re
 
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
-    return !transparent(frame, table, low, high);
+    return !transparent(&frame->transfer, table, low, high);
 }
 
 INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
     constant frame_t *frame = sample->frame;
-    color_t color = classify(frame, sample->table, value);
+    color_t color = classify(&frame->transfer, sample->table, value);
     const mask seen = active & (color.opacity > 0.0f);
     if (!any_lane(seen))
         return NONE;
+    color_by(&color, coefficients, sample, t, seen);
     if (SHADED)
         color = shade(frame, color, gradient_here(coefficients, sample, t, seen), value, sample->ray->world);
     real before, behind;
@@ -99,8 +101,9 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
 // The slice on the face of a cut is not lit: there, gradients are those of the noise.
 INLINE mask gather_face(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real value, mask active)
 {
-    const color_t color = classify(sample->frame, sample->table, value);
+    color_t color = classify(&sample->frame->transfer, sample->table, value);
     const mask seen = active & (color.opacity > 0.0f);
+    color_by(&color, coefficients, sample, sample->ray->enter, seen);
     const real through = log_light(color, (real)(FACE));
 #if ADDED
     add_each(&s->slots, sample->ray->begin - 1.0f, color, through, seen);   // in front of all samples

@@ -46,7 +46,7 @@ INLINE real place_of(const state_t *s) { return NOWHERE; }
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
     const mask some = s->steps > 0.0f;
-    color_t color = classify(sample->frame, sample->table, s->sum / choose(some, s->steps, (real)(1.0f)));
+    color_t color = classify(&sample->frame->transfer, sample->table, s->sum / choose(some, s->steps, (real)(1.0f)));
     color.opacity = choose(some, (real)(1.0f), (real)(0.0f));
     return color;
 }

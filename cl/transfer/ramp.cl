@@ -29,10 +29,10 @@ INLINE real each_of(global const float *numbers, mask at)
 
 // -- equal nodes -----------------------------------------------------------------------------------------------
 
-INLINE color_t classify_by_nodes(constant frame_t *frame, global const float4 *table, real value)
+INLINE color_t classify_by_nodes(constant transfer_block *transfer, global const float4 *table, real value)
 {
-    const float last = frame->transfer.last;
-    const real place = MIN(MAX((value - frame->transfer.low) * frame->transfer.scale, (real)(0.0f)), (real)(last));
+    const float last = transfer->last;
+    const real place = MIN(MAX((value - transfer->low) * transfer->scale, (real)(0.0f)), (real)(last));
     const mask nodes = to_mask(MIN(place, (real)(last - 1.0f)));
     const real past = place - to_real(nodes);
 #if LANES == 1
@@ -60,11 +60,11 @@ INLINE color_t classify_by_nodes(constant frame_t *frame, global const float4 *t
 
 // Whether no value from low to high has any opacity. Behind the nodes are n more numbers: for each node, the next one that has
 // some, itself included.
-INLINE int transparent_by_nodes(constant frame_t *frame, global const float4 *table, float low, float high)
+INLINE int transparent_by_nodes(constant transfer_block *transfer, global const float4 *table, float low, float high)
 {
-    const float last = frame->transfer.last;
+    const float last = transfer->last;
     global const float *visible = (global const float *)(table + (int)last + 1);
-    const float bottom = (low - frame->transfer.low) * frame->transfer.scale, top = (high - frame->transfer.low) * frame->transfer.scale;
+    const float bottom = (low - transfer->low) * transfer->scale, top = (high - transfer->low) * transfer->scale;
     if (!(bottom - bottom == 0.0f && top - top == 0.0f))
         return 0;
     const float from = bottom > 0.0f ? MIN(bottom, last) : 0.0f, to = top > 0.0f ? MIN(top, last) : 0.0f;
@@ -76,14 +76,14 @@ INLINE int transparent_by_nodes(constant frame_t *frame, global const float4 *ta
 // The numbers of the pieces that values lie in: the last that begins no later. Where there are few, values are compared with the
 // starts of all, which lie behind them, four at a time; where there are many, a bucket tells the first in question, and halving
 // the others. A bucket is the number of that piece, or, where one comparison decides, that, its start and the next one's.
-INLINE mask pieces_of(constant frame_t *frame, global const float4 *table, real value, real *start)
+INLINE mask pieces_of(constant transfer_block *transfer, global const float4 *table, real value, real *start)
 {
     global const float *starts = (global const float *)table + START;
     mask piece = NONE;
     *start = (real)(starts[0]);
-    if (frame->transfer.halvings == 0) {
-        global const float *each = (global const float *)table + frame->transfer.pieces * PIECE;
-        for (int i = 0; i < frame->transfer.pieces - 1; i += 4) {
+    if (transfer->halvings == 0) {
+        global const float *each = (global const float *)table + transfer->pieces * PIECE;
+        for (int i = 0; i < transfer->pieces - 1; i += 4) {
 #pragma unroll
             for (int k = 0; k < 4; ++k) {
                 const mask past = value >= each[i + k];
@@ -93,9 +93,9 @@ INLINE mask pieces_of(constant frame_t *frame, global const float4 *table, real 
         }
         return piece;
     }
-    const real place = MIN(MAX((value - frame->transfer.low) * frame->transfer.scale, (real)(0.0f)), (real)(frame->transfer.last));
-    global const float *buckets = (global const float *)table + frame->transfer.pieces * PIECE;
-    if (frame->transfer.halvings == 1) {   // no bucket holds more than one start
+    const real place = MIN(MAX((value - transfer->low) * transfer->scale, (real)(0.0f)), (real)(transfer->last));
+    global const float *buckets = (global const float *)table + transfer->pieces * PIECE;
+    if (transfer->halvings == 1) {   // no bucket holds more than one start
 #if LANES == 1
         const float4 bucket = *(global const float4 *)(buckets + 4 * to_mask(place));
         const real first = bucket.x, first_start = bucket.y, next_start = bucket.z;
@@ -112,8 +112,8 @@ INLINE mask pieces_of(constant frame_t *frame, global const float4 *table, real 
         return to_mask(choose(past, first + 1.0f, first));
     }
     piece = to_mask(each_of(buckets, to_mask(place)));
-    const mask last = (mask)(frame->transfer.pieces - 1);
-    for (int reach = 1 << (frame->transfer.halvings - 1); reach > 0; reach >>= 1) {
+    const mask last = (mask)(transfer->pieces - 1);
+    for (int reach = 1 << (transfer->halvings - 1); reach > 0; reach >>= 1) {
         const mask probe = MIN(piece + reach, last);
         piece = value >= each_of(starts, probe * PIECE) ? probe : piece;
     }
@@ -121,11 +121,11 @@ INLINE mask pieces_of(constant frame_t *frame, global const float4 *table, real 
     return piece;
 }
 
-INLINE color_t classify_by_pieces(constant frame_t *frame, global const float4 *table, real value)
+INLINE color_t classify_by_pieces(constant transfer_block *transfer, global const float4 *table, real value)
 {
     global const float *numbers = (global const float *)table;
     real start;
-    const lane_indices_u piece = { pieces_of(frame, table, value, &start) * PIECE };
+    const lane_indices_u piece = { pieces_of(transfer, table, value, &start) * PIECE };
     const real past = value - start;
 #if LANES == 1
     const float4 c = madd(past, *(global const float4 *)(numbers + piece.all + 4), *(global const float4 *)(numbers + piece.all));
@@ -151,33 +151,33 @@ INLINE color_t classify_by_pieces(constant frame_t *frame, global const float4 *
     return color;
 }
 
-INLINE int transparent_by_pieces(constant frame_t *frame, global const float4 *table, float low, float high)
+INLINE int transparent_by_pieces(constant transfer_block *transfer, global const float4 *table, float low, float high)
 {
     if (!(low <= high))
         return 0;
     global const float *numbers = (global const float *)table;
     int piece = 0, reach = 1;
-    while (2 * reach < frame->transfer.pieces)
+    while (2 * reach < transfer->pieces)
         reach *= 2;
     for (; reach > 0; reach >>= 1)
-        if (piece + reach < frame->transfer.pieces && low >= numbers[(piece + reach) * PIECE + START])
+        if (piece + reach < transfer->pieces && low >= numbers[(piece + reach) * PIECE + START])
             piece += reach;
     return high <= numbers[piece * PIECE + CLEAR_UNTIL];
 }
 
 // -- either ----------------------------------------------------------------------------------------------------
 
-INLINE color_t classify(constant frame_t *frame, global const float4 *table, real value)
+INLINE color_t classify(constant transfer_block *transfer, global const float4 *table, real value)
 {
-    return frame->transfer.pieces ? classify_by_pieces(frame, table, value) : classify_by_nodes(frame, table, value);
+    return transfer->pieces ? classify_by_pieces(transfer, table, value) : classify_by_nodes(transfer, table, value);
 }
 
 // Whether no value from low to high has any opacity.
-INLINE int transparent(constant frame_t *frame, global const float4 *table, float low, float high)
+INLINE int transparent(constant transfer_block *transfer, global const float4 *table, float low, float high)
 {
     if (low > high)
         return 1;   // no values
-    return frame->transfer.pieces ? transparent_by_pieces(frame, table, low, high) : transparent_by_nodes(frame, table, low, high);
+    return transfer->pieces ? transparent_by_pieces(transfer, table, low, high) : transparent_by_nodes(transfer, table, low, high);
 }
 
 // The base-2 logarithm of the transmittance of matter of this colour that is `thickness` unit distances thick.

@@ -17,9 +17,9 @@ from clvol.bricks.continued import continued as in_parts
 from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume
 from clvol.device import Device
+from clvol.march.choose import by_parts
 from clvol.march.renderer import Renderer, render
 from clvol.march.slices import section
-from clvol.march.source import by_parts
 from clvol.reference.march import march as reference
 from clvol.reference.march.missing import continued
 from clvol.scene.camera import Camera

@@ -65,7 +65,7 @@ INLINE real place_of(const state_t *s) { return s->t; }
 
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
-    color_t color = classify(sample->frame, sample->table, s->value);
+    color_t color = classify(&sample->frame->transfer, sample->table, s->value);
     color.opacity = choose(s->t < NOWHERE, (real)(1.0f), (real)(0.0f));
     return color;
 }

@@ -42,10 +42,14 @@ class Block:
         return result
 
     def declaration(self) -> str:
-        """The struct in OpenCL C, after those of its nested blocks."""
+        """The struct in OpenCL C, after those of its nested blocks, each once."""
+        return "".join(self._structs().values())
+
+    def _structs(self) -> dict[str, str]:
         parts: Sequence[Block] = [kind for kind in self.fields.values() if isinstance(kind, Block)]
         members = "\n".join(f"    {_member(key, kind)};" for key, kind in self.fields.items())
-        return "".join(part.declaration() for part in parts) + f"typedef struct {{\n{members}\n}} {self.name};\n"
+        nested = {name: text for part in parts for name, text in part._structs().items()}
+        return nested | {self.name: f"typedef struct {{\n{members}\n}} {self.name};\n"}
 
 
 def _member(key: str, kind: Any) -> str:

@@ -20,6 +20,7 @@ from clvol.formats.opening import open as opened
 from clvol.march.recipe import Recipe
 from clvol.march.renderer import Renderer
 from clvol.phantoms import by_name
+from clvol.scene.scene import Medium
 from clvol.show.picture import Picture, read_recipe, stored
 from clvol.volume.provenance import facts_of, provenance_of
 from clvol.volume.volume import Volume
@@ -79,7 +80,7 @@ def render_again(
         raise FormatError(f"{path} does not say in a way that can be read what made it: {error}") from error
     if others:
         return _several_again(path, volume, recipe, seen, device, progress)
-    given = volume is not None
+    given, medium = volume is not None, _colored(path, medium)
     volume = _found(path, medium.volume, by_bricks=recipe.by_bricks) if volume is None else volume
     same = facts_text(volume.grid, volume.preview()) == facts_text(medium.volume, medium.volume)
     if not same and not given:
@@ -92,7 +93,8 @@ def render_again(
             lazy = as_lazy(volume) if isinstance(volume, Volume) else volume
             vars(lazy).setdefault("_provenance", provenance_of(volume))
             options = seen | recipe.options_of_lazy(bool(lazy.levels))
-            with Renderer(lazy, medium.filter, medium.boundary, device) as renderer:
+            own = Medium(lazy, filter=medium.filter, boundary=medium.boundary, color_by=medium.color_by)  # type: ignore[arg-type]  # by bricks
+            with Renderer(own, device=device) as renderer:
                 picture = renderer.render(recipe.camera, progress=progress, **(options | seen))
         else:
             whole = volume if isinstance(volume, Volume) else volume.whole()
@@ -121,12 +123,24 @@ def _several_again(
             if found.levels:
                 seen = seen | {"lod": recipe.lod}
         own: Any = found if lazy or isinstance(found, Volume) else found.whole()
-        media.append(replace(medium, volume=own))
+        media.append(replace(_colored(path, medium), volume=own))
     with as_device(device).limited(**recipe.limits), Renderer(replace(recipe.scene, media=tuple(media)), device=device) as renderer:
         picture: Picture = renderer.render(recipe.camera, progress=progress, **seen)
     if recipe.size == seen["size"]:
         _warn_if_other(path, picture)
     return picture
+
+
+def _colored(path: Path, medium: Medium) -> Medium:
+    """A medium with the volume that colours it, if one does, from where that was."""
+    if medium.color_by is None:
+        return medium
+    known = medium.color_by.volume
+    found = _found(path, known, by_bricks=False)
+    whole = found if isinstance(found, Volume) else found.whole()
+    if facts_text(whole, whole) != facts_text(known, known):
+        raise _changed(path, known)
+    return replace(medium, color_by=replace(medium.color_by, volume=whole))
 
 
 def _changed(path: Path, volume: Volume) -> DataError:

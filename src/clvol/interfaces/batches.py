@@ -20,9 +20,9 @@ from clvol.base.progress import Progress, part_of
 from clvol.bricks.source import LazyVolume, by_bricks
 from clvol.formats import read
 from clvol.formats.opening import opened_if
+from clvol.march.function import row_for
 from clvol.march.options import BatchOptions, FieldOptions, as_outputs, chosen_mode
 from clvol.march.renderer import Renderer
-from clvol.march.source import row_for
 from clvol.scene.camera import Camera
 from clvol.scene.mode import DEFAULT_MODE, as_mode
 from clvol.show.picture import Picture, save

@@ -25,7 +25,7 @@ from clvol.base.progress import Progress, part_of, require_callback
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.choose import without_masked
-from clvol.march.source import row_for
+from clvol.march.function import row_for
 from clvol.scene.mode import Isosurface
 from clvol.spline.curvature import principal_curvatures
 from clvol.spline.field import opened

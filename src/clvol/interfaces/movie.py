@@ -25,8 +25,8 @@ from clvol.formats.opening import opened_if
 from clvol.interfaces.batches import Shot, frames, needs_whole
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.choose import without_masked
+from clvol.march.function import row_for
 from clvol.march.options import KEYWORDS, WORDS, BatchOptions, FieldOptions, ResolvedLook, as_size, chosen_mode, transfer_of
-from clvol.march.source import row_for
 from clvol.scene.camera import Camera
 from clvol.scene.fit import usual_camera
 from clvol.scene.keyframes import Keyframes

@@ -7,6 +7,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
+import numpy as np
+
 from clvol.base.checks import one_of, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.bricks.continued import continued, holed, lacks_some
@@ -14,8 +16,10 @@ from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
+from clvol.march.function import extrapolated_samples, lacks_samples, row_for, single, usual_filter
 from clvol.march.media import MediaDrawing
 from clvol.march.options import MERGES
+from clvol.march.source import ByBricks, InMemory, Several
 from clvol.scene.scene import Medium, Scene, as_scene, channels
 from clvol.spline.field import Field, as_field
 from clvol.spline.function import CLOSED, ContinuousFunction
@@ -35,10 +39,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.march.source import Drawable, Source
     from clvol.volume.volume import Volume
 
-
-from clvol.march.source import ByBricks, InMemory, Several, by_parts, lacks_samples, row_for, single, usual_filter
-
-__all__ = ["source_of", "without_masked"]
+__all__ = ["by_parts", "source_of", "without_masked"]
 
 
 def source_of(
@@ -259,3 +260,13 @@ def _of_field(
     if field.closed:
         raise OptionError(CLOSED)
     return ByBricks(as_scene(medium), field, field.volume.preview(), (field,))
+
+
+def by_parts(volume: Volume) -> Volume | LazyVolume:
+    """What a bricked field of a picture takes for a volume: itself, or if samples are missing, the filled one, and where."""
+    if not lacks_samples(volume):
+        return volume
+    where = ~np.isfinite(volume.data)
+    filled = as_lazy(replace(volume, data=extrapolated_samples(volume, where)))
+    filled.where = where
+    return filled

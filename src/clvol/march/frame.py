@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device import Tile
+from clvol.march.colored import COLORED, colors_of
 from clvol.march.gaps import GAPS, gaps_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.march.rails import RAILS, Rails
 from clvol.scene.camera import Viewpoint
 from clvol.scene.clip import CLIP, clip_block
 from clvol.scene.light import LIGHTS, Material, lights_block
-from clvol.scene.mode import BY_LABEL, CURVATURES, colored_by, outlined
+from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, outlined
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.build import along_defines
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from clvol.base.uniform import Values
     from clvol.device import Device
     from clvol.device.program import Program
+    from clvol.march.colored import Other
     from clvol.march.gaps import Gaps
     from clvol.march.options import ResolvedLook
     from clvol.scene.mode import Mode
@@ -86,6 +88,7 @@ def frame_block(mode: Block) -> tuple[Block, str]:
         transfer=TransferFunction.BLOCK,
         material=Material.BLOCK,
         lights=LIGHTS,
+        colored=COLORED,
         mode=mode,
         minmax=MINMAX,
         window=WINDOW,
@@ -112,7 +115,8 @@ class Frame:
     labels: bool  # values are labels, whose differences are meaningless
     guides: bool  # are wanted too
     values: Values  # the parameter block
-    table: NDArray[np.float32]  # the transfer function's nodes or pieces
+    table: NDArray[np.float32]  # the transfer function's nodes or pieces, and what else has colours
+    colored: bool = False  # whether another function has
     media: tuple[Frame, ...] = ()  # of several media in one picture, of which this is the first, but all of their domain
     several: bool = False  # whether samples lie on planes that several media share
     margin: float = 0.0  # the rounding error of positions in samples, at most ...
@@ -181,6 +185,8 @@ class Frame:
             "CURVED": CURVATURES.index(colored) + 1 if (colored := colored_by(mode)) in CURVATURES else 0,
             "OUTLINED": int(outlined(mode)),
             "BY_LABEL": int(colored == BY_LABEL and self.labels),
+            "BY_DISTANCE": int(colored == BY_DISTANCE),
+            "COLORED": int(self.colored),
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
@@ -197,6 +203,7 @@ class Subject:
     minmax: MinMax | None
     evaluator: Evaluator
     gaps: Gaps | None = None
+    other: Other | None = None  # what colours it
     others: tuple[Subject, ...] = ()  # media of the same picture; the grid of the first one leads
 
     @property
@@ -255,10 +262,16 @@ class Subject:
         scene, mode, stored, medium = look.scene, look.mode, coefficients.stored, self.medium
         (width, height), volume, unit = size, medium.volume, rails.volume.mean_spacing
         margin = rails.margin(volume, view, aspect)
-        transfer, shown = look.transfer, AS_THEY_ARE if colored_by(mode) in CURVATURES else stored  # values that colours are of
+        transfer, of_shape = look.transfer, colored_by(mode) in (*CURVATURES, BY_DISTANCE)
+        shown = AS_THEY_ARE if of_shape else stored  # values that colours are of
         if transfer.unit_distance is None:
             transfer = replace(transfer, unit_distance=volume.mean_spacing)
         block, _ = frame_block(mode.BLOCK)
+        table, colored = look.transfer.table(shown), np.zeros((), COLORED.dtype)
+        if medium.color_by is not None:
+            assert self.other is not None
+            colored, numbers = colors_of(medium, self.other, table.size)
+            table = np.concatenate([table, numbers])
         values = block(
             camera=view.block(volume, width, height, aspect, rails=rails.volume),
             geometry=medium.block(stored, unit),
@@ -266,6 +279,7 @@ class Subject:
             planes=rails.planes.block(),
             rails=rails.block(volume, view, width, height, aspect),
             transfer=transfer.block(unit, shown),
+            colored=colored,
             material=medium.material.block(),
             lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
@@ -299,7 +313,8 @@ class Subject:
             volume.is_labels and not coefficients.filter.has_gradient,
             guides,
             values,
-            look.transfer.table(shown),
+            table,
+            colored=medium.color_by is not None,
             several=rails.several,
             margin=margin,
             stride=rails.stride(volume),

@@ -13,14 +13,18 @@ import numpy as np
 from clvol.base import memory
 from clvol.base.checks import instance, number, one_of, whole
 from clvol.base.errors import OptionError
+from clvol.filter.table import PICTURE_FILTER
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.scene.camera import Camera
 from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.look import look
-from clvol.scene.mode import Surfaces, as_mode, require_heard
+from clvol.scene.mode import BY_LABEL, Surfaces, as_mode, colored_by, require_heard
 from clvol.scene.preset import as_preset
+from clvol.scene.scene import Medium
 from clvol.scene.transfer import WORDS
+from clvol.volume.histogram import matter_of
+from clvol.volume.smoothing import filter_for
 
 if TYPE_CHECKING:  # clusters need dask
     from numpy.typing import ArrayLike
@@ -267,17 +271,23 @@ KEYWORDS = (
 
 
 def chosen_mode(
-    mode: str | Mode, options: Mapping[str, Any], outputs: Collection[str] = ("rgba",), others: Collection[str] = ()
+    mode: str | Mode,
+    options: Mapping[str, Any],
+    outputs: Collection[str] = ("rgba",),
+    others: Collection[str] = (),
+    scene: object = None,
 ) -> Mode:
     """The mode with its options, which are all that are not options of a picture.
 
-    `OptionError` names one that is unknown, or that changes nothing in these outputs; `others` may have been meant by it.
+    `OptionError` names one that is unknown, or that changes nothing in these outputs of a scene; `others` may be meant by it.
     """
     of_mode = {name: value for name, value in options.items() if name not in KEYWORDS}
     if misplaced := of_mode.keys() & RendererOptions.__annotations__.keys():
         raise OptionError(f"{' and '.join(sorted(misplaced))} must be left to what draws the picture, such as Renderer(...)")
     chosen = as_mode(mode, of_mode, (*KEYWORDS, *others))
     reasons = unheard(chosen, options, outputs)
+    if any(getattr(medium, "color_by", None) for medium in getattr(scene, "media", (scene,))):
+        reasons.pop("color_bar", None)  # which shows those colours
     require_heard(chosen, reasons, reasons)
     return chosen
 
@@ -421,6 +431,14 @@ class ResolvedLook:
         instance("camera", camera, Camera)
         if medium.surfaces and mode.shows != "matter":
             raise OptionError(f"surfaces of a medium change nothing in {mode.name}: they are for composite; leave them out")
+        if medium.color_by is not None:
+            if mode.shows not in ("matter", "surface"):
+                raise OptionError(
+                    f"color_by of a medium changes nothing in {mode.name}: it is for matter and surfaces; leave it out"
+                )
+            if colored_by(mode) not in ("", BY_LABEL):
+                raise OptionError(f"color_by must be left to the medium, which has one, or to {mode.name}; got both")
+            scene = scene.of_media([medium := replace(medium, color_by=_settled_colors(medium.color_by))])
         words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
         scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
         transfer = scene.media[0].transfer or mode.transfer(preview)
@@ -495,7 +513,9 @@ def _rank(medium: Medium, transfer: TransferFunction, preview: Volume) -> tuple[
     volume = medium.volume
     place = volume.mean_spacing, volume.spacing, volume.size, volume.origin, tuple(np.ravel(volume.direction))
     own = medium.material, medium.filter, medium.boundary, cuts_of(medium.clip), medium.surfaces
-    look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, *own))
+    other = medium.color_by
+    by = _rank(other, other.transfer, other.volume) if other and other.transfer else ()
+    look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, *own, by))
     return place, look, zlib.crc32(np.ascontiguousarray(preview.data).view(np.uint8).data)
 
 
@@ -507,6 +527,24 @@ def transfer_of(preview: Volume, mode: Mode, options: Mapping[str, Any]) -> Tran
     if given and transfer is not None:
         raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")
     return look(preview, mode, **words) if given else transfer
+
+
+def _settled_colors(medium: Medium) -> Medium:
+    """What colours a medium with all that was left open decided: its filter, and its transfer function.
+
+    Values are shown in viridis; those to both sides of a background in blue and red. Labels have colours of their own; a preset
+    covers all that it shows.
+    """
+    volume, transfer, words = medium.volume, medium.transfer, medium.words
+    if transfer is None and not volume.is_labels and "preset" not in words:
+        signed = matter_of(volume).signed
+        transfer = look(volume, "isosurface", **({"cmap": "matplotlib:coolwarm" if signed else "viridis"} | words))
+    elif transfer is None:
+        transfer = look(volume, "composite", **words)
+        if "opacity" not in words:  # what a preset shows as a little of matter covers a surface
+            faintest = min((share for _, share in transfer.opacities if share > 0), default=1.0)
+            transfer = transfer.with_opacity([(value, min(1.0, share / faintest)) for value, share in transfer.opacities])
+    return Medium(volume, transfer, filter=filter_for(volume, medium.filter, PICTURE_FILTER), boundary=medium.boundary)
 
 
 def _changed(scene: Scene, transfer: TransferFunction | None, options: RefineOptions) -> Scene:

@@ -288,10 +288,14 @@ def _bars(look: ResolvedLook) -> tuple[Bar, ...]:
 
 
 def _bar(look: ResolvedLook) -> Bar:
-    volume = look.preview
+    volume, other = look.preview, look.scene.media[0].color_by
+    if other is not None:
+        volume = other.volume
     labels: Mapping[int, str] | None = None
     if volume.is_labels:
         labels = volume.labels if isinstance(volume.labels, Mapping) else None
         if labels is None:
             labels = {int(value): str(int(value)) for value in np.unique(volume.data)[:_MOST_LABELS]}
+    if other is not None and other.transfer is not None:
+        return Bar(other.transfer, False, volume.name, labels)
     return Bar(look.transfer, look.mode.shows == "matter", colored_by(look.mode).replace(BY_LABEL, "") or volume.name, labels)

@@ -255,7 +255,7 @@ class Renderer:
         samples and from the noise (see `clvol.march.uncertainty`). It is of first order, and too small where noise alone makes
         surfaces, and where smoothing or sparse samples lost a detail.
         """
-        chosen = chosen_mode(mode, options, wanted := as_outputs(outputs))
+        chosen = chosen_mode(mode, options, wanted := as_outputs(outputs), scene=self.scene)
         self.device.require_usable()
         with self._source.in_use():
             require_callback("progress", progress)
@@ -393,7 +393,7 @@ def render(
         As for `Renderer` and `Renderer.render`, and so are warnings.
     """
     held = {name: options.pop(name) for name in RendererOptions.__annotations__ if name in options}  # type: ignore[misc]
-    chosen = chosen_mode(mode, options, as_outputs(outputs))  # before any work, and so is what follows
+    chosen = chosen_mode(mode, options, as_outputs(outputs), scene=scene)  # before any work, and so is what follows
     fine = Fineness.of(chosen, size, step, options)
     require_room(fine.size, as_outputs(outputs), edges=False)
     with Renderer(source_of(scene, **held, usual=chosen.picture_filter)) as renderer:

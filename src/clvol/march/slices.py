@@ -25,8 +25,8 @@ from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.bricks import level_within
 from clvol.march.choose import without_masked
+from clvol.march.function import row_for, single
 from clvol.march.renderer import Renderer
-from clvol.march.source import row_for, single
 from clvol.scene.clip import Plane
 from clvol.scene.mode import as_mode
 from clvol.scene.transfer import TransferFunction

@@ -9,19 +9,20 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol.base.checks import whole
-from clvol.base.errors import ChunkError, DataError, MissingSampleError, OptionError
+from clvol.base.errors import ChunkError, MissingSampleError, OptionError
 from clvol.base.progress import part_of
 from clvol.bricks.continued import continued
-from clvol.bricks.field import BrickedField, as_lazy
+from clvol.bricks.field import BrickedField
 from clvol.bricks.source import LazyVolume
 from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
+from clvol.march.colored import Other
 from clvol.march.frame import Subject
+from clvol.march.function import single, usual_filter
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked, MediaDrawing
 from clvol.march.mixed import mixed, nearest, over
@@ -33,16 +34,12 @@ from clvol.spline.evaluator import DIRECT, choose_evaluator, require_names
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
-from clvol.volume.missing import Missing, extrapolated
 from clvol.volume.smoothing import filter_for
-from clvol.volume.stored import RENUMBER, names_beyond
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
 
 if TYPE_CHECKING:  # clusters need dask
     from clvol.base.progress import Progress
-    from clvol.device import Device
-    from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.march.cluster import Workers
     from clvol.march.options import Fineness, RefineOptions, ResolvedLook
@@ -51,18 +48,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.scene.mode import Mode
     from clvol.spline.evaluator import Evaluator
 
-__all__ = [
-    "ByBricks",
-    "Drawable",
-    "InMemory",
-    "Several",
-    "Source",
-    "by_parts",
-    "lacks_samples",
-    "row_for",
-    "single",
-    "usual_filter",
-]
+__all__ = ["ByBricks", "Drawable", "InMemory", "Several", "Source"]
 
 Drawable: TypeAlias = Scene | Medium | Volume | Volumes | LazyVolume | Field | BrickedField | ArrayLike
 """Inputs of a `Renderer`."""
@@ -88,6 +74,7 @@ class Source(ABC):
         self._lock = threading.RLock()  # a signal handler may re-enter
         self._unsmoothed: Any = None
         self._levels: dict[tuple[int, str], BrickedField] = {}
+        self._colored: tuple[tuple[Any, ...], Other] | None = None
         self._owned = arguments[0] is not field
         if self._owned:
             self.lease.frees(field.close)
@@ -186,6 +173,18 @@ class OneMedium(Source):
     def drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
         """The picture of a look of a level."""
 
+    def _other(self, look: ResolvedLook) -> Other | None:
+        """The function that colours the medium of a look, if one does; that of the last look is kept."""
+        by = look.scene.media[0].color_by
+        if by is None or by.filter is None:  # it is settled
+            return None
+        key = by.volume, by.filter, by.boundary
+        with self._lock:
+            if self._colored is None or self._colored[0] != key:
+                with single(*key, self.field.device) as field:
+                    self._colored = key, Other.of(field)
+            return self._colored[1]
+
     def leave_out(self) -> bool:
         """Take the function for one that lacks samples; False if that is known, or cannot be."""
         return False
@@ -236,7 +235,7 @@ class InMemory(OneMedium):
         evaluator = choose_evaluator(field.device, field.filter, bits=_BITS)
         pyramid = self._pyramid(field, evaluator) if look.skipping and look.mode.skips else None
         own = look.of_values(field.coefficients.volume)
-        return Seen(Subject(own, field.coefficients, pyramid, evaluator, self._gaps), field, None)
+        return Seen(Subject(own, field.coefficients, pyramid, evaluator, self._gaps, self._other(look)), field, None)
 
     def _pyramid(self, field: Field, evaluator: Evaluator) -> MinMax:
         with self._lock:
@@ -362,7 +361,7 @@ class ByBricks(OneMedium):
             )
         own = look.of_level(field.coefficients.volume, field.boundary)
         gaps = None if field.volume.where is None else Gaps(field.volume.where, field.device)
-        return Seen(Subject(own, field.coefficients, None, DIRECT, gaps), field, field)
+        return Seen(Subject(own, field.coefficients, None, DIRECT, gaps, self._other(look)), field, field)
 
     def _drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
         subject, _, field = self.seen(look, fine, level, guides)
@@ -527,61 +526,3 @@ def _together(seen: Sequence[Seen]) -> Subject:
 def _reconstructed(medium: Medium) -> tuple[Any, ...]:
     """What the function of a medium depends on, whatever its look."""
     return id(medium.volume), medium.filter, medium.boundary
-
-
-def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:
-    """The filter of all levels of a volume in one picture; None: that of its bounds."""
-    if filter is not None or volume.bounds is not None:
-        return filter
-    return filter_for(volume.part(), None, usual)
-
-
-def usual_filter(volume: LazyVolume) -> str | None:
-    """The filter of pictures where none is given; None: that of the volume's bounds."""
-    return PICTURE_FILTER if volume.bounds is None else None
-
-
-class _Shown(Field):
-    """A field whose values are NaN where pictures show nothing."""
-
-    def _filled(self, where: NDArray[np.bool_]) -> NDArray[Any]:
-        return _continued(self.volume, where)
-
-    def _gaps_at(self, where: NDArray[np.bool_]) -> Field:
-        row = "nearest" if self.filter.support == 1 else "linear"
-        return Field(replace(self.volume, data=where), row, "reflect", self.device)
-
-
-def lacks_samples(volume: Volume) -> bool:
-    """Whether samples are missing: NaN or infinite. `DataError` if all are."""
-    if volume.data.dtype.kind != "f" or np.isfinite(volume.limits).all():
-        return False
-    _ = volume.value_range  # which raises
-    return True
-
-
-def by_parts(volume: Volume) -> Volume | LazyVolume:
-    """What a bricked field of a picture takes for a volume: itself, or if samples are missing, the filled one, and where."""
-    if not lacks_samples(volume):
-        return volume
-    where = ~np.isfinite(volume.data)
-    filled = as_lazy(replace(volume, data=_continued(volume, where)))
-    filled.where = where
-    return filled
-
-
-def _continued(volume: Volume, where: NDArray[np.bool_]) -> NDArray[Any]:
-    low, high = volume.value_range
-    return extrapolated(volume.data, where, low / 2 + high / 2)
-
-
-def single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:
-    """A field in single precision, as kernels of pictures read; float32 must distinguish the labels."""
-    if names_beyond(24, volume, row):
-        low, high = volume.limits
-        raise DataError(
-            f"labels must be whole numbers that float32 holds to be drawn, up to 2**24; got {low} to {high}: {RENUMBER}"
-        )
-    if lacks_samples(volume):
-        return _Shown(volume, row, boundary, device, precision="single", nan=Missing("local", most=0.5))
-    return Field(volume, row, boundary, device, precision="single")

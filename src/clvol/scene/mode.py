@@ -30,6 +30,7 @@ from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume
 
 __all__ = [
+    "BY_DISTANCE",
     "BY_LABEL",
     "CURVATURES",
     "DEFAULT_MODE",
@@ -61,9 +62,11 @@ _MOST_FIELDS = 64  # largest number of fields in a ray's state
 _MOST_SURFACES = 8
 _GAUSSIAN = "gaussian curvature"
 CURVATURES = ("k1", "k2", "mean curvature", _GAUSSIAN)
+"""What surfaces may be coloured by, in the order of curvature.cl ..."""
+BY_DISTANCE = "distance"
+"""... and by how far away they are."""
 BY_LABEL = "label"
 """What colours surfaces of labels, unless they are given a colour."""
-"""What surfaces may be coloured by, in the order of curvature.cl."""
 _BENT = 1 / 8  # the curvature of the strongest colours, times the spacing
 _BONE, _RED = (0.93, 0.87, 0.76), (0.80, 0.25, 0.20)
 _SHOWN = ("matter", "surface", "max", "min", "mean")
@@ -168,7 +171,8 @@ class Mode:
 
         Labels have a colour each, but where values are blended or fade along the ray. A projection's range is the volume's own
         (`Volume.clim`), or else from the projections of its samples along the axes; a volume's `clim` is not for means. Curvatures
-        are shown from blue, where a surface is hollow, to red, both in full where it bends like a ball of 8 samples.
+        are shown from blue, where a surface is hollow, to red, both in full where it bends like a ball of 8 samples; distances in
+        viridis.
         """
         if volume.is_labels and self.shows != "mean" and self.ramp == 1:
             return TransferFunction.preset("labels", volume)
@@ -181,6 +185,8 @@ class Mode:
         if colored_by(self) in CURVATURES:
             most = (_BENT / volume.mean_spacing) ** (2 if colored_by(self) == _GAUSSIAN else 1)
             return TransferFunction.from_cmap("matplotlib:coolwarm", clim or (-most, most))
+        if colored_by(self) == BY_DISTANCE:
+            return TransferFunction.from_cmap("viridis", clim or (-(most := volume.radius / math.sqrt(3)), most))
         matter = matter_of(volume)
         if self.shows == "surface":  # whose caps are slices: from the background to the brightest
             usual = matter.value(matter.top, -1 if matter.signed else 1), matter.value(matter.top if matter.signed else 0)
@@ -291,10 +297,12 @@ class Isosurface(_OfSurfaces):
     cap : bool, three numbers or a name
         Closes what a cut (`clip`) opens, where values are not below the isovalue, with an unlit face. True: it shows the slice,
         in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
-    color_by : {"k1", "k2", "mean curvature", "gaussian curvature"}, optional
+    color_by : {"k1", "k2", "mean curvature", "gaussian curvature", "distance"}, optional
         Colours the surface by its curvature, from the exact derivatives of the function: the larger or the smaller principal one,
         their mean or their product, per world unit (squared). It is positive where the surface bends as that of a bright ball.
-        `transfer`, `window` and `cmap` are then those of curvatures. "label" stands for the colours of labels.
+        `transfer`, `window` and `cmap` are then those of curvatures. "distance": by how far behind the middle of the volume it is,
+        along the ray, in world units; negative in front of it. "label" stands for the colours of labels. (By another volume:
+        `Medium.color_by`.)
     outline : float
         Thickness in pixels of a dark line along its rim as it is seen, also in front of other parts of it; from its exact curvature
         along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.
@@ -306,7 +314,7 @@ class Isosurface(_OfSurfaces):
     method: Literal["exact", "stepped"] = "exact"
     tolerance: float = 1e-4
     cap: bool | Sequence[float] | str = False
-    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "label"] | None = None
+    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "distance", "label"] | None = None
     outline: float = 0.0
 
     name: ClassVar[str] = "isosurface"
@@ -388,8 +396,8 @@ class Surfaces(_OfSurfaces):
     cap : bool, three numbers or a name
         Closes what a cut (`clip`) opens, where values are not below the lowest isovalue, with an unlit, opaque face. True: it shows
         the slice, in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
-    color_by : {"k1", "k2", "mean curvature", "gaussian curvature"}, optional
-        Colours all surfaces by their curvature instead, as of `Isosurface`; opacities stay.
+    color_by : {"k1", "k2", "mean curvature", "gaussian curvature", "distance"}, optional
+        Colours all surfaces by their curvature or distance instead, as of `Isosurface`; opacities stay.
 
     Examples
     --------
@@ -405,7 +413,7 @@ class Surfaces(_OfSurfaces):
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
     shading: bool = True
     cap: bool | Sequence[float] | str = False
-    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature"] | None = None
+    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "distance"] | None = None
     outline: float = 0.0
 
     name: ClassVar[str] = "surfaces"
@@ -428,7 +436,7 @@ class Surfaces(_OfSurfaces):
             _set(self, surfaces=_surfaces(self.surfaces))
         self._set_looks(self.shading, self.cap, self.color_by, self.outline)
         if self.color_by == BY_LABEL:
-            raise one_of("color_by", self.color_by, CURVATURES)
+            raise one_of("color_by", self.color_by, (*CURVATURES, BY_DISTANCE))
 
     @property
     def isovalues(self) -> tuple[float, ...]:
@@ -562,7 +570,7 @@ def modes() -> ModeTable:
 
 
 def colored_by(mode: Mode) -> str:
-    """What colours the surfaces of a mode, if they have no colours of their own: one of `CURVATURES`, `BY_LABEL`, or ""."""
+    """What colours the surfaces of a mode, if not colours of their own: one of `CURVATURES`, `BY_DISTANCE`, `BY_LABEL`, or ""."""
     return getattr(mode, "color_by", None) or ""
 
 
@@ -730,10 +738,14 @@ def _color_by(given: str | None, cap: object) -> str | None:
     """What surfaces are coloured by; "none", as shells and panels say it, is None."""
     if given is None or given == "none":
         return None
-    if given not in (*CURVATURES, BY_LABEL):
-        raise one_of("color_by", given, CURVATURES)
+    if not isinstance(given, str):
+        raise OptionError(
+            f"color_by of a mode is a word; another volume colours a medium: Medium(..., color_by=...); got {given!r:.80}"
+        )
+    if given not in (*CURVATURES, BY_DISTANCE, BY_LABEL):
+        raise one_of("color_by", given, (*CURVATURES, BY_DISTANCE))
     if cap is True and given != BY_LABEL:
-        raise OptionError("cap=True shows values, and color_by curvatures, by one transfer function: give the cap a color")
+        raise OptionError(f"cap=True shows values, and color_by {given}, by one transfer function: give the cap a color")
     return given
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, replace
 from importlib import import_module
 from typing import Any, ClassVar, Literal
@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol.base.arrays import reals
 from clvol.base.checks import if_image, instance, one_of, suggests_options, warn
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
@@ -74,11 +75,20 @@ class Medium:
     surfaces : sequence of (value, color, opacity) or str, optional
         Isosurfaces instead of its matter, as of `clvol.Surfaces`, in and among the other media of a "composite"; within a step they
         mix with matter.
+    color_by : Medium, Volume, array-like or callable, optional
+        What has the colours of its matter and of its surfaces, in "composite", "isosurface" and "surfaces": another volume, on a
+        grid of its own, such as a statistical map, a distance or labels; of a medium the transfer function says which colours, and
+        its opacity how much they cover the medium's own, of which nothing is left by default. Where that volume ends, or its
+        samples are missing, the medium has its own. An array has the medium's grid. A function gives the values at points (n, 3)
+        of the world, and is taken at the medium's samples.
 
     Raises
     ------
     OptionError
-        The volume does not have three axes, the filter or boundary is unknown, or there are words beside a transfer function.
+        The volume does not have three axes, the filter or boundary is unknown, or there are words beside a transfer function;
+        `color_by` is read by bricks, or has cuts or surfaces.
+    DataError
+        A function returned no number for each point.
     GeometryError
         `clip` is none of these, or has more than 64 planes or 8 corners, those of the scene included.
         Its spacings differ by a factor of more than 10⁶ or are outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
@@ -98,6 +108,7 @@ class Medium:
     cmap: str | None = None
     opacity: float | Sequence[tuple[float, float]] | None = None
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
+    color_by: Medium | None = None
     mask: InitVar[ArrayLike | None] = None
     where: InitVar[ArrayLike | None] = None
 
@@ -133,6 +144,8 @@ class Medium:
             if self.transfer is not None or self.words:
                 given = " and ".join(self.words or ("transfer",))
                 raise OptionError(f"surfaces of a medium have colours of their own: {given} must be left out")
+        if self.color_by is not None:
+            object.__setattr__(self, "color_by", _coloring(self.color_by, self.volume))
         if self.clip is not None:
             object.__setattr__(self, "clip", as_clip(self.clip))
         if self.volume.ndim != 3:
@@ -268,7 +281,9 @@ class Scene:
         if not 1 <= len(media) <= _MOST_MEDIA:
             raise OptionError(f"a scene must have 1 to {_MOST_MEDIA} media; got {len(media)}")
         media = tuple(map(as_medium, media))
-        _require_one_world([medium.volume.grid for medium in media])
+        grids = {f"medium {k}": medium.volume.grid for k, medium in enumerate(media)}
+        colors = {f"color_by of medium {k}": medium.color_by.volume for k, medium in enumerate(media) if medium.color_by}
+        _require_one_world(grids | colors)
         if self.mix not in _MIXES:
             raise one_of("mix", self.mix, _MIXES)
         object.__setattr__(self, "media", media)
@@ -307,8 +322,33 @@ class Scene:
         return joined(self.clip, medium.clip)
 
 
-def _require_one_world(volumes: Sequence[Volume]) -> None:
+def _coloring(given: Any, volume: Volume) -> Medium:
+    """What colours a medium of this volume."""
+    if callable(given):
+        if is_in_parts(volume):
+            raise OptionError("color_by takes a function only for a volume in memory; sample it, and give the volume")
+        z, y, x = np.indices(volume.shape)
+        points = volume.index_to_world(np.stack([x, y, z], -1).reshape(-1, 3))
+        values = reals("the values of color_by", given(points), "one for each point")
+        if values.size != len(points):
+            raise DataError(f"the function of color_by must return one value for each of {len(points)} points; got {values.shape}")
+        given = values.reshape(volume.shape)
+    if is_in_parts(given):
+        raise OptionError(
+            "color_by takes a volume in memory; got one that is read by bricks: give LazyVolume.whole(), or a preview"
+        )
+    if not isinstance(given, (Medium, Volume)) and np.shape(given) == volume.shape:
+        place = {name: getattr(volume, name) for name in ("spacing", "origin", "direction", "units", "space")}
+        given = Volume(np.asarray(given), **place)
+    made = as_medium(given)
+    if is_in_parts(made.volume) or made.color_by is not None or made.clip is not None or made.surfaces is not None:
+        raise OptionError("color_by takes a medium whose volume is in memory, without clip, surfaces and color_by of its own")
+    return made
+
+
+def _require_one_world(named: Mapping[str, Volume]) -> None:
     """Raise if coordinates of volumes cannot be compared; warn if it seems that they are not meant to be."""
+    volumes = list(named.values())
     for what, names in (("world", {one.space for one in volumes}), ("unit", {one.units for one in volumes})):
         if len(names - {""}) > 1:
             raise GeometryError(f"the media of a scene must be in one {what}; got volumes in {' and '.join(sorted(names - {''}))}")
@@ -322,7 +362,7 @@ def _require_one_world(volumes: Sequence[Volume]) -> None:
     for k, (low, high) in enumerate(ends if len(ends) > 1 else ()):
         if not any((low < b).all() and (a < high).all() for n, (a, b) in enumerate(ends) if n != k):
             spans = " to ".join(f"({', '.join(f'{v:.6g}' for v in corner)})" for corner in (low, high))
-            warn(f"medium {k} of a scene overlaps no other: it spans {spans}")
+            warn(f"{list(named)[k]} of a scene overlaps no other: it spans {spans}")
 
 
 def as_medium(choice: Medium | Volume | ArrayLike) -> Medium:

@@ -19,9 +19,9 @@ from clvol.base.errors import ChunkError, ClvolError, OutOfMemoryError
 from clvol.bricks.source import LazyVolume, needed_by
 from clvol.device import Device
 from clvol.march.bricks import STEPPED_AT_MOST, level_of, level_within, nearest_to
+from clvol.march.function import row_for
 from clvol.march.renderer import Renderer
 from clvol.march.slices import plane_points, shaded
-from clvol.march.source import row_for
 from clvol.scene.mode import as_mode
 from clvol.show.picture import Picture
 from clvol.view.panes import SlicePane

@@ -23,6 +23,7 @@ from clvol.base.errors import OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
+from clvol.reference.march.colored import colored
 from clvol.reference.march.missing import continued, is_missing
 from clvol.reference.march.rays import Rays, camera_rays, face_normals, kept_parts
 from clvol.reference.march.roots import crossings_by, first_crossings
@@ -32,6 +33,7 @@ from clvol.scene.clip import Clip, as_clip, cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, Surfaces, as_mode, mode_options
+from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume, as_volume
@@ -233,6 +235,7 @@ class _Scene:
     volume: Volume
     view: Viewpoint
     height: int  # of the picture in pixels
+    colored: Callable[[Array, Array], Array]  # places and own colours to those by another function
 
 
 def render(
@@ -253,9 +256,10 @@ def render(
     rays: int = 1,
     pixel_filter: str | Filter = "linear",
     outputs: str | Sequence[str] = "rgba",
+    other: Medium | None = None,
     **options: Any,
 ) -> Array | dict[str, Array]:
-    """One picture; parameters and results are those of `clvol.Renderer.render`, in float64.
+    """One picture; parameters and results are those of `clvol.Renderer.render`, in float64; `other` is `clvol.Medium.color_by`.
 
     Differences: `termination` is 0 unless given, and all samples of all rays are in memory at once, so
     this is for small pictures of small volumes.
@@ -344,6 +348,7 @@ def render(
         volume,
         view,
         height,
+        lambda points, rgb: rgb if other is None else colored(other, points, rgb),
     )
     axis, planes = planes_across(volume, view, width / height, step)
     total = np.zeros((width * height, 4))
@@ -445,6 +450,8 @@ def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
     face[:, firsts] = True
     classified = scene.transfer(np.where(there, values, 0.0))
     rgb, alpha = classified[..., :3], np.where(there, classified[..., 3], 0.0)
+    which, k = np.nonzero(alpha > 0)
+    rgb[which, k] = scene.colored(rays.at(t[which, k], which), rgb[which, k])
     if mode.shading:
         which, k = np.nonzero((alpha > 0) & ~face)
         gradient = scene.gradient(rays.at(t[which, k], which))
@@ -487,7 +494,8 @@ def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered
     if mode.color_by == "label" and not scene.filter.has_gradient:
         rgb[hit] = scene.transfer(scene.value(rays.at(depth[hit] + 100 * _PAST, hit)))[:, :3]
     elif mode.color_by and mode.color_by != "label":
-        rgb[hit] = scene.transfer(_curvatures(scene, mode.color_by, rays.at(depth[hit], hit)))[:, :3]
+        rgb[hit] = scene.transfer(_shown_at(scene, mode.color_by, rays.at(depth[hit], hit), rays.direction[hit]))[:, :3]
+    rgb[hit] = scene.colored(rays.at(depth[hit], hit), rgb[hit])
     if mode.shading:
         gradient = scene.gradient(rays.at(depth[hit], hit))
         rgb[hit] = scene.lit(gradient, np.full(hit.size, mode.isovalue), rgb[hit], rays.direction[hit])
@@ -509,7 +517,8 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
                 at = part.rays.at(t, on)
                 colors = np.tile(np.asarray(color, float), (on.size, 1))
                 if mode.color_by:
-                    colors = scene.transfer(_curvatures(scene, mode.color_by, at))[:, :3]
+                    colors = scene.transfer(_shown_at(scene, mode.color_by, at, part.rays.direction[on]))[:, :3]
+                colors = scene.colored(at, colors)
                 if mode.shading:
                     colors = scene.lit(scene.gradient(at), np.full(on.size, value), colors, part.rays.direction[on])
                 if mode.outline:
@@ -556,8 +565,12 @@ def _outlined(scene: _Scene, thickness: float, points: Array, direction: Array) 
     return 1 - np.clip(thickness + 0.5 - pixels, 0, 1)[:, None]
 
 
-def _curvatures(scene: _Scene, which: str, points: Array) -> Array:
-    """By the invariants of the shape operator."""
+def _shown_at(scene: _Scene, which: str, points: Array, direction: Array) -> Array:
+    """Distances along rays behind the plane through the volume's centre that faces the camera; or curvatures, by the invariants of
+    the shape operator.
+    """
+    if which == "distance":
+        return np.asarray(((points - scene.volume.center) @ scene.view.forward) / (direction @ scene.view.forward))
     shape, _ = _shape(scene, points)
     mean = np.trace(shape, axis1=1, axis2=2) / 2
     product = (4 * mean**2 - np.trace(shape @ shape, axis1=1, axis2=2)) / 2

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from clvol.base.arrays import Array
 from clvol.filter.table import DEFAULT_FILTER, as_filter
+from clvol.reference.march.colored import colored
 from clvol.reference.march.march import flat_below, planes_across, shade
 from clvol.reference.march.rays import Rays, camera_rays, kept_parts
 from clvol.reference.march.roots import crossings_by, first_crossings
@@ -175,6 +176,8 @@ def _matter(
     shades = medium.transfer(values)
     rgb = shades[:, :3]
     seen = shades[:, 3] > 0
+    if medium.color_by is not None:
+        rgb[seen] = colored(medium.color_by, points[seen], rgb[seen])
     if shading:
         flat = flat_below(volume, values[seen] - Stored.of(volume, row, medium.boundary).offset)
         lights = [light.placed(view) for light in scene.lights]

@@ -1,0 +1,74 @@
+"""The function of a volume that pictures show: its filter, and what continues it where samples are missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base.errors import DataError
+from clvol.filter.table import PICTURE_FILTER
+from clvol.spline.field import Field
+from clvol.volume.missing import Missing, extrapolated
+from clvol.volume.smoothing import filter_for
+from clvol.volume.stored import RENUMBER, names_beyond
+
+if TYPE_CHECKING:
+    from clvol.bricks.source import LazyVolume
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+    from clvol.volume.volume import Volume
+
+__all__ = ["extrapolated_samples", "lacks_samples", "row_for", "single", "usual_filter"]
+
+
+def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:
+    """The filter of all levels of a volume in one picture; None: that of its bounds."""
+    if filter is not None or volume.bounds is not None:
+        return filter
+    return filter_for(volume.part(), None, usual)
+
+
+def usual_filter(volume: LazyVolume) -> str | None:
+    """The filter of pictures where none is given; None: that of the volume's bounds."""
+    return PICTURE_FILTER if volume.bounds is None else None
+
+
+class _Shown(Field):
+    """A field whose values are NaN where pictures show nothing."""
+
+    def _filled(self, where: NDArray[np.bool_]) -> NDArray[Any]:
+        return extrapolated_samples(self.volume, where)
+
+    def _gaps_at(self, where: NDArray[np.bool_]) -> Field:
+        row = "nearest" if self.filter.support == 1 else "linear"
+        return Field(replace(self.volume, data=where), row, "reflect", self.device)
+
+
+def lacks_samples(volume: Volume) -> bool:
+    """Whether samples are missing: NaN or infinite. `DataError` if all are."""
+    if volume.data.dtype.kind != "f" or np.isfinite(volume.limits).all():
+        return False
+    _ = volume.value_range  # which raises
+    return True
+
+
+def extrapolated_samples(volume: Volume, where: NDArray[np.bool_]) -> NDArray[Any]:
+    """The samples, with values in the place of those that are missing."""
+    low, high = volume.value_range
+    return extrapolated(volume.data, where, low / 2 + high / 2)
+
+
+def single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:
+    """A field in single precision, as kernels of pictures read; float32 must distinguish the labels."""
+    if names_beyond(24, volume, row):
+        low, high = volume.limits
+        raise DataError(
+            f"labels must be whole numbers that float32 holds to be drawn, up to 2**24; got {low} to {high}: {RENUMBER}"
+        )
+    if lacks_samples(volume):
+        return _Shown(volume, row, boundary, device, precision="single", nan=Missing("local", most=0.5))
+    return Field(volume, row, boundary, device, precision="single")
