@@ -64,6 +64,7 @@ def given(page: str) -> dict[str, object]:
     }.get(page, {})
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(DOCS).with_suffix("").as_posix())
 def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
     monkeypatch.chdir(tmp_path)

@@ -92,6 +92,7 @@ def public_members(node: ast.ClassDef) -> int:
     return len([name for name in names if not name.startswith("_")])
 
 
+@cache
 def figures() -> dict[str, Figure]:
     """Each figure with its limit."""
     longest = {name: (node.end_lineno or 0) - node.lineno + 1 for name, node in classes().items()}

@@ -43,7 +43,7 @@ def needs(field: BrickedField) -> int:
     return _needs(field.volume, field.filter, field.boundary).resident(field.edge)
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(15)
 @pytest.mark.parametrize("boundary", boundaries())
 @pytest.mark.parametrize("filter", FILTERS)
 def test_values_and_derivatives(volume: clvol.Volume, filter: str, boundary: str) -> None:
@@ -67,6 +67,7 @@ def test_hessians_and_frames(volume: clvol.Volume) -> None:
         np.testing.assert_allclose(bricked.gradient(at, frame="RAS"), whole.gradient(at, frame="RAS"), rtol=0, atol=4e-6)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["linear", "catmull-rom", "nearest"])
 def test_without_a_prefilter_results_are_identical(volume: clvol.Volume, filter: str) -> None:
     at = points(volume, 0.4)
@@ -172,6 +173,7 @@ def test_nonfinite_points(volume: clvol.Volume) -> None:
         assert bricked(np.zeros((0, 3))).shape == (0,)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("boundary", clvol.boundaries())
 def test_faces_between_two_samples(boundary: str) -> None:
     """The outer half voxels belong to the outer samples, up to the faces."""

@@ -207,7 +207,7 @@ def test_a_figure_without_a_visible_surface_has_no_normal_error(device: Device) 
     assert panels[0].rms is not None
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(7)
 @pytest.mark.parametrize(("count", "across", "down"), [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 4, 1), (5, 4, 2), (6, 3, 2), (7, 4, 2)])
 def test_compare_puts_panels_in_rows(device: Device, count: int, across: int, down: int) -> None:
     names = ("linear", "nearest", "bspline3", "mitchell", "bspline2", "catmull-rom", "bspline")[:count]
@@ -246,6 +246,7 @@ def test_compare_reports_the_automatic_smoothing(device: Device) -> None:
     assert max(far[1:]) < 0.7 * far[0]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("rule", ["mirror", "reflect", "wrap"])
 @pytest.mark.parametrize("mode", ["isosurface", "composite"])
 def test_compare_draws_the_exact_sinc(device: Device, rule: str, mode: str) -> None:

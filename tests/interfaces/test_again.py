@@ -64,6 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip"])
 def test_several_media_are_the_same_to_the_bit(folder: Path, mode: str, device: Device) -> None:
     clvol.write(clvol.phantoms.sphere(12), folder / "ball.nrrd")
@@ -92,6 +93,7 @@ def test_several_media_that_are_read_by_bricks_are_again(folder: Path, device: D
         render_again(folder / "several.png")
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("case", CASES)
 def test_it_is_the_same_to_the_bit(folder: Path, case: str, device: Device) -> None:
     first = clvol.render(clvol.read(folder / "volume.nrrd"), size=SIZE, device=device, **CASES[case])

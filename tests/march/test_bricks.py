@@ -63,7 +63,7 @@ def both(volume: clvol.Volume, filter: str, boundary: str, edge: int, *args: Any
         return whole.render(*args, **options), bricked.render(*args, **options)
 
 
-@pytest.mark.one_in(18)
+@pytest.mark.one_in(54)
 @pytest.mark.parametrize("view", CAMERAS)
 @pytest.mark.parametrize(("mode", "options"), MODES)
 @pytest.mark.parametrize("filter", ["linear", "nearest", "catmull-rom", "bspline3-approx"])
@@ -77,7 +77,7 @@ def test_bit_identical_without_a_prefilter(
     assert whole["rgba"].max() > 0
 
 
-@pytest.mark.one_in(14)
+@pytest.mark.one_in(54)
 @pytest.mark.parametrize("boundary", ["mirror", "wrap", "nearest", "zero", "constant"])
 @pytest.mark.parametrize("filter", ["bspline3", "bspline3(0.1)", "bspline2", "hybrid"])
 @pytest.mark.parametrize(("mode", "options"), MODES)
@@ -144,6 +144,7 @@ def test_invisible_bricks_are_not_read() -> None:
             np.testing.assert_array_equal(picture, whole.render(CAMERAS["aslant"], "isosurface", (80, 80), isovalue=20))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["mip", "minip", "attenuated"])
 def test_bricks_that_cannot_exceed_the_extreme_are_not_read(mode: str) -> None:
     """All samples count for extremes, but bounds exclude bricks."""
@@ -236,6 +237,7 @@ def test_hidden_bricks_are_not_read() -> None:
         assert field.reads.bricks == reads
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["nearest", "bspline2-approx", "linear"])
 def test_an_eye_beside_a_face_between_bricks(filter: str) -> None:
     volume = clvol.Volume(np.random.default_rng(3).random((40, 40, 40)).astype(np.float32))
@@ -455,6 +457,7 @@ def test_the_picture_does_not_depend_on_the_budget(volume: clvol.Volume) -> None
     np.testing.assert_array_equal(*pictures)
 
 
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize("filter", ["linear", "nearest"])
 @pytest.mark.parametrize("view", CAMERAS)
 def test_no_brick_hides_one_in_front_of_it(volume: clvol.Volume, view: str, filter: str) -> None:

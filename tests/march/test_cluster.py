@@ -110,7 +110,7 @@ def test_groups_are_ordered_front_to_back(volume: clvol.LazyVolume, name: str) -
 # -- pictures ------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(("mode", "options"), MODES)
 def test_merging_in_order_is_bit_identical(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
     options = options | ({"transfer": BUMPY} if mode == "composite" else {})
@@ -147,7 +147,7 @@ def test_several_media_go_together_in_each_worker(cluster: Cluster, volume: clvo
         assert len(pickle.dumps(many)) < 1 << 20
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(("mode", "options"), [pair for pair in MODES if "method" not in pair[1]])
 def test_merging_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
     options = options | ({"transfer": BUMPY, "termination": 0.0} if mode == "composite" else {})
@@ -162,6 +162,7 @@ def test_merging_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str
             np.testing.assert_array_equal(many[name], one[name], err_msg=name)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("mode", "options"), [("isosurface", {"cap": True}), ("surfaces", {"cap": "tan"}), ("composite", {}), ("mip", {})]
 )

@@ -80,6 +80,7 @@ def test_a_saddle(device: Device, kind: str) -> None:
     np.testing.assert_allclose(got, want, atol=1e-4)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("filter", "tile"), [("bspline3", "planes"), ("bspline5", "rays"), ("bspline2", "eights"), ("mitchell", "rays")]
 )
@@ -123,6 +124,7 @@ OUTLINED: dict[str, tuple[str, Any, dict[str, Any]]] = {
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("mode", OUTLINED)
 def test_outlines_are_the_references(device: Device, mode: str) -> None:
     tile, projection, own = OUTLINED[mode]

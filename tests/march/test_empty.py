@@ -65,6 +65,7 @@ def test_what_is_not_seen_is_said_with_the_range(device: Device, case: str) -> N
         assert re.match(expected, words), words
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", clvol.modes())
 def test_constant_samples(device: Device, mode: str) -> None:
     for value in (0, 5):
@@ -74,6 +75,7 @@ def test_constant_samples(device: Device, mode: str) -> None:
         assert not said(np.full((6, 6, 6), 5), device, mode=mode, transfer=transfer)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", clvol.modes())
 def test_pictures_that_show_something_are_silent(device: Device, mode: str) -> None:
     ball = clvol.phantoms.sphere(12)

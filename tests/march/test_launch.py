@@ -81,7 +81,7 @@ def test_two_merged_halves_of_the_rays_make_the_picture(renderer: Renderer, mode
                     check(finish_states(merge_states(front, back)), whole, mode)
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(7)
 @pytest.mark.parametrize("mode", modes())
 def test_continued_states_make_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
     """In segments of any length, with and without skipping."""
@@ -115,7 +115,7 @@ def test_segmented_rays_of_few_samples_make_the_picture_to_the_last_bit(renderer
                 np.testing.assert_array_equal(picture, whole[name], err_msg=name)
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(7)
 @pytest.mark.parametrize("mode", modes())
 def test_segmented_rays_with_gaps_make_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
     """Two corners, one thinner than a step, leave three parts of some rays, whose ends share sample numbers."""

@@ -65,7 +65,7 @@ def errors(scene: Scene, view: str, device: Device) -> tuple[float, float, float
     return float(apart.max()), float(np.sqrt((apart**2).mean())), float(deep)
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("other", MEDIA)
 def test_two_media_are_the_references(device: Device, other: str, tile: str) -> None:
@@ -97,6 +97,7 @@ def test_all_media_are_the_references(device: Device, view: str) -> None:
 SHELLS = {"surfaces": [(0.35, "bisque", 0.3), (0.6, "teal", 0.5), (0.8, "red", 1.0)], "transfer": None}
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("view", ["perspective", "wide"])
 def test_surfaces_among_media_are_the_references(device: Device, view: str) -> None:
     """Of the grid that leads, of another, and cut open; a crossing halfway between two samples may count for either."""
@@ -187,7 +188,7 @@ OWN: dict[str, Any] = {
 CUT = Plane((0, -1, 0.2), (0, 6, 0))
 
 
-@pytest.mark.one_in(7)
+@pytest.mark.one_in(14)
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("other", ["one grid", "turned", "a slice"])
 @pytest.mark.parametrize("own", OWN)
@@ -208,6 +209,7 @@ def test_media_that_are_cut_alone_are_the_references(device: Device, own: str, o
     assert (np.abs(uncut - want).max(-1) > 0.02).sum() > 30
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip"])
 def test_a_cut_of_each_medium_is_one_of_the_scene(device: Device, mode: str) -> None:
     look: dict[str, Any] = {"mode": mode, "size": SIZE, "device": device} | ({"cap": True} if mode == "isosurface" else {})
@@ -247,6 +249,7 @@ def test_a_shell_is_cut_open_and_what_is_in_it_is_not(device: Device) -> None:
     assert (both[lime][:, 0] > 0.05).mean() > 0.9
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("mode", ["mip", "mean"])
 def test_projections_add(device: Device, mode: str) -> None:
     red, green = (Medium(blobs(seed, 20, 22, 24, color=color)) for seed, color in ((1, "red"), (2, "lime")))
@@ -332,7 +335,7 @@ BRICKED: dict[str, tuple[Medium, ...]] = {
 }
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("case", BRICKED)
 def test_bricks_change_no_bit(case: str, view: str, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:

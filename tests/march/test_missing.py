@@ -68,6 +68,7 @@ def analytic(camera: Camera, size: tuple[int, int]) -> tuple[Any, ...]:
     return tuple(array.reshape(size[::-1]) for array in (hit, near, far, root))
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("mode", ["composite", "mip", "minip", "mean"])
 def test_a_ball_without_surroundings_is_that_of_its_closed_form(mode: str, device: Device) -> None:
     camera, size = Camera.orbit(30, 20, fit="volume"), (64, 64)
@@ -123,7 +124,7 @@ def test_a_surface_ends_where_samples_do(method: str, device: Device) -> None:
     assert abs(len(at) / (np.linalg.norm(disc, axis=1) < RADIUS).sum() - 1) < 0.05
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("filter", ["bspline3", "linear", "nearest"])
 @pytest.mark.parametrize("mode", [*MODES, "stepped"])
 def test_pictures_agree_with_the_reference_and_skipping_changes_no_bit(mode: str, filter: str, device: Device) -> None:
@@ -142,6 +143,7 @@ def test_pictures_agree_with_the_reference_and_skipping_changes_no_bit(mode: str
     compare(got, want, Allowance(rgba=2e-4, rms=2e-5, depth=1e-3, position=1e-3, normal=5e-3, pixels=few))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "stepped"])
 def test_ray_by_ray_they_agree_too(mode: str, device: Device) -> None:
     own: dict[str, Any] = {"method": "stepped"} if mode == "stepped" else {}
@@ -183,6 +185,7 @@ def test_a_linear_function_is_continued_almost_exactly(device: Device) -> None:
     assert errors["smooth"] > 0.15
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip", "mean"])
 def test_a_mask_is_as_good_as_nan(mode: str, device: Device) -> None:
     whole = np.arange(24 * 24 * 24, dtype=np.uint16).reshape(24, 24, 24) % 997
@@ -216,7 +219,7 @@ def test_masked_labels_stay_labels_and_show_no_other(device: Device) -> None:
     assert all(np.abs(own - one).max(1).min() < 2e-4 for one in shown)
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize("filter", ["catmull-rom", "bspline3", "nearest"])
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "stepped", "mip", "mean"])
 def test_by_bricks_they_are_those_in_memory(mode: str, filter: str, device: Device) -> None:
@@ -286,6 +289,7 @@ def test_a_field_with_gaps_is_drawn_as_its_volume_is(device: Device) -> None:
     assert np.isnan(values).tolist() == [False, True]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip"])
 def test_a_lazy_volume_is_drawn_as_in_memory(mode: str, device: Device, tmp_path: Path) -> None:
     """It was refused. Coefficients of bricks differ from those of the whole volume by 1e-6, as without missing samples."""
@@ -339,6 +343,7 @@ def test_each_size_of_a_lazy_volume_knows_where_it_lacks_samples(device: Device)
 DRAWN: dict[str, Any] = {**OPTIONS, "transfer": FULL, "isovalue": 16.0, "outputs": "rgba"}
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip"])
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 def test_a_mask_of_a_lazy_volume_is_that_of_the_volume_in_memory(mode: str, dtype: type, device: Device) -> None:
@@ -437,6 +442,7 @@ def _stored(kind: str, data: np.ndarray[Any, Any], folder: Path) -> tuple[Path, 
     return folder / "v.zarr", file, place
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("kind", ["zarr2", "zarr3", "sharded", "hdf5", "tiff"])
 def test_a_damaged_chunk_is_left_out_and_named(kind: str, device: Device, tmp_path: Path) -> None:
     """It made every picture of the store an error. Truth: the picture of the other samples in memory."""

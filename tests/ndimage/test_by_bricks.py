@@ -32,7 +32,7 @@ CALLS: dict[str, tuple[Any, ...]] = {
 }
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(14)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("call", CALLS)
 def test_results_match_scipy(call: str, mode: str) -> None:
@@ -118,6 +118,7 @@ def with_buffers_of(monkeypatch: pytest.MonkeyPatch, nbytes: int) -> None:
     monkeypatch.setattr(Device, "largest", property(lambda _: nbytes))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("call", INSTEAD)
 def test_arrays_whose_coefficients_exceed_the_largest_buffer(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bricks are automatic, and a warning says that the last bits depend on them."""

@@ -34,7 +34,7 @@ def draw(device: Device, length: int, transfer: clvol.TransferFunction, **option
     return clvol.render(data, ALONG, "composite", filter="linear", device=device, transfer=transfer, **{**look, **options})
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(18)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("unit", [1.0, 40.0])
 @pytest.mark.parametrize(

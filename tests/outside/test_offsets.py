@@ -64,6 +64,7 @@ def cubic_derivatives(data: Array, at: Array, orders: tuple[int, int, int]) -> A
 # -- values ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("precision", ["single", "double"])
 @pytest.mark.parametrize("boundary", ["zero", "grid-constant", "grid-constant(99999.5)"])
 @pytest.mark.parametrize("name", ["linear", "bspline3", "bspline3(0.1)", "hybrid"])

@@ -69,7 +69,7 @@ ROWS: dict[str, Filter] = {
 }
 
 
-@pytest.mark.one_in(8)
+@pytest.mark.one_in(15)
 @pytest.mark.parametrize(("name", "boundary"), [*product(ROWS, ["mirror", "zero"])])
 def test_no_value_lies_outside_the_bounds_of_its_block(device: Device, name: str, boundary: str) -> None:
     rng = np.random.default_rng(5)

@@ -80,7 +80,7 @@ def test_more_noise_is_smoothed_more() -> None:
     assert 0 < found[0] < found[1] < found[2] <= 1000
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("degree", range(2, 10))
 def test_degrees_smooth_alike(degree: int) -> None:
     def half(degree: int, value: float) -> float:
