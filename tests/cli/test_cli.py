@@ -18,6 +18,7 @@ from typing import Any, Self
 import imageio.v3 as iio
 import numpy as np
 import pytest
+import tifffile
 import zarr
 
 import clvol
@@ -1454,5 +1455,13 @@ def test_volumes_of_other_files_are_in_the_picture_and_color_it(clvol_command: C
     assert clvol_command(*draw, *surface).code == 0
     assert clvol_command("render", "--from", "p.png", "--output", "q.png").code == 0
     np.testing.assert_array_equal(iio.imread("q.png"), iio.imread("p.png"))
+    tifffile.imwrite("c.ome.tif", np.stack([first.data, first.data[::-1]]).astype(np.float32), metadata={"axes": "CZYX"}, ome=True)
+    channels = ("render", "c.ome.tif", "--output", "p.png", *SMALL, "--mode", "mip")
+    assert clvol_command(*channels, "--all-channels").code == 0
+    clvol.render(clvol.read_all("c.ome.tif"), mode="mip", size=(16, 12)).save("q.png")
+    np.testing.assert_array_equal(iio.imread("q.png"), iio.imread("p.png"))
+    assert clvol_command("render", "--from", "p.png", "--output", "q.png").code == 0
+    np.testing.assert_array_equal(iio.imread("q.png"), iio.imread("p.png"))
+    clvol_command(*channels, "--all-channels", "--cmap", "hot").fails(1, "--all-channels have colours of their own")
     clvol_command(*draw, "--with", "b,1.nrrd,window=3").fails(1, "window of b,1.nrrd must be center/width; got '3'")
     clvol_command(*draw, "--mode", "mip", "--colors", "b,1.nrrd").fails(1, "color_by of a medium changes nothing in mip")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Group, Parameter
@@ -13,6 +14,7 @@ import clvol
 from clvol.base.errors import OptionError
 from clvol.cli.options import Input
 from clvol.interop.dispatch import is_in_parts
+from clvol.scene.scene import channels
 from clvol.volume.provenance import note
 
 __all__ = ["Others"]
@@ -45,13 +47,36 @@ class Others:
         str | None, Parameter(help="One that colours the matter and surfaces of SOURCE: FILE, as of --with.", show_default=False)
     ] = None
 
+    all_channels: Annotated[bool, Parameter(negative="", help="All channels of SOURCE, each in its colour.")] = False
+
+    def first(self, reader: Input) -> Input:
+        """How the volume is read from which looks are chosen."""
+        return replace(reader, channel="0") if self.all_channels and reader.channel is None else reader
+
     def scene(
-        self, volume: clvol.Volume | clvol.LazyVolume, filter: Any, boundary: str, transfer: clvol.TransferFunction | None
+        self,
+        volume: clvol.Volume | clvol.LazyVolume,
+        transfer: clvol.TransferFunction | None,
+        source: str | Path,
+        reader: Input,
+        **how: Any,
     ) -> clvol.Scene:
-        """The scene of a volume and these."""
+        """The scene of a volume and these; `how` it is reconstructed."""
+        others = map(_medium, self.with_)
+        if self.all_channels:
+            if reader.channel is not None or self.colors is not None or transfer is not None:
+                raise OptionError("--all-channels have colours of their own: leave out --channel, --colors, --preset and the like")
+            return clvol.Scene((*_channels(source, reader, how), *others))
         by = None if self.colors is None else _medium(self.colors, whole=True)
-        first = clvol.Medium(volume, transfer, filter=filter, boundary=boundary, color_by=by)  # type: ignore[arg-type]  # it converts
-        return clvol.Scene((first, *map(_medium, self.with_)))
+        first = clvol.Medium(volume, transfer, color_by=by, **how)  # type: ignore[arg-type]  # it converts
+        return clvol.Scene((first, *others))
+
+
+def _channels(source: str | Path, reader: Input, how: dict[str, Any]) -> tuple[clvol.Medium, ...]:
+    media = channels(reader.read_all(source), **how)
+    for number, medium in enumerate(media):
+        note(medium.volume, source, {**reader.noted(), "channel": number})
+    return media
 
 
 def _medium(text: str, *, whole: bool = False) -> clvol.Medium:

@@ -168,17 +168,20 @@ def render(
     whole = needs_whole(look.limits(), () if uncertainty is None else ("uncertainty",))
     cluster = together.cluster if together else None
     by_bricks = by_bricks or cluster is not None
-    volume = _volume(input or Input(), source, most, by_bricks=by_bricks, whole=whole)
+    reader = input or Input()
+    volume = _volume(others.first(reader) if others else reader, source, most, by_bricks=by_bricks, whole=whole)
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
     preview = preview and isinstance(volume, clvol.Volume) and outputs == ["rgba"] and not around
     with speech.progress("rendering", json, preview=preview) as progress, look.limited(device):
         options |= look.options(volume.preview()) | around
         begun = time.perf_counter()
         wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
-        held: dict[str, Any] = {"scene": volume, "filter": wanted, "boundary": look.boundary}
+        held: dict[str, Any] = {"filter": wanted, "boundary": look.boundary}
+        drawn: Any = volume
         if others:
-            held = {"scene": others.scene(volume, wanted, look.boundary, options.pop("transfer", None))}
-        with clvol.Renderer(**held, device=device, memory=most, cluster=cluster) as renderer:
+            drawn = others.scene(volume, options.pop("transfer", None), source, reader, **held)
+            held = {}
+        with clvol.Renderer(drawn, **held, device=device, memory=most, cluster=cluster) as renderer:
             ready = time.perf_counter()
             shows = preview and progress is not None and isinstance(renderer.field, clvol.Field)
             if shows and isinstance(progress, _preview()):
