@@ -3,6 +3,7 @@
 #include "march/march.cl"
 #include "march/picture.cl"
 #include "march/states.cl"
+#include "march/through.cl"
 
 // Before any samples. `going`: for each tile whether some of its rays meet any medium; `ends`: its first and last sample's number,
 // and one more on both sides: for the face of a cut, and for a ray that leaves a medium before the next plane, alone in it.
@@ -32,21 +33,8 @@ kernel void mix_media(constant frame_t *frame, global const float2 *places, cons
     for (int g = 0; g < PACKETS; ++g) {
         const slots_t slots = slots_of(sums, touched, number, tiles, g, PACKETS, from);
         const ray_t *ray = tile.rays + g;
-        state_t state = tile.states[g];
-        mask open = tile.going[g] & !finished(&state, frame);
-        for (int n = 0; n < count && any_lane(open); ++n) {
-            if (!(touched[n * tiles + number] & slots.bit))
-                continue;
-            global const real *sum = slots.sums + n * slots.apart;
-            const real through = sum[3];
-            const mask seen = open & (through < 0.0f);
-            const real per = 1.0f / choose(seen, through, (real)(1.0f));
-            const color_t color = { per * sum[0], per * sum[1], per * sum[2], (real)(0.0f), (real)(0.0f) };
-            absorb(&state, color, through, madd(from + (n - 0.5f), ray->step, ray->first), ray->step, seen);
-            open = open & !finished(&state, frame);
-        }
-        some |= any_lane(open & (ray->end + 1.0f >= from + count));
-        tile.states[g] = state;
+        const mask open = tile.going[g] & !finished(tile.states + g, frame);
+        some |= any_lane(go_through(tile.states + g, &slots, frame, ray, from, count, open) & (ray->end + 1.0f >= from + count));
     }
     for (int n = 0; n < count; ++n)
         touched[n * tiles + number] = 0;
@@ -54,22 +42,11 @@ kernel void mix_media(constant frame_t *frame, global const float2 *places, cons
     going[number] = some;
 }
 
-kernel void finish_media(COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame, global const float4 *table,
-                         global const float2 *places, global const float *states, global float4 *rgba, global float *depth,
-                         global float *normals, global float *positions, global float *visited)
+kernel void finish_media(constant frame_t *frame, global const float2 *places, global const float *states, global float4 *rgba,
+                         global float *depth, global float *normals, global float *positions, global float *visited)
 {
     const pictures_t pictures = { rgba, depth, normals, positions, visited };
-    const real3 unknown = real3_of((real)(NAN), (real)(NAN), (real)(NAN));   // of which medium?
     TILE_OF_THIS_ITEM(places);
     load_states(&tile, frame, states);
-    plane_t none;
-    none.usable = 0;
-    for (int g = 0; g < PACKETS; ++g) {
-        const int x = PACKET_X(left, g), y = PACKET_Y(top, g);
-        const sample_t sample = { frame, table, extent, tile.rays + g, &none, 0, 0.0f, 0 };
-        if (x < frame->picture.width && y < frame->picture.height) {
-            const color_t color = finish(tile.states + g, coefficients, &sample);
-            store_packet(frame, tile.rays + g, color, place_of(tile.states + g), unknown, tile.gathered[g], x, y, &pictures);
-        }
-    }
+    store_mixed(&tile, frame, &pictures);
 }

@@ -5,24 +5,27 @@
 #include "base/lanes.cl"
 #include "transfer/ramp.cl"
 
+#ifndef SLOTS
+#define SLOTS global   // where they are
+#endif
 #define SLOT 4   // numbers of each ray
 #define OPACITY_FIELD 3   // of the states that mix.cl keeps, which are those of composite.cl; followed by the rest
 #define OPAQUE ((real)(-1e9f))   // of opaque matter: finite, so that its colour has a weight
 
 typedef struct {
-    global real *sums;       // of this packet for sample number `from` ...
+    SLOTS real *sums;       // of this packet for sample number `from` ...
     size_t apart;            // ... and how far apart those of successive numbers are
-    global uint *touched;    // of this tile, likewise
+    SLOTS uint *touched;    // of this tile, likewise
     size_t tiles;
     uint bit;
     float from;
 } slots_t;
 
-INLINE slots_t slots_of(global float *sums, global uint *touched, const size_t tile, const size_t tiles, const int packet,
+INLINE slots_t slots_of(SLOTS void *sums, SLOTS uint *touched, const size_t tile, const size_t tiles, const int packet,
                         const int packets, const float from)
 {
     const slots_t slots = {
-        (global real *)sums + (tile * packets + packet) * SLOT, tiles * packets * SLOT, touched + tile, tiles, 1u << packet, from
+        (SLOTS real *)sums + (tile * packets + packet) * SLOT, tiles * packets * SLOT, touched + tile, tiles, 1u << packet, from
     };
     return slots;
 }
@@ -30,8 +33,8 @@ INLINE slots_t slots_of(global float *sums, global uint *touched, const size_t t
 INLINE void add_sample(const slots_t *slots, const float number, const color_t color, const real through, const mask seen)
 {
     const size_t n = (size_t)(number - slots->from);
-    global real *sums = slots->sums + n * slots->apart;
-    global uint *touched = slots->touched + n * slots->tiles;
+    SLOTS real *sums = slots->sums + n * slots->apart;
+    SLOTS uint *touched = slots->touched + n * slots->tiles;
     const real none = (real)(0.0f);
     const real light = choose(seen, MAX(through, OPAQUE), none);
     const real red = choose(seen, color.red * light, none), green = choose(seen, color.green * light, none);

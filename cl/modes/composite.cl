@@ -130,9 +130,11 @@ INLINE void merge(state_t *front, const state_t *back)
 
 INLINE real place_of(const state_t *s) { return s->depth; }
 
-INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
+INLINE color_t mixed_color(const state_t *s)
 {
     const real per_opacity = 1.0f / MAX(s->opacity, (real)(1e-20f));
-    color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, s->opacity, (real)(0.0f) };
+    const color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, s->opacity, (real)(0.0f) };
     return color;
 }
+
+INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample) { return mixed_color(s); }

@@ -15,6 +15,7 @@ import clvol
 from clvol import Camera, Corner, LazyVolume, Medium, Plane, Scene, TransferFunction, Volume
 from clvol.base.errors import ClvolError, ClvolWarning, DataError, GeometryError, OptionError
 from clvol.device import Device
+from clvol.march.frame import Frame
 from clvol.reference.march.media import render_media
 from clvol.volume.volumes import Leading
 from tests.march.looks import TILES
@@ -164,6 +165,41 @@ CUTS = {
     "plane": Plane((-0.4, -0.7, 0.3), (11, 10, 9)),
     "corner": Corner((10, -math.inf, 9), (math.inf, 11, math.inf)),
 }
+
+
+ALIKE: dict[str, Any] = {
+    "two": ((FIRST, replace(MEDIA["turned"], filter="bspline3")), None, "auto"),
+    "three, cut": (
+        (FIRST, *(replace(MEDIA[name], filter="bspline3", clip=CUTS["corner"]) for name in ("one grid", "other spacings"))),
+        CUTS["plane"],
+        3,
+    ),
+    "missing": (
+        tuple(
+            replace(medium, filter="bspline3", mask=np.indices(medium.volume.shape)[0] < 4) for medium in (FIRST, MEDIA["turned"])
+        ),
+        None,
+        1,
+    ),
+}
+
+
+@pytest.mark.one_in(3)
+@pytest.mark.parametrize("tile", TILES)
+@pytest.mark.parametrize("case", ALIKE)
+def test_media_of_one_kind_are_drawn_together_to_the_bit(
+    device: Device, case: str, tile: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By one kernel, as by kernels of their own."""
+    media, clip, rays = ALIKE[case]
+    look: dict[str, Any] = {"size": (90, 70), "step": 0.7, "rays": rays, "device": device, "outputs": ("rgba", "depth")}
+    with device.limited(tile=TILES[tile]):
+        together = clvol.render(Scene(media, clip=clip), camera("perspective"), **look)
+        monkeypatch.setattr(Frame, "together", False)
+        apart = clvol.render(Scene(media[::-1], clip=clip), camera("perspective"), **look)
+    for name, picture in together.items():
+        np.testing.assert_array_equal(picture, apart[name])
+    assert np.ptp(together["rgba"][..., 0]) > 0.3
 
 
 @pytest.mark.parametrize("clip", CUTS)

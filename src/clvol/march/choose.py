@@ -17,7 +17,8 @@ from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.function import extrapolated_samples, lacks_samples, row_for, single, usual_filter
-from clvol.march.media import MediaDrawing
+from clvol.march.launch import Drawing
+from clvol.march.media import drawing_of
 from clvol.march.options import MERGES
 from clvol.march.source import ByBricks, InMemory, Several
 from clvol.scene.scene import Medium, Scene, as_scene, channels
@@ -154,7 +155,7 @@ def _of_several(scene: Scene, how: _How, cluster: ClusterLike | None, merge: Mer
     """The source of several media."""
     how = how._replace(sharing=len(scene.media))
     workers, device = None, how.device
-    begin: Callable[..., MediaDrawing] = MediaDrawing
+    begin: Callable[..., Drawing] = drawing_of
     keywords: dict[str, Any] = {} if how.memory is None else {"memory": how.memory}
     if cluster is not None:
         from clvol.march.cluster import ClusterMediaDrawing, Workers

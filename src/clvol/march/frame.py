@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -157,13 +156,28 @@ class Frame:
             values["picture"][name] = value
         return replace(self, values=values, media=tuple(medium._set(**changes) for medium in self.media))
 
-    def program(self, name: str, *, windowed: bool = False, added: bool = False) -> Program:
+    @property
+    def together(self) -> bool:
+        """Whether one program draws all media at once: for functions of one kind, in buffers."""
+        first, *others = self.media
+        return not first.evaluator.image and all(
+            one.mode.file == self.mode.file and one.defines(added=True) == first.defines(added=True) for one in (first, *others)
+        )
+
+    def program(self, name: str, *, windowed: bool = False, added: bool = False, media: int = 0) -> Program:
         """A kernel file of the ray loop, specialised for this frame.
 
-        `windowed`: for one brick of the volume at a time; `added`: samples are added to those of other media.
+        `windowed`: for one brick of the volume at a time; `added`: samples are added to those of other media, `media` of them at
+        once.
         """
+        _, declaration = frame_block(self.mode.BLOCK)
+        defines = self.defines(windowed=windowed, added=added) | ({"MEDIA": media} if media else {})
+        return self.device.build(name, defines, {"mode.cl": self.mode.file}, {"frame.cl": declaration})
+
+    def defines(self, *, windowed: bool = False, added: bool = False) -> dict[str, Any]:
+        """The `#define`s of its programs."""
         tile, mode = self.tile, self.mode
-        defines: Mapping[str, Any] = {
+        return {
             **self.coefficients.defines(self.evaluator),
             "LANES": tile.lanes,
             "TILE_WIDTH": tile.width,
@@ -190,8 +204,6 @@ class Frame:
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
-        _, declaration = frame_block(mode.BLOCK)
-        return self.device.build(name, defines, {"mode.cl": mode.file}, {"frame.cl": declaration})
 
 
 @dataclass(frozen=True)

@@ -124,10 +124,9 @@ class Drawing:
         with lent_pictures(frame, self.arrays, begun=self.cast_rays > 0 or self._areas is not None) as buffers:
             while self.cast_rays < last:
                 i = self.cast_rays
-                block = frame.device.buffers.upload(frame.sampled(*self._pattern[i], i, self.rays).values[None])
+                arguments = *self._inputs.of_rays(frame.sampled(*self._pattern[i], i, self.rays)), self._inputs.table, *buffers
                 if self._areas is None:
                     self._areas = self._budget.tiles(width, height)
-                arguments = *self._inputs.of_rays(block), self._inputs.table, *buffers
                 for x, y, w, h in _launched(frame, kernel, self._areas, self._budget, *arguments):
                     if progress:
                         progress((i + min(1.0, ((y + h) * width) / (width * height))) / self.rays)
@@ -188,11 +187,11 @@ class Drawing:
     def _cast_listed(self, rays: Frame, places: NDArray[np.float32], progress: Progress | None) -> dict[str, Picture]:
         """Cast a list of rays that cross the picture at these places."""
         budget, device, (width, height) = self._budget, rays.device, rays.size
-        block, listed = device.buffers.upload(rays.values[None]), device.buffers.upload(places)
+        listed = device.buffers.upload(places)
         arrays = pictures_of(rays)
         budget.slow_down(_SCATTERED)
         with lent_pictures(rays, arrays) as buffers:
-            areas, arguments = budget.tiles(width, height), (*self._inputs.of_rays(block), listed, *buffers)
+            areas, arguments = budget.tiles(width, height), (*self._inputs.of_rays(rays), listed, *buffers)
             for _, y, _, h in _launched(rays, self._kernel, areas, budget, *arguments):
                 if progress:
                     progress((y + h) / height)
@@ -244,9 +243,8 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), Inputs(frame)
     carried, states = states is not None, States(frame) if states is None else states
     buffer = states.argument(frame)
-    block = frame.device.buffers.upload(frame.values[None])
     budget = _Budget(frame)
-    arguments = *inputs.of_rays(block), np.float32(first), np.float32(last), np.int32(carried), buffer
+    arguments = *inputs.of_rays(frame), np.float32(first), np.float32(last), np.int32(carried), buffer
     for _ in _launched(frame, kernel, budget.tiles(*frame.size), budget, *arguments):
         pass
     return states
@@ -294,8 +292,9 @@ class Inputs:
         self.sides = self.table if frame.sides is None else frame.sides
         self.missing = self.table if frame.gaps is None else frame.gaps.buffer
 
-    def of_rays(self, block: Any) -> tuple[Any, ...]:
-        """The first arguments of kernels that march rays, with this parameter block."""
+    def of_rays(self, frame: Frame) -> tuple[Any, ...]:
+        """The first arguments of kernels that march rays, with the parameters of this frame: the same, or one of its rays."""
+        block = frame.device.buffers.upload(frame.values[None])
         return self.source, self.extent, self.minmax, self.sides, self.missing, block, self.table
 
 

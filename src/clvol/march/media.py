@@ -1,12 +1,14 @@
-"""Pictures of several media, whose extinctions add: the host side of add.cl and mix.cl.
+"""Pictures of several media, whose extinctions add: the host side of together.cl, add.cl and mix.cl.
 
-For a batch of successive sample numbers each medium adds its samples to those of the others, by a kernel of its own filter; then
-light goes through the sums. An area of the picture is completed before the next. Of a medium that is read by bricks those are
-resident, one after the other, which have samples of the batch: each sample is in one of them.
+Media in memory whose functions are of one kind are drawn by one kernel. Otherwise each medium adds, for a batch of successive
+sample numbers, its samples to those of the others, by a kernel of its own filter; then light goes through the sums. An area of the
+picture is completed before the next. Of a medium that is read by bricks those are resident, one after the other, which have samples
+of the batch: each sample is in one of them.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -37,9 +39,15 @@ _ROOM = {"cpu": 1 << 27, "gpu": 1 << 28}  # bytes of a batch's sums; twice as ma
 _SLOT = 16  # bytes of the sums of a sample
 
 
-def drawing_of(frame: Frame, rays: int | Literal["auto"], filter: str | Filter, expected: float = 0.0) -> Drawing:
+def drawing_of(
+    frame: Frame, rays: int | Literal["auto"], filter: str | Filter, expected: float = 0.0, *, bricked: Bricked | None = None
+) -> Drawing:
     """The picture of a frame in progress, of one medium or of several."""
-    return (MediaDrawing if frame.media else Drawing)(frame, rays, filter, expected)
+    if not frame.media:
+        return Drawing(frame, rays, filter, expected)
+    if bricked is None and frame.together:
+        return _TogetherDrawing(frame, rays, filter, expected)
+    return MediaDrawing(frame, rays, filter, expected, bricked=bricked)
 
 
 class Bricked(NamedTuple):
@@ -68,8 +76,30 @@ _Adding: TypeAlias = Callable[[float, int, NDArray[np.uint8]], None]
 """Adds a medium's samples from a number on, so many of them, to the tiles that are going."""
 
 
+class _TogetherDrawing(Drawing):
+    """A picture in progress, of several media in memory whose functions are of one kind: by together.cl."""
+
+    def _make_ready(self) -> None:
+        frame, count = self.frame, len(self.frame.media)
+        self._kernel = frame.media[0].program("march/together.cl", added=True, media=count).kernel("draw_together")
+        self._inputs = _InputsOfAll(frame)
+        self._budget.slow_down(count)
+
+
+class _InputsOfAll(Inputs):
+    """Those of all media of a frame, and of the frame."""
+
+    def __init__(self, frame: Frame) -> None:
+        super().__init__(frame)
+        self._each = [Inputs(one) for one in frame.media]
+
+    def of_rays(self, frame: Frame) -> tuple[Any, ...]:
+        each = [inputs.of_rays(one) for inputs, one in zip(self._each, frame.media, strict=True)]
+        return (*itertools.chain.from_iterable(each), frame.device.buffers.upload(frame.values[None]))
+
+
 class MediaDrawing(Drawing):
-    """A picture in progress, of several media."""
+    """A picture in progress, of several media; each adds its samples by a kernel of its own."""
 
     def __init__(
         self,
@@ -167,7 +197,7 @@ class MediaDrawing(Drawing):
         """The pixels of an area, from the first sample of their rays to their colours."""
         (x, y, width, height), tile, own = area, frame.tile, frame.device.buffers
         frame, (states, sums, touched) = frame.kept(x, y, width, height), room
-        block, table, inputs = own.upload(frame.values[None]), self._inputs.table, self._inputs
+        block, table = own.upload(frame.values[None]), self._inputs.table
         listed = table if places is None else own.upload(places)  # any buffer: it is not read
         going = np.zeros((-(-height // tile.height), -(-width // tile.width)), np.uint8)
         ends = np.zeros((*going.shape, 2), np.float32)
@@ -191,7 +221,7 @@ class MediaDrawing(Drawing):
                 own.download(flags, going)
                 first += count
         finish = self._mixing.kernel("finish_media")
-        launch(frame, finish, area, inputs.source, inputs.extent, block, table, listed, states, *buffers)
+        launch(frame, finish, area, block, listed, states, *buffers)
 
 
 class _Resident:
@@ -203,7 +233,7 @@ class _Resident:
     @contextmanager
     def over(self, rays: _Rays, going: NDArray[np.uint8]) -> Iterator[_Adding]:  # noqa: ARG002  # the kernel reads its own
         """What adds its samples to those of rays."""
-        inputs = self._inputs.of_rays(rays.frame.device.buffers.upload(rays.frame.values[None]))
+        inputs = self._inputs.of_rays(rays.frame)
 
         def add(first: float, count: int, going: NDArray[np.uint8]) -> None:  # noqa: ARG001
             _add(rays, self._kernel, rays.area, inputs, (first, count), rays.states)

@@ -24,7 +24,7 @@ from clvol.march.colored import Other
 from clvol.march.frame import Subject
 from clvol.march.function import single, usual_filter
 from clvol.march.gaps import Gaps
-from clvol.march.media import Bricked, MediaDrawing
+from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
@@ -394,7 +394,7 @@ class Several(Source):
         parts: Sequence[OneMedium],
         arguments: tuple[Any, ...],
         keywords: dict[str, Any],
-        begin: Callable[..., MediaDrawing],
+        begin: Callable[..., launch.Drawing],
     ) -> None:
         """`parts` are in the order of the scene's media; `begin` makes a picture in progress."""
         self.parts = {_reconstructed(medium): part for medium, part in zip(scene.media, parts, strict=True)}
