@@ -249,6 +249,23 @@ def test_the_slice_on_a_face_is_the_value_there(device: Device) -> None:
             np.testing.assert_allclose(shown["normal"][on], np.broadcast_to(face.normal, (on.sum(), 3)), atol=1e-6)
 
 
+def test_a_slab_is_a_slice_in_the_scene(device: Device) -> None:
+    """Seen from both sides, half of its thickness before and behind the plane."""
+    volume = distance_from_the_middle()
+    plane, grey = Plane((0.2, 0.1, 1), volume.center + np.array((0, 0, 2.0))), TransferFunction.ramp((0, 40))
+    medium = clvol.Medium(volume, grey, clip=plane.slab(0.5))
+    for side in (1, -1):
+        view = Camera(direction=tuple(-side * v for v in plane.normal), target=volume.center, distance=90, fov=20, up=(0, 1, 0))
+        shown = clvol.render(medium, view, size=(40, 40), device=device, outputs=("rgba", "position"), rays=1)
+        at = shown["position"]
+        on = np.abs((at - plane.point) @ np.array(plane.normal) - 0.25 * side) < 1e-3
+        on &= (np.abs(at - volume.center) < 14).all(-1)
+        assert on.mean() > 0.3
+        np.testing.assert_allclose(shown["rgba"][on][:, 0], np.linalg.norm(at - volume.center, axis=-1)[on] / 40, atol=0.01)
+    with pytest.raises(OptionError, match="thickness must be"):
+        plane.slab(0)
+
+
 def test_caps_close_a_surface(device: Device) -> None:
     """A solid ball cut in half shows a disc of one colour, of the sphere's radius, and no inside."""
     z, y, x = np.mgrid[:32, :32, :32] - 15.5

@@ -98,7 +98,7 @@ def test_functions_and_arrays_are_on_the_grid_of_the_medium() -> None:
     assert array is not None
     for name in ("spacing", "origin"):
         assert getattr(array.volume, name) == getattr(volume, name)
-    with pytest.raises(DataError, match="one value for each of 60 points"):
+    with pytest.raises(DataError, match="one value for each of 20 points"):
         Medium(volume, color_by=lambda points: points)  # type: ignore[arg-type]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import EllipsisType
@@ -24,6 +23,7 @@ from clvol.scene.preset import as_preset
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import WORDS
 from clvol.volume.histogram import matter_of
+from clvol.volume.provenance import sum_of
 from clvol.volume.smoothing import filter_for
 
 if TYPE_CHECKING:  # clusters need dask
@@ -516,7 +516,7 @@ def _rank(medium: Medium, transfer: TransferFunction, preview: Volume) -> tuple[
     other = medium.color_by
     by = _rank(other, other.transfer, other.volume) if other and other.transfer else ()
     look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, *own, by))
-    return place, look, zlib.crc32(np.ascontiguousarray(preview.data).view(np.uint8).data)
+    return place, look, sum_of(preview)
 
 
 def transfer_of(preview: Volume, mode: Mode, options: Mapping[str, Any]) -> TransferFunction | None:

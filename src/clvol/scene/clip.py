@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol.base.checks import number
 from clvol.base.errors import GeometryError
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.volume.volume import Volume
@@ -78,6 +79,25 @@ class Plane:
             normal = tuple(v / largest / length for v in normal)  # type: ignore[assignment]  # three
         object.__setattr__(self, "normal", normal)
         object.__setattr__(self, "point", point)
+
+    def slab(self, thickness: float) -> tuple[Plane, Plane]:
+        """What cuts away all but a slab around this plane, of this thickness in world units: a slice in a scene.
+
+        Both faces show the slice there, where they show something (`cap` of the mode).
+
+        Examples
+        --------
+        >>> import clvol
+        >>> volume = clvol.phantoms.sphere(32)
+        >>> slice = clvol.Medium(volume, opacity=[(0, 1)], clip=clvol.Plane((0, 0, 1), volume.center).slab(0.01))
+        >>> picture = clvol.render(clvol.Scene([slice, clvol.Medium(volume, surfaces="0.5:tan:0.3")]), size=(64, 64))
+        """
+        half = number("thickness", thickness, above=0) / 2
+        back = Plane(tuple(-v for v in self.normal), self.point)
+        front, behind = (
+            replace(one, point=tuple(p + half * n for p, n in zip(one.point, one.normal, strict=True))) for one in (self, back)
+        )
+        return front, behind
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ class Medium:
         grid of its own, such as a statistical map, a distance or labels; of a medium the transfer function says which colours, and
         its opacity how much they cover the medium's own, of which nothing is left by default. Where that volume ends, or its
         samples are missing, the medium has its own. An array has the medium's grid. A function gives the values at points (n, 3)
-        of the world, and is taken at the medium's samples.
+        of the world, and is taken at the medium's samples, slice by slice.
 
     Raises
     ------
@@ -327,12 +327,17 @@ def _coloring(given: Any, volume: Volume) -> Medium:
     if callable(given):
         if is_in_parts(volume):
             raise OptionError("color_by takes a function only for a volume in memory; sample it, and give the volume")
-        z, y, x = np.indices(volume.shape)
-        points = volume.index_to_world(np.stack([x, y, z], -1).reshape(-1, 3))
-        values = reals("the values of color_by", given(points), "one for each point")
-        if values.size != len(points):
-            raise DataError(f"the function of color_by must return one value for each of {len(points)} points; got {values.shape}")
-        given = values.reshape(volume.shape)
+        y, x = np.indices(volume.shape[1:])
+        slices = []
+        for z in range(volume.shape[0]):
+            points = volume.index_to_world(np.stack([x, y, np.full_like(x, z)], -1).reshape(-1, 3))
+            values = reals("the values of color_by", given(points), "one for each point")
+            if values.size != len(points):
+                raise DataError(
+                    f"the function of color_by must return one value for each of {len(points)} points; got {values.shape}"
+                )
+            slices.append(values.reshape(x.shape))
+        given = np.stack(slices)
     if is_in_parts(given):
         raise OptionError(
             "color_by takes a volume in memory; got one that is read by bricks: give LazyVolume.whole(), or a preview"

@@ -10,7 +10,7 @@ import numpy as np
 
 from clvol.volume.volume import Volume
 
-__all__ = ["Provenance", "facts_of", "note", "provenance_of", "recognise"]
+__all__ = ["Provenance", "facts_of", "note", "provenance_of", "recognise", "sum_of"]
 
 Provenance: TypeAlias = Mapping[str, Any]
 """Its "path", and options with which it was read."""
@@ -39,17 +39,17 @@ def facts_of(volume: Volume, preview: Volume) -> dict[str, Any]:
     """By which a volume is recognised: its grid, and a sum of samples of its preview."""
     names = ("shape", "spacing", "origin", "direction", "units", "space")
     known = {name: getattr(volume, name) for name in names}
-    return known | {"dtype": volume.data.dtype.newbyteorder("=").str[1:], "sum": _sum_of(preview)}
+    return known | {"dtype": volume.data.dtype.newbyteorder("=").str[1:], "sum": sum_of(preview)}
 
 
 def recognise(known: Volume, preview: Volume, given: object) -> None:
     """Let what is known of a volume that is read by parts be recognised as it is: by its preview, and where it came from."""
-    vars(known)["_sum"] = _sum_of(preview)
+    vars(known)["_sum"] = sum_of(preview)
     if (source := provenance_of(given)) is not None:
         vars(known)["_provenance"] = source
 
 
-def _sum_of(volume: Volume) -> int:
+def sum_of(volume: Volume) -> int:
     """The CRC-32 of evenly spaced samples, the same in any byte order."""
     if "_sum" not in vars(volume):
         some = volume.data[tuple(slice(None, None, -(-n // _SUMMED)) for n in volume.shape)]
