@@ -1,7 +1,8 @@
 // What colours matter and surfaces by something else than their own value or colour, and draws outlines.
 //
 // Set by the host: CURVED, whether and by which curvature (curvature.cl), 0 by none; BY_DISTANCE, whether by the distance;
-// BY_LABEL, whether by the label behind a surface; COLORED, whether by another function; OUTLINED, whether there are outlines.
+// BY_LABEL, whether by the label behind a surface; COLORED, whether by another function, of MOST_TAPS taps at most; OUTLINED, whether
+// there are outlines.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
@@ -13,8 +14,6 @@
 
 // The other function is evaluated tap by tap, by a filter of its own. Its numbers lie in `table`: its transfer function's; the
 // polynomials of its weights, taps × (degree + 1); and its coefficients.
-
-#define MOST_TAPS 16
 
 // The weights of taps at a position along an axis, and the number of the first; all are stored, whatever the rounding.
 INLINE int weights_at(constant function_block *function, const int axis, global const float *polynomials, const float x, float *weights)
@@ -68,13 +67,27 @@ INLINE int other_at(constant colored_block *colored, global const float *numbers
 
 #endif
 
-// Where the other function is transparent, or has no values, colours stay.
+// Another function covers these colours where it has values, as far as it is opaque.
 INLINE void color_by(color_t *color, COEFFICIENTS coefficients, const sample_t *sample, const real t, const mask active)
 {
 #if COLORED | CURVED | BY_DISTANCE | BY_LABEL
     if (!any_lane(active))
         return;
-    real share = (real)(1.0f);
+#endif
+#if CURVED | BY_DISTANCE | BY_LABEL
+#if CURVED
+    const shape_t shape = shape_at(coefficients, sample, t, active);
+    const real by = curvature_of(&shape, sample->frame);
+#elif BY_DISTANCE
+    const real by = t * sample->frame->geometry.unit;
+#else
+    const real by = value_at(coefficients, sample, t, active);
+#endif
+    const color_t own = classify(&sample->frame->transfer, sample->table, by);
+    color->red = own.red;
+    color->green = own.green;
+    color->blue = own.blue;
+#endif
 #if COLORED
     constant colored_block *colored = &sample->frame->colored;
     const real3 p = at3(sample->ray->origin, sample->ray->direction, t);
@@ -85,16 +98,7 @@ INLINE void color_by(color_t *color, COEFFICIENTS coefficients, const sample_t *
         if (wanted.each[i])
             there.each[i] = (float)other_at(colored, (global const float *)sample->table, x.each[i], y.each[i], z.each[i], value.each + i);
     const color_t shown = classify(&colored->transfer, sample->table + colored->table, value.all);
-    share = shown.opacity * there.all;
-#elif CURVED
-    const shape_t shape = shape_at(coefficients, sample, t, active);
-    const color_t shown = classify(&sample->frame->transfer, sample->table, curvature_of(&shape, sample->frame));
-#elif BY_DISTANCE
-    const color_t shown = classify(&sample->frame->transfer, sample->table, t * sample->frame->geometry.unit);
-#else
-    const color_t shown = classify(&sample->frame->transfer, sample->table, value_at(coefficients, sample, t, active));
-#endif
-    const real rest = 1.0f - share;
+    const real share = shown.opacity * there.all, rest = 1.0f - share;
     color->red = madd(share, shown.red, rest * color->red);
     color->green = madd(share, shown.green, rest * color->green);
     color->blue = madd(share, shown.blue, rest * color->blue);

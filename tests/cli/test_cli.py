@@ -1463,5 +1463,8 @@ def test_volumes_of_other_files_are_in_the_picture_and_color_it(clvol_command: C
     assert clvol_command("render", "--from", "p.png", "--output", "q.png").code == 0
     np.testing.assert_array_equal(iio.imread("q.png"), iio.imread("p.png"))
     clvol_command(*channels, "--all-channels", "--cmap", "hot").fails(1, "--all-channels have colours of their own")
+    clvol_command(*channels, "--all-channels", "--by-bricks").fails(1, "--all-channels are read whole")
+    clvol_command(*draw, "--with", "b,1.nrrd,presets=ct-bone").fails(1, "presets is no option of b,1.nrrd", "preset")
+    assert clvol_command(*draw, "--with", SPHERE, "--window", "0.5", "0.1", "--json").json["window"] == pytest.approx([0.5, 0.1])
     clvol_command(*draw, "--with", "b,1.nrrd,window=3").fails(1, "window of b,1.nrrd must be center/width; got '3'")
     clvol_command(*draw, "--mode", "mip", "--colors", "b,1.nrrd").fails(1, "color_by of a medium changes nothing in mip")

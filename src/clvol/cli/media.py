@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from cyclopts import Group, Parameter
 
 import clvol
+from clvol.base.checks import did_you_mean
 from clvol.base.errors import OptionError
 from clvol.cli.options import Input
 from clvol.interop.dispatch import is_in_parts
@@ -26,13 +27,13 @@ def _window(text: str) -> tuple[float, float]:
 
 
 _WORDS: dict[str, Callable[[str], Any]] = {"preset": str, "window": _window, "cmap": str, "opacity": float, "filter": str}
-_NEXT = re.compile(rf",(?=(?:{'|'.join(_WORDS)})=)")
+_NEXT = re.compile(r",(?=[a-z_]+=)")
 
 
 @Parameter(name="*", group=Group("Other volumes in the picture", sort_key=3))
 @dataclass
 class Others:
-    """Volumes of other files, which are where their files say; options of how SOURCE looks are not for them."""
+    """Volumes of other files, which are where their files say. How SOURCE looks is not for them, options of the mode are."""
 
     with_: Annotated[
         tuple[str, ...],
@@ -59,15 +60,20 @@ class Others:
         transfer: clvol.TransferFunction | None,
         source: str | Path,
         reader: Input,
+        read: Callable[[str], Any],
         **how: Any,
     ) -> clvol.Scene:
-        """The scene of a volume and these; `how` it is reconstructed."""
-        others = map(_medium, self.with_)
+        """The scene of a volume and these, which `read` reads; `how` it is reconstructed."""
+        others = [_medium(text, read) for text in self.with_]
         if self.all_channels:
+            if str(source).startswith("phantom:"):
+                raise OptionError(f"--all-channels is for files; {source} has one")
+            if reader.fill_nan is not None:
+                raise OptionError("--all-channels takes no --fill-nan: samples that are NaN are left out")
             if reader.channel is not None or self.colors is not None or transfer is not None:
                 raise OptionError("--all-channels have colours of their own: leave out --channel, --colors, --preset and the like")
             return clvol.Scene((*_channels(source, reader, how), *others))
-        by = None if self.colors is None else _medium(self.colors, whole=True)
+        by = None if self.colors is None else _medium(self.colors, read, whole=True)
         first = clvol.Medium(volume, transfer, color_by=by, **how)  # type: ignore[arg-type]  # it converts
         return clvol.Scene((first, *others))
 
@@ -79,17 +85,18 @@ def _channels(source: str | Path, reader: Input, how: dict[str, Any]) -> tuple[c
     return media
 
 
-def _medium(text: str, *, whole: bool = False) -> clvol.Medium:
+def _medium(text: str, read: Callable[[str], Any], *, whole: bool = False) -> clvol.Medium:
     """The medium in "FILE,name=value,..."."""
-    source, *words = _NEXT.split(text)
+    source, *words = (text,) if Path(text).exists() else _NEXT.split(text)
     given: dict[str, Any] = {}
     for word in words:
         name, _, value = word.partition("=")
+        if name not in _WORDS:
+            raise OptionError(f"{name} is no option of {source}{did_you_mean(name, _WORDS)}; it may have {', '.join(_WORDS)}")
         try:
             given[name] = _WORDS[name](value)
         except ValueError:
             rule = "center/width" if name == "window" else "a number"
             raise OptionError(f"{name} of {source} must be {rule}; got {value!r}") from None
-    volume: Any = Input().intact(source)
-    note(volume, source, {})
+    volume = read(source)
     return clvol.Medium(volume.whole() if whole and is_in_parts(volume) else volume, **given)

@@ -169,6 +169,8 @@ def render(
     cluster = together.cluster if together else None
     by_bricks = by_bricks or cluster is not None
     reader = input or Input()
+    if others and others.all_channels and (by_bricks or memory is not None):
+        raise OptionError("--all-channels are read whole: leave out --by-bricks, --memory, --scheduler and --workers")
     volume = _volume(others.first(reader) if others else reader, source, most, by_bricks=by_bricks, whole=whole)
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
     preview = preview and isinstance(volume, clvol.Volume) and outputs == ["rgba"] and not around
@@ -178,8 +180,10 @@ def render(
         wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
         held: dict[str, Any] = {"filter": wanted, "boundary": look.boundary}
         drawn: Any = volume
+        transfer = options.get("transfer")
         if others:
-            drawn = others.scene(volume, options.pop("transfer", None), source, reader, **held)
+            options.pop("transfer", None)
+            drawn = others.scene(volume, transfer, source, reader, partial(_volume, Input(), memory=most), **held)
             held = {}
         with clvol.Renderer(drawn, **held, device=device, memory=most, cluster=cluster) as renderer:
             ready = time.perf_counter()
@@ -193,7 +197,7 @@ def render(
             read = {} if isinstance(shown, clvol.Field) else _bricks_read(shown, volume, json)
     result["filter"] = shown.filter.name if json else speech.filter_text(shown.filter, filter, shown.volume)
     result |= read
-    result |= _values_shown(volume, as_mode(look.mode, own.options() if own else {}), options.get("transfer"), json)
+    result |= _values_shown(volume, as_mode(look.mode, own.options() if own else {}), transfer, json)
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))

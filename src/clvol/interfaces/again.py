@@ -136,10 +136,13 @@ def _colored(path: Path, medium: Medium) -> Medium:
     if medium.color_by is None:
         return medium
     known = medium.color_by.volume
+    source = (provenance_of(known) or {}).get("path")
+    if source is None:
+        raise FormatError(f"{path} is coloured by a volume that was made in Python: draw it again there, with color_by=")
     found = _found(path, known, by_bricks=False)
     whole = found if isinstance(found, Volume) else found.whole()
     if facts_text(whole, whole) != facts_text(known, known):
-        raise _changed(path, known)
+        raise DataError(f"{source}, whose values colour {path}, has changed since that was made: draw it again in Python")
     return replace(medium, color_by=replace(medium.color_by, volume=whole))
 
 

@@ -181,7 +181,7 @@ def movie(
     require_callback("progress", own["progress"])
     keys = None if keyframes is None else Keyframes(keyframes)
     turns = None if own["turns"] is None else number("turns", own["turns"])
-    _require_options(given, keys, turns)
+    _require_options(given, keys, turns, source)
     size = as_size(given.pop("size", (512, 512)))
     movies.require_room(form, 1, size)
     limits = dict(own["limits"] or {})
@@ -206,7 +206,7 @@ def movie(
 _OWN = tuple(MovieOptions.__annotations__.keys() - BatchOptions.__annotations__.keys())
 
 
-def _require_options(given: Mapping[str, Any], keys: Keyframes | None, turns: float | None) -> None:
+def _require_options(given: Mapping[str, Any], keys: Keyframes | None, turns: float | None, source: object) -> None:
     """Raise `OptionError` for options that are unknown, or change nothing, at any moment."""
     if given.get("outputs", "rgba") != "rgba":
         raise OptionError(f"outputs of a movie must be 'rgba'; got {given['outputs']!r}")
@@ -224,7 +224,7 @@ def _require_options(given: Mapping[str, Any], keys: Keyframes | None, turns: fl
         for name in at:
             if name in _OWN:
                 raise OptionError(f"{name} is of the whole movie{did_you_mean(name, KEYWORDS)}: give it beside the key frames")
-        chosen_mode(at.pop("mode", DEFAULT_MODE), at, others=(*_OWN, *FieldOptions.__annotations__))
+        chosen_mode(at.pop("mode", DEFAULT_MODE), at, others=(*_OWN, *FieldOptions.__annotations__), scene=source)
 
 
 def _timing(own: Mapping[str, Any], times: int, *, moves: bool) -> tuple[int, float]:

@@ -65,7 +65,7 @@ class BrickedDrawing(Drawing):
 
     def _make_ready(self) -> None:
         self._program = self.frame.program("march/bricks.cl", windowed=True)
-        self._table = self.frame.device.buffers.upload(self.frame.table)
+        self._table = self.frame.uploaded_table()
 
     def cast(self, rays: int, progress: Progress | None = None, until: float = math.inf) -> bool:  # noqa: ARG002  # all or nothing
         """Cast `rays` more rays for each pixel, in one sweep over the bricks, or several if their states take much memory."""

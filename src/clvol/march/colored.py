@@ -11,18 +11,22 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.errors import OutOfMemoryError
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.filter.table import as_filter
 from clvol.scene.transfer import TransferFunction
 
 if TYPE_CHECKING:
     from clvol.base.uniform import Values
+    from clvol.device import Device
     from clvol.filter.filter import Filter
     from clvol.scene.scene import Medium
     from clvol.spline.field import Field
     from clvol.volume.stored import Stored
 
-__all__ = ["COLORED", "Colors", "Other", "colors_of"]
+__all__ = ["COLORED", "Other", "colors_of"]
+
+_MOST = 1 << 31  # numbers that kernels count
 
 FUNCTION = Block(
     "function_block", taps=INT, degree=INT, polynomials=INT, coefficients=INT, halo=INT, stored=(INT, 3), scale=FLOAT, left=FLOAT
@@ -40,19 +44,12 @@ COLORED = Block(
 )
 
 
-class Colors(NamedTuple):
-    """The block for kernels, and what follows the numbers of the medium's own transfer function."""
-
-    values: Values
-    numbers: NDArray[np.float32]
-
-
-class Other(NamedTuple):
+class Other:
     """A function that colours another: its values as stored, and it and where its samples are missing in the kernels' layout."""
 
-    stored: Stored
-    function: _Layout
-    missing: _Layout | None
+    def __init__(self, stored: Stored, layouts: tuple[_Layout, ...]) -> None:
+        self.stored, self.layouts = stored, layouts
+        self._uploaded: tuple[bytes, Any] = b"", None
 
     @classmethod
     def of(cls, field: Field) -> Other:
@@ -61,9 +58,21 @@ class Other(NamedTuple):
         with device.buffers.mapped(made.buffer, made.shape, write=False) as held:
             function = _laid_out(made.filter, np.array(held, np.float32), int(made.extent[3]))
         if field.gaps is None:
-            return cls(made.stored, function, None)
+            return cls(made.stored, (function,))
         absent = np.pad(field.gaps.volume.data.astype(np.float32), 1, mode="edge")
-        return cls(made.stored, function, _laid_out(as_filter("nearest" if made.filter.support == 1 else "linear"), absent, 1))
+        between = as_filter("nearest" if made.filter.support == 1 else "linear")
+        return cls(made.stored, (function, _laid_out(between, absent, 1)))
+
+    def behind(self, table: NDArray[np.float32], device: Device) -> Any:
+        """A buffer of a table and these numbers; the last one is kept, since a camera that moves changes no table."""
+        key, (known, buffer) = table.tobytes(), self._uploaded
+        if known != key:
+            buffer = device.buffers.upload(np.concatenate([table, *(layout.numbers for layout in self.layouts)]))
+            self._uploaded = key, buffer
+        return buffer
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_uploaded": (b"", None)}
 
 
 class _Layout(NamedTuple):
@@ -86,28 +95,33 @@ def _laid_out(row: Filter, coefficients: NDArray[np.float32], halo: int) -> _Lay
     return _Layout(block, np.concatenate([row.matrix.astype(np.float32).ravel(), coefficients.ravel()]))
 
 
-def colors_of(medium: Medium, other: Other, table: int) -> Colors:
-    """The colours of a medium by another function; its own transfer function has so many numbers in the table."""
+def colors_of(medium: Medium, other: Other, table: NDArray[np.float32]) -> tuple[Values, NDArray[np.float32]]:
+    """The block of a medium's colours by another function; and the table of its own transfer function, followed by the other's.
+
+    `OutOfMemoryError` if kernels cannot count so many numbers.
+    """
     by = medium.color_by
     assert by is not None
     assert by.transfer is not None  # settled
-    shown, pad = by.transfer.table(other.stored), -table % 4
-    layouts = [other.function, *([] if other.missing is None else [other.missing])]
-    blocks, begin = [], table + pad + shown.size
-    for layout in layouts:
+    pad = -table.size % 4
+    both = np.concatenate([table, np.zeros(pad, np.float32), by.transfer.table(other.stored)])
+    blocks, begin = [], both.size
+    for layout in other.layouts:
         blocks.append(FUNCTION(**layout.block | {"polynomials": begin, "coefficients": begin + layout.block["coefficients"]}))
         begin += layout.numbers.size
+        if begin >= _MOST:
+            raise OutOfMemoryError(f"out of memory: color_by takes fewer than {_MOST} samples; got {by.volume.data.size}")
     grid = by.volume
     start = grid.world_to_index_matrix @ (np.asarray(medium.volume.origin) - np.asarray(grid.origin))
     low, high = by.domain
     values = COLORED(
         transfer=by.transfer.block(1.0, other.stored),
-        table=(table + pad) // 4,
+        table=(table.size + pad) // 4,
         to=[*(grid.world_to_index_matrix @ medium.volume.index_to_world_matrix).ravel(), *start],
         low=low,
         high=high,
-        some_missing=other.missing is not None,
+        some_missing=len(blocks) > 1,
         function=blocks[0],
         missing=blocks[-1],
     )
-    return Colors(values, np.concatenate([np.zeros(pad, np.float32), shown, *(layout.numbers for layout in layouts)]))
+    return values, both

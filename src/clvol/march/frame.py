@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device import Tile
+from clvol.filter.filter import MAX_TAPS
 from clvol.march.colored import COLORED, colors_of
 from clvol.march.gaps import GAPS, gaps_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
@@ -44,6 +45,7 @@ __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "fra
 BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and if coefficients are not read as rows of a buffer
 BY_PLANES = Tile(16, 16, 8, shared=True)  # for CPUs
 
+_CONSTANTS = 8  # arguments in constant memory, at least
 _STRETCHES = 2.0, 4 * SEGMENT  # voxels; step and segments of modes that search between samples
 
 PICTURE = Block(
@@ -114,8 +116,8 @@ class Frame:
     labels: bool  # values are labels, whose differences are meaningless
     guides: bool  # are wanted too
     values: Values  # the parameter block
-    table: NDArray[np.float32]  # the transfer function's nodes or pieces, and what else has colours
-    colored: bool = False  # whether another function has
+    table: NDArray[np.float32]  # the transfer function's nodes or pieces, and those of what else has colours
+    other: Other | None = None  # another function, whose numbers follow
     media: tuple[Frame, ...] = ()  # of several media in one picture, of which this is the first, but all of their domain
     several: bool = False  # whether samples lie on planes that several media share
     margin: float = 0.0  # the rounding error of positions in samples, at most ...
@@ -124,6 +126,10 @@ class Frame:
     @property
     def device(self) -> Device:
         return self.coefficients.device
+
+    def uploaded_table(self) -> Any:
+        """The table on the device, and behind it the numbers of what else has colours."""
+        return self.device.buffers.upload(self.table) if self.other is None else self.other.behind(self.table, self.device)
 
     @property
     def sought(self) -> tuple[float, ...]:
@@ -158,10 +164,18 @@ class Frame:
 
     @property
     def together(self) -> bool:
-        """Whether one program draws all media at once: for functions of one kind, in buffers."""
+        """Whether one program draws all media at once: on processors, for functions of one kind.
+
+        Each has a constant argument, and so has the picture; OpenCL promises eight.
+        """
         first, *others = self.media
-        return not first.evaluator.image and all(
-            one.mode.file == self.mode.file and one.defines(added=True) == first.defines(added=True) for one in (first, *others)
+        return (
+            self.device.kind == "cpu"
+            and not first.evaluator.image
+            and len(self.media) < _CONSTANTS
+            and all(
+                one.mode.file == self.mode.file and one.defines(added=True) == first.defines(added=True) for one in (first, *others)
+            )
         )
 
     def program(self, name: str, *, windowed: bool = False, added: bool = False, media: int = 0) -> Program:
@@ -200,7 +214,8 @@ class Frame:
             "OUTLINED": int(outlined(mode)),
             "BY_LABEL": int(colored == BY_LABEL and self.labels),
             "BY_DISTANCE": int(colored == BY_DISTANCE),
-            "COLORED": int(self.colored),
+            "COLORED": int(self.other is not None),
+            **({} if self.other is None else {"MOST_TAPS": MAX_TAPS}),
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
@@ -254,7 +269,8 @@ class Subject:
             media = self, *self.others
             rails = Rails.across([one.medium for one in media], view, aspect, step)
             frames = tuple(one._searched(one._frame(size, guides, aspect, view, rails), progress) for one in media)
-            mixed = replace(self, look=replace(look, mode=self.mode))._frame(size, guides, aspect, view, rails)
+            plain = look.scene.of_media([replace(self.medium, color_by=None)]) if self.other else look.scene
+            mixed = replace(self, look=replace(look, mode=self.mode, scene=plain))._frame(size, guides, aspect, view, rails)
             values = mixed.values.copy()
             values["geometry"]["low"], values["geometry"]["high"] = rails.low, rails.high
             values["clip"] = clip_block(look.scene.clip, volume, volume.mean_spacing)
@@ -282,8 +298,7 @@ class Subject:
         table, colored = look.transfer.table(shown), np.zeros((), COLORED.dtype)
         if medium.color_by is not None:
             assert self.other is not None
-            colored, numbers = colors_of(medium, self.other, table.size)
-            table = np.concatenate([table, numbers])
+            colored, table = colors_of(medium, self.other, table)
         values = block(
             camera=view.block(volume, width, height, aspect, rails=rails.volume),
             geometry=medium.block(stored, unit),
@@ -326,7 +341,7 @@ class Subject:
             guides,
             values,
             table,
-            colored=medium.color_by is not None,
+            other=self.other if medium.color_by is not None else None,
             several=rails.several,
             margin=margin,
             stride=rails.stride(volume),

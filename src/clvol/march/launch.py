@@ -285,7 +285,7 @@ class Inputs:
 
     def __init__(self, frame: Frame) -> None:
         held = frame.coefficients
-        self.table = frame.device.buffers.upload(frame.table)
+        self.table = frame.uploaded_table()
         self.source = held.argument(frame.evaluator) if isinstance(held, Coefficients) else self.table  # bricks come one at a time
         self.extent = held.extent
         self.minmax = self.table if frame.minmax is None else frame.minmax.buffer  # any buffer: it is not read
@@ -382,6 +382,7 @@ class _Budget:
             order = drawn.degree + 1
             rows = drawn.support**2 * order * (drawn.support + order) / 32 + 40  # a polynomial, and traversal
             count = float(frame.coefficients.size.sum()) * drawn.scale / _CELLS
+        rows *= max(1, len(frame.media))
         rows *= _CENTRAL if frame.central else _SHADED if frame.mode.shaded else 1
         count = max(_SET_UP, share * count)
         if frame.evaluator.image and device.kind == "cpu":

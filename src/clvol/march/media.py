@@ -83,7 +83,6 @@ class _TogetherDrawing(Drawing):
         frame, count = self.frame, len(self.frame.media)
         self._kernel = frame.media[0].program("march/together.cl", added=True, media=count).kernel("draw_together")
         self._inputs = _InputsOfAll(frame)
-        self._budget.slow_down(count)
 
 
 class _InputsOfAll(Inputs):

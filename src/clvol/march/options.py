@@ -540,10 +540,15 @@ def _settled_colors(medium: Medium) -> Medium:
         signed = matter_of(volume).signed
         transfer = look(volume, "isosurface", **({"cmap": "matplotlib:coolwarm" if signed else "viridis"} | words))
     elif transfer is None:
+        opacity: Any = words.pop("opacity", 1.0)
         transfer = look(volume, "composite", **words)
-        if "opacity" not in words:  # what a preset shows as a little of matter covers a surface
+        if np.ndim(opacity):
+            transfer = transfer.with_opacity(opacity)
+        else:  # what a preset shows as a little of matter covers a surface
             faintest = min((share for _, share in transfer.opacities if share > 0), default=1.0)
-            transfer = transfer.with_opacity([(value, min(1.0, share / faintest)) for value, share in transfer.opacities])
+            transfer = transfer.with_opacity(
+                [(value, min(1.0, opacity * min(1.0, share / faintest))) for value, share in transfer.opacities]
+            )
     return Medium(volume, transfer, filter=filter_for(volume, medium.filter, PICTURE_FILTER), boundary=medium.boundary)
 
 

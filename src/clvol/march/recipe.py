@@ -283,8 +283,11 @@ def _own_box(look: ResolvedLook) -> tuple[NDArray[np.float64], NDArray[np.float6
 
 
 def _bars(look: ResolvedLook) -> tuple[Bar, ...]:
-    """What colour bars show of the media."""
-    return tuple(map(_bar, (look, *look.others)))
+    """What colour bars show of the media; of those that show surfaces, which are in colours of values."""
+    looks = look, *look.others
+    if (look.unsettled or look.mode).shows == "surface" and any(one.scene.media[0].color_by for one in looks):
+        looks = tuple(one for one in looks if one.scene.media[0].color_by)
+    return tuple(map(_bar, looks))
 
 
 def _bar(look: ResolvedLook) -> Bar:

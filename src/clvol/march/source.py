@@ -54,6 +54,7 @@ Drawable: TypeAlias = Scene | Medium | Volume | Volumes | LazyVolume | Field | B
 """Inputs of a `Renderer`."""
 Pictures: TypeAlias = dict[str, launch.Picture]
 
+_KEPT = 4  # functions that colour others
 _BITS = 8.0  # least bits of the sampler's fraction for pictures: what texture units have
 _CLOSED = "the renderer was closed, and its coefficients were released; make a new one"
 
@@ -74,7 +75,7 @@ class Source(ABC):
         self._lock = threading.RLock()  # a signal handler may re-enter
         self._unsmoothed: Any = None
         self._levels: dict[tuple[int, str], BrickedField] = {}
-        self._colored: tuple[tuple[Any, ...], Other] | None = None
+        self._colored: dict[tuple[Any, ...], Other] = {}
         self._owned = arguments[0] is not field
         if self._owned:
             self.lease.frees(field.close)
@@ -174,16 +175,18 @@ class OneMedium(Source):
         """The picture of a look of a level."""
 
     def _other(self, look: ResolvedLook) -> Other | None:
-        """The function that colours the medium of a look, if one does; that of the last look is kept."""
+        """The function that colours the medium of a look, if one does; those of a few looks are kept."""
         by = look.scene.media[0].color_by
         if by is None or by.filter is None:  # it is settled
             return None
         key = by.volume, by.filter, by.boundary
         with self._lock:
-            if self._colored is None or self._colored[0] != key:
+            if key not in self._colored:
+                if len(self._colored) >= _KEPT:
+                    self._colored.clear()
                 with single(*key, self.field.device) as field:
-                    self._colored = key, Other.of(field)
-            return self._colored[1]
+                    self._colored[key] = Other.of(field)
+            return self._colored[key]
 
     def leave_out(self) -> bool:
         """Take the function for one that lacks samples; False if that is known, or cannot be."""

@@ -301,8 +301,8 @@ class Isosurface(_OfSurfaces):
         Colours the surface by its curvature, from the exact derivatives of the function: the larger or the smaller principal one,
         their mean or their product, per world unit (squared). It is positive where the surface bends as that of a bright ball.
         `transfer`, `window` and `cmap` are then those of curvatures. "distance": by how far behind the middle of the volume it is,
-        along the ray, in world units; negative in front of it. "label" stands for the colours of labels. (By another volume:
-        `Medium.color_by`.)
+        along the ray, in world units; negative in front of it. "label" stands for the colours of labels. Another volume
+        colours a medium: `Medium.color_by`.
     outline : float
         Thickness in pixels of a dark line along its rim as it is seen, also in front of other parts of it; from its exact curvature
         along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.

@@ -136,6 +136,7 @@ def _noise_beside(volume: Volume, ground: float) -> float:
     """
     middle = tuple(slice(max(0, n // 2 - _CUBED), n // 2 + _CUBED) for n in volume.shape)
     data, whole = volume.data[middle].astype(np.float64), np.isfinite(volume.data[middle]) & (volume.data[middle] != ground)
+    data[~whole] = 0
     for axis in range(data.ndim):
         data, ends = np.diff(data, 2, axis=axis), np.moveaxis(whole, axis, 0)
         whole = np.moveaxis(ends[2:] & ends[1:-1] & ends[:-2], 0, axis)

@@ -76,11 +76,12 @@ class Medium:
         Isosurfaces instead of its matter, as of `clvol.Surfaces`, in and among the other media of a "composite"; within a step they
         mix with matter.
     color_by : Medium, Volume, array-like or callable, optional
-        What has the colours of its matter and of its surfaces, in "composite", "isosurface" and "surfaces": another volume, on a
-        grid of its own, such as a statistical map, a distance or labels; of a medium the transfer function says which colours, and
-        its opacity how much they cover the medium's own, of which nothing is left by default. Where that volume ends, or its
-        samples are missing, the medium has its own. An array has the medium's grid. A function gives the values at points (n, 3)
-        of the world, and is taken at the medium's samples, slice by slice.
+        What has the colours of its matter, of the faces of cuts through it, and of its surfaces, in "composite", "isosurface" and
+        "surfaces": another volume, on a grid of its own, such as a statistical map, a distance or labels. Of a medium the transfer
+        function says which colours, and its opacity how far they cover the medium's own. By default values cover all, in viridis;
+        labels and presets cover what they show. Where that volume ends, or its samples are missing, the medium has its own
+        colours, and so have caps. An array has the medium's grid. A function gives the values at points (n, 3) of the world, and is
+        taken at the medium's samples, slice by slice.
 
     Raises
     ------
@@ -88,7 +89,7 @@ class Medium:
         The volume does not have three axes, the filter or boundary is unknown, or there are words beside a transfer function;
         `color_by` is read by bricks, or has cuts or surfaces.
     DataError
-        A function returned no number for each point.
+        A function returned no number for each point; an array of `color_by` has another shape.
     GeometryError
         `clip` is none of these, or has more than 64 planes or 8 corners, those of the scene included.
         Its spacings differ by a factor of more than 10⁶ or are outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
@@ -144,8 +145,6 @@ class Medium:
             if self.transfer is not None or self.words:
                 given = " and ".join(self.words or ("transfer",))
                 raise OptionError(f"surfaces of a medium have colours of their own: {given} must be left out")
-        if self.color_by is not None:
-            object.__setattr__(self, "color_by", _coloring(self.color_by, self.volume))
         if self.clip is not None:
             object.__setattr__(self, "clip", as_clip(self.clip))
         if self.volume.ndim != 3:
@@ -161,6 +160,8 @@ class Medium:
                 f"rendering takes axes of up to {REACH} samples, where float32 is accurate to 1/16 of a voxel; got shape "
                 f"{self.volume.shape}: render parts of it (Volume.crop), or use clvol.sample"
             )
+        if self.color_by is not None:
+            object.__setattr__(self, "color_by", _coloring(self.color_by, self.volume))
 
     @property
     def words(self) -> dict[str, Any]:
@@ -281,9 +282,9 @@ class Scene:
         if not 1 <= len(media) <= _MOST_MEDIA:
             raise OptionError(f"a scene must have 1 to {_MOST_MEDIA} media; got {len(media)}")
         media = tuple(map(as_medium, media))
-        grids = {f"medium {k}": medium.volume.grid for k, medium in enumerate(media)}
-        colors = {f"color_by of medium {k}": medium.color_by.volume for k, medium in enumerate(media) if medium.color_by}
-        _require_one_world(grids | colors)
+        _require_one_world({f"medium {k}": medium.volume.grid for k, medium in enumerate(media)})
+        for k, medium in enumerate(media):
+            _require_colors_there(k, medium)
         if self.mix not in _MIXES:
             raise one_of("mix", self.mix, _MIXES)
         object.__setattr__(self, "media", media)
@@ -307,8 +308,9 @@ class Scene:
                 raise OptionError(f"media must be {rule}; number {k} has others")
             seen.append(medium)
         made = self.of_media(seen)
-        for medium in seen:
+        for k, medium in enumerate(seen):
             made.clip_of(medium)
+            _require_colors_there(k, medium)
         return made
 
     def of_media(self, media: Sequence[Medium]) -> Scene:
@@ -338,21 +340,28 @@ def _coloring(given: Any, volume: Volume) -> Medium:
                 )
             slices.append(values.reshape(x.shape))
         given = np.stack(slices)
-    if is_in_parts(given):
-        raise OptionError(
-            "color_by takes a volume in memory; got one that is read by bricks: give LazyVolume.whole(), or a preview"
-        )
-    if not isinstance(given, (Medium, Volume)) and np.shape(given) == volume.shape:
-        place = {name: getattr(volume, name) for name in ("spacing", "origin", "direction", "units", "space")}
-        given = Volume(np.asarray(given), **place)
+    if isinstance(given, (np.ndarray, list, tuple)):
+        given = np.asarray(given)
+        if given.shape != volume.shape:
+            raise DataError(f"an array of color_by must have the medium's shape, {volume.shape}; got {given.shape}: give a Volume")
+        given = Volume(given, **{name: getattr(volume, name) for name in ("spacing", "origin", "direction", "units", "space")})
     made = as_medium(given)
-    if is_in_parts(made.volume) or made.color_by is not None or made.clip is not None or made.surfaces is not None:
-        raise OptionError("color_by takes a medium whose volume is in memory, without clip, surfaces and color_by of its own")
+    if is_in_parts(made.volume):
+        raise OptionError("color_by takes a volume in memory; got one that is read by bricks: give its whole()")
+    own = made.color_by is not None or made.clip is not None or made.surfaces is not None or not made.visible
+    if own or made.material != Material():
+        raise OptionError("color_by takes a medium without clip, surfaces, material and color_by of its own, and a visible one")
     return made
 
 
-def _require_one_world(named: Mapping[str, Volume]) -> None:
-    """Raise if coordinates of volumes cannot be compared; warn if it seems that they are not meant to be."""
+def _require_colors_there(number: int, medium: Medium) -> None:
+    """Raise or warn if what colours a medium is not where that is."""
+    if medium.color_by is not None:
+        _require_one_world({f"color_by of medium {number}": medium.color_by.volume, f"medium {number}": medium.volume.grid}, said=1)
+
+
+def _require_one_world(named: Mapping[str, Volume], said: int | None = None) -> None:
+    """Raise if coordinates of volumes cannot be compared; warn if it seems that they are not meant to be, of the first ones."""
     volumes = list(named.values())
     for what, names in (("world", {one.space for one in volumes}), ("unit", {one.units for one in volumes})):
         if len(names - {""}) > 1:
@@ -364,7 +373,7 @@ def _require_one_world(named: Mapping[str, Volume]) -> None:
             f"unless the volumes were registered: {' and '.join(sorted(frames))}"
         )
     ends = [(one.corners.min(0), one.corners.max(0)) for one in volumes]
-    for k, (low, high) in enumerate(ends if len(ends) > 1 else ()):
+    for k, (low, high) in enumerate(ends[:said] if len(ends) > 1 else ()):
         if not any((low < b).all() and (a < high).all() for n, (a, b) in enumerate(ends) if n != k):
             spans = " to ".join(f"({', '.join(f'{v:.6g}' for v in corner)})" for corner in (low, high))
             warn(f"{list(named)[k]} of a scene overlaps no other: it spans {spans}")

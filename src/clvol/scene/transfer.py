@@ -129,8 +129,8 @@ class TransferFunction:
         The background is invisible: an exact value shared by many samples, as in masked volumes, and values below Otsu's threshold
         between background and matter, or below the step at a mask's edge. Opacity rises from there to the brightest values.
         Colours run from dark red over bone to white; they are shades of the volume's own `color`, if it has one, and of green for
-        thin stacks of images of light in the dark. Floating numbers of no patient and no stack, without noise and without an exact
-        background, are taken for those of a simulation: their colours are viridis, and half transparent. Where values lie to both
+        thin stacks of images of light in the dark. Floating numbers of no patient and no stack, without noise, are taken for those
+        of a simulation: their colours are viridis, and half transparent. Where values lie to both
         sides of the background, as in statistical maps, it rises to both, in red and yellow above and blue below. The volume's
         `clim` is where opacity and colours reach their ends, as far as that shows no background; `clim`, (low, high), instead of
         it is where they begin and end.
