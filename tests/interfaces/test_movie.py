@@ -313,3 +313,16 @@ def test_the_command_plays_times(tmp_path: Path, capsys: pytest.CaptureFixture[s
             camera = clvol.Camera.orbit(30 + angle, 20, fit="volume")
             want = clvol.render(clvol.read(path, time=volume), camera, "mip", SMALL["size"], filter="bspline3", window=(100, 200))
             assert np.abs(frame.astype(int) - rgb(want)).max() <= 1
+
+
+def test_a_scene_turns(tmp_path: Path) -> None:
+    """Each picture is that of its camera; key frames cut it open."""
+    ball = clvol.phantoms.sphere(12)
+    scene = clvol.Scene([clvol.Medium(ball, opacity=0.2), clvol.Medium(ball, surfaces="0.2:tan:0.5")])
+    made = clvol.movie(scene, tmp_path / "frames", frames=2, size=(24, 20))
+    first, second = (np.asarray(Image.open(file)) for file in sorted(made.path.iterdir()))
+    for picture, azimuth in ((first, 30), (second, 210)):
+        want = clvol.render(scene, clvol.Camera.orbit(azimuth, 20), size=(24, 20))
+        assert np.abs(picture[..., :3].astype(int) - to_bytes(want)[..., :3]).max() <= 1
+    keys = {at: {"clip": clvol.Plane((1, 0, 0), (x, 0, 0))} for at, x in ((0, 0.9), (1, 0.0))}
+    assert clvol.movie(scene, tmp_path / "cut.gif", keys, frames=2, size=(24, 20)).frames == 2

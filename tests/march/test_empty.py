@@ -65,6 +65,11 @@ def test_what_is_not_seen_is_said_with_the_range(device: Device, case: str) -> N
         assert re.match(expected, words), words
 
 
+def test_a_surface_that_is_not_there_is_said(device: Device) -> None:
+    shown: dict[str, Any] = {"mode": "surfaces", "surfaces": [(4, "tan", 0.5), (99, "red", 1)]}
+    assert said(RAMP, device, **shown) == ["no surface is seen of 99: samples are from 2 to 6"]
+
+
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", clvol.modes())
 def test_constant_samples(device: Device, mode: str) -> None:

@@ -321,9 +321,19 @@ def test_channels_have_colors(device: Device, mode: str) -> None:
 
 
 def test_volumes_that_are_no_channels() -> None:
-    for leading, held in ((Leading(("time", "channel"), (3, 1)), "3 times"), (Leading(("volume",), (3,)), "3 volumes")):
-        with pytest.raises(DataError, match=f"must be one volume or the channels of one; got Volumes of {held}"):
-            clvol.render(clvol.Volumes(np.zeros((*leading.counts, 4, 5, 6)), leading=leading))
+    with pytest.raises(DataError, match="must be one volume or the channels of one; got Volumes of 3 volumes"):
+        clvol.render(clvol.Volumes(np.zeros((3, 4, 5, 6)), leading=Leading(("volume",), (3,))))
+
+
+def test_channels_of_images_and_of_times(device: Device) -> None:
+    """An image is a slice; of several times the first is shown, and said."""
+    data = np.random.default_rng(3).random((2, 2, 9, 12)).astype(np.float32)
+    look: dict[str, Any] = {"mode": "mip", "size": SIZE, "filter": "linear", "device": device}
+    flat = clvol.render(clvol.Volumes(data[0], leading=Leading(("channel",), (2,))), **look)
+    deep = clvol.render(clvol.Volumes(data[0, :, None], leading=Leading(("channel",), (2,)), space="image"), **look)
+    np.testing.assert_array_equal(flat, deep)
+    with pytest.warns(ClvolWarning, match="data holds 2 times; the first of them is shown"):
+        np.testing.assert_array_equal(clvol.render(clvol.Volumes(data, leading=Leading(("time", "channel"), (2, 2))), **look), flat)
 
 
 def test_labels_say_where_a_medium_is(device: Device) -> None:

@@ -37,6 +37,24 @@ def test_it_shows_the_scene_and_copies_it(mode: str, device: Device) -> None:  #
     assert_array_equal(names["picture"], want)
 
 
+ALONE: dict[str, dict[str, Any]] = {
+    "clip": {"clip": clvol.Corner((0, 0, 0), SHELL.center), "transfer": TISSUE},
+    "surfaces": {"surfaces": [(0.2, "tan", 0.5)]},
+    "color_by": {"color_by": CORE},
+}
+
+
+@pytest.mark.parametrize("case", ALONE)
+def test_one_medium_has_all_of_its_look(case: str, device: Device) -> None:  # noqa: ARG001
+    medium = clvol.Medium(SHELL, **ALONE[case])
+    view = View(medium)
+    want = clvol.render(medium, camera_of(view.state), size=SIZE)
+    assert_array_equal(view.picture(SIZE), want)
+    names: dict[str, Any] = {"clvol": clvol, "volume": SHELL, "first": medium}
+    exec(view.python(SIZE), names)  # what was copied
+    assert_array_equal(names["picture"], want)
+
+
 def test_the_first_is_edited(device: Device) -> None:  # noqa: ARG001
     view = View(SCENE)
     blue = clvol.TransferFunction([(0, "blue")], [(0.2, 0), (0.4, 0.3)])

@@ -20,11 +20,13 @@ from clvol.base.progress import Progress, part_of
 from clvol.bricks.source import LazyVolume, by_bricks
 from clvol.formats import read
 from clvol.formats.opening import opened_if
+from clvol.interop.dispatch import is_in_parts
 from clvol.march.function import row_for
 from clvol.march.options import BatchOptions, FieldOptions, as_outputs, chosen_mode
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
 from clvol.scene.mode import DEFAULT_MODE, as_mode
+from clvol.scene.scene import Scene
 from clvol.show.picture import Picture, save
 from clvol.volume.volume import Volume, as_volume
 
@@ -269,6 +271,8 @@ def _sent(cluster: Cluster, source: Any) -> Any:
     """A source as an argument of tasks: the absolute path of a file, or a volume that is sent once for all tasks."""
     if isinstance(source, (str, os.PathLike)):
         return str(Path(source).absolute()) if Path(source).exists() else source
+    if isinstance(source, Scene):
+        return cluster.scatter(source, sum(medium.volume.nbytes for medium in source.media if not is_in_parts(medium.volume)))
     return cluster.scatter(source.for_tasks(), source.nbytes if source.in_memory else 0)
 
 
@@ -318,11 +322,13 @@ class _LastRenderer:
         if self._renderer is None or key != self._key:  # the volume is referenced, so its id stays unique
             self.close()
             volume = request.read(str(source)) if named else source
-            volume = volume.for_tasks() if token else volume
+            several = isinstance(volume, Scene)
+            volume = volume.for_tasks() if token and not several else volume
             options = request.options | ({} if request.look is None else dict(request.look(volume.preview())))
             given = {name: options.pop(name) for name in _OF_RENDERER if name in options}
-            usual = as_mode(options.get("mode", DEFAULT_MODE)).picture_filter
-            given["filter"] = row_for(volume, given.get("filter"), usual)
+            if not several:
+                usual = as_mode(options.get("mode", DEFAULT_MODE)).picture_filter
+                given["filter"] = row_for(volume, given.get("filter"), usual)
             self._renderer, self._options, self._volume, self._key = Renderer(volume, **given), options, volume, key
         return self._renderer, self._options
 

@@ -31,7 +31,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.fit import usual_camera
 from clvol.scene.keyframes import Keyframes
 from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode
-from clvol.scene.scene import Medium, as_scene
+from clvol.scene.scene import Medium, Scene, as_scene
 from clvol.show import movies
 from clvol.volume.smoothing import settled
 from clvol.volume.volume import Volume, as_volume
@@ -122,10 +122,10 @@ def movie(
 
     Parameters
     ----------
-    source : path, Volume, LazyVolume, Volumes, array-like with 3 or 4 axes, or a sequence of volumes
-        Several volumes of one shape are a series, which plays: those of a file along its times, or else its volumes, and an array
-        along its first axis. All pictures have one transfer function, isovalue, filter and place of the camera, chosen from all
-        volumes where they are left open (the smoothing from the first).
+    source : path, Volume, LazyVolume, Volumes, Scene, Medium, array-like with 3 or 4 axes, or a sequence of volumes
+        A scene turns, with the filters of its media. Several volumes of one shape are a series, which plays: those of a file along
+        its times, or else its volumes, and an array along its first axis. All pictures have one transfer function, isovalue, filter
+        and place of the camera, chosen from all volumes where they are left open (the smoothing from the first).
     output : path-like
         ``.mp4`` (H.264), ``.webm`` (VP9), ``.gif``, ``.webp``, ``.zip`` of PNG files, or a new folder for them, a name without
         suffix. It appears when it is complete: an error, or Ctrl-C, leaves nothing.
@@ -192,8 +192,10 @@ def movie(
     movies.require_room(form, count, size)
 
     mode = as_mode(given.get("mode", DEFAULT_MODE))
-    row = row_for(volumes[0], given.pop("filter", None), mode.picture_filter)
-    row = None if row is None else settled(row, volumes[0].part())
+    row = given.pop("filter", None)
+    if not isinstance(volumes[0], Scene):
+        row = row_for(volumes[0], row, mode.picture_filter)
+        row = None if row is None else settled(row, volumes[0].part())
     given = {name: value for name, value in given.items() if value is not None or name in ("background", "clip")}
     shared = {name: given.pop(name) for name in FieldOptions.__annotations__ if name in given} | {"filter": row, "size": size}
     shots = _shots(volumes, keys, turns, count, given, size[0] / size[1])
@@ -252,10 +254,12 @@ def _timing(own: Mapping[str, Any], times: int, *, moves: bool) -> tuple[int, fl
 # -- which volumes ---------------------------------------------------------------------------------------------
 
 
-def _volumes(source: Any, reading: dict[str, Any], limits: Mapping[str, Any]) -> list[Drawable]:
-    """The volumes of a movie, one or more, of one shape."""
+def _volumes(source: Any, reading: dict[str, Any], limits: Mapping[str, Any]) -> list[Any]:
+    """The volumes of a movie, one or more, of one shape; or a scene."""
     if isinstance(source, (str, os.PathLike)):
         found = series_of(source, limits, **reading)
+    elif isinstance(source, (Scene, Medium)) and not reading:
+        return [as_scene(source)]
     elif reading:
         raise OptionError(f"reading is for a path; got {', '.join(reading)} beside a {type(source).__name__}")
     elif isinstance(source, Volumes) or getattr(source, "ndim", 3) == 4:
@@ -270,6 +274,12 @@ def _volumes(source: Any, reading: dict[str, Any], limits: Mapping[str, Any]) ->
         if one.shape != found[0].shape or one.ndim != 3:
             raise DataError(f"volumes of a movie must have 3 axes and one shape; got {found[0].shape} and {one.shape}")
     return found
+
+
+def _grid(source: Any) -> Volume:
+    """The grid of a volume, or of the first medium of a scene."""
+    grid: Volume = (source.media[0].volume if isinstance(source, Scene) else source).grid
+    return grid
 
 
 def series_of(path: str | os.PathLike[str], limits: Mapping[str, Any] | None = None, **reading: Any) -> list[Drawable]:
@@ -336,7 +346,7 @@ def _shots(
     for i in range(count):
         options = options_at(i / (count - 1) if keys is not None else 0.0)
         volume = volumes[i * len(volumes) // count]
-        camera = options.get("camera") or usual_camera(volume.grid)
+        camera = options.get("camera") or usual_camera(_grid(volume))
         options["camera"] = _turned(replace(camera, **place), 360 * turns * i / count, volume)
         shots.append(Shot(volume, options))
     return shots
@@ -360,7 +370,7 @@ class _Some(NamedTuple):
 
 def _place(volumes: Sequence[Drawable], looks: Sequence[Mapping[str, Any]], aspect: float) -> dict[str, Any]:
     """Target and radius of a camera that sees what any volume shows in any look; nothing for a placed camera, or one look."""
-    cameras = [look.get("camera") or usual_camera(volumes[0].grid) for look in looks]
+    cameras = [look.get("camera") or usual_camera(_grid(volumes[0])) for look in looks]
     known = ("position", "target", "distance", "radius")
     if len(volumes) * len(looks) == 1 or any(getattr(one, what) is not None for one in cameras for what in known):
         return {}
@@ -368,12 +378,12 @@ def _place(volumes: Sequence[Drawable], looks: Sequence[Mapping[str, Any]], aspe
         return {}
     placed = []
     for volume in volumes:
-        some = volume.preview()
+        scene = volume if isinstance(volume, Scene) else as_scene(Medium(volume.preview()))
         for look, camera in zip(looks, cameras, strict=True):
             options = dict(look)
             options.pop("camera", None)
             mode = chosen_mode(options.pop("mode", DEFAULT_MODE), options)
-            found = ResolvedLook.of(as_scene(Medium(some)), lambda medium: _Some(medium.volume), camera, mode, options)  # type: ignore[arg-type]  # by name
+            found = ResolvedLook.of(scene, lambda medium: _Some(medium.volume.preview()), camera, mode, options)  # type: ignore[arg-type]  # by name
             placed.append(found.placed(aspect).camera)
     centers = np.array([one.target for one in placed])
     center = (centers.min(0) + centers.max(0)) / 2
@@ -392,5 +402,5 @@ def _turned(camera: Camera, degrees: float, volume: Drawable) -> Camera:
     up = tuple(turn.apply(camera.up).tolist())
     if camera.position is None:
         return replace(camera, up=up, direction=tuple(turn.apply(camera.direction).tolist()))
-    target = volume.grid.center if camera.target is None else np.asarray(camera.target)
+    target = _grid(volume).center if camera.target is None else np.asarray(camera.target)
     return replace(camera, up=up, position=tuple((target + turn.apply(np.asarray(camera.position) - target)).tolist()))

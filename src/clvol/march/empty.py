@@ -41,6 +41,9 @@ def warn_if_empty(
     if found := next(filter(None, alike), ""):
         warn(f"of a medium of the scene: {found}")
     reason = _alike(look, source.limits, options) or (_unseen(look, source) if _is_empty(look, rgba) else "")
+    for one in () if reason else (look, *look.others):
+        if said := _beyond(one):
+            warn(said)
     if reason or (reason := next(filter(None, (_missed(one, step) for one in (look, *look.others))), "")):
         warn(reason)
 
@@ -75,6 +78,16 @@ def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapp
     if (every == every[0]).all() or (seen != seen[0]).any():
         return ""
     return f"all samples, from {low:g} to {high:g}, are of one colour: the transfer function changes from {first:g} to {last:g}"
+
+
+def _beyond(look: ResolvedLook) -> str:
+    """Which of several surfaces are outside the samples, if these are known."""
+    values, volume = look.mode.isovalues, look.scene.media[0].volume
+    if look.mode.name != "surfaces" or look.preview is not volume:
+        return ""
+    low, high = volume.value_range
+    out = [f"{value:g}" for value in values if not low <= value <= high]
+    return f"no surface is seen of {' and '.join(out)}: samples are from {low:g} to {high:g}" if out else ""
 
 
 def _unseen(look: ResolvedLook, source: Source) -> str:

@@ -129,7 +129,7 @@ class ModeOptions(TypedDict, total=False):
     isovalue: float | str | None
     color: Sequence[float] | str
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None
-    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "label"] | None
+    color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "distance", "label"] | None
     outline: float
     method: Literal["exact", "stepped"]
     tolerance: float

@@ -168,6 +168,11 @@ class Medium:
         """The transfer function in words: arguments of `clvol.scene.look.look`; nothing where it is not given in words."""
         return {name: value for name in WORDS if (value := getattr(self, name)) is not None}
 
+    @property
+    def beyond_words(self) -> tuple[str, ...]:
+        """What it has that is no option of a picture: cuts and surfaces of its own, and what colours it."""
+        return tuple(name for name in ("clip", "surfaces", "color_by") if getattr(self, name) is not None)
+
     def with_transfer(self, transfer: TransferFunction | None) -> Medium:
         """The same with a transfer function, instead of its own or of words."""
         return replace(self, transfer=transfer, preset=None, window=None, cmap=None, opacity=None)
@@ -379,6 +384,14 @@ def _require_one_world(named: Mapping[str, Volume], said: int | None = None) -> 
             warn(f"{list(named)[k]} of a scene overlaps no other: it spans {spans}")
 
 
+def as_slice(image: Volume) -> Volume:
+    """An image as a volume of one slice, whose voxels are as thick as they are wide."""
+    direction = np.eye(3)
+    direction[:2, :2] = image.direction
+    place = {"spacing": (*image.spacing, image.mean_spacing), "origin": (*image.origin, 0.0), "direction": direction}
+    return replace(image, data=image.data[None], space=image.space or "image", **place)  # type: ignore[arg-type]  # of three axes
+
+
 def as_medium(choice: Medium | Volume | ArrayLike) -> Medium:
     """A medium, or a medium from a volume or an array."""
     return choice if isinstance(choice, Medium) else Medium(choice)  # type: ignore[arg-type]  # __post_init__ converts
@@ -393,11 +406,19 @@ def as_scene(choice: Scene | Medium | Volume | Volumes | ArrayLike) -> Scene:
 
 def channels(volumes: Volumes, **words: Any) -> tuple[Medium, ...]:
     """The media of a microscope's channels, each in its colour; `words` are further arguments of `Medium`."""
-    others = [f"{n} {axis}s" for axis, n in zip(volumes.axes, volumes.leading.counts, strict=True) if axis != "channel" and n > 1]
-    if not volumes.colors or others:
-        held = " of ".join(others) or f"{len(volumes)} volume"
+    counts = dict(zip(volumes.axes, volumes.leading.counts, strict=True))
+    others = {axis: n for axis, n in counts.items() if axis != "channel" and n > 1}
+    if not volumes.colors:
+        held = f"{len(volumes)} volume" if not others else " of ".join(f"{n} {axis}s" for axis, n in others.items())
         raise DataError(f"data must be one volume or the channels of one; got Volumes of {held}: take one, as volumes[0]")
-    shown = list(zip(volumes, volumes.colors, strict=True))
+    if others:
+        left = " and ".join(f"{n} {axis}s" for axis, n in others.items())
+        warn(f"data holds {left}; the first of them is shown: choose by time= and the like when it is read")
+    first = {axis: volumes.leading.first(axis) for axis in volumes.axes if axis != "channel"}
+    each = [volumes.pick(**first, channel=k) for k in range(counts.get("channel", 1))] if others else list(volumes)
+    if each[0].ndim == 2:
+        each = [as_slice(volume) for volume in each]
+    shown = list(zip(each, volumes.colors, strict=True))
     if volumes.leading.rgb:  # without alpha, and as bright as they are beside each other
         shown, kind = shown[:3], np.asarray(volumes).dtype
         top = float(np.iinfo(kind).max if kind.kind == "u" else max(volume.limits[1] for volume, _ in shown))

@@ -55,6 +55,8 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
         lines += _volume(resident, state)
     if resident.others and name == "3d":
         lines += [f"# others: the {len(resident.others)} other media of the scene that was viewed, a list of clvol.Medium"]
+    if resident.beyond and name == "3d":
+        lines += [f"# first: the clvol.Medium that was viewed, for its {' and '.join(resident.beyond)}"]
     draw = _drawn if name == "3d" else _cut
     if state.wiper is None:
         lines += _limited(resident, draw(resident, state, name, shown, size, "picture"))
@@ -109,9 +111,10 @@ def _drawn(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     words |= {"outputs": "visited"} if state.heat else {}
     words |= _device(resident)
     scene = "volume"
-    if resident.others:
+    if resident.others or resident.beyond:
         own = [f"{key}={_text(words.pop(key))}" for key in ("filter", "boundary", "transfer", *WORDS, "material") if key in words]
-        scene = f"clvol.Scene([{_call('clvol.Medium', ['volume', *own])}, *others])"
+        own += [f"{key}=first.{key}" for key in resident.beyond]
+        scene = f"clvol.Scene([{_call('clvol.Medium', ['volume', *own])}{', *others' if resident.others else ''}])"
     texts = [scene, _camera(camera), repr(mode), *(f"{key}={_text(value)}" for key, value in words.items())]
     call = _call("clvol.render", texts)
     return [f"{result} = to_bytes(heat({call}))" if state.heat else f"{result} = {call}"]

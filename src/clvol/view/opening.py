@@ -46,7 +46,7 @@ class Opened(NamedTuple):
     device: Device | str | int | None
     source: str | None
     options: dict[str, Any]  # of `clvol.render`, that the scene or the caller gives
-    scene: Scene | None  # if it has several media: the volume is that of the first
+    scene: Scene | None  # of several media, of which the volume is the first's, or of one with a look that no state holds
 
 
 def opened(
@@ -75,10 +75,12 @@ def opened(
         coefficients, device = scene, scene.device
         scene = Medium(scene.coefficients.volume, filter=scene.filter, boundary=scene.boundary)
     volumes = scene if isinstance(scene, Volumes) else None
+    if isinstance(scene, Medium) and scene.beyond_words:
+        scene = Scene((scene,))
     if isinstance(scene, Scene):
         if any(is_in_parts(medium.volume) for medium in scene.media):
             scene, source = replace(scene, media=tuple(map(_resident, scene.media))), None
-        several = scene if len(scene.media) > 1 else None
+        several = scene if len(scene.media) > 1 or scene.media[0].beyond_words else None
         options = {name: getattr(scene, name) for name in ("lights", "background", "clip")} | options
         scene = scene.media[0]
     if isinstance(scene, Medium):

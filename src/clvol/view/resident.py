@@ -20,7 +20,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import joined
 from clvol.scene.fit import Seen, fitted
 from clvol.scene.look import look
-from clvol.scene.mode import CURVATURES, Mode, as_mode, colored_by, mode_options, modes
+from clvol.scene.mode import BY_DISTANCE, CURVATURES, Mode, as_mode, colored_by, mode_options, modes
 from clvol.scene.preset import presets
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
@@ -43,7 +43,7 @@ _COLOR_MAPS = (
     "twilight", "cubehelix", "rainbow",
 )  # fmt: skip
 _KINDS = ("color", "surfaces")  # controls of their own
-_CHOICES: Mapping[str, list[str]] = {"method": ["exact", "stepped"], "color_by": ["none", *CURVATURES]}
+_CHOICES: Mapping[str, list[str]] = {"method": ["exact", "stepped"], "color_by": ["none", *CURVATURES, BY_DISTANCE]}
 _RANGES: Mapping[str, list[float]] = {"termination": [0, 0.5], "tolerance": [0, 1], "attenuation": [0, 40]}
 _KEPT = 64  # descriptions of volumes
 _BESIDE = ("gradient", "rays", "pixel_filter", "skipping")  # passed on, and in no state
@@ -74,6 +74,8 @@ class Resident:
         self.title = title or (found.volume.name or "volume" if found.volumes is None else "volumes")
         self.others = () if found.scene is None else tuple(one for one in found.scene.media[1:] if one.visible)
         """The other media that are seen."""
+        self.beyond = () if found.scene is None else found.scene.media[0].beyond_words
+        """What the first medium has that no state holds."""
         self.beside: dict[str, Any] = {name: given.pop(name) for name in _BESIDE if name in given}
         """Arguments of `clvol.render` that are not part of a state."""
         self.initial = first_state(found.volume, given)
