@@ -53,8 +53,10 @@ def test_a_block_without_fields_can_be_declared() -> None:
 @pytest.mark.parametrize("mode", modes())
 def test_the_block_of_a_picture_has_the_layout_of_numpy(mode: str) -> None:
     block, declaration = frame_block(modes()[mode].BLOCK)
-    names = re.findall(r"^} (\w+);$", declaration, re.MULTILINE)
-    assert names[-1] == "frame_t"
-    assert len(set(names)) == len(names)
-    declared = re.findall(r"^    (float|int) (\w+)(?:\[(\d+)\])?;$", declaration, re.MULTILINE)
-    assert sum(4 * int(count or 1) for _, _, count in declared) == block.dtype.itemsize
+    sizes = {"float": 4, "int": 4}
+    for members, name in re.findall(r"typedef struct \{\n(.*?)\} (\w+);", declaration, re.DOTALL):
+        assert name not in sizes
+        declared = re.findall(r"^    (\w+) \w+(?:\[(\d+)\])?;$", members, re.MULTILINE)
+        sizes[name] = sum(sizes[kind] * int(count or 1) for kind, count in declared)
+    assert list(sizes)[-1] == "frame_t"
+    assert sizes["frame_t"] == block.dtype.itemsize
