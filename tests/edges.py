@@ -183,15 +183,17 @@ def adjoints() -> None:
 
 
 def media() -> None:
-    """Two media of other sizes and places in one picture, whole and cut."""
+    """Two media of other sizes and places in one picture, whole and cut: apart, and together and coloured by a third."""
     shown = clvol.TransferFunction([(0, "red")], [(-0.5, 0), (1, 0.5)])
     for first, second in (((9, 12, 20), (1, 2, 33)), ((1, 1, 1), (3, 30, 9))):
         other = clvol.Medium(clvol.Volume(noise(*second), (1.3, 0.7, 2), (3, -4, 1)), shown, filter="linear")
-        scene = clvol.Scene([clvol.Medium(noise(*first), shown), other])
-        with clvol.Renderer(scene) as renderer:
-            for look in LOOKS:
-                for clip in (None, clvol.Corner((5, -9, 0), (6, 99, np.inf))):
-                    assert np.isfinite(renderer.render(look, size=(19, 21), clip=clip)).all()
+        holed = clvol.Volume(np.where(np.indices((4, 3, 5))[2] < 2, np.nan, noise(4, 3, 5)), (4, 3, 2), (-2, 1, 3))
+        colored = clvol.Medium(noise(*first), shown, filter="linear", color_by=clvol.Medium(holed, filter="bspline3"))
+        for scene in ([clvol.Medium(noise(*first), shown), other], [colored, other]):
+            with clvol.Renderer(clvol.Scene(scene)) as renderer:  # type: ignore[arg-type]  # it converts
+                for look in LOOKS:
+                    for clip in (None, clvol.Corner((5, -9, 0), (6, 99, np.inf))):
+                        assert np.isfinite(renderer.render(look, size=(19, 21), clip=clip)).all()
 
 
 def uncertainty() -> None:
