@@ -47,7 +47,6 @@ class Others:
     colors: Annotated[
         str | None, Parameter(help="One that colours the matter and surfaces of SOURCE: FILE, as of --with.", show_default=False)
     ] = None
-
     all_channels: Annotated[bool, Parameter(negative="", help="All channels of SOURCE, each in its colour.")] = False
 
     def first(self, reader: Input) -> Input:

@@ -563,7 +563,7 @@ def own_options(
     mode = as_mode(look.mode, options)
     if shown:
         look.require_heard(mode, outputs)
-    require_heard(mode, unheard(mode, around or {}, outputs).keys() - ({"color_bar"} if colored else set()))
+    require_heard(mode, unheard(mode, around or {}, outputs, colored=colored))
     return options
 
 

@@ -285,19 +285,25 @@ def chosen_mode(
     if misplaced := of_mode.keys() & RendererOptions.__annotations__.keys():
         raise OptionError(f"{' and '.join(sorted(misplaced))} must be left to what draws the picture, such as Renderer(...)")
     chosen = as_mode(mode, of_mode, (*KEYWORDS, *others))
-    reasons = unheard(chosen, options, outputs)
-    if any(getattr(medium, "color_by", None) for medium in getattr(scene, "media", (scene,))):
-        reasons.pop("color_bar", None)  # which shows those colours
+    colored = any(getattr(medium, "color_by", None) for medium in getattr(scene, "media", (scene,)))
+    reasons = unheard(chosen, options, outputs, colored=colored)
     require_heard(chosen, reasons, reasons)
     return chosen
 
 
-def unheard(mode: Mode, options: Mapping[str, Any], outputs: Collection[str] = ("rgba",)) -> dict[str, str]:
-    """Those of a picture's options that change nothing in a mode and in these outputs, each with the reason."""
+def unheard(
+    mode: Mode, options: Mapping[str, Any], outputs: Collection[str] = ("rgba",), *, colored: bool = False
+) -> dict[str, str]:
+    """Those of a picture's options that change nothing in a mode and in these outputs, each with the reason.
+
+    `colored`: another volume colours what the mode shows.
+    """
     given = {name: value for name, value in options.items() if name in KEYWORDS and value is not None}
     found = {name: reason for name, reason in mode.unheard.items() if name in given}
     if {"normal", "uncertainty"} & set(outputs):  # which are gradients in all modes
         found.pop("gradient", None)
+    if colored:
+        found.pop("color_bar", None)  # which shows those colours
     if "preset" in given.keys() - found:
         row = as_preset(given["preset"])
         if mode.shows != "matter" and row.unit != "labels" and "window" in given:
