@@ -467,6 +467,20 @@ def test_thread_limits_do_not_leak_between_pictures(renderer: Renderer) -> None:
         assert renderer.device.limits is before
 
 
+def test_furniture_stands_around_the_last_picture(renderer: Renderer) -> None:
+    """Those before it are of the same view, on the same background."""
+    around: dict[str, Any] = {"axes": True, "title": "a ball", "theme": "print"}
+    *before, last = renderer.refine(size=(160, 120), seconds=1e-3, **around)
+    drawn = renderer.render(size=(160, 120), **around)
+    assert np.array_equal(last, drawn)
+    assert last.recipe is not None
+    assert last.recipe.furniture == drawn.recipe.furniture
+    bare = renderer.render(drawn.recipe.camera, size=(160, 120), background="white")
+    assert before
+    assert all(one.furnished is None and (np.asarray(one)[..., 3] == 1).all() for one in before)
+    assert np.abs(np.asarray(before[-1])[..., :3].mean((0, 1)) - np.asarray(bare)[..., :3].mean((0, 1))).max() < 0.02
+
+
 # -- bad input -------------------------------------------------------------------------------------------------------------
 
 

@@ -69,7 +69,14 @@ def drawn(text: str, volume: Volume) -> NDArray[np.uint8]:
 
 LOOKS: dict[str, dict[str, Any]] = {
     "default": {},
-    "surface": {"mode": "isosurface", "options.isovalue": 400.5, "options.color": [0.2, 0.5, 0.9], "filter": "bspline3"},
+    "around": {"furniture": dict.fromkeys(("color_bar", "axes", "cube"), True) | {"title": "a head", "time_stamp": 0.0}},
+    "surface": {
+        "furniture.color_bar": True,
+        "mode": "isosurface",
+        "options.isovalue": 400.5,
+        "options.color": [0.2, 0.5, 0.9],
+        "filter": "bspline3",
+    },
     "moved": {
         "mode": "isosurface",
         "camera.target": [0, 20, 52],
@@ -87,7 +94,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     },
     "transfer": {"transfer.points": [[100, [0.1, 0, 0], 0], [400, [1, 0.5, 0], 0.3], [400, [0, 0.5, 1], 0.6], [950, [1, 1, 1], 1]]},
     "words": {"mode": "mip", "window": [500, 800], "cmap": "viridis", "background": [0.1, 0.2, 0.3]},
-    "heat": {"heat": True},
+    "heat": {"heat": True, "furniture.box": True},
     "wiper": {"mode": "isosurface", "filter": "bspline3", "wiper": {"filter": "nearest", "at": 0.4}},
     "axial": {"layout": "slice", "active": "z", "crosshair": [0, 18, 51.3], "slice.zoom": 1.4},
     "sagittal": {"layout": "slice", "active": "x", "filter": "linear", "window": [450, 700], "cmap": "bone", "background": None},
@@ -138,7 +145,8 @@ def test_a_view_starts_as_render_draws(volume: Volume, device: Device) -> None:
         "filter": "catmull-rom",
         "lights": Light(),
         "material": Material(0.3, 0.6),
-        "background": "navy",
+        "theme": "print",
+        "box": True,
         "gradient": "central",
         "rays": 2,
     }
@@ -213,6 +221,7 @@ def test_planes_and_corners_cut_a_view_open(volume: Volume, device: Device) -> N
         ({"camera": 3}, "camera must be a Camera"),
         ({"clip": ((1, 1, 1), (0, 2, 2))}, "clip must be two corners"),
         ({"preset": "labels", "window": (0, 1)}, "window"),
+        ({"theme": "dark"}, "theme must be one of screen, print"),
     ],
     ids=str,
 )

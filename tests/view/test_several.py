@@ -319,7 +319,7 @@ def test_the_command_reads_all_volumes_and_copies_one(volumes: Volumes, tmp_path
     assert isinstance(found[0], Volumes)
     assert found[0].axes == ("time", "channel")
     view = _made(found, str(file), None, None, Look(), {})
-    assert view.resident.title == "cells.ome.tif"
+    assert view.resident.name == "cells.ome.tif"
     view.state = view.state.changed({"index": {"channel": 1, "time": 2}})
     program = view.python(SIZE)
     assert f"volume = clvol.read({str(file)!r}, time=2, channel=1)" in program

@@ -24,6 +24,7 @@ def test_any_state_round_trips_through_its_text(seed: int) -> None:
     which = {
         "cuts": chance.choice([[], [{"normal": [1, -2, 0.3], "point": [5, 6, 7]}, {"low": [1, None, 3], "high": [None, None, 4]}]]),
         "labels": chance.choice([None, {"hidden": chance.sample(range(-9, 99), 3)}, {"shown": chance.sample(range(99), 2)}]),
+        "furniture": chance.choice([{}, {"color_bar": True, "title": "µ"}, {"time_stamp": 0.0, "axes": True}]),
         "index": chance.choice([{}, {"time": chance.randrange(9), "channel": chance.choice([1, "luminance"])}]),
     }
     state = State().changed(random_changes(chance) | which)
@@ -70,6 +71,9 @@ def test_any_state_round_trips_through_its_text(seed: int) -> None:
         ({"cuts": [{"middle": 3}]}, "cuts.middle is no field"),
         ({"cuts": [{"low": [0, 0, 0], "high": [1, 1, 1]}] * 9}, "cuts: clip may have up to 64 planes and 8 corners"),
         ({"labels": 3}, "labels must be an object"),
+        ({"furniture.theme": "print"}, "furniture.theme must be left out"),
+        ({"furniture.title": "a" * 999}, "furniture.title must have at most 200 characters; got 999"),
+        ({"furniture.legend": True}, "furniture.legend is no field"),
         ({"labels": {}}, "labels must have one of hidden and shown; got neither"),
         ({"labels": {"hidden": [1], "shown": [2]}}, "hidden and shown; got both"),
         ({"labels": {"hiden": [1]}}, "labels.hiden is no field"),

@@ -20,7 +20,19 @@ from clvol.base import html, memory
 from clvol.base.errors import ClvolError, FormatError, OptionError, OutOfMemoryError
 from clvol.base.printable import printable
 from clvol.bricks.source import too_large
-from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, bytes_text, is_address, own_options
+from clvol.cli.options import (
+    DeviceName,
+    FilterName,
+    Furniture,
+    Input,
+    Look,
+    ModeOptions,
+    Source,
+    Whole,
+    bytes_text,
+    is_address,
+    own_options,
+)
 from clvol.cli.root import PICTURES, command
 from clvol.cli.words import in_the_shell
 from clvol.formats.guarded.limits import size_of
@@ -62,6 +74,7 @@ def view(
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    furniture: Furniture | None = None,
 ) -> None:
     """Show a volume in a browser: turn it, cut it, change its colours. Ctrl-C ends it.
 
@@ -101,7 +114,7 @@ def view(
         The most pages open at once.
     """
     look = look or Look()
-    options = own_options(look, own, shown=False)
+    options = own_options(look, own, shown=False) | (furniture.options() if furniture else {})
     reader = input or Input()
     name = str(source)
     if not (name.startswith("phantom:") or is_address(name) or Path(name).exists()):
@@ -259,9 +272,9 @@ def _made(
     if look.value_range is None:  # by their names, so that the page shows them
         options.pop("transfer", None)
         options |= look.words()
-    title = (volume.name if scene is volume else "") or Path(name).name
+    shown = (volume.name if scene is volume else "") or Path(name).name
     options |= {"filter": filter, "boundary": look.boundary, "limits": look.limits()}
-    return View(scene, device=device, source=source, title=title, finer=finer, **options)
+    return View(scene, device=device, source=source, name=shown, finer=finer, **options)
 
 
 def _open(url: str) -> None:

@@ -137,35 +137,6 @@ class ModeOptions(TypedDict, total=False):
     cap: bool | Sequence[float] | str | None
 
 
-class RefineOptions(LookOptions, ModeOptions, total=False):
-    """Options of `Renderer.refine`.
-
-    Attributes
-    ----------
-    rays : int or "auto"
-        Rays a pixel, 1 to 4096. A single one goes through its middle. "auto", the default: one, and in modes that light what they
-        show two more in pixels on edges, which differ from a neighbour by more than an eighth of full luminance. At most a 20th of
-        the pixels that are not plain background have more (on processors a 64th, but for surfaces), which bounds the cost. All
-        other pixels are those of ``rays=1``, bit for bit.
-    pixel_filter : str or Filter
-        What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps. "linear",
-        the default, leaves half of the aliasing of "nearest", the pixel's own square, from 16 rays on, and two thirds with fewer,
-        and is less sharp; one with negative lobes, such as "mitchell", needs about 64 rays. Filters with a prefilter are refused,
-        and so are all of one ray a pixel.
-    skipping : bool
-        Skip space in which the function's minimum and maximum say that nothing can be seen, as by default. No bit depends on it.
-    lod : float or "auto"
-        Of a `LazyVolume` with levels, and of no other volume: how many pixels a voxel of the level that is drawn may span, where
-        the volume is nearest to the viewer. "auto", the default, is 1; 0 draws the finest level whatever the picture's size. Steps
-        count its voxels.
-    """
-
-    rays: int | Literal["auto"]
-    pixel_filter: str | Filter
-    skipping: bool
-    lod: float | Literal["auto"]
-
-
 class FurnitureOptions(TypedDict, total=False):
     """What stands around a picture; nothing by default (``pip install clvol[figures]``).
 
@@ -206,7 +177,36 @@ class FurnitureOptions(TypedDict, total=False):
     theme: Literal["screen", "print"]
 
 
-class PictureOptions(RefineOptions, FurnitureOptions, total=False):
+class RefineOptions(LookOptions, ModeOptions, FurnitureOptions, total=False):
+    """Options of `Renderer.refine`.
+
+    Attributes
+    ----------
+    rays : int or "auto"
+        Rays a pixel, 1 to 4096. A single one goes through its middle. "auto", the default: one, and in modes that light what they
+        show two more in pixels on edges, which differ from a neighbour by more than an eighth of full luminance. At most a 20th of
+        the pixels that are not plain background have more (on processors a 64th, but for surfaces), which bounds the cost. All
+        other pixels are those of ``rays=1``, bit for bit.
+    pixel_filter : str or Filter
+        What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps. "linear",
+        the default, leaves half of the aliasing of "nearest", the pixel's own square, from 16 rays on, and two thirds with fewer,
+        and is less sharp; one with negative lobes, such as "mitchell", needs about 64 rays. Filters with a prefilter are refused,
+        and so are all of one ray a pixel.
+    skipping : bool
+        Skip space in which the function's minimum and maximum say that nothing can be seen, as by default. No bit depends on it.
+    lod : float or "auto"
+        Of a `LazyVolume` with levels, and of no other volume: how many pixels a voxel of the level that is drawn may span, where
+        the volume is nearest to the viewer. "auto", the default, is 1; 0 draws the finest level whatever the picture's size. Steps
+        count its voxels.
+    """
+
+    rays: int | Literal["auto"]
+    pixel_filter: str | Filter
+    skipping: bool
+    lod: float | Literal["auto"]
+
+
+class PictureOptions(RefineOptions, total=False):
     """Options of `Renderer.render`.
 
     Attributes

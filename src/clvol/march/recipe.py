@@ -16,10 +16,11 @@ from clvol.base.checks import instance
 from clvol.base.errors import FormatError, OptionError
 from clvol.filter import boundary
 from clvol.filter import filter as filters
+from clvol.march.refine import Refined
 from clvol.scene import camera, clip, light, mode, scene, transfer
-from clvol.scene.clip import cuts_of
+from clvol.scene.fit import box_around
 from clvol.scene.mode import BY_LABEL, colored_by
-from clvol.show.furniture import Bar, Furnished, Furniture, Stage, furnished
+from clvol.show.furniture import Bar, Furnished, Furniture, Stage, furnished, on
 from clvol.show.picture import as_pictures
 from clvol.volume.provenance import facts_of, provenance_of, recognise
 from clvol.volume.volume import Volume
@@ -28,17 +29,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clvol.march.options import Fineness, ResolvedLook
-    from clvol.march.refine import Refined
     from clvol.march.source import Source
     from clvol.show.picture import Picture
 
-__all__ = ["CLASSES", "Recipe", "Staged", "grid_of", "refined", "staged"]
+__all__ = ["CLASSES", "Recipe", "Staged", "grid_of", "staged"]
 
 VERSION = 1
 """Of the text; another is refused."""
 
-_AROUND, _TICKED, _BESIDE = 1.1, 0.25, 0.15  # radius of the view of a box, relative to it, and more for ticks, and for a colour bar
-_WIDE = 1.25  # aspect from which there is room beside it
 _MOST_LABELS = 256
 _FORCED = ("evaluator", "fetch")  # limits of a device that change roundings
 
@@ -105,7 +103,7 @@ class Recipe:
         if self.central:
             given["gradient"] = "central"
         if self.furniture:
-            given |= {name: value for name, value in vars(self.furniture).items() if value not in (False, "")}
+            given |= self.furniture.given
         return given
 
     def options_of_lazy(self, several: bool) -> dict[str, Any]:
@@ -183,6 +181,18 @@ class Staged(NamedTuple):
     furniture: Furniture | None
     fine: Fineness
 
+    def refined(self, pictures: Iterator[Refined], source: Source) -> Iterator[Refined]:
+        """Pictures that become finer; the last one with what stands around it, and with what made it."""
+        for picture in pictures:
+            made = picture
+            if picture.final:
+                shown = self.finished({"rgba": picture}, ("rgba",), source)["rgba"]
+                made = Refined(shown, True, picture.step, picture.seconds)
+                made.recipe, made.furnished = shown.recipe, shown.furnished
+            elif self.drawn is not self.look:
+                made = Refined(on(self.look.scene.background, np.asarray(picture)), False, picture.step, picture.seconds)
+            yield made
+
     def finished(self, pictures: Mapping[str, NDArray[Any]], wanted: tuple[str, ...], source: Source) -> dict[str, Picture]:
         """The wanted pictures, with what stands around them, and with what made them."""
         found = {name: pictures[name] for name in wanted}
@@ -237,23 +247,8 @@ def staged(look: ResolvedLook, fine: Fineness, options: Mapping[str, Any]) -> St
     furniture.require_shown(look.scene.media[0].volume.space)
     if furniture.theme == "print" and options.get("background", ...) is ...:
         look = replace(look, scene=replace(look.scene, background=(1.0, 1.0, 1.0)))
-    own = look.camera
-    left_open = own.fit == "matter" and all(v is None for v in (own.position, own.target, own.distance, own.radius))
-    if furniture.behind and left_open:
-        low, high = _box(look)
-        x, y, z = (float(v) for v in (low + high) / 2)
-        around = _AROUND + _TICKED * furniture.axes + _BESIDE * (furniture.color_bar and aspect < _WIDE)
-        look = replace(look, camera=replace(own, target=(x, y, z), radius=around * float(np.linalg.norm(high - low)) / 2))
-    look = look.placed(aspect)
+    look = replace(look, camera=furniture.in_view(look.camera, *_box(look), aspect)).placed(aspect)
     return Staged(look, look.over_nothing() if furniture.behind else look, furniture or None, fine)
-
-
-def refined(pictures: Iterator[Refined], source: Source, look: ResolvedLook, fine: Fineness) -> Iterator[Refined]:
-    """Pictures that become finer; the last one with what made it."""
-    for picture in pictures:
-        if picture.final:
-            picture.recipe = staged(look, fine, {}).recipe(source)
-        yield picture
 
 
 def _stage(look: ResolvedLook, size: tuple[int, int]) -> Stage:
@@ -268,18 +263,7 @@ def _stage(look: ResolvedLook, size: tuple[int, int]) -> Stage:
 
 def _box(look: ResolvedLook) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The corners of the box, along the world's axes, in which all that is seen lies."""
-    low, high = (np.stack(ends) for ends in zip(*map(_own_box, (look, *look.others)), strict=True))
-    return low.min(0), high.max(0)
-
-
-def _own_box(look: ResolvedLook) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The corners of the box of a look's own medium, where that is not empty by cuts."""
-    corners = look.scene.media[0].volume.corners
-    low, high = corners.min(0), corners.max(0)
-    if (box := cuts_of(look.clip).box) is not None:
-        inside = np.maximum(low, box[0]), np.minimum(high, box[1])
-        low, high = inside if (inside[0] < inside[1]).all() else (low, high)
-    return low, high
+    return box_around((one.scene.media[0].volume, one.clip) for one in (look, *look.others))
 
 
 def _bars(look: ResolvedLook) -> tuple[Bar, ...]:

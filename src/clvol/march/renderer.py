@@ -16,7 +16,6 @@ from clvol.march.empty import warn_if_empty
 from clvol.march.options import (
     OUTPUTS,
     Fineness,
-    FurnitureOptions,
     Output,
     PictureOptions,
     RendererOptions,
@@ -25,7 +24,7 @@ from clvol.march.options import (
     chosen_mode,
     require_room,
 )
-from clvol.march.recipe import refined, staged
+from clvol.march.recipe import staged
 from clvol.march.refine import Asked
 from clvol.march.source import ByBricks, Source
 from clvol.march.uncertainty import noise_of
@@ -298,7 +297,8 @@ class Renderer:
         Parameters
         ----------
         camera, mode, size, step, **options
-            As for `render`; pictures are of colours alone, so there are no `outputs` and no `sigma`.
+            As for `render`; pictures are of colours alone, so there are no `outputs` and no `sigma`. Furniture (`axes`, ...) takes
+            matplotlib longer than a moving picture has, and stands around the last one alone.
         seconds : float
             Time to the first picture. It takes longer where the smallest picture does, where kernels are
             built first, and where something is computed for the first time: a volume's histogram, its pyramid, for "isosurface"
@@ -335,7 +335,7 @@ class Renderer:
         (True, (150, 200, 4))
         """
         began = time.perf_counter()
-        refused = [name for name in ("outputs", "sigma", *FurnitureOptions.__annotations__) if name in options]
+        refused = [name for name in ("outputs", "sigma") if name in options]
         if refused and (refused != ["outputs"] or options["outputs"] != "rgba"):  # type: ignore[typeddict-item]  # it has none
             raise OptionError(f"refine gives colours alone: leave out {' and '.join(refused)}, or use render")
         chosen = chosen_mode(mode, options)
@@ -347,8 +347,8 @@ class Renderer:
             self._source.require_heard(chosen, options)
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, ("rgba",), edges=fine.rays == "auto")
-            look = ResolvedLook.of(self.scene, self._source.part, camera, chosen, options)
-            return refined(self._source.refine(look, fine, Asked(seconds, cancelled, progress, began)), self._source, look, fine)
+            stage = staged(ResolvedLook.of(self.scene, self._source.part, camera, chosen, options), fine, options)
+            return stage.refined(self._source.refine(stage.drawn, fine, Asked(seconds, cancelled, progress, began)), self._source)
 
 
 @overload

@@ -8,8 +8,9 @@ that an orbiting camera keeps its distance, and they stay near the middle.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
@@ -25,7 +26,7 @@ from clvol.scene.transfer import TransferFunction
 from clvol.volume.evenly import evenly
 from clvol.volume.volume import Volume
 
-__all__ = ["Seen", "Sphere", "fitted", "sphere_of_matter", "usual_camera"]
+__all__ = ["Seen", "Sphere", "box_around", "fitted", "sphere_of_matter", "usual_camera"]
 
 Bools: TypeAlias = NDArray[np.bool_]
 Seen: TypeAlias = tuple[Volume, Mode, TransferFunction, Clip | None]
@@ -57,6 +58,20 @@ def usual_camera(volume: Volume) -> Camera:
     """The camera where none is given: `Camera.orbit`, but of thin stacks of images from above, the thinner the steeper."""
     thin = thinness(volume)
     return Camera.orbit() if thin > 1 else Camera.orbit(30 * thin, 90 - 35 * thin)
+
+
+def box_around(seen: Iterable[tuple[Volume, Clip | None]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The corners of the box, along the world's axes, around volumes: of each the part in its clip box, if there is any."""
+    boxes = list(itertools.starmap(_own_box, seen))
+    return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
+
+
+def _own_box(volume: Volume, clip: Clip | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    low, high = volume.corners.min(0), volume.corners.max(0)
+    if (box := cuts_of(clip).box) is not None:
+        inside = np.maximum(low, box[0]), np.minimum(high, box[1])
+        low, high = inside if (inside[0] < inside[1]).all() else (low, high)
+    return low, high
 
 
 def fitted(

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from clvol.scene.camera import Viewpoint
+    from clvol.scene.camera import Camera, Viewpoint
     from clvol.scene.transfer import TransferFunction
 
 __all__ = [
@@ -44,6 +44,7 @@ __all__ = [
     "letters_of",
     "luminance",
     "marks_of",
+    "on",
     "require_matplotlib",
     "ticks_of",
     "vectors",
@@ -66,6 +67,8 @@ _PRINTED = 300  # pixels per inch of a page
 _FAINT = 0.45  # opacity of a grid
 _NEAR = 1e-6  # depth relative to the box, before which lines are cut
 _STEPS = (1, 2, 2.5, 5, 10)
+_AROUND, _TICKED, _BESIDE = 1.1, 0.25, 0.15  # radius of the view of a box, relative to it, and more for ticks, and for a colour bar
+_WIDE = 1.25  # aspect from which there is room beside it
 
 Color: TypeAlias = tuple[float, float, float]
 Points: TypeAlias = NDArray[np.float64]
@@ -105,7 +108,13 @@ class Furniture:
 
     def __bool__(self) -> bool:
         """Whether anything is drawn."""
-        return any(getattr(self, name) not in (False, "") for name in self.__dataclass_fields__ if name != "theme")
+        return bool(self.given.keys() - {"theme"})
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What differs from the default: options of `clvol.render`."""
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {name: value for name, value in values.items() if value is not False and value not in ("", "screen")}
 
     def require_shown(self, space: str) -> None:
         """Raise `OptionError` if a word applies to no volume of this space, `MissingDependencyError` if matplotlib is missing."""
@@ -120,6 +129,17 @@ class Furniture:
     def behind(self) -> bool:
         """Whether some of it lies behind the picture's matter."""
         return self.axes or self.box
+
+    def in_view(self, camera: Camera, low: Points, high: Points, aspect: float) -> Camera:
+        """The camera that has all of the box in view, with its ticks, if that is drawn and the camera's place was left open."""
+        left_open = camera.fit == "matter" and all(
+            value is None for value in (camera.position, camera.target, camera.distance, camera.radius)
+        )
+        if not (self.behind and left_open):
+            return camera
+        x, y, z = (float(v) for v in (low + high) / 2)
+        around = _AROUND + _TICKED * self.axes + _BESIDE * (self.color_bar and aspect < _WIDE)
+        return replace(camera, target=(x, y, z), radius=around * float(np.linalg.norm(high - low)) / 2)
 
 
 class Bar(NamedTuple):
@@ -519,13 +539,17 @@ def furnished(bare: NDArray[np.float32], furniture: Furniture, stage: Stage) -> 
     made = Furnished(bare, stage, marks_of(furniture, stage))
     picture = bare
     if furniture.behind:
-        below = drawn([mark for mark in made.marks if _behind(mark)], stage)
-        if stage.background is not None:
-            ground = np.empty_like(bare)
-            ground[...] = (*np.clip(stage.background, 0, 1), 1)
-            below = over(below, ground)
-        picture = over(bare, below)
+        picture = over(bare, on(stage.background, drawn([mark for mark in made.marks if _behind(mark)], stage)))
     return over(drawn([mark for mark in made.marks if not _behind(mark)], stage), picture), made
+
+
+def on(background: Color | None, picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A picture over its background."""
+    if background is None:
+        return picture
+    ground = np.empty_like(picture)
+    ground[...] = (*np.clip(background, 0, 1), 1)
+    return over(picture, ground)
 
 
 def over(top: NDArray[np.float32], below: NDArray[np.float32]) -> NDArray[np.float32]:

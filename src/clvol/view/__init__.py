@@ -58,8 +58,8 @@ class View:
     source : str, optional
         Python text by which copied programs get the volume, such as ``clvol.read("scan.nii.gz")``; of several, such as
         ``clvol.read_all("cells.tif")``.
-    title : str, optional
-        For people; by default the volume's name.
+    name : str, optional
+        Of the page; by default the volume's.
     finer : Finer, optional
         All levels of the stored volume of which `scene` is one.
     limits : mapping, optional
@@ -83,12 +83,12 @@ class View:
         *,
         device: Device | str | int | None = None,
         source: str | None = None,
-        title: str | None = None,
+        name: str | None = None,
         finer: Finer | None = None,
         limits: Mapping[str, Any] | None = None,
         **options: Unpack[ViewOptions],
     ) -> None:
-        self.resident = Resident(scene, device=device, source=source, title=title, finer=finer, limits=limits, **options)
+        self.resident = Resident(scene, device=device, source=source, name=name, finer=finer, limits=limits, **options)
         """What its sessions share."""
 
     @property

@@ -108,8 +108,9 @@ class Catalog:
         return choice if axis == "channel" and choice and choice == leading.computed else leading.place(axis, choice)
 
     def require(self, state: State) -> None:
-        """Refuse what only the volume can refuse of a state: another volume, labels that it has not."""
+        """Refuse what only the volume can refuse of a state: another volume, labels that it has not, letters of no patient."""
         place, seen = self.which(state)
+        state.furniture.require_shown(self.volume.space)
         if state.labels is not None and self.volumes is None:  # else another of them may have such labels
             if seen is None:
                 raise OptionError(f"labels must be left out, for the volume is no label map; got {state.labels!r:.200}")

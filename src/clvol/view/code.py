@@ -31,7 +31,7 @@ _PREFIX = "#s="
 _READS_ALL = ast.dump(ast.parse("clvol.read_all", mode="eval").body)
 _LONGEST = 1 << 18  # characters
 _WIDE = 110  # characters per line
-_UNHEARD = (*WORDS, "gradient", "pixel-filter")  # flags that some mode or filter does not have
+_UNHEARD = (*WORDS, "gradient", "pixel-filter", "color-bar")  # flags that some mode or filter does not have
 
 
 # -- Python --------------------------------------------------------------------------------------------------
@@ -105,7 +105,7 @@ def _source(resident: Resident, state: State) -> str | None:
 
 def _drawn(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int], result: str) -> list[str]:
     finer = resident.finer_picture(state, shown, name, size)
-    given = resident.arguments(state) if finer is None else dict(finer.given)
+    given = resident.arguments(state, bare=state.heat) if finer is None else dict(finer.given)
     camera, mode = given.pop("camera"), given.pop("mode")
     words = _reconstruction(state) | {"size": size} | given
     words |= {"outputs": "visited"} if state.heat else {}
@@ -251,6 +251,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "clip": state.clip and [*state.clip[0], *state.clip[1]],
         "clip-plane": [[*cut.normal, *cut.point] for cut in state.cuts if isinstance(cut, Plane)] or None,
         "clip-corner": [[*cut.low, *cut.high] for cut in state.cuts if isinstance(cut, Corner)] or None,
+        **{name.replace("_", "-"): value for name, value in state.furniture.given.items()},
     }
     flags: dict[str, Any] = {flag: value for flag, value in given.items() if value is not None}
     flags |= {flag.replace("_", "-"): _text(value).strip("'") if not isinstance(value, (bool, int, float)) else value

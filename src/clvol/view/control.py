@@ -192,7 +192,7 @@ def _anchor(resident: Resident, context: Context, state: State, x: float, y: flo
     pane = context.pane(state, "3d")
     assert isinstance(pane, Pane3D)  # by its name
     with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
-        return _hit(renderer, pane, x, y, resident.arguments(state))
+        return _hit(renderer, pane, x, y, resident.arguments(state, bare=True))
 
 
 def _picked(resident: Resident, context: Context, state: State, name: str, x: float, y: float) -> dict[str, Any]:
@@ -208,7 +208,7 @@ def _picked(resident: Resident, context: Context, state: State, name: str, x: fl
     if not resident.renderers.soon(*key):
         raise OptionError("nothing can be picked before the coefficients are computed")
     with resident.renderers.renderer(*key) as renderer:
-        volume, arguments = renderer.volume, resident.arguments(state)
+        volume, arguments = renderer.volume, resident.arguments(state, bare=True)
         if isinstance(pane, SlicePane):
             point: NDArray[np.float64] | None = pane.point(x, y)
             field = renderer.field

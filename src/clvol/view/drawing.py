@@ -222,7 +222,8 @@ class Drawer:
                 yield Shot(pixels, not coarse)
             elif state.heat:
                 shape = (max(1, size[0] // _COARSE), max(1, size[1] // _COARSE)) if coarse else size
-                share = np.asarray(renderer.render(size=shape, outputs="visited", **self._resident.arguments(state)))
+                given = self._resident.arguments(state, bare=True)
+                share = np.asarray(renderer.render(size=shape, outputs="visited", **given))
                 yield Shot(to_bytes(heat(share)), not coarse, state.step, _mean(share))
             else:
                 yield from _refined(renderer, order, self._resident.arguments(state))
@@ -265,7 +266,7 @@ def share_visited(resident: Resident, state: State, shape: tuple[float, float]) 
     edge = _TOUR / max(shape)
     size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))
     with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
-        given = resident.arguments(state) | {"rays": 1}
+        given = resident.arguments(state, bare=True) | {"rays": 1}
         given.pop("pixel_filter", None)  # of several rays
         return _mean(np.asarray(renderer.render(size=size, outputs="visited", **given)))
 

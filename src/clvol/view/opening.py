@@ -16,13 +16,14 @@ from clvol.bricks.source import LazyVolume
 from clvol.device import Device
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.choose import without_masked
-from clvol.march.options import KEYWORDS
+from clvol.march.options import KEYWORDS, FurnitureOptions
 from clvol.scene.camera import Camera
 from clvol.scene.clip import as_clip, cuts_of
 from clvol.scene.fit import usual_camera
 from clvol.scene.look import look
 from clvol.scene.mode import as_mode, modes
 from clvol.scene.scene import Medium, Scene
+from clvol.show.furniture import Furniture
 from clvol.spline.field import Field
 from clvol.view.finer import Finer, resident_level
 from clvol.view.panes import triple, vertical
@@ -53,6 +54,8 @@ def opened(
     scene: Viewable, device: Device | str | int | None, source: str | None, finer: Finer | None, options: dict[str, Any]
 ) -> Opened:
     """Take a scene apart; of a `LazyVolume` the largest size that fits is read, with NaN for what cannot be read."""
+    if Furniture(theme=options.pop("theme", None) or "screen").theme == "print":
+        options = {"background": "white"} | options
     if (mask := options.pop("mask", None)) is not None:
         if isinstance(scene, Volumes):
             raise OptionError("mask takes one volume; got several, of which a view shows one at a time")
@@ -123,6 +126,7 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
             raise OptionError(f"{name} is no option of a view: its hosts decide it")
     row, boundary = given.pop("filter", None), given.pop("boundary", None)
     values = {name: given.pop(name) for name in _STATED if name in given}
+    around = {name: given.pop(name) for name in FurnitureOptions.__annotations__ if name in given}
     chosen = as_mode("composite" if mode is None else mode, given, (*KEYWORDS, "filter", "boundary", "device"))
     if chosen.name not in modes():
         raise OptionError(f"mode must be one of {', '.join(modes())} in a view; got {chosen.name!r}")
@@ -147,6 +151,7 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
         camera=_camera_state(volume, camera or usual_camera(volume)),
         mode=chosen.name,
         options={name: plain(value) for name, value in options.items()},
+        furniture=Furniture(**{name: value for name, value in around.items() if value is not None}),
         filter=None if row is None else getattr(row, "name", row),
         boundary="mirror" if boundary is None else getattr(boundary, "name", boundary),
         **values,

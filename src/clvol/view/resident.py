@@ -18,7 +18,7 @@ from clvol.march.options import ViewOptions, unheard
 from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
 from clvol.scene.clip import joined
-from clvol.scene.fit import Seen, fitted
+from clvol.scene.fit import Seen, box_around, fitted
 from clvol.scene.look import look
 from clvol.scene.mode import BY_DISTANCE, CURVATURES, Mode, as_mode, colored_by, mode_options, modes
 from clvol.scene.preset import presets
@@ -61,7 +61,7 @@ class Resident:
         *,
         device: Device | str | int | None = None,
         source: str | None = None,
-        title: str | None = None,
+        name: str | None = None,
         finer: Finer | None = None,
         limits: Mapping[str, Any] | None = None,
         **options: Unpack[ViewOptions],
@@ -71,17 +71,19 @@ class Resident:
         self.finer, self.device, self.source, given = found.finer, found.device, found.source, found.options
         self.catalog = Catalog(found.volume, found.volumes, lambda: self.renderers.in_use())
         self.renderers = Renderers(self.catalog, self.device, found.coefficients, found.scene, self._learn, self.limits)
-        self.title = title or (found.volume.name or "volume" if found.volumes is None else "volumes")
+        self.name = name or (found.volume.name or "volume" if found.volumes is None else "volumes")
         self.others = () if found.scene is None else tuple(one for one in found.scene.media[1:] if one.visible)
         """The other media that are seen."""
         self.beyond = () if found.scene is None else found.scene.media[0].beyond_words
         """What the first medium has that no state holds."""
+        self._colored = found.scene is not None and any(one.color_by is not None for one in found.scene.media)
         self.beside: dict[str, Any] = {name: given.pop(name) for name in _BESIDE if name in given}
         """Arguments of `clvol.render` that are not part of a state."""
         self.initial = first_state(found.volume, given)
         self._describing = threading.Lock()  # not the other lock: the description does not wait for what takes longer
         self._knowing = threading.RLock()  # what takes long is computed once, however many ask
         self._descriptions: dict[tuple[int | str, ...], dict[str, Any]] = {}
+        self.catalog.require(self.initial)
         if any(value is not None for value in self.initial.words.values()):
             self.transfer(self.initial)  # which only the volume can refuse
 
@@ -104,10 +106,10 @@ class Resident:
 
     # -- what is drawn -----------------------------------------------------------------------------------------
 
-    def arguments(self, state: State) -> dict[str, Any]:
+    def arguments(self, state: State, *, bare: bool = False) -> dict[str, Any]:
         """Arguments of `Renderer.render` for the volume's picture in a state, except its size and outputs.
 
-        A state keeps what only another mode or filter would show; a picture does not take it.
+        A state keeps what only another mode or filter would show; a picture does not take it. `bare` leaves out what stands around.
         """
         given: dict[str, Any] = {"camera": camera_of(state), "mode": state.mode, "step": state.step, **self.beside}
         words: dict[str, Any] = state.words if state.transfer is None else {"transfer": state.transfer}
@@ -116,6 +118,7 @@ class Resident:
             words["clip"] = [*([state.clip] if state.clip else []), *state.cuts]
         given |= {name: value for name, value in words.items() if value is not None}
         given["background"] = state.background
+        given |= {} if bare else state.furniture.given
         own = {name: tuple(v) if isinstance(v, list) else v for name, v in state.options.items()}
         return self._heard(state, given | own)
 
@@ -133,7 +136,7 @@ class Resident:
     def _heard(self, state: State, given: dict[str, Any]) -> dict[str, Any]:
         """The arguments that change something in the mode and with the filter of a state."""
         mode = as_mode(state.mode, state.options)
-        left_out = mode.unheard.keys() | unheard(mode, given)
+        left_out = (mode.unheard.keys() | unheard(mode, given)) - ({"color_bar"} if self._colored else set())
         row = filter_for(self.catalog.volume_of(state), state.filter, mode.picture_filter)
         if not row.has_gradient:
             left_out |= {"gradient"}
@@ -162,7 +165,9 @@ class Resident:
         """The camera with its target, as a picture of this aspect ratio has it."""
         volume = self.catalog.volume_of(state)
         others = [self._seen(other, state) for other in self.others]
-        camera = fitted(camera_of(state), volume, self.mode(state), self.transfer(state), state.clip, aspect, others=others)
+        boxes = [(volume, state.clip), *((one, clip) for one, _, _, clip in others)]
+        camera = state.furniture.in_view(camera_of(state), *box_around(boxes), aspect)
+        camera = fitted(camera, volume, self.mode(state), self.transfer(state), state.clip, aspect, others=others)
         return targeted(camera, self.volume)
 
     def _seen(self, other: Medium, state: State) -> Seen:
@@ -213,7 +218,7 @@ class Resident:
             place = self.catalog.which(state).place
             if place not in self._descriptions:
                 volume = self.catalog.volume_at(Which(place))
-                described = _description(volume, self.title, self.catalog.axes(), self.catalog.labels(state))
+                described = _description(volume, self.name, self.catalog.axes(), self.catalog.labels(state))
                 while len(self._descriptions) >= _KEPT:
                     del self._descriptions[next(iter(self._descriptions))]
                 self._descriptions[place] = described

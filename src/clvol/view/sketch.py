@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from clvol.filter.filter import Filter
 from clvol.march.renderer import Renderer
-from clvol.scene.fit import fitted
+from clvol.scene.fit import box_around, fitted
 from clvol.scene.preset import unit_of
 from clvol.show.picture import Picture
 from clvol.view.catalog import Which
@@ -43,10 +43,16 @@ class Sketch:
         transfer = few.transfer(state)
         unit = transfer.unit_distance if state.transfer is not None else unit_of(self._whole)
         transfer = replace(transfer, unit_distance=unit or self._whole.mean_spacing)  # that of the samples is wider
-        camera = targeted(fitted(camera_of(state), self._whole, mode, transfer, state.clip, size[0] / size[1]), self._whole)
+        aspect = size[0] / size[1]
+        camera = state.furniture.in_view(camera_of(state), *box_around([(self._whole, state.clip)]), aspect)
+        camera = targeted(fitted(camera, self._whole, mode, transfer, state.clip, aspect), self._whole)
         if camera.radius is None:
             camera = replace(camera, radius=self._whole.radius)
-        given = {name: value for name, value in few.arguments(state).items() if name not in (*WORDS, "transfer", "pixel_filter")}
+        given = {
+            name: value
+            for name, value in few.arguments(state, bare=True).items()
+            if name not in (*WORDS, "transfer", "pixel_filter")
+        }
         given |= {"camera": camera, "rays": 1} | ({} if "transfer" in mode.unheard else {"transfer": transfer})
         shrink = min(1.0, _EDGE / max(size))
         width, height = (max(1, round(shrink * n)) for n in size)

@@ -26,6 +26,7 @@ from clvol.scene.light import MAX_LIGHTS, Light, Material
 from clvol.scene.mode import as_mode, heard_options
 from clvol.scene.preset import as_preset
 from clvol.scene.transfer import WORDS, TransferFunction
+from clvol.show.furniture import Furniture
 from clvol.volume.volumes import COMPUTED
 
 __all__ = [
@@ -61,6 +62,7 @@ MOST_POINTS = 512  # of a transfer function; they fit into one message
 MOST_LABELS = 2048  # that are hidden or shown; they fit into one message
 _TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair")
 _MOST_LABEL = 1 << 53  # the largest integer up to which float64 holds all
+_LONGEST_TITLE = 200  # characters
 _MOST_PLACES = (1 << 31) - 1  # volumes along an axis
 _FARTHEST = 1e15  # world units; its square and cube do not overflow
 
@@ -335,6 +337,20 @@ def _cut_json(cut: Plane | Corner) -> dict[str, list[float | None]]:
     return {each.name: [v if math.isfinite(v) else None for v in getattr(cut, each.name)] for each in fields(cut)}
 
 
+def _furniture(what: str, value: Any) -> Furniture:
+    instance(what, value, Furniture)
+    if value.theme != "screen":
+        raise OptionError(f"{what}.theme must be left out: a state has a background; got {value.theme!r}")
+    for name in ("title", "time_stamp"):
+        if len(text := str(getattr(value, name))) > _LONGEST_TITLE:
+            raise OptionError(f"{what}.{name} must have at most {_LONGEST_TITLE} characters; got {len(text)}")
+    return value  # type: ignore[no-any-return]  # checked
+
+
+def _furniture_json(furniture: Furniture) -> dict[str, Any]:
+    return {name: value for name, value in vars(furniture).items() if name != "theme"}
+
+
 # -- the state -----------------------------------------------------------------------------------------------
 
 
@@ -466,6 +482,8 @@ class State(_Checked):
         What else is cut away: see `clip` of `clvol.render`.
     labels : LabelState, optional
         Which labels of a label map are seen; others are background.
+    furniture : Furniture
+        What stands around the volume's picture, but no theme: that is a background.
     crosshair : three numbers, optional
         In world units; by default the volume's centre.
     wiper : Wiper, optional
@@ -495,6 +513,7 @@ class State(_Checked):
     clip: tuple[Triple, Triple] | None = _of(_box, None, _clip_of, lambda clip: {"low": list(clip[0]), "high": list(clip[1])})
     cuts: tuple[Plane | Corner, ...] = _of(_cuts, (), _cuts_of, lambda cuts: [_cut_json(cut) for cut in cuts])
     labels: LabelState | None = _part(LabelState, write=LabelState.json)
+    furniture: Furniture = _of(_furniture, Furniture(), partial(_dataclass_of, kind=Furniture), _furniture_json)
     crosshair: Triple | None = _of(_triple, None)
     wiper: Wiper | None = _part(Wiper)
     heat: bool = _of(_switch, False)

@@ -24,7 +24,7 @@ LAST = "document.querySelector('.clvol-pane[data-pane=\"3d\"]')?.dataset.final =
 
 @pytest.fixture
 def served(device: Device) -> Iterator[Serving]:
-    view = View(clvol.phantoms.sphere(32), device=device, mode="isosurface", title="a sphere of 32³")
+    view = View(clvol.phantoms.sphere(32), device=device, mode="isosurface", name="a sphere of 32³")
     with view.serve() as found:
         yield found
 

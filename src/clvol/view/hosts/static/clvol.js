@@ -173,17 +173,22 @@ function colorBox(label, changed) {
   return { element: row(label, box), box, show: (value) => Array.isArray(value) && (box.value = hex(value)) };
 }
 
-/** Surfaces as text, "value:color:opacity,...": a picture is asked for when the box is left or Enter is pressed. */
-function surfacesBox(label, changed, hint) {
+/** A value as text: a picture is asked for when the box is left or Enter is pressed. */
+function textBox(label, changed, hint, words = (value) => String(value ?? "")) {
   const box = make("input", { type: "text", "aria-label": label, title: hint, spellcheck: false, onchange: () => changed(box.value) });
-  const words = ([value, color, opacity]) => `${typeof value === "number" ? short(value) : value}:${hex(color)}:${short(opacity, 3)}`;
   return {
     element: row(label, box),
     box,
     show(value) {
-      if (document.activeElement !== box && Array.isArray(value)) box.value = value.map(words).join(", ");
+      if (document.activeElement !== box) box.value = words(value);
     },
   };
+}
+
+/** Surfaces as text, "value:color:opacity,...". */
+function surfacesBox(label, changed, hint) {
+  const one = ([value, color, opacity]) => `${typeof value === "number" ? short(value) : value}:${hex(color)}:${short(opacity, 3)}`;
+  return textBox(label, changed, hint, (value) => (value ?? []).map(one).join(", "));
 }
 
 function button(text, pressed, { label, title, kind = "" } = {}) {
@@ -467,7 +472,7 @@ class Pane {
 
   /** The patient's directions at the edges of the picture; x, y, z run left, posterior, superior. */
   letters({ right, down }) {
-    if (this.viewer.info?.volume?.space !== "LPS") return [];
+    if (this.viewer.info?.volume?.space !== "LPS" || (this.name === "3d" && this.viewer.state?.furniture.letters)) return [];
     const word = (v) => {
       const i = [0, 1, 2].reduce((best, k) => (Math.abs(v[k]) > Math.abs(v[best]) ? k : best), 0);
       return Math.abs(v[i]) > 0.7 * Math.hypot(...v) ? ["LR", "PA", "SI"][i][v[i] > 0 ? 0 : 1] : "";
@@ -943,6 +948,15 @@ const LIGHTS = {
   "from the right": [{ direction: [0.8, 0.4, 0.6], frame: "camera" }],
   "from above": [{ direction: [0, 0.95, 0.4], frame: "camera" }],
 };
+/** What stands around the picture, by its word: the label and a hint. */
+const AROUND = {
+  color_bar: ["Colour bar", "the transfer function's colours with their values"],
+  scale_bar: ["Scale bar", "true at the depth of what the camera looks at"],
+  axes: ["Axes", "ticks with the world's coordinates"],
+  box: ["Box", "the edges around the volume"],
+  letters: ["Letters", "the sides of the patient"],
+  cube: ["Cube", "is turned like the world"],
+};
 const MATERIAL = { ambient: [0, 1, 0.25], diffuse: [0, 1.5, 0.75], specular: [0, 1, 0.2], shininess: [1, 120, 30] };
 const TOOL_HINT = "what the first button drags";
 const EDITED = "\u0000edited";
@@ -1084,6 +1098,7 @@ class Panel {
       section("Camera", false, this.cameraControls()),
       section("Light", false, this.lightControls()),
       section("Clip planes", false, this.cropControls()),
+      section("Around the picture", false, this.aroundControls()),
       section("Share", true, this.shareControls()),
       section("Statistics", false, this.statisticsControls()),
       (this.keySection = section("Keys", false)),
@@ -1178,6 +1193,17 @@ class Panel {
     return make("div", {}, this.cropping.element, ...this.crop.map((c) => c.element));
   }
 
+  /** What stands around the picture at rest: furniture, by the words of `clvol.render`. */
+  aroundControls() {
+    const change = (name) => this.setter(`furniture.${name}`);
+    const toggles = Object.entries(AROUND).map(([name, [label, hint]]) => [name, toggle(label, change(name), hint)]);
+    const texts = [["title", textBox("Title", change("title"))], ["time_stamp", textBox("Time stamp", change("time_stamp"))]];
+    this.around = [...toggles, ...texts];
+    const theme = (name, color) => button(name, () => this.viewer.set({ background: color }), { title: `on ${name === "print" ? "white" : "black"}` });
+    const themes = make("div", { class: "clvol-buttons" }, make("span", {}, "Theme"), theme("screen", [0, 0, 0]), theme("print", [1, 1, 1]));
+    return make("div", {}, ...this.around.map(([, control]) => control.element), themes);
+  }
+
   shareControls() {
     const { viewer } = this;
     const copy = (what, name) => button(name, () => viewer.copy(what, name), { title: `copy this picture as ${name}` });
@@ -1226,6 +1252,7 @@ class Panel {
     [...this.crosshair.entries()].forEach(([i, c]) => c.limit(low[i], high[i]));
     this.crop.forEach((c, i) => c.limit(low[i >> 1], high[i >> 1]));
     this.made = null;
+    this.around.find(([name]) => name === "letters")[1].element.hidden = info.volume.space !== "LPS";
     this.axes.tell(info);
     this.labels.tell(info);
     const keys = Object.entries(info.keys ?? {});
@@ -1272,6 +1299,7 @@ class Panel {
       c.show((i % 2 ? high : low)[i >> 1]);
       c.element.hidden = !state.clip;
     });
+    for (const [name, control] of this.around) control.show(state.furniture[name]);
     this.heat.show(state.heat);
     this.axes.show(state);
     this.labels.show(state);
