@@ -64,6 +64,38 @@ def test_the_first_is_edited(device: Device) -> None:  # noqa: ARG001
     assert_array_equal(view.picture(SIZE), clvol.render(changed, camera_of(view.state), size=SIZE))
 
 
+@pytest.mark.parametrize("hidden", [0, 1])
+def test_each_medium_has_an_eye_and_the_others_colors(hidden: int, device: Device) -> None:  # noqa: ARG001
+    """Also where a medium has a transfer function."""
+    scene = replace(SCENE, media=SCENE.media[::-1] if hidden else SCENE.media)
+    view = View(scene)
+    seen = view.state.changed({"media": [{}, {"cmap": "green", "opacity": 0.3}]})
+    view.state = seen
+    first, second = scene.media
+    if second.transfer is None:
+        green = replace(second, cmap="green", opacity=0.3)
+    else:
+        colors = clvol.TransferFunction.from_cmap("green", second.transfer.value_range)
+        green = second.with_transfer(colors.with_opacity([(value, 0.3 * one) for value, one in TISSUE.opacities]))
+    want = clvol.render(replace(scene, media=(first, green)), camera_of(view.state), size=SIZE)
+    assert_array_equal(view.picture(SIZE), want)
+    names: dict[str, Any] = {"clvol": clvol, "volume": first.volume, "others": [second]}
+    exec(view.python(SIZE), names)  # what was copied
+    assert_array_equal(names["picture"], want)
+    view.state = view.state.changed({"media": [{"visible": hidden != 0}, {"visible": hidden != 1}]})
+    alone = replace(scene, media=tuple(replace(one, visible=k != hidden) for k, one in enumerate(scene.media)))
+    assert_array_equal(view.picture(SIZE), clvol.render(alone, camera_of(view.state), size=SIZE))
+    exec(view.python(SIZE), names)
+    assert_array_equal(names["picture"], view.picture(SIZE))
+    for wrong, says in (
+        ([{}], "one for each of the scene's 2"),
+        ([{"cmap": "gray"}, {}], "must have no cmap"),
+        ([{"eye": 1}] * 2, "no field"),
+    ):
+        with pytest.raises(OptionError, match=says):
+            view.state = view.state.changed({"media": wrong})
+
+
 def test_a_renderer_takes_other_looks_of_its_media(device: Device) -> None:
     with clvol.Renderer(SCENE, device=device) as renderer:
         first, second = renderer.scene.media

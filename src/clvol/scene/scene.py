@@ -28,7 +28,7 @@ from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume, masked
 from clvol.volume.volumes import Volumes
 
-__all__ = ["ROUNDING", "Box", "Medium", "Scene", "as_scene"]
+__all__ = ["MOST_MEDIA", "ROUNDING", "Box", "Medium", "Scene", "as_scene"]
 
 ROUNDING = 2.0**-19
 """Largest gradient that counts as rounding error and gives no normal, as a fraction of the function's value per voxel. In
@@ -37,7 +37,7 @@ in the last place. Filters fitted by polynomials of degree 12 exceed it up to ei
 
 _MAX_ANISOTROPY = 1e6  # largest ratio of spacings, the limit of float32
 
-_MOST_MEDIA = 8
+MOST_MEDIA = 8
 _MIXES = ("add", "over")
 
 
@@ -284,8 +284,8 @@ class Scene:
             media and not any(isinstance(m, (Medium, Volume, np.ndarray)) or is_in_parts(m) for m in media)
         ):
             media = (media,)  # a volume or an array, possibly nested lists
-        if not 1 <= len(media) <= _MOST_MEDIA:
-            raise OptionError(f"a scene must have 1 to {_MOST_MEDIA} media; got {len(media)}")
+        if not 1 <= len(media) <= MOST_MEDIA:
+            raise OptionError(f"a scene must have 1 to {MOST_MEDIA} media; got {len(media)}")
         media = tuple(map(as_medium, media))
         _require_one_world({f"medium {k}": medium.volume.grid for k, medium in enumerate(media)})
         for k, medium in enumerate(media):

@@ -13,6 +13,8 @@ import numpy as np
 from clvol import labels
 from clvol.base.errors import OptionError
 from clvol.scene.preset import label_color
+from clvol.scene.scene import Medium
+from clvol.view import media
 from clvol.view.state import LabelState, State
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
@@ -72,11 +74,13 @@ class _Viewed:
 class Catalog:
     """The volumes of a view, which are read when they are first shown; all have the grid of the first.
 
-    `in_use` says what renderers exist of: those are not forgotten.
+    `in_use` says what renderers exist of: those are not forgotten. `media` are all of a scene of several, as they were given.
     """
 
-    def __init__(self, volume: Volume, volumes: Volumes | None, in_use: Callable[[], set[Which]]) -> None:
-        self.volume, self.volumes, self._in_use = volume, volumes, in_use
+    def __init__(
+        self, volume: Volume, volumes: Volumes | None, in_use: Callable[[], set[Which]], media: tuple[Medium, ...] = ()
+    ) -> None:
+        self.volume, self.volumes, self._in_use, self.media = volume, volumes, in_use, media
         self.first = Which(() if volumes is None else tuple(map(volumes.leading.first, volumes.leading.axes)))
         """What is shown first."""
         self._lock = threading.Lock()
@@ -108,8 +112,9 @@ class Catalog:
         return choice if axis == "channel" and choice and choice == leading.computed else leading.place(axis, choice)
 
     def require(self, state: State) -> None:
-        """Refuse what only the volume can refuse of a state: another volume, labels that it has not, letters of no patient."""
+        """Refuse what only the scene can refuse: another volume, labels that it has not, letters of no patient, other media."""
         place, seen = self.which(state)
+        media.require(self.media, state)
         state.furniture.require_shown(self.volume.space)
         if state.labels is not None and self.volumes is None:  # else another of them may have such labels
             if seen is None:

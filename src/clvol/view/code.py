@@ -21,6 +21,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import Corner, Plane
 from clvol.scene.light import Light, Material
 from clvol.scene.transfer import TransferFunction
+from clvol.view import media
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
 from clvol.view.resident import Resident
 from clvol.view.state import WORDS, State
@@ -44,6 +45,7 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     """
     lines = ["import clvol"]
     lines += ["import numpy as np"] if state.wiper is not None else []
+    lines += ["from dataclasses import replace"] if state.media and name == "3d" else []
     lines += ["from clvol.device import as_device"] if resident.limits else []
     lines += ["from clvol.show.picture import heat, to_bytes"] if state.heat and name == "3d" else []
     lines += ["from clvol.view import section"] if name != "3d" else []
@@ -53,8 +55,10 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
         lines += ["# volume: the clvol.LazyVolume that was viewed" if source is None else f"volume = {source}"]
     else:
         lines += _volume(resident, state)
-    if resident.others and name == "3d":
-        lines += [f"# others: the {len(resident.others)} other media of the scene that was viewed, a list of clvol.Medium"]
+    if resident.catalog.media and name == "3d":
+        lines += [
+            f"# others: the {len(resident.catalog.media) - 1} other media of the scene that was viewed, a list of clvol.Medium"
+        ]
     if resident.beyond and name == "3d":
         lines += [f"# first: the clvol.Medium that was viewed, for its {' and '.join(resident.beyond)}"]
     draw = _drawn if name == "3d" else _cut
@@ -107,17 +111,29 @@ def _drawn(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     finer = resident.finer_picture(state, shown, name, size)
     given = resident.arguments(state, bare=state.heat) if finer is None else dict(finer.given)
     camera, mode = given.pop("camera"), given.pop("mode")
+    given.pop("media", None)
     words = _reconstruction(state) | {"size": size} | given
     words |= {"outputs": "visited"} if state.heat else {}
     words |= _device(resident)
     scene = "volume"
-    if resident.others or resident.beyond:
+    if resident.catalog.media or resident.beyond:
         own = [f"{key}={_text(words.pop(key))}" for key in ("filter", "boundary", "transfer", *WORDS, "material") if key in words]
         own += [f"{key}=first.{key}" for key in resident.beyond]
-        scene = f"clvol.Scene([{_call('clvol.Medium', ['volume', *own])}{', *others' if resident.others else ''}])"
+        own += ["visible=False"] if state.media and state.media[0].visible is False else []
+        scene = f"clvol.Scene([{_call('clvol.Medium', ['volume', *own])}{_others(resident, state)}])"
     texts = [scene, _camera(camera), repr(mode), *(f"{key}={_text(value)}" for key, value in words.items())]
     call = _call("clvol.render", texts)
     return [f"{result} = to_bytes(heat({call}))" if state.heat else f"{result} = {call}"]
+
+
+def _others(resident: Resident, state: State) -> str:
+    """The other media in a list, with what the state changes of them."""
+    if not state.media:
+        return ", *others" if resident.catalog.media else ""
+    each = zip(resident.catalog.media[1:], state.media[1:], strict=True)
+    said = [{key: _text(value) for key, value in media.changes(medium, shown).items()} for medium, shown in each]
+    own = [", ".join(f"{key}={text}" for key, text in words.items()) for words in said]
+    return "".join(f", replace(others[{k}], {words})" if words else f", others[{k}]" for k, words in enumerate(own))
 
 
 def _cut(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int], result: str) -> list[str]:
@@ -269,7 +285,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "lights": "lights" in heard,
         "the material": heard.get("material") not in (None, Material()),
         "the other filter of the wiper": state.wiper is not None,
-        "the other media": bool(resident.others),
+        "the other media": bool(resident.catalog.media),
         "the heat map (--heat-map FILE)": state.heat,
     }
     unsaid = [words for words, is_so in inexpressible.items() if is_so]

@@ -261,7 +261,7 @@ def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generat
 
 def share_visited(resident: Resident, state: State, shape: tuple[float, float]) -> float | None:
     """The mean share of samples that a picture of this shape visits, measured by a small one."""
-    if resident.others:
+    if resident.catalog.media:
         return None
     edge = _TOUR / max(shape)
     size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))

@@ -50,8 +50,9 @@ class _OfScene(Renderer):
 
     def _of_first(self, options: dict[str, Any]) -> dict[str, Any]:
         own = {name: options.pop(name) for name in ("transfer", *WORDS, "material") if name in options}
-        first, *others = self.scene.media
-        return options | {"media": (replace(first, **own), *others)}
+        first, *others = options.get("media", self.scene.media)
+        looked = replace(self.scene.media[0], **own, visible=first.visible)
+        return options | {"media": (looked, *others)}
 
 
 class Renderers:

@@ -24,6 +24,7 @@ from clvol.scene.mode import BY_DISTANCE, CURVATURES, Mode, as_mode, colored_by,
 from clvol.scene.preset import presets
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
+from clvol.view import media
 from clvol.view.catalog import Catalog, Which
 from clvol.view.events import KEYS
 from clvol.view.finer import Finer, Wanted
@@ -40,7 +41,7 @@ _BINS = 256
 _SAMPLED = 1 << 19  # samples of a histogram
 _COLOR_MAPS = (
     "gray", "bone", "hot", "viridis", "magma", "inferno", "plasma", "cividis", "turbo", "coolwarm", "cool", "copper", "pink",
-    "twilight", "cubehelix", "rainbow",
+    "twilight", "cubehelix", "rainbow", "red", "green", "blue", "cyan", "magenta", "yellow",
 )  # fmt: skip
 _KINDS = ("color", "surfaces")  # controls of their own
 _CHOICES: Mapping[str, list[str]] = {"method": ["exact", "stepped"], "color_by": ["none", *CURVATURES, BY_DISTANCE]}
@@ -69,11 +70,10 @@ class Resident:
         found = opened(scene, device, source, finer, {**options})
         self.limits = dict(limits or {})
         self.finer, self.device, self.source, given = found.finer, found.device, found.source, found.options
-        self.catalog = Catalog(found.volume, found.volumes, lambda: self.renderers.in_use())
+        several = () if found.scene is None or len(found.scene.media) == 1 else found.scene.media
+        self.catalog = Catalog(found.volume, found.volumes, lambda: self.renderers.in_use(), several)
         self.renderers = Renderers(self.catalog, self.device, found.coefficients, found.scene, self._learn, self.limits)
         self.name = name or (found.volume.name or "volume" if found.volumes is None else "volumes")
-        self.others = () if found.scene is None else tuple(one for one in found.scene.media[1:] if one.visible)
-        """The other media that are seen."""
         self.beyond = () if found.scene is None else found.scene.media[0].beyond_words
         """What the first medium has that no state holds."""
         self._colored = found.scene is not None and any(one.color_by is not None for one in found.scene.media)
@@ -119,6 +119,7 @@ class Resident:
         given |= {name: value for name, value in words.items() if value is not None}
         given["background"] = state.background
         given |= {} if bare else state.furniture.given
+        given |= {"media": media.of_state(self.catalog.media, state)} if state.media else {}
         own = {name: tuple(v) if isinstance(v, list) else v for name, v in state.options.items()}
         return self._heard(state, given | own)
 
@@ -164,10 +165,12 @@ class Resident:
     def placed(self, state: State, aspect: float) -> Camera:
         """The camera with its target, as a picture of this aspect ratio has it."""
         volume = self.catalog.volume_of(state)
-        others = [self._seen(other, state) for other in self.others]
-        boxes = [(volume, state.clip), *((one, clip) for one, _, _, clip in others)]
-        camera = state.furniture.in_view(camera_of(state), *box_around(boxes), aspect)
-        camera = fitted(camera, volume, self.mode(state), self.transfer(state), state.clip, aspect, others=others)
+        first, *others = media.of_state(self.catalog.media, state) or (None,)
+        seen = [self._seen(other, state) for other in others if other.visible]
+        if first is None or first.visible or not seen:
+            seen = [(volume, self.mode(state), self.transfer(state), state.clip), *seen]
+        camera = state.furniture.in_view(camera_of(state), *box_around((one, clip) for one, _, _, clip in seen), aspect)
+        camera = fitted(camera, *seen[0], aspect, others=seen[1:])
         return targeted(camera, self.volume)
 
     def _seen(self, other: Medium, state: State) -> Seen:
@@ -219,6 +222,7 @@ class Resident:
             if place not in self._descriptions:
                 volume = self.catalog.volume_at(Which(place))
                 described = _description(volume, self.name, self.catalog.axes(), self.catalog.labels(state))
+                described["media"] = media.described(self.catalog.media)
                 while len(self._descriptions) >= _KEPT:
                     del self._descriptions[next(iter(self._descriptions))]
                 self._descriptions[place] = described

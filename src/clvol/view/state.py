@@ -25,6 +25,7 @@ from clvol.scene.clip import Corner, Plane, as_clip
 from clvol.scene.light import MAX_LIGHTS, Light, Material
 from clvol.scene.mode import as_mode, heard_options
 from clvol.scene.preset import as_preset
+from clvol.scene.scene import MOST_MEDIA
 from clvol.scene.transfer import WORDS, TransferFunction
 from clvol.show.furniture import Furniture
 from clvol.volume.volumes import COMPUTED
@@ -39,6 +40,7 @@ __all__ = [
     "CameraState",
     "History",
     "LabelState",
+    "MediumState",
     "SliceState",
     "State",
     "Triple",
@@ -337,6 +339,19 @@ def _cut_json(cut: Plane | Corner) -> dict[str, list[float | None]]:
     return {each.name: [v if math.isfinite(v) else None for v in getattr(cut, each.name)] for each in fields(cut)}
 
 
+def _media(what: str, value: Any) -> tuple[MediumState, ...]:
+    media = tuple(value)
+    if len(media) > MOST_MEDIA or not all(isinstance(one, MediumState) for one in media):
+        raise OptionError(f"{what} must be up to {MOST_MEDIA} of MediumState; got {value!r:.200}")
+    return media
+
+
+def _media_of(what: str, value: object) -> tuple[MediumState, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise OptionError(f"{what} must be a list of up to {MOST_MEDIA} media; got {value!r:.200}")
+    return tuple(_dataclass_of(what, one, MediumState) for one in value)
+
+
 def _furniture(what: str, value: Any) -> Furniture:
     instance(what, value, Furniture)
     if value.theme != "screen":
@@ -450,6 +465,17 @@ class LabelState(_Checked):
 
 
 @dataclass(frozen=True)
+class MediumState(_Checked):
+    """What is changed of a medium of a scene; None leaves it as it was given. `opacity` scales that of a transfer function."""
+
+    visible: bool | None = _of(_switch, None)
+    cmap: str | None = _of(_named, None, known=partial(TransferFunction.from_cmap, value_range=(0.0, 1.0)))
+    opacity: float | None = _of(number, None, minimum=0, maximum=1e6)
+
+    _WITHIN = "media."
+
+
+@dataclass(frozen=True)
 class State(_Checked):
     """What a viewer shows of a volume; `json` and `from_json` convert it.
 
@@ -482,6 +508,8 @@ class State(_Checked):
         What else is cut away: see `clip` of `clvol.render`.
     labels : LabelState, optional
         Which labels of a label map are seen; others are background.
+    media : tuple of MediumState
+        Of a scene of several, what is changed of each; of the first only whether it is seen, for its look is the state's.
     furniture : Furniture
         What stands around the volume's picture, but no theme: that is a background.
     crosshair : three numbers, optional
@@ -513,6 +541,7 @@ class State(_Checked):
     clip: tuple[Triple, Triple] | None = _of(_box, None, _clip_of, lambda clip: {"low": list(clip[0]), "high": list(clip[1])})
     cuts: tuple[Plane | Corner, ...] = _of(_cuts, (), _cuts_of, lambda cuts: [_cut_json(cut) for cut in cuts])
     labels: LabelState | None = _part(LabelState, write=LabelState.json)
+    media: tuple[MediumState, ...] = _of(_media, (), _media_of)
     furniture: Furniture = _of(_furniture, Furniture(), partial(_dataclass_of, kind=Furniture), _furniture_json)
     crosshair: Triple | None = _of(_triple, None)
     wiper: Wiper | None = _part(Wiper)

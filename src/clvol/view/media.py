@@ -1,0 +1,56 @@
+"""The media of a scene that is viewed: what a state changes of them, and their description for clients."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from clvol.base.errors import OptionError
+from clvol.scene.scene import Medium
+from clvol.scene.transfer import TransferFunction
+from clvol.view.state import MediumState, State
+
+__all__ = ["changes", "described", "of_state", "require"]
+
+
+def of_state(media: Sequence[Medium], state: State) -> tuple[Medium, ...]:
+    """The media as a state shows them; of the first it has only whether it is seen."""
+    if not state.media:
+        return tuple(media)
+    return tuple(replace(medium, **changes(medium, own)) for medium, own in zip(media, state.media, strict=True))
+
+
+def changes(medium: Medium, shown: MediumState) -> dict[str, Any]:
+    """What a state changes of a medium, by the names of `Medium`."""
+    given = {name: value for name, value in vars(shown).items() if value is not None}
+    transfer, cmap, opacity = medium.transfer, given.get("cmap"), given.get("opacity")
+    if transfer is None or (cmap is None and opacity is None):
+        return given
+    if cmap is not None:
+        transfer = replace(transfer, colors=TransferFunction.from_cmap(cmap, transfer.value_range).colors)
+    if opacity is not None:
+        transfer = transfer.with_opacity([(value, min(1.0, opacity * one)) for value, one in transfer.opacities])
+    return {name: value for name, value in given.items() if name == "visible"} | {"transfer": transfer}
+
+
+def require(media: Sequence[Medium], state: State) -> None:
+    """`OptionError` unless a state has none or all of these media, and of the first, which is edited itself, no colours."""
+    if state.media and len(state.media) != len(media):
+        raise OptionError(f"media must be left out, or one for each of the scene's {len(media)}; got {len(state.media)}")
+    if state.media and (state.media[0].cmap is not None or state.media[0].opacity is not None):
+        raise OptionError("media must have no cmap and opacity for the first: those of the state are its own")
+    of_state(media, state)
+
+
+def described(media: Sequence[Medium]) -> list[dict[str, Any]]:
+    """For a panel: each medium's name, and how it is seen if a state leaves it open."""
+    return [
+        {
+            "name": medium.volume.name or f"medium {number}",
+            "visible": medium.visible,
+            "cmap": medium.cmap,
+            "opacity": medium.opacity,
+        }
+        for number, medium in enumerate(media, 1)
+    ]
