@@ -109,11 +109,23 @@ def test_a_series_is_found_in_arrays_and_files(form: str, tmp_path: Path) -> Non
         np.testing.assert_array_equal(frame, rgb(picture))
 
 
-def test_channels_of_a_series_are_told(tmp_path: Path) -> None:
-    data = np.stack([np.stack([one.data, 2 * one.data]) for one in blobs()])
+def test_channels_of_a_series_play_together(tmp_path: Path) -> None:
+    """Each picture is `render`'s of the channels of its time; where no file says their ranges, these are of all times."""
+    data = np.stack([np.stack([one.data, one.data[:, ::-1] / 2]) for one in blobs()])
+    known = {"leading": Leading(("time", "channel"), (3, 2), clims=((0, 300), (0, 150)))}
+    assert clvol.movie(clvol.Volumes(data, **known), tmp_path / "film", mode="mip", camera=STILL, **SMALL).times == 3
+    each = [clvol.Volumes(part, leading=Leading(("channel",), (2,), clims=((0, 300), (0, 150)))) for part in data]
+    for one, frame in zip(each, pictures(tmp_path / "film"), strict=True):
+        np.testing.assert_array_equal(frame, rgb(clvol.render(one, STILL, "mip", SMALL["size"], filter="bspline3")))
     both = clvol.Volumes(data, leading=Leading(("time", "channel"), (3, 2)))
-    with pytest.warns(clvol.ClvolWarning, match="3 times × 2 channels; the movie shows channel 0"):
-        assert clvol.movie(both, tmp_path / "film", mode="mip", **SMALL).times == 3
+    clvol.movie(both, tmp_path / "open", mode="mip", camera=STILL, **SMALL)
+    brightest = [frame.max() for frame in pictures(tmp_path / "open")]
+    assert brightest[0] < 0.5 * brightest[2]
+    clvol.write(both, path := tmp_path / "a.ome.tif")
+    with pytest.warns(clvol.ClvolWarning, match="3 times × 2 channels.*; the movie shows channel 0"):
+        assert clvol.movie(path, tmp_path / "first", mode="mip", **SMALL).times == 3
+    with pytest.raises(OptionError, match="filter must be left to the medium of a scene"):
+        clvol.movie([clvol.Scene(one) for one in each], tmp_path / "scenes", mode="mip", **SMALL)
 
 
 # -- how long, and what turns --------------------------------------------------------------------------------------
