@@ -10,6 +10,7 @@ import webbrowser
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +21,7 @@ from clvol.base import html, memory
 from clvol.base.errors import ClvolError, FormatError, OptionError, OutOfMemoryError
 from clvol.base.printable import printable
 from clvol.bricks.source import too_large
+from clvol.cli.media import Others
 from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, bytes_text, is_address, own_options
 from clvol.cli.root import PICTURES, command
 from clvol.cli.words import in_the_shell
@@ -62,13 +64,14 @@ def view(
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    others: Others | None = None,
 ) -> None:
     """Show a volume in a browser: turn it, cut it, change its colours. Ctrl-C ends it.
 
     The printed address contains a token: whoever has the address can look. If the volume is stored in several sizes, the largest
     one that fits, with its coefficients, into half of the available memory is resident; a picture at rest that shows more detail
     reads finer sizes by bricks. If a file with several times or channels is small beside that memory, all are read and the panel
-    chooses; else only the one chosen here.
+    chooses; else only the one chosen here. Beside other volumes it is one, of which no finer size is read; the panel is of SOURCE.
 
     Parameters
     ----------
@@ -101,7 +104,7 @@ def view(
         The most pages open at once.
     """
     look = look or Look()
-    options = own_options(look, own, shown=False)
+    options = own_options(look, own, shown=False, colored=others is not None and others.colors is not None)
     reader = input or Input()
     name = str(source)
     if not (name.startswith("phantom:") or is_address(name) or Path(name).exists()):
@@ -109,6 +112,7 @@ def view(
     if not idle > 0:
         raise OptionError(f"--idle must be above 0; got {idle:g}")
 
+    wanted = partial(_wanted, others, reader, name, filter, device, look, options)
     if terminal or desktop:
         if terminal + desktop + serve > 1:
             raise OptionError("give one of --terminal, --desktop and --serve")
@@ -116,17 +120,17 @@ def view(
             from clvol.view.hosts.desktop import require_display, show_on_desktop
 
             require_display()  # before the volume is read
-            show_on_desktop(_made(_read(reader, name, device), name, filter, device, look, options))
+            show_on_desktop(wanted())
         else:
             from clvol.view.hosts.terminal import show_in_terminal
 
-            show_in_terminal(_made(_read(reader, name, device), name, filter, device, look, options))
+            show_in_terminal(wanted())
         return
     made: Future[View] = Future()  # started before the server is imported, which takes as long as reading a small file
 
     def make() -> None:
         try:
-            made.set_result(_made(_read(reader, name, device), name, filter, device, look, options))
+            made.set_result(wanted())
         except BaseException as error:
             made.set_exception(error)
 
@@ -249,19 +253,36 @@ def _made(
     look: Look,
     own: dict[str, Any],
 ) -> View:
-    """The view that the command line asks for, of what `_read` found."""
+    """The view of what `_read` found."""
     from clvol.view import View
     from clvol.volume.volumes import Volumes
 
     scene, source, finer = found
     volume = scene.first if isinstance(scene, Volumes) else scene
-    options = look.options(volume) | own
-    if look.value_range is None:  # by their names, so that the page shows them
-        options.pop("transfer", None)
-        options |= look.words()
     title = (volume.name if scene is volume else "") or Path(name).name
-    options |= {"filter": filter, "boundary": look.boundary, "limits": look.limits()}
-    return View(scene, device=device, source=source, title=title, finer=finer, **options)
+    options = _options(volume, filter, look, own)
+    return View(scene, device=device, source=source, title=title, finer=finer, limits=look.limits(), **options)
+
+
+def _wanted(
+    others: Others | None, reader: Input, name: str, filter: str | None, device: str | None, look: Look, own: dict[str, Any]
+) -> View:
+    """The view that the command line asks for, of one volume or of several media."""
+    from clvol.view import View
+
+    if others is None:
+        return _made(_read(reader, name, device), name, filter, device, look, own)
+    reader = others.first(reader)
+    volume = reader.open(name)
+    options = _options(volume.preview(), filter, look, own)
+    (scene,) = others.drawn([volume], options, name, reader, Input().open)
+    return View(scene, device=device, title=Path(name).name, limits=look.limits(), **options)
+
+
+def _options(volume: Volume, filter: str | None, look: Look, own: dict[str, Any]) -> dict[str, Any]:
+    """The options of the first picture."""
+    options = look.options(volume) if look.value_range else look.of_scene(volume) | look.words()  # names, which the page shows
+    return options | own | {"filter": filter, "boundary": look.boundary}
 
 
 def _open(url: str) -> None:
