@@ -327,6 +327,41 @@ def test_the_command_plays_times(tmp_path: Path, capsys: pytest.CaptureFixture[s
             assert np.abs(frame.astype(int) - rgb(want)).max() <= 1
 
 
+def test_the_command_takes_key_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Words of one option may stand at moments of their own; a full turn is one; what is not said is as beside the keys."""
+    (ball,) = blobs(1)
+    clvol.write(ball, path := tmp_path / "a.nrrd")
+    words = ["movie", str(path), "--size", "32", "24", "--filter", "bspline3", "--mode", "isosurface", "--fit", "volume"]
+    keys = ["--key", "0:isovalue=20,azimuth=0,clip-plane=0/0/1/0/0/20", "--key", "0.5:background=blue", "--key"]
+    keys += ["1:isovalue=60,azimuth=360,zoom=2,clip-plane=0/0/1/0/0/12", "--elevation", "10", "--frames", "5"]
+
+    def run(*arguments: str) -> tuple[Any, str]:
+        with pytest.raises(SystemExit) as end:
+            cli.main([*words, *arguments])
+        return end.value.code, capsys.readouterr().err
+
+    assert run("-o", str(tmp_path / "film"), *keys) == (0, "")
+    for i, frame in enumerate(pictures(tmp_path / "film")):
+        camera = clvol.Camera.orbit(90 * i, 10, fit="volume", zoom=2)
+        cut = clvol.Plane((0, 0, 1), (0, 0, 20 - 2 * i))
+        seen: dict[str, Any] = {"isovalue": 20 + 10 * i, "clip": cut, "background": "blue"}
+        want = clvol.render(ball, camera, "isosurface", SMALL["size"], filter="bspline3", **seen)
+        assert np.abs(frame.astype(int) - rgb(want)).max() <= 1
+    for given, says in (
+        (["0:isovalu=3"], "isovalu is no option of --key 0 (did you mean isovalue?)"),
+        (["0:evaluator=taps"], "evaluator is no option of --key 0"),
+        (["isovalue=3"], "--key must be MOMENT:NAME=VALUE,NAME=VALUE, a moment from 0"),
+        (["2:isovalue=3"], "a moment of keyframes must be a finite number, at least 0 and at most 1; got 2"),
+        (["0:isovalue=3", "--isovalue", "4"], "--isovalue must be given in key frames or beside them; got both"),
+        (["0:zoom=3", "--turns", "1"], "--turns must be left out where key frames have a camera"),
+        (["0:clip=1/2/3"], "clip of --key 0 must be number/number/number/number/number/number; got '1/2/3'"),
+        (["0:cmap=hot", "--with", str(path)], "--key changes no cmap beside other volumes"),
+    ):
+        code, error = run("-o", str(tmp_path / "refused"), "--key", *given)
+        assert code == 1
+        assert says in error
+
+
 def test_a_scene_turns(tmp_path: Path) -> None:
     """Each picture is that of its camera; key frames cut it open."""
     ball = clvol.phantoms.sphere(12)

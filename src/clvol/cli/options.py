@@ -395,6 +395,10 @@ class Look:
         given = {name: value for name, value in given.items() if value is not None}
         return given | ({"background": None} if self.background == "none" else {})
 
+    def named(self, volume: clvol.Volume) -> dict[str, Any]:
+        """The same with the transfer function by its words, if they say it."""
+        return self.options(volume) if self.value_range else self.of_scene(volume) | self.words()
+
     def cuts(self) -> list[Any]:
         """What is cut away."""
         planes = [clvol.Plane(plane[:3], plane[3:]) for plane in self.clip_plane]

@@ -20,6 +20,7 @@ from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import by_bricks as are_by_bricks
 from clvol.bricks.source import memory_for
 from clvol.cli import speech
+from clvol.cli.keys import Keys
 from clvol.cli.media import Others
 from clvol.cli.options import (
     Background,
@@ -361,6 +362,7 @@ def movie(
     fps: Annotated[float | None, Parameter(show_default=False)] = None,
     frames: Annotated[Whole | None, Parameter(show_default=False)] = None,
     turns: Annotated[float | None, Parameter(show_default=False)] = None,
+    key: Annotated[tuple[str, ...], Parameter(show_default=False)] = (),
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     size: Size = (512, 512),
     device: DeviceName = None,
@@ -389,25 +391,34 @@ def movie(
     frames
         The number of pictures, instead of --seconds.
     turns
-        The number of turns; a negative number turns the other way. [default: 1; 0 if several times play]
+        The number of turns; a negative number turns the other way. [default: 1; 0 if several times play, or with --key]
+    key
+        What is shown at a moment from 0, the first picture, to 1, the last: options of the look, the mode and the furniture, as
+        0:isovalue=300,azimuth=30 and 1:isovalue=1200,azimuth=120, with / between the numbers of one. Numbers, colours and the
+        camera change evenly from one to the next. May be repeated.
     filter
         As of 'clvol render'.
     """
     form = movies.form_of(output)
     require_folder(output)
     movies.require_encoder(form)
-    look, others, reader = look or Look(), others or Others(), input or Input()
+    look, others, reader, keys = look or Look(), others or Others(), input or Input(), Keys(key)
     around = furniture.options() if furniture else {}
     options = own_options(look, own, around=around, colored=others.colors is not None) | around
     cluster = together.cluster if together else None
     limits = look.limits()
     volumes = _times(others.first(reader), source, limits)
     with speech.progress("drawing", json) as progress:
-        options |= look.options(pooled(volumes)) | {"filter": filter, "boundary": look.boundary}
+        some = pooled(volumes)
+        options = keys.beside(options | look.named(some), look, several=others != Others()) | {
+            "filter": filter,
+            "boundary": look.boundary,
+        }
         read = partial(_volume, Input(), whole=needs_whole(limits))
         made = clvol.movie(
             others.drawn(volumes, options, source, reader, read, plays=True),
             output,
+            keys.frames(look, some),
             seconds=seconds,
             fps=fps,
             frames=frames,

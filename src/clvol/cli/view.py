@@ -260,7 +260,7 @@ def _made(
     scene, source, finer = found
     volume = scene.first if isinstance(scene, Volumes) else scene
     title = (volume.name if scene is volume else "") or Path(name).name
-    options = _options(volume, filter, look, own)
+    options = look.named(volume) | own | {"filter": filter, "boundary": look.boundary}
     return View(scene, device=device, source=source, title=title, finer=finer, limits=look.limits(), **options)
 
 
@@ -274,15 +274,9 @@ def _wanted(
         return _made(_read(reader, name, device), name, filter, device, look, own)
     reader = others.first(reader)
     volume = reader.open(name)
-    options = _options(volume.preview(), filter, look, own)
+    options = look.named(volume.preview()) | own | {"filter": filter, "boundary": look.boundary}
     (scene,) = others.drawn([volume], options, name, reader, Input().open)
     return View(scene, device=device, title=Path(name).name, limits=look.limits(), **options)
-
-
-def _options(volume: Volume, filter: str | None, look: Look, own: dict[str, Any]) -> dict[str, Any]:
-    """The options of the first picture."""
-    options = look.options(volume) if look.value_range else look.of_scene(volume) | look.words()  # names, which the page shows
-    return options | own | {"filter": filter, "boundary": look.boundary}
 
 
 def _open(url: str) -> None:
