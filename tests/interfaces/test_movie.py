@@ -124,6 +124,12 @@ def test_channels_of_a_series_play_together(tmp_path: Path) -> None:
     clvol.write(both, path := tmp_path / "a.ome.tif")
     with pytest.warns(clvol.ClvolWarning, match="3 times × 2 channels.*; the movie shows channel 0"):
         assert clvol.movie(path, tmp_path / "first", mode="mip", **SMALL).times == 3
+    clvol.movie(clvol.read_all(path), tmp_path / "read", mode="mip", camera=STILL, **SMALL)
+    words = ["--all-channels", "--mode", "mip", "--size", "32", "24", "--azimuth", "20", "--elevation", "30", "--fit", "volume"]
+    with pytest.raises(SystemExit):
+        cli.main(["movie", str(path), *words, "--filter", "bspline3", "-o", str(tmp_path / "shell")])
+    for one, other in zip(pictures(tmp_path / "read"), pictures(tmp_path / "shell"), strict=True):
+        np.testing.assert_array_equal(one, other)
     with pytest.raises(OptionError, match="filter must be left to the medium of a scene"):
         clvol.movie([clvol.Scene(one) for one in each], tmp_path / "scenes", mode="mip", **SMALL)
 
