@@ -1488,10 +1488,13 @@ def test_cuts_surfaces_and_masks_of_other_volumes(clvol_command: Command) -> Non
     assert clvol_command("render", *others, *SMALL, "-o", "p.png").code == 0
     assert clvol_command("batch", *others, *SMALL, "-o", "{name}.png").code == 0
     assert clvol_command("movie", *others, *SMALL, "--frames", "2", "-o", "film").code == 0
-    for name in ("p.png", "a.png", "film/0000.png"):
+    assert clvol_command("render", "--from", "p.png", "-o", "again.png").code == 0
+    for name in ("p.png", "a.png", "film/0000.png", "again.png"):
         np.testing.assert_array_equal(iio.imread(name)[..., :3], shown, err_msg=name)
     assert clvol_command("orthogonal", *others, "--size", "36", "28", "-o", "p.png").code == 0
     np.testing.assert_array_equal(iio.imread("p.png")[:12, 20:, :3], shown)
+    clvol.write(replace(ball, data=labels[..., ::-1]), "labels.nrrd")
+    clvol_command("render", "--from", "again.png", "-o", "q.png").fails(1, "a.nrrd or its mask labels.nrrd has changed")
     over = ("a.nrrd", "--with", "a.nrrd,cmap=hot,opacity=0/0/0.5/1,boundary=reflect", "--mode", "mip", "--mix", "over")
     assert clvol_command("render", *over, *SMALL, "-o", "p.png").code == 0
     hot = clvol.Medium(ball, cmap="hot", opacity=[(0, 0), (0.5, 1)], boundary="reflect")

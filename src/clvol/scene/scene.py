@@ -25,6 +25,7 @@ from clvol.scene.clip import Box, Clip, as_clip, joined
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.mode import Surfaces
 from clvol.scene.transfer import WORDS, TransferFunction
+from clvol.volume.provenance import note_masked
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume, masked
 from clvol.volume.volumes import Volumes
@@ -129,8 +130,9 @@ class Medium:
         lazy = is_in_parts(self.volume)
         volume = self.volume if lazy else as_volume(self.volume)
         if mask is not None or where is not None:
-            outside = _outside(mask, where)
+            outside, plain = _outside(mask, where), volume
             volume = import_module("clvol.bricks.continued").holed(volume, outside) if lazy else masked(volume, outside)
+            note_masked(volume, plain, mask, where)
         object.__setattr__(self, "volume", volume)
         instance("visible", self.visible, bool, np.bool_)
         if self.filter is not None:
