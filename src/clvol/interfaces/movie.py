@@ -284,8 +284,8 @@ def _volumes(source: Any, reading: dict[str, Any], limits: Mapping[str, Any]) ->
     shapes = [[volume.shape for volume in _volumes_of(one)] for one in found]
     for one, shape in zip(found, shapes, strict=True):
         if shape != shapes[0] or one.grid.ndim != 3:
-            first, other = (" and ".join(map(str, each)) for each in (shapes[0], shape))
-            raise DataError(f"volumes of a movie must have 3 axes and one shape; got {first} and {other}")
+            first, other = (" with ".join(map(str, each)) for each in (shapes[0], shape))
+            raise DataError(f"volumes of a movie, or media of its scenes, must have 3 axes and one shape; got {first} and {other}")
     return found
 
 
