@@ -1466,5 +1466,38 @@ def test_volumes_of_other_files_are_in_the_picture_and_color_it(clvol_command: C
     clvol_command(*channels, "--all-channels", "--by-bricks").fails(1, "--all-channels are read whole")
     clvol_command(*draw, "--with", "b,1.nrrd,presets=ct-bone").fails(1, "presets is no option of b,1.nrrd", "preset")
     assert clvol_command(*draw, "--with", SPHERE, "--window", "0.5", "0.1", "--json").json["window"] == pytest.approx([0.5, 0.1])
-    clvol_command(*draw, "--with", "b,1.nrrd,window=3").fails(1, "window of b,1.nrrd must be center/width; got '3'")
+    clvol_command(*draw, "--with", "b,1.nrrd,window=3").fails(1, "window of b,1.nrrd must be number/number; got '3'")
+    clvol_command(*draw, "--with", "b,1.nrrd,opacity=x").fails(1, "b,1.nrrd: Invalid value for --opacity")
+    clvol_command(*draw, "--mix", "over", "--mode", "mip").fails(1, "--mix is for several media", "got 'over' and one medium")
     clvol_command(*draw, "--mode", "mip", "--colors", "b,1.nrrd").fails(1, "color_by of a medium changes nothing in mip")
+
+
+def test_cuts_surfaces_and_masks_of_other_volumes(clvol_command: Command) -> None:
+    """As `clvol.Medium` has them, in the words of the shell; and every command draws the same scene."""
+    ball = clvol.phantoms.sphere(14)
+    labels = np.where(np.arange(14) < 7, np.uint8(1), np.uint8(2)) * np.ones(ball.shape, np.uint8)
+    clvol.write(ball, "a.nrrd")
+    clvol.write(replace(ball, data=labels), "labels.nrrd")
+    words = "a.nrrd,mask=labels.nrrd,where=2,clip-plane=0/0/1/0/0/0.4,clip-plane=0/-1/0/0/-0.5/0,surfaces=0.5:tan:0.4,0.2:red:0.1"
+    others = ("a.nrrd", "--with", words, "--opacity", "0.1")
+    cuts = [clvol.Plane((0, 0, 1), (0, 0, 0.4)), clvol.Plane((0, -1, 0), (0, -0.5, 0))]
+    part = clvol.Medium(ball, mask=labels, where=2, clip=cuts, surfaces=[(0.5, "tan", 0.4), (0.2, "red", 0.1)])
+    want = clvol.render(clvol.Scene([clvol.Medium(ball, opacity=0.1), part]), size=(16, 12))
+    want.save("want.png")
+    shown = iio.imread("want.png")[..., :3]
+    assert clvol_command("render", *others, *SMALL, "-o", "p.png").code == 0
+    assert clvol_command("batch", *others, *SMALL, "-o", "{name}.png").code == 0
+    assert clvol_command("movie", *others, *SMALL, "--frames", "2", "-o", "film").code == 0
+    assert clvol_command("render", "--from", "p.png", "-o", "again.png").code == 0
+    for name in ("p.png", "a.png", "film/0000.png", "again.png"):
+        np.testing.assert_array_equal(iio.imread(name)[..., :3], shown, err_msg=name)
+    assert clvol_command("orthogonal", *others, "--size", "36", "28", "-o", "p.png").code == 0
+    np.testing.assert_array_equal(iio.imread("p.png")[:12, 20:, :3], shown)
+    clvol.write(replace(ball, data=labels[..., ::-1]), "labels.nrrd")
+    clvol_command("render", "--from", "again.png", "-o", "q.png").fails(1, "a.nrrd or its mask labels.nrrd has changed")
+    over = ("a.nrrd", "--with", "a.nrrd,cmap=hot,opacity=0/0/0.5/1,boundary=reflect", "--mode", "mip", "--mix", "over")
+    assert clvol_command("render", *over, *SMALL, "-o", "p.png").code == 0
+    hot = clvol.Medium(ball, cmap="hot", opacity=[(0, 0), (0.5, 1)], boundary="reflect")
+    clvol.render(clvol.Scene([ball, hot], mix="over"), mode="mip", size=(16, 12)).save("want.png")
+    np.testing.assert_array_equal(iio.imread("p.png"), iio.imread("want.png"))
+    assert clvol_command("view", *others, "--terminal").code == 0

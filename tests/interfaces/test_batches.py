@@ -16,6 +16,7 @@ import clvol
 from clvol.base.errors import FormatError, OptionError
 from clvol.device import Device
 from clvol.interfaces import batches
+from clvol.volume.volumes import Leading
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +85,7 @@ def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pyte
     np.save(tmp_path / "a.npy", clvol.phantoms.marschner_lobb(24).data)
     sources = [clvol.phantoms.marschner_lobb(20), clvol.LazyVolume(clvol.phantoms.marschner_lobb(22).data)]
     sources.append(clvol.LazyVolume(np.load(tmp_path / "a.npy", mmap_mode="r")))
+    sources.append(clvol.Scene([sources[0], clvol.Medium(sources[2], cmap="hot")]))
     with as_cluster(1) as cluster:
         submit, sent = cluster.submit, list[int]()
 
@@ -98,7 +100,7 @@ def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pyte
                 sources, clvol.Camera.turntable(3), tmp_path / "{number}-{frame}.png", cluster=cluster, mode="mip", size=(8, 8)
             )
             assert not [one.error for one in drawn if one.error]
-    assert len(sent) == 18
+    assert len(sent) == 24
     assert max(sent) < 2000
 
 
@@ -142,9 +144,15 @@ def test_volumes_are_read_by_bricks_as_in_render(files: list[Path], tmp_path: Pa
 
 
 def test_a_batch_uses_the_filter_of_its_mode(tmp_path: Path) -> None:
-    """As in 'clvol render', also for volumes read by bricks."""
+    """As in 'clvol render', also for volumes read by bricks, and for several."""
     ball = clvol.phantoms.marschner_lobb(24)
-    for volume in (ball, clvol.LazyVolume(ball.data, ball.spacing, ball.origin)):
+    both = clvol.Volumes([ball, ball], leading=Leading(("channel",), (2,)))
+    for volume in (
+        ball,
+        clvol.LazyVolume(ball.data, ball.spacing, ball.origin),
+        clvol.Scene([ball, ball.crop((0, 0, 0), (24, 24, 12))]),
+        both,
+    ):
         (one,) = clvol.batch(volume, None, tmp_path / "made.png", size=(20, 20), look=lambda _: {"mode": "mip"})
         clvol.save(clvol.render(volume, mode="mip", size=(20, 20)), tmp_path / "wanted.png")
         np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))

@@ -109,11 +109,29 @@ def test_a_series_is_found_in_arrays_and_files(form: str, tmp_path: Path) -> Non
         np.testing.assert_array_equal(frame, rgb(picture))
 
 
-def test_channels_of_a_series_are_told(tmp_path: Path) -> None:
-    data = np.stack([np.stack([one.data, 2 * one.data]) for one in blobs()])
+def test_channels_of_a_series_play_together(tmp_path: Path) -> None:
+    """Each picture is `render`'s of the channels of its time; where no file says their ranges, these are of all times."""
+    data = np.stack([np.stack([one.data, one.data[:, ::-1] / 2]) for one in blobs()])
+    known = {"leading": Leading(("time", "channel"), (3, 2), clims=((0, 300), (0, 150)))}
+    assert clvol.movie(clvol.Volumes(data, **known), tmp_path / "film", mode="mip", camera=STILL, **SMALL).times == 3
+    each = [clvol.Volumes(part, leading=Leading(("channel",), (2,), clims=((0, 300), (0, 150)))) for part in data]
+    for one, frame in zip(each, pictures(tmp_path / "film"), strict=True):
+        np.testing.assert_array_equal(frame, rgb(clvol.render(one, STILL, "mip", SMALL["size"], filter="bspline3")))
     both = clvol.Volumes(data, leading=Leading(("time", "channel"), (3, 2)))
-    with pytest.warns(clvol.ClvolWarning, match="3 times × 2 channels; the movie shows channel 0"):
-        assert clvol.movie(both, tmp_path / "film", mode="mip", **SMALL).times == 3
+    clvol.movie(both, tmp_path / "open", mode="mip", camera=STILL, **SMALL)
+    brightest = [frame.max() for frame in pictures(tmp_path / "open")]
+    assert brightest[0] < 0.5 * brightest[2]
+    clvol.write(both, path := tmp_path / "a.ome.tif")
+    with pytest.warns(clvol.ClvolWarning, match="3 times × 2 channels.*; the movie shows channel 0"):
+        assert clvol.movie(path, tmp_path / "first", mode="mip", **SMALL).times == 3
+    clvol.movie(clvol.read_all(path), tmp_path / "read", mode="mip", camera=STILL, **SMALL)
+    words = ["--all-channels", "--mode", "mip", "--size", "32", "24", "--azimuth", "20", "--elevation", "30", "--fit", "volume"]
+    with pytest.raises(SystemExit):
+        cli.main(["movie", str(path), *words, "--filter", "bspline3", "-o", str(tmp_path / "shell")])
+    for one, other in zip(pictures(tmp_path / "read"), pictures(tmp_path / "shell"), strict=True):
+        np.testing.assert_array_equal(one, other)
+    with pytest.raises(OptionError, match="filter must be left to the medium of a scene"):
+        clvol.movie([clvol.Scene(one) for one in each], tmp_path / "scenes", mode="mip", **SMALL)
 
 
 # -- how long, and what turns --------------------------------------------------------------------------------------
@@ -313,6 +331,41 @@ def test_the_command_plays_times(tmp_path: Path, capsys: pytest.CaptureFixture[s
             camera = clvol.Camera.orbit(30 + angle, 20, fit="volume")
             want = clvol.render(clvol.read(path, time=volume), camera, "mip", SMALL["size"], filter="bspline3", window=(100, 200))
             assert np.abs(frame.astype(int) - rgb(want)).max() <= 1
+
+
+def test_the_command_takes_key_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Words of one option may stand at moments of their own; a full turn is one; what is not said is as beside the keys."""
+    (ball,) = blobs(1)
+    clvol.write(ball, path := tmp_path / "a.nrrd")
+    words = ["movie", str(path), "--size", "32", "24", "--filter", "bspline3", "--mode", "isosurface", "--fit", "volume"]
+    keys = ["--key", "0:isovalue=20,azimuth=0,clip-plane=0/0/1/0/0/20", "--key", "0.5:background=blue", "--key"]
+    keys += ["1:isovalue=60,azimuth=360,zoom=2,clip-plane=0/0/1/0/0/12", "--elevation", "10", "--frames", "5"]
+
+    def run(*arguments: str) -> tuple[Any, str]:
+        with pytest.raises(SystemExit) as end:
+            cli.main([*words, *arguments])
+        return end.value.code, capsys.readouterr().err
+
+    assert run("-o", str(tmp_path / "film"), *keys) == (0, "")
+    for i, frame in enumerate(pictures(tmp_path / "film")):
+        camera = clvol.Camera.orbit(90 * i, 10, fit="volume", zoom=2)
+        cut = clvol.Plane((0, 0, 1), (0, 0, 20 - 2 * i))
+        seen: dict[str, Any] = {"isovalue": 20 + 10 * i, "clip": cut, "background": "blue"}
+        want = clvol.render(ball, camera, "isosurface", SMALL["size"], filter="bspline3", **seen)
+        assert np.abs(frame.astype(int) - rgb(want)).max() <= 1
+    for given, says in (
+        (["0:isovalu=3"], "isovalu is no option of --key 0 (did you mean isovalue?)"),
+        (["0:evaluator=taps"], "evaluator is no option of --key 0"),
+        (["isovalue=3"], "--key must be MOMENT:NAME=VALUE,NAME=VALUE, a moment from 0"),
+        (["2:isovalue=3"], "a moment of keyframes must be a finite number, at least 0 and at most 1; got 2"),
+        (["0:isovalue=3", "--isovalue", "4"], "--isovalue must be given in key frames or beside them; got both"),
+        (["0:zoom=3", "--turns", "1"], "--turns must be left out where key frames have a camera"),
+        (["0:clip=1/2/3"], "clip of --key 0 must be number/number/number/number/number/number; got '1/2/3'"),
+        (["0:cmap=hot", "--with", str(path)], "--key changes no cmap beside other volumes"),
+    ):
+        code, error = run("-o", str(tmp_path / "refused"), "--key", *given)
+        assert code == 1
+        assert says in error
 
 
 def test_a_scene_turns(tmp_path: Path) -> None:

@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
 import clvol
-from clvol.base.checks import did_you_mean
 from clvol.base.errors import OptionError
-from clvol.cli.options import Input
+from clvol.cli.inline import inline_options, parts_of
+from clvol.cli.options import Input, Look
+from clvol.interfaces.movie import places_of
 from clvol.interop.dispatch import is_in_parts
 from clvol.scene.scene import channels
+from clvol.scene.transfer import WORDS
 from clvol.volume.provenance import note
 
 __all__ = ["Others"]
 
-
-def _window(text: str) -> tuple[float, float]:
-    center, width = text.split("/")
-    return float(center), float(width)
-
-
-_WORDS: dict[str, Callable[[str], Any]] = {"preset": str, "window": _window, "cmap": str, "opacity": float, "filter": str}
-_NEXT = re.compile(r",(?=[a-z_]+=)")
+_OF_MEDIUM = (
+    *("preset", "window", "cmap", "opacity", "filter", "boundary"),
+    *("clip", "clip-plane", "clip-corner", "surfaces", "mask", "where"),
+)
+_OF_FIRST = ("transfer", *WORDS, "filter", "boundary")  # options of a picture that are of the first medium
 
 
 @Parameter(name="*", group=Group("Other volumes in the picture", sort_key=3))
@@ -40,7 +38,8 @@ class Others:
         Parameter(
             name="--with",
             help="One in and around SOURCE: FILE, and how it is shown, as FILE,preset=stat-map or "
-            "FILE,cmap=hot,window=40/400,opacity=0.5,filter=linear. May be repeated.",
+            f"FILE,cmap=hot,window=40/400,clip-plane=0/0/1/0/0/20. Words are {', '.join(_OF_MEDIUM)}; numbers have / between them; "
+            "mask is a file of labels, of which where names those that show it. May be repeated.",
             show_default=False,
         ),
     ] = ()
@@ -48,54 +47,71 @@ class Others:
         str | None, Parameter(help="One that colours the matter and surfaces of SOURCE: FILE, as of --with.", show_default=False)
     ] = None
     all_channels: Annotated[bool, Parameter(negative="", help="All channels of SOURCE, each in its colour.")] = False
+    mix: Annotated[
+        Literal["add", "over"],
+        Parameter(help="How projections go together: their colours add up, or each covers the next ones as far as it is bright."),
+    ] = "add"
 
     def first(self, reader: Input) -> Input:
         """How the volume is read from which looks are chosen."""
         return replace(reader, channel="0") if self.all_channels and reader.channel is None else reader
 
-    def scene(
+    def drawn(
         self,
-        volume: clvol.Volume | clvol.LazyVolume,
-        transfer: clvol.TransferFunction | None,
+        volumes: Sequence[Any],
+        options: dict[str, Any],
         source: str | Path,
         reader: Input,
         read: Callable[[str], Any],
-        **how: Any,
-    ) -> clvol.Scene:
-        """The scene of a volume and these, which `read` reads; `how` it is reconstructed."""
+        *,
+        plays: bool = False,
+    ) -> list[Any]:
+        """Scenes of volumes and these, which `read` reads; the volumes themselves if there are no others.
+
+        The first medium takes what is its own out of `options` of the pictures. With all channels there is one scene, or, if it
+        `plays`, one for each time of the source.
+        """
+        if self == Others():
+            return list(volumes)
+        own = {name: options.pop(name) for name in _OF_FIRST if name in options}
         others = [_medium(text, read) for text in self.with_]
         if self.all_channels:
-            if str(source).startswith("phantom:"):
-                raise OptionError(f"--all-channels is for files; {source} has one")
-            if reader.fill_nan is not None:
-                raise OptionError("--all-channels takes no --fill-nan: samples that are NaN are left out")
-            if reader.channel is not None or self.colors is not None or transfer is not None:
-                raise OptionError("--all-channels have colours of their own: leave out --channel, --colors, --preset and the like")
-            return clvol.Scene((*_channels(source, reader, how), *others))
-        by = None if self.colors is None else _medium(self.colors, read, whole=True)
-        first = clvol.Medium(volume, transfer, color_by=by, **how)  # type: ignore[arg-type]  # it converts
-        return clvol.Scene((first, *others))
+            scenes = self._channels(source, reader, own, plays=plays)
+        else:
+            by = None if self.colors is None else _medium(self.colors, read, whole=True)
+            scenes = [(clvol.Medium(volume, color_by=by, **own),) for volume in volumes]
+        if self.mix != Others.mix and len(scenes[0]) + len(others) < 2:
+            raise OptionError(f"--mix is for several media: give --with or --all-channels; got {self.mix!r} and one medium")
+        return [clvol.Scene((*media, *others), mix=self.mix) for media in scenes]
 
-
-def _channels(source: str | Path, reader: Input, how: dict[str, Any]) -> tuple[clvol.Medium, ...]:
-    media = channels(reader.read_all(source), **how)
-    for number, medium in enumerate(media):
-        note(medium.volume, source, {**reader.noted(), "channel": number})
-    return media
+    def _channels(self, source: str | Path, reader: Input, own: dict[str, Any], *, plays: bool) -> list[tuple[clvol.Medium, ...]]:
+        """The channels of a file, at each time."""
+        how = {name: own.pop(name) for name in ("filter", "boundary") if name in own}
+        if str(source).startswith("phantom:"):
+            raise OptionError(f"--all-channels is for files; {source} has one")
+        if reader.fill_nan is not None:
+            raise OptionError("--all-channels takes no --fill-nan: samples that are NaN are left out")
+        if reader.channel is not None or self.colors is not None or own:
+            raise OptionError("--all-channels have colours of their own: leave out --channel, --colors, --preset and the like")
+        volumes = reader.read_all(source)
+        scenes = [channels(volumes, at, **how) for at in (places_of(volumes.leading) if plays else [{}])]
+        for number, medium in enumerate(scenes[0]):
+            note(medium.volume, source, {**reader.noted(), "channel": number})
+        return scenes
 
 
 def _medium(text: str, read: Callable[[str], Any], *, whole: bool = False) -> clvol.Medium:
     """The medium in "FILE,name=value,..."."""
-    source, *words = (text,) if Path(text).exists() else _NEXT.split(text)
-    given: dict[str, Any] = {}
-    for word in words:
-        name, _, value = word.partition("=")
-        if name not in _WORDS:
-            raise OptionError(f"{name} is no option of {source}{did_you_mean(name, _WORDS)}; it may have {', '.join(_WORDS)}")
-        try:
-            given[name] = _WORDS[name](value)
-        except ValueError:
-            rule = "center/width" if name == "window" else "a number"
-            raise OptionError(f"{name} of {source} must be {rule}; got {value!r}") from None
+    source, *words = (text,) if Path(text).exists() else parts_of(text)
+    given = inline_options(words, source, _OF_MEDIUM)
+    look = Look(**{one.name: given.pop(one.name) for one in fields(Look) if one.name in given})
+    if "mask" in given:
+        given["mask"] = _whole(read(given["mask"]))
+    if cuts := look.cuts():
+        given["clip"] = cuts
     volume = read(source)
-    return clvol.Medium(volume.whole() if whole and is_in_parts(volume) else volume, **given)
+    return clvol.Medium(_whole(volume) if whole else volume, boundary=look.boundary, **look.words(), **given)  # type: ignore[arg-type]  # it looks it up
+
+
+def _whole(volume: Any) -> Any:
+    return volume.whole() if is_in_parts(volume) else volume

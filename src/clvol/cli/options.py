@@ -384,11 +384,20 @@ class Look:
 
     def options(self, volume: clvol.Volume) -> dict[str, Any]:
         """Arguments of `clvol.render`."""
+        transfer = self.transfer(volume)
+        return self.of_scene(volume) | ({} if transfer is None else {"transfer": transfer})
+
+    def of_scene(self, volume: clvol.Volume) -> dict[str, Any]:
+        """The same for a scene, whose first medium has the transfer function."""
         given: dict[str, Any] = {name: getattr(self, name) for name in ("rays", "pixel_filter", "gradient")}
-        given |= {"clip": self.cuts() or None, "transfer": self._transfer(volume)}
+        given |= {"clip": self.cuts() or None}
         given |= {"camera": self.camera(volume), "mode": self.mode, "step": self.step, "background": self.background}
         given = {name: value for name, value in given.items() if value is not None}
         return given | ({"background": None} if self.background == "none" else {})
+
+    def named(self, volume: clvol.Volume) -> dict[str, Any]:
+        """The same with the transfer function by its words, if they say it."""
+        return self.options(volume) if self.value_range else self.of_scene(volume) | self.words()
 
     def cuts(self) -> list[Any]:
         """What is cut away."""
@@ -437,7 +446,7 @@ class Look:
         """Azimuth and elevation, where some are given."""
         return 30.0 if self.azimuth is None else self.azimuth, 20.0 if self.elevation is None else self.elevation
 
-    def _transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
+    def transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
         """The requested transfer function; None: the mode's default."""
         words = self.words()
         if self.value_range is None:

@@ -20,6 +20,7 @@ from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import by_bricks as are_by_bricks
 from clvol.bricks.source import memory_for
 from clvol.cli import speech
+from clvol.cli.keys import Keys
 from clvol.cli.media import Others
 from clvol.cli.options import (
     Background,
@@ -49,7 +50,6 @@ from clvol.cli.options import (
     whole_numbers,
 )
 from clvol.cli.root import PICTURES, command
-from clvol.filter.table import PICTURE_FILTER
 from clvol.interfaces.again import render_again
 from clvol.interfaces.batches import needs_whole
 from clvol.interfaces.movie import pooled
@@ -83,13 +83,13 @@ def render(
     *,
     output: Output,
     from_: Annotated[Path | None, Parameter(name="--from", show_default=False)] = None,
-    others: Others | None = None,
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     size: Annotated[Size | None, Parameter(help="Width and height in pixels. [default: 512 512]", show_default=False)] = None,
     device: DeviceName = None,
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    others: Others | None = None,
     furniture: Furniture | None = None,
     heat_map: Path | None = None,
     uncertainty: Path | None = None,
@@ -156,35 +156,31 @@ def render(
     if source is None:
         raise OptionError("give SOURCE, a volume, or --from, a picture of one")
     size = size or (512, 512)
-    look = look or Look()
+    look, others = look or Look(), others or Others()
     outputs: list[clvol.Output] = ["rgba"]
     outputs += ["visited"] if verbose or heat_map is not None else []
     outputs += ["uncertainty"] if uncertainty is not None else []
     around = furniture.options() if furniture else {}
-    options = own_options(look, own, outputs, around=around, colored=others is not None and others.colors is not None) | (
-        {} if lod == "auto" else {"lod": lod}
-    )
+    options = own_options(look, own, outputs, around=around, colored=others.colors is not None)
+    options |= {} if lod == "auto" else {"lod": lod}
     most = None if memory is None else bytes_of(memory)
     whole = needs_whole(look.limits(), () if uncertainty is None else ("uncertainty",))
     cluster = together.cluster if together else None
     by_bricks = by_bricks or cluster is not None
     reader = input or Input()
-    if others and others.all_channels and (by_bricks or memory is not None):
+    if others.all_channels and (by_bricks or memory is not None):
         raise OptionError("--all-channels are read whole: leave out --by-bricks, --memory, --scheduler and --workers")
-    volume = _volume(others.first(reader) if others else reader, source, most, by_bricks=by_bricks, whole=whole)
+    volume = _volume(others.first(reader), source, most, by_bricks=by_bricks, whole=whole)
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
     preview = preview and isinstance(volume, clvol.Volume) and outputs == ["rgba"] and not around
     with speech.progress("rendering", json, preview=preview) as progress, look.limited(device):
         options |= look.options(volume.preview()) | around
         begun = time.perf_counter()
         wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
-        held: dict[str, Any] = {"filter": wanted, "boundary": look.boundary}
-        drawn: Any = volume
         transfer = options.get("transfer")
-        if others:
-            options.pop("transfer", None)
-            drawn = others.scene(volume, transfer, source, reader, partial(_volume, Input(), memory=most), **held)
-            held = {}
+        options |= {"filter": wanted, "boundary": look.boundary}
+        (drawn,) = others.drawn([volume], options, source, reader, partial(_volume, Input(), memory=most, whole=whole))
+        held = {name: options.pop(name) for name in ("filter", "boundary") if name in options}
         with clvol.Renderer(drawn, **held, device=device, memory=most, cluster=cluster) as renderer:
             ready = time.perf_counter()
             shows = preview and progress is not None and isinstance(renderer.field, clvol.Field)
@@ -285,6 +281,7 @@ def batch(
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    others: Others | None = None,
     furniture: Furniture | None = None,
     together: Together | None = None,
     json: Json = False,
@@ -304,8 +301,13 @@ def batch(
     """
     look = look or Look()
     around = furniture.options() if furniture else {}
-    options = own_options(look, own, around=around) | around
+    options = own_options(look, own, around=around, colored=others is not None and others.colors is not None) | around
     reader = input or Input()
+    held: dict[str, Any] = {"filter": filter, "boundary": look.boundary}
+    whole = needs_whole(look.limits())
+    reading: Any = partial(_volume, reader, whole=whole)
+    if others is not None:
+        reading, held = partial(_scene, others=others, reader=reader, look=look, held=held, whole=whole), {}
     speech.require_picture(Path(f"picture{Path(output).suffix}"))
     camera = {"zoom": look.zoom, "projection": look.projection, "fit": look.fit}
     azimuth, elevation = look.turned
@@ -316,14 +318,13 @@ def batch(
             cameras,
             output,
             cluster=together.cluster if together else None,
-            reading=partial(_volume, reader, whole=needs_whole(look.limits())),
-            look=look.options,
+            reading=reading,
+            look=look.options if others is None else look.of_scene,
             limits=look.limits(),
             progress=progress,
-            filter=filter,
-            boundary=look.boundary,
             device=device,
             size=size,
+            **held,
             **options,
         )
     failed = [one for one in drawn if one.error is not None]
@@ -334,6 +335,16 @@ def batch(
     speech.say(json, result, list(dict.fromkeys(f"{one.source}: {one.error}" for one in failed)))
     if failed:
         raise SystemExit(1)
+
+
+def _scene(source: str, *, others: Others, reader: Input, look: Look, held: dict[str, Any], whole: bool) -> Any:
+    """The scene of one of several files and of others."""
+    volume = _volume(others.first(reader), source, whole=whole)
+    options = held | {"transfer": look.transfer(volume.preview())}
+    (drawn,) = others.drawn(
+        [volume], {name: v for name, v in options.items() if v is not None}, source, reader, partial(_volume, Input(), whole=whole)
+    )
+    return drawn
 
 
 @command(PICTURES)
@@ -351,12 +362,14 @@ def movie(
     fps: Annotated[float | None, Parameter(show_default=False)] = None,
     frames: Annotated[Whole | None, Parameter(show_default=False)] = None,
     turns: Annotated[float | None, Parameter(show_default=False)] = None,
+    key: Annotated[tuple[str, ...], Parameter(show_default=False)] = (),
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     size: Size = (512, 512),
     device: DeviceName = None,
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    others: Others | None = None,
     furniture: Furniture | None = None,
     together: Together | None = None,
     json: Json = False,
@@ -378,24 +391,34 @@ def movie(
     frames
         The number of pictures, instead of --seconds.
     turns
-        The number of turns; a negative number turns the other way. [default: 1; 0 if several times play]
+        The number of turns; a negative number turns the other way. [default: 1; 0 if several times play, or with --key]
+    key
+        What is shown at a moment from 0, the first picture, to 1, the last: options of the look, the mode and the furniture, as
+        0:isovalue=300,azimuth=30 and 1:isovalue=1200,azimuth=120, with / between the numbers of one. Numbers, colours and the
+        camera change evenly from one to the next. May be repeated.
     filter
         As of 'clvol render'.
     """
     form = movies.form_of(output)
     require_folder(output)
     movies.require_encoder(form)
-    look = look or Look()
+    look, others, reader, keys = look or Look(), others or Others(), input or Input(), Keys(key)
     around = furniture.options() if furniture else {}
-    options = own_options(look, own, around=around) | around
+    options = own_options(look, own, around=around, colored=others.colors is not None) | around
     cluster = together.cluster if together else None
     limits = look.limits()
-    volumes = _times(input or Input(), source, limits)
+    volumes = _times(others.first(reader), source, limits)
     with speech.progress("drawing", json) as progress:
-        options |= look.options(pooled(volumes))
+        some = pooled(volumes)
+        options = keys.beside(options | look.named(some), look, several=others != Others()) | {
+            "filter": filter,
+            "boundary": look.boundary,
+        }
+        read = partial(_volume, Input(), whole=needs_whole(limits))
         made = clvol.movie(
-            volumes,
+            others.drawn(volumes, options, source, reader, read, plays=True),
             output,
+            keys.frames(look, some),
             seconds=seconds,
             fps=fps,
             frames=frames,
@@ -403,8 +426,6 @@ def movie(
             cluster=cluster,
             progress=progress,
             limits=limits,
-            filter=filter,
-            boundary=look.boundary,
             device=device,
             size=size,
             **options,
@@ -412,8 +433,8 @@ def movie(
     result: dict[str, Any] = {"output": str(output), "frames": made.frames, "fps": made.fps, "mode": look.mode}
     result |= {"times": made.times} if made.times > 1 else {}
     volume = volumes[0]
-    row = made.filter or (volume.bounds.filter if volume.bounds is not None else PICTURE_FILTER)
-    shown = settled(row, volume.part())
+    row = made.filter or row_for(volume, filter, as_mode(look.mode).picture_filter)
+    shown = settled(row or volume.bounds.filter, volume.part())  # type: ignore[union-attr]  # None: by its bounds
     result["filter"] = shown.name if json else speech.filter_text(shown, filter, volume)
     speech.say(json, result)
 
@@ -530,12 +551,14 @@ def orthogonal(
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    others: Others | None = None,
     json: Json = False,
 ) -> None:
     """Draw three slices through a point, across the world's axes, and the 3-D picture, in one picture.
 
     Above the slice across z (axial) and the 3-D picture, below those across y (coronal) and x (sagittal), at one scale. Of the look
-    --window and --cmap are of the slices, and the other options of the 3-D picture.
+    --window and --cmap are of the slices, and the other options of the 3-D picture. Other volumes lie over the slices of SOURCE as
+    far as they are opaque.
 
     Parameters
     ----------
@@ -554,14 +577,16 @@ def orthogonal(
         As of 'clvol render'.
     """
     speech.require_picture(output)
-    look = look or Look()
+    look, others, reader = look or Look(), others or Others(), input or Input()
     solid = replace(look, window=None, cmap=None)
-    options = own_options(solid, own)
-    volume = _volume(input or Input(), source, whole=needs_whole(look.limits()))
+    options = own_options(solid, own, colored=others.colors is not None)
+    whole = needs_whole(look.limits())
+    volume = _volume(others.first(reader), source, whole=whole)
     with speech.progress("drawing", json) as progress, look.limited(device):
-        options |= solid.options(volume.preview())
+        options |= solid.options(volume.preview()) | {"filter": filter, "boundary": look.boundary}
+        (drawn,) = others.drawn([volume], options, source, reader, partial(_volume, Input(), whole=whole))
         picture = clvol.orthogonal(
-            volume,
+            drawn,
             point,
             size,
             crosshair=crosshair,
@@ -570,8 +595,6 @@ def orthogonal(
             slab=slab,
             window=look.window,
             cmap=look.cmap,
-            filter=filter,
-            boundary=look.boundary,
             device=device,
             progress=progress,
             **options,

@@ -10,6 +10,7 @@ import webbrowser
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +21,7 @@ from clvol.base import html, memory
 from clvol.base.errors import ClvolError, FormatError, OptionError, OutOfMemoryError
 from clvol.base.printable import printable
 from clvol.bricks.source import too_large
+from clvol.cli.media import Others
 from clvol.cli.options import (
     DeviceName,
     FilterName,
@@ -75,13 +77,14 @@ def view(
     look: Look | None = None,
     own: ModeOptions | None = None,
     furniture: Furniture | None = None,
+    others: Others | None = None,
 ) -> None:
     """Show a volume in a browser: turn it, cut it, change its colours. Ctrl-C ends it.
 
     The printed address contains a token: whoever has the address can look. If the volume is stored in several sizes, the largest
     one that fits, with its coefficients, into half of the available memory is resident; a picture at rest that shows more detail
     reads finer sizes by bricks. If a file with several times or channels is small beside that memory, all are read and the panel
-    chooses; else only the one chosen here.
+    chooses; else only the one chosen here. Beside other volumes it is one, of which no finer size is read; the panel is of SOURCE.
 
     Parameters
     ----------
@@ -114,7 +117,8 @@ def view(
         The most pages open at once.
     """
     look = look or Look()
-    options = own_options(look, own, shown=False) | (furniture.options() if furniture else {})
+    options = own_options(look, own, shown=False, colored=others is not None and others.colors is not None)
+    options |= furniture.options() if furniture else {}
     reader = input or Input()
     name = str(source)
     if not (name.startswith("phantom:") or is_address(name) or Path(name).exists()):
@@ -122,6 +126,7 @@ def view(
     if not idle > 0:
         raise OptionError(f"--idle must be above 0; got {idle:g}")
 
+    wanted = partial(_wanted, others, reader, name, filter, device, look, options)
     if terminal or desktop:
         if terminal + desktop + serve > 1:
             raise OptionError("give one of --terminal, --desktop and --serve")
@@ -129,17 +134,17 @@ def view(
             from clvol.view.hosts.desktop import require_display, show_on_desktop
 
             require_display()  # before the volume is read
-            show_on_desktop(_made(_read(reader, name, device), name, filter, device, look, options))
+            show_on_desktop(wanted())
         else:
             from clvol.view.hosts.terminal import show_in_terminal
 
-            show_in_terminal(_made(_read(reader, name, device), name, filter, device, look, options))
+            show_in_terminal(wanted())
         return
     made: Future[View] = Future()  # started before the server is imported, which takes as long as reading a small file
 
     def make() -> None:
         try:
-            made.set_result(_made(_read(reader, name, device), name, filter, device, look, options))
+            made.set_result(wanted())
         except BaseException as error:
             made.set_exception(error)
 
@@ -262,19 +267,30 @@ def _made(
     look: Look,
     own: dict[str, Any],
 ) -> View:
-    """The view that the command line asks for, of what `_read` found."""
+    """The view of what `_read` found."""
     from clvol.view import View
     from clvol.volume.volumes import Volumes
 
     scene, source, finer = found
     volume = scene.first if isinstance(scene, Volumes) else scene
-    options = look.options(volume) | own
-    if look.value_range is None:  # by their names, so that the page shows them
-        options.pop("transfer", None)
-        options |= look.words()
     shown = (volume.name if scene is volume else "") or Path(name).name
-    options |= {"filter": filter, "boundary": look.boundary, "limits": look.limits()}
-    return View(scene, device=device, source=source, name=shown, finer=finer, **options)
+    options = look.named(volume) | own | {"filter": filter, "boundary": look.boundary}
+    return View(scene, device=device, source=source, name=shown, finer=finer, limits=look.limits(), **options)
+
+
+def _wanted(
+    others: Others | None, reader: Input, name: str, filter: str | None, device: str | None, look: Look, own: dict[str, Any]
+) -> View:
+    """The view that the command line asks for, of one volume or of several media."""
+    from clvol.view import View
+
+    if others is None:
+        return _made(_read(reader, name, device), name, filter, device, look, own)
+    reader = others.first(reader)
+    volume = reader.open(name)
+    options = look.named(volume.preview()) | own | {"filter": filter, "boundary": look.boundary}
+    (scene,) = others.drawn([volume], options, name, reader, Input().open)
+    return View(scene, device=device, name=Path(name).name, limits=look.limits(), **options)
 
 
 def _open(url: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -147,9 +148,10 @@ def _colored(path: Path, medium: Medium) -> Medium:
 
 
 def _changed(path: Path, volume: Volume) -> DataError:
-    name = provenance_of(volume) or {}
+    known = provenance_of(volume) or {}
+    name = f"{known.get('path')} or its mask {known['mask']['path']}" if "mask" in known else known.get("path")
     return DataError(
-        f"{name.get('path')} has changed since {path} was made of it: its grid or its samples differ; give the volume, "
+        f"{name} has changed since {path} was made of it: its grid or its samples differ; give the volume, "
         "to render it nevertheless"
     )
 
@@ -163,9 +165,21 @@ def facts_text(volume: Volume, preview: Volume) -> str:
 def _found(path: Path, wanted: Volume, *, by_bricks: bool) -> Volume | LazyVolume:
     """The volume of a picture, from where it was."""
     known: dict[str, Any] = dict(provenance_of(wanted) or {})
-    source = known.pop("path", None)
-    if not isinstance(source, str):
+    if not isinstance(known.get("path"), str):
         raise FormatError(f"{path} shows a volume that was made in Python, of {wanted.shape} samples: give the volume")
+    mask, where = known.pop("mask", None), known.pop("where", None)
+    volume = _from(path, known, by_bricks=by_bricks)
+    if mask is None:
+        return volume
+    if not isinstance(mask, Mapping) or not isinstance(mask.get("path"), str):
+        raise FormatError(f"{path} does not say in a way that can be read where the mask of {known['path']} is")
+    labels = _from(path, dict(mask), by_bricks=False)
+    return Medium(volume, mask=labels, where=where).volume  # type: ignore[arg-type]  # or by bricks
+
+
+def _from(path: Path, known: dict[str, Any], *, by_bricks: bool) -> Volume | LazyVolume:
+    """The volume of a path, as seen from a picture, that was read with these options."""
+    source = known.pop("path")
     if source.startswith("phantom:"):
         return by_name(source.removeprefix("phantom:"))
     if "://" in source:

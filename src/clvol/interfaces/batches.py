@@ -20,15 +20,14 @@ from clvol.base.progress import Progress, part_of
 from clvol.bricks.source import LazyVolume, by_bricks
 from clvol.formats import read
 from clvol.formats.opening import opened_if
-from clvol.interop.dispatch import is_in_parts
-from clvol.march.function import row_for
+from clvol.march.choose import as_drawn, source_of
 from clvol.march.options import BatchOptions, FieldOptions, as_outputs, chosen_mode
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
 from clvol.scene.mode import DEFAULT_MODE, as_mode
-from clvol.scene.scene import Scene
+from clvol.scene.scene import Medium, Scene
 from clvol.show.picture import Picture, save
-from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:  # clusters need dask
     from clvol.dask.cluster import Cluster, ClusterLike
@@ -68,7 +67,7 @@ class Shot:
 
     Attributes
     ----------
-    source : path, Volume or LazyVolume
+    source : path, Volume, LazyVolume or Scene
         As of `batch`.
     changes : mapping
         Its own options, as of `Renderer.render`, such as its camera, beside those of all pictures.
@@ -84,21 +83,22 @@ def batch(
     output: str | os.PathLike[str] = "{name}-{frame:04}.png",
     *,
     cluster: ClusterLike | None = None,
-    reading: Mapping[str, Any] | Callable[[str], Volume | LazyVolume] | None = None,
+    reading: Mapping[str, Any] | Callable[[str], Volume | LazyVolume | Scene] | None = None,
     look: Callable[[Volume], Mapping[str, Any]] | None = None,
     progress: Progress | None = None,
     limits: Mapping[str, Any] | None = None,
     **options: Unpack[BatchOptions],
 ) -> list[Drawn]:
-    """Draw many volumes from many sides, and write each picture as soon as it is drawn.
+    """Draw many volumes or scenes from many sides, and write each picture as soon as it is drawn.
 
     If a file cannot be read or a picture cannot be drawn, the others are still drawn.
 
     Parameters
     ----------
-    sources : path, Volume or LazyVolume, or a sequence of these
+    sources : path, Volume, LazyVolume, Scene, Medium or Volumes, or a sequence of these
         The process that draws a file reads it; by bricks, like 'clvol render', if it is stored in several sizes or does not fit
-        into half of the available memory.
+        into half of the available memory. Of Volumes all channels are drawn. The media of a scene have filters and boundaries of
+        their own.
     cameras : Camera or sequence of Camera, optional
         Each takes one picture of each source; by default `Camera.orbit()`. See `Camera.turntable`.
     output : str
@@ -107,9 +107,9 @@ def batch(
     cluster : distributed.Client, str or int, optional
         As for `Renderer`. Each picture is a task, so a worker must have room for a whole volume. By default this process draws.
     reading : mapping or callable, optional
-        Options of `clvol.read`, or a function that replaces it and returns a Volume or LazyVolume.
+        Options of `clvol.read`, or a function that replaces it and returns a Volume, LazyVolume or Scene.
     look : callable, optional
-        Returns further options for a volume.
+        Returns further options for a volume, or for the first of a scene.
     progress : callable, optional
         Called with the fraction done.
     limits : mapping, optional
@@ -144,7 +144,9 @@ def batch(
     sources = _as_sources(sources)
     if look is None:
         own = {name: value for name, value in options.items() if name not in (*_OF_RENDERER, "mode", "size", "step", "outputs")}
-        chosen_mode(options.get("mode", DEFAULT_MODE), own, as_outputs(options.get("outputs", "rgba")), _OF_RENDERER)
+        chosen_mode(
+            options.get("mode", DEFAULT_MODE), own, as_outputs(options.get("outputs", "rgba")), _OF_RENDERER, [*sources, None][0]
+        )
     views = [cameras] if cameras is None or isinstance(cameras, Camera) else list(cameras)
     if not views:
         raise OptionError("cameras must be one or more; got none")
@@ -271,8 +273,6 @@ def _sent(cluster: Cluster, source: Any) -> Any:
     """A source as an argument of tasks: the absolute path of a file, or a volume that is sent once for all tasks."""
     if isinstance(source, (str, os.PathLike)):
         return str(Path(source).absolute()) if Path(source).exists() else source
-    if isinstance(source, Scene):
-        return cluster.scatter(source, sum(medium.volume.nbytes for medium in source.media if not is_in_parts(medium.volume)))
     return cluster.scatter(source.for_tasks(), source.nbytes if source.in_memory else 0)
 
 
@@ -285,7 +285,7 @@ class _Request:
     options: dict[str, Any]
     limits: dict[str, Any]
 
-    def read(self, path: str) -> Volume | LazyVolume:
+    def read(self, path: str) -> Volume | LazyVolume | Scene:
         """The file, by bricks if it is large."""
         how = self.reading
         if callable(how):
@@ -322,14 +322,11 @@ class _LastRenderer:
         if self._renderer is None or key != self._key:  # the volume is referenced, so its id stays unique
             self.close()
             volume = request.read(str(source)) if named else source
-            several = isinstance(volume, Scene)
-            volume = volume.for_tasks() if token and not several else volume
+            volume = volume.for_tasks() if token else volume
             options = request.options | ({} if request.look is None else dict(request.look(volume.preview())))
             given = {name: options.pop(name) for name in _OF_RENDERER if name in options}
-            if not several:
-                usual = as_mode(options.get("mode", DEFAULT_MODE)).picture_filter
-                given["filter"] = row_for(volume, given.get("filter"), usual)
-            self._renderer, self._options, self._volume, self._key = Renderer(volume, **given), options, volume, key
+            found = source_of(volume, **given, usual=as_mode(options.get("mode", DEFAULT_MODE)).picture_filter)
+            self._renderer, self._options, self._volume, self._key = Renderer(found), options, volume, key
         return self._renderer, self._options
 
     def drawn(
@@ -366,13 +363,13 @@ def _worker_lock() -> Any:
 
 def _as_sources(sources: Any) -> list[Any]:
     """A list of paths and volumes, from one or several."""
-    if isinstance(sources, (str, os.PathLike)) or hasattr(sources, "shape"):
+    if isinstance(sources, (str, os.PathLike, Medium, Scene)) or hasattr(sources, "shape"):
         sources = [sources]
     try:
         many = list(sources)
     except TypeError:
         raise OptionError(f"sources must be files or volumes; got {sources!r}") from None
-    return [one if isinstance(one, (str, os.PathLike)) or hasattr(one, "preview") else as_volume(one) for one in many]
+    return [one if isinstance(one, (str, os.PathLike)) else as_drawn(one) for one in many]
 
 
 def _name(source: Any) -> str:

@@ -23,26 +23,27 @@ from clvol.formats import leading_of, read, read_all
 from clvol.formats.opening import open as open_volume
 from clvol.formats.opening import opened_if
 from clvol.interfaces.batches import Shot, frames, needs_whole
-from clvol.interop.dispatch import is_in_parts
-from clvol.march.choose import without_masked
+from clvol.march.choose import as_drawn
 from clvol.march.function import row_for
 from clvol.march.options import KEYWORDS, WORDS, BatchOptions, FieldOptions, ResolvedLook, as_size, chosen_mode, transfer_of
 from clvol.scene.camera import Camera
 from clvol.scene.fit import usual_camera
 from clvol.scene.keyframes import Keyframes
+from clvol.scene.look import look
 from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode
-from clvol.scene.scene import Medium, Scene, as_scene
+from clvol.scene.scene import Medium, Scene, as_scene, channels
 from clvol.show import movies
 from clvol.volume.smoothing import settled
-from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
 if TYPE_CHECKING:  # clusters need dask
     from clvol.dask.cluster import ClusterLike
 
-__all__ = ["Movie", "MovieOptions", "movie", "pooled", "series_of"]
+__all__ = ["Movie", "MovieOptions", "movie", "places_of", "pooled", "series_of"]
 
 Drawable: TypeAlias = Volume | LazyVolume
+Played: TypeAlias = Volume | LazyVolume | Scene
 
 _SECONDS = 5.0
 _MOST_FRAMES = 10_000
@@ -66,7 +67,7 @@ class Movie:
     times : int
         Number of volumes that it shows.
     filter : Filter or None
-        How these are reconstructed; None: by the bounds in the store.
+        How these are reconstructed; None: by the bounds in the store, or as the media of a scene say.
     """
 
     path: Path
@@ -122,10 +123,12 @@ def movie(
 
     Parameters
     ----------
-    source : path, Volume, LazyVolume, Volumes, Scene, Medium, array-like with 3 or 4 axes, or a sequence of volumes
+    source : path, Volume, LazyVolume, Volumes, Scene, Medium, array-like with 3 or 4 axes, or a sequence of these
         A scene turns, with the filters of its media. Several volumes of one shape are a series, which plays: those of a file along
         its times, or else its volumes, and an array along its first axis. All pictures have one transfer function, isovalue, filter
-        and place of the camera, chosen from all volumes where they are left open (the smoothing from the first).
+        and place of the camera, chosen from all volumes where they are left open (the smoothing from the first). So have scenes
+        that play, for each of their media; isovalues that are left open among several media are each picture's own. Of Volumes
+        all channels are shown, each in its colour.
     output : path-like
         ``.mp4`` (H.264), ``.webm`` (VP9), ``.gif``, ``.webp``, ``.zip`` of PNG files, or a new folder for them, a name without
         suffix. It appears when it is complete: an error, or Ctrl-C, leaves nothing.
@@ -186,23 +189,30 @@ def movie(
     movies.require_room(form, 1, size)
     limits = dict(own["limits"] or {})
     mask = given.pop("mask", None)
-    volumes = [without_masked(one, mask) for one in _volumes(source, dict(own["reading"] or {}), limits)]
+    if isinstance(source, Volumes) and source.colors:
+        words = {name: given.pop(name) for name in ("filter", "boundary") if given.get(name) is not None}
+        source = [Scene(channels(source, at, **words)) for at in places_of(source.leading)]
+    volumes = [as_drawn(one, mask) for one in _volumes(source, dict(own["reading"] or {}), limits)]
     turns = (1.0 if len(volumes) == 1 and keys is None else 0.0) if turns is None else turns
     count, fps = _timing(own, len(volumes), moves=bool(turns) or keys is not None)
     movies.require_room(form, count, size)
 
     mode = as_mode(given.get("mode", DEFAULT_MODE))
-    row = given.pop("filter", None)
-    if not isinstance(volumes[0], Scene):
-        row = row_for(volumes[0], row, mode.picture_filter)
-        row = None if row is None else settled(row, volumes[0].part())
+    series = _Series(volumes)
+    row = given.pop("filter", None) if series.scenes else _row(volumes[0], given.pop("filter", None), mode)  # type: ignore[arg-type]  # no scene
     given = {name: value for name, value in given.items() if value is not None or name in ("background", "clip")}
     shared = {name: given.pop(name) for name in FieldOptions.__annotations__ if name in given} | {"filter": row, "size": size}
-    shots = _shots(volumes, keys, turns, count, given, size[0] / size[1])
+    shots = _shots(series, keys, turns, count, given, size[0] / size[1])
     drawn = frames(shots, cluster=own["cluster"], progress=own["progress"], limits=limits, **shared)
     with staged_folder(path) if form == movies.FOLDER else staged(path, f".{form}") as written, closing(drawn):
         movies.write(drawn, written, form, fps)
     return Movie(path, count, movies.rate(form, fps), len(volumes), row)
+
+
+def _row(volume: Drawable, row: str | Filter | None, mode: Mode) -> Filter | None:
+    """The filter of a series, with the smoothing of its first volume; None: by the bounds in the store."""
+    found = row_for(volume, row, mode.picture_filter)
+    return None if found is None else settled(found, volume.part())
 
 
 _OWN = tuple(MovieOptions.__annotations__.keys() - BatchOptions.__annotations__.keys())
@@ -254,32 +264,40 @@ def _timing(own: Mapping[str, Any], times: int, *, moves: bool) -> tuple[int, fl
 # -- which volumes ---------------------------------------------------------------------------------------------
 
 
-def _volumes(source: Any, reading: dict[str, Any], limits: Mapping[str, Any]) -> list[Any]:
-    """The volumes of a movie, one or more, of one shape; or a scene."""
+def _volumes(source: Any, reading: dict[str, Any], limits: Mapping[str, Any]) -> list[Played]:
+    """The volumes or scenes of a movie, one or more, of one shape."""
+    found: list[Played]
     if isinstance(source, (str, os.PathLike)):
-        found = series_of(source, limits, **reading)
-    elif isinstance(source, (Scene, Medium)) and not reading:
-        return [as_scene(source)]
+        found = [*series_of(source, limits, **reading)]
     elif reading:
         raise OptionError(f"reading is for a path; got {', '.join(reading)} beside a {type(source).__name__}")
     elif isinstance(source, Volumes) or getattr(source, "ndim", 3) == 4:
-        found = _of_volumes(source if isinstance(source, Volumes) else Volumes(source), "the source")
-    elif is_in_parts(source) or not isinstance(source, (list, tuple)):
-        found = [source if is_in_parts(source) else as_volume(source)]
+        found = [*_of_volumes(source if isinstance(source, Volumes) else Volumes(source), "the source")]
+    elif not isinstance(source, (list, tuple)):
+        found = [as_drawn(source)]
     else:
         found = [one for each in source for one in _volumes(each, {}, limits)]
+        if any(isinstance(one, Scene) for one in found):
+            found = [as_scene(one) for one in found]
     if not found:
         raise DataError("a movie must show at least one volume; got none")
-    for one in found:
-        if one.shape != found[0].shape or one.ndim != 3:
-            raise DataError(f"volumes of a movie must have 3 axes and one shape; got {found[0].shape} and {one.shape}")
+    shapes = [[volume.shape for volume in _volumes_of(one)] for one in found]
+    for one, shape in zip(found, shapes, strict=True):
+        if shape != shapes[0] or one.grid.ndim != 3:
+            first, other = (" with ".join(map(str, each)) for each in (shapes[0], shape))
+            raise DataError(f"volumes of a movie, or media of its scenes, must have 3 axes and one shape; got {first} and {other}")
     return found
 
 
-def _grid(source: Any) -> Volume:
-    """The grid of a volume, or of the first medium of a scene."""
-    grid: Volume = (source.media[0].volume if isinstance(source, Scene) else source).grid
-    return grid
+def _volumes_of(played: Played) -> list[Any]:
+    return [medium.volume for medium in played.media] if isinstance(played, Scene) else [played]
+
+
+def places_of(leading: Leading) -> list[dict[str, int]]:
+    """The places along time, or else along the axis "volume", that a movie plays; one for neither."""
+    counts = dict(zip(leading.axes, leading.counts, strict=True))
+    axis = next((axis for axis in _ALONG if counts.get(axis, 1) > 1), None)
+    return [{}] if axis is None else [{axis: place} for place in range(counts[axis])]
 
 
 def series_of(path: str | os.PathLike[str], limits: Mapping[str, Any] | None = None, **reading: Any) -> list[Drawable]:
@@ -306,14 +324,11 @@ def series_of(path: str | os.PathLike[str], limits: Mapping[str, Any] | None = N
 def _of_volumes(volumes: Volumes, name: str) -> list[Drawable]:
     """Volumes along time, or else along the axis "volume"; the first along others."""
     leading: Leading = volumes.leading
-    counts = dict(zip(leading.axes, leading.counts, strict=True))
-    axis = next((axis for axis in _ALONG if counts.get(axis, 1) > 1), None)
-    others = {other: leading.first(other) for other in leading.axes if other != axis}
+    counts, places = dict(zip(leading.axes, leading.counts, strict=True)), places_of(leading)
+    others = {other: leading.first(other) for other in leading.axes if other not in places[0]}
     if left := [f"{other} {at}" for other, at in others.items() if counts[other] > 1 and not isinstance(at, str)]:
         warn(f"{name} holds {leading}; the movie shows {', '.join(left)}")
-    if axis is None:
-        return [volumes.pick(**others)]
-    return [volumes.pick(**{axis: i}, **others) for i in range(counts[axis])]
+    return [volumes.pick(**place, **others) for place in places]
 
 
 # -- what they show --------------------------------------------------------------------------------------------
@@ -330,23 +345,57 @@ def pooled(volumes: Sequence[Drawable]) -> Volume:
     return replace(some[0], data=np.concatenate([one.data[::step, ::step, ::step] for one in some]), clim=clim)
 
 
+class _Series:
+    """Volumes or scenes that play, which show each of their parts alike."""
+
+    def __init__(self, played: Sequence[Played]) -> None:
+        self.played, self.scenes = played, [one for one in played if isinstance(one, Scene)]
+        columns: Any = zip(*map(_volumes_of, played), strict=True)
+        self._pooled = [pooled(column) for column in columns] if len(played) > 1 else []
+        self._alike: dict[str, list[Scene]] = {}
+
+    def shown(self, options: Mapping[str, Any]) -> tuple[Sequence[Played], dict[str, Any]]:
+        """What plays, and the options, with what was left open chosen from all of it."""
+        if not self._pooled:
+            return self.played, dict(options)
+        if not self.scenes:
+            return self.played, _shown(self._pooled[0], options)
+        mode = as_mode(options.get("mode", DEFAULT_MODE), {name: v for name, v in options.items() if name not in KEYWORDS})
+        if mode.name not in self._alike:
+            self._alike[mode.name] = self._made_alike(mode)
+        rest = {name: value for name, value in options.items() if name in KEYWORDS}
+        return self._alike[mode.name], rest | {"mode": mode.settled(self._pooled[0]) if len(self._pooled) == 1 else mode}
+
+    def _made_alike(self, mode: Mode) -> list[Scene]:
+        """The scenes, whose media have one transfer function and one filter at all times."""
+        first = self.scenes[0].media
+        rows = [_row(medium.volume, medium.filter, mode) for medium in first]
+
+        def alike(medium: Medium, samples: Volume, row: Filter | None) -> Medium:
+            if medium.transfer is None and not medium.surfaces and "transfer" not in mode.unheard:
+                medium = medium.with_transfer(look(samples, mode, **medium.words))
+            return replace(medium, filter=row)
+
+        return [
+            scene.of_media([alike(*each) for each in zip(scene.media, self._pooled, rows, strict=True)]) for scene in self.scenes
+        ]
+
+
 def _shots(
-    volumes: Sequence[Drawable], keys: Keyframes | None, turns: float, count: int, given: Mapping[str, Any], aspect: float
+    series: _Series, keys: Keyframes | None, turns: float, count: int, given: Mapping[str, Any], aspect: float
 ) -> list[Shot]:
     """The pictures of a movie, each with its volume and its options."""
-    all_times = pooled(volumes) if len(volumes) > 1 else None
 
-    def options_at(moment: float) -> dict[str, Any]:
-        options = dict(given) | ({} if keys is None else keys.options(moment))
-        return options if all_times is None else _shown(all_times, options)
+    def shown_at(moment: float) -> tuple[Sequence[Played], dict[str, Any]]:
+        return series.shown(dict(given) | ({} if keys is None else keys.options(moment)))
 
     moments = [0.0] if keys is None else [*keys.at]
-    place = _place(volumes, [options_at(moment) for moment in moments], aspect)
+    place = _place([shown_at(moment) for moment in moments], aspect)
     shots = []
     for i in range(count):
-        options = options_at(i / (count - 1) if keys is not None else 0.0)
-        volume = volumes[i * len(volumes) // count]
-        camera = options.get("camera") or usual_camera(_grid(volume))
+        played, options = shown_at(i / (count - 1) if keys is not None else 0.0)
+        volume = played[i * len(played) // count]
+        camera = options.get("camera") or usual_camera(volume.grid)
         options["camera"] = _turned(replace(camera, **place), 360 * turns * i / count, volume)
         shots.append(Shot(volume, options))
     return shots
@@ -368,21 +417,20 @@ class _Some(NamedTuple):
     preview: Volume
 
 
-def _place(volumes: Sequence[Drawable], looks: Sequence[Mapping[str, Any]], aspect: float) -> dict[str, Any]:
+def _place(looks: Sequence[tuple[Sequence[Played], Mapping[str, Any]]], aspect: float) -> dict[str, Any]:
     """Target and radius of a camera that sees what any volume shows in any look; nothing for a placed camera, or one look."""
-    cameras = [look.get("camera") or usual_camera(_grid(volumes[0])) for look in looks]
+    cameras = [options.get("camera") or usual_camera(played[0].grid) for played, options in looks]
     known = ("position", "target", "distance", "radius")
-    if len(volumes) * len(looks) == 1 or any(getattr(one, what) is not None for one in cameras for what in known):
+    if len(looks) * len(looks[0][0]) == 1 or any(getattr(one, what) is not None for one in cameras for what in known):
         return {}
     if cameras[0].fit != "matter":
         return {}
     placed = []
-    for volume in volumes:
-        scene = volume if isinstance(volume, Scene) else as_scene(Medium(volume.preview()))
-        for look, camera in zip(looks, cameras, strict=True):
-            options = dict(look)
-            options.pop("camera", None)
-            mode = chosen_mode(options.pop("mode", DEFAULT_MODE), options)
+    for (played, given), camera in zip(looks, cameras, strict=True):
+        options = {name: value for name, value in given.items() if name not in ("camera", "mode")}
+        for one in played:
+            scene = as_scene(one)
+            mode = chosen_mode(given.get("mode", DEFAULT_MODE), options, scene=scene)
             found = ResolvedLook.of(scene, lambda medium: _Some(medium.volume.preview()), camera, mode, options)  # type: ignore[arg-type]  # by name
             placed.append(found.placed(aspect).camera)
     centers = np.array([one.target for one in placed])
@@ -391,7 +439,7 @@ def _place(volumes: Sequence[Drawable], looks: Sequence[Mapping[str, Any]], aspe
     return {"target": tuple(center.tolist()), "radius": reach}
 
 
-def _turned(camera: Camera, degrees: float, volume: Drawable) -> Camera:
+def _turned(camera: Camera, degrees: float, volume: Played) -> Camera:
     """The camera, turned about the vertical through its target."""
     from scipy.spatial.transform import Rotation  # which takes long to import
 
@@ -402,5 +450,5 @@ def _turned(camera: Camera, degrees: float, volume: Drawable) -> Camera:
     up = tuple(turn.apply(camera.up).tolist())
     if camera.position is None:
         return replace(camera, up=up, direction=tuple(turn.apply(camera.direction).tolist()))
-    target = _grid(volume).center if camera.target is None else np.asarray(camera.target)
+    target = volume.grid.center if camera.target is None else np.asarray(camera.target)
     return replace(camera, up=up, position=tuple((target + turn.apply(np.asarray(camera.position) - target)).tolist()))

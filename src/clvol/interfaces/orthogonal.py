@@ -13,18 +13,23 @@ from clvol.base.checks import if_image, one_of
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.progress import Progress, part_of
-from clvol.interop.dispatch import is_in_parts
 from clvol.march.bricks import level_within
-from clvol.march.choose import without_masked
-from clvol.march.options import FieldOptions, PanelOptions, PictureOptions, as_size, chosen_mode
+from clvol.march.choose import as_drawn, source_of
+from clvol.march.options import FieldOptions, PanelOptions, PictureOptions, as_size, chosen_mode, covering
 from clvol.march.renderer import Renderer
-from clvol.march.slices import AXES, axis_directions, section, window_of_slices
-from clvol.scene.mode import DEFAULT_MODE
+from clvol.march.slices import AXES, axis_directions, lay_over, plane_points, section, window_of_slices
+from clvol.scene.mode import DEFAULT_MODE, as_mode
 from clvol.show.picture import Picture
-from clvol.volume.volume import Volume, as_volume
 
 if TYPE_CHECKING:
     from clvol.bricks.source import LazyVolume
+    from clvol.march.source import Source
+    from clvol.scene.mode import Mode
+    from clvol.scene.scene import Medium, Scene
+    from clvol.scene.transfer import TransferFunction
+    from clvol.spline.function import ContinuousFunction
+    from clvol.volume.volume import Volume
+    from clvol.volume.volumes import Volumes
 
 __all__ = ["ORIENTATIONS", "OrthogonalOptions", "orthogonal"]
 
@@ -59,7 +64,7 @@ class OrthogonalOptions(PanelOptions, PictureOptions, FieldOptions, total=False)
 
 
 def orthogonal(
-    volume: Volume | LazyVolume | ArrayLike,
+    volume: Volume | LazyVolume | Scene | Medium | Volumes | ArrayLike,
     point: Sequence[float] | None = None,
     size: tuple[int, int] = (1024, 1024),
     *,
@@ -75,8 +80,10 @@ def orthogonal(
 
     Parameters
     ----------
-    volume : Volume, LazyVolume or array-like, 3-D
-        As of `clvol.slice`.
+    volume : Volume, LazyVolume, Scene, Medium, Volumes or array-like, 3-D
+        As of `clvol.slice`. The slices of a scene are those of its first medium, with the matter of its other visible media over
+        it, whole, as far as their transfer functions are opaque; in words, what they show as a little of matter covers. Surfaces
+        and cuts of media, and what colours one, are in the 3-D picture alone.
     point : (x, y, z), optional
         The world point; by default the middle of the volume.
     size : (width, height)
@@ -116,12 +123,12 @@ def orthogonal(
     slices |= {"mode": slab, "background": given.get("background", (0.0, 0.0, 0.0))}
     held = {name: given.pop(name) for name in FieldOptions.__annotations__ if name in given}
     camera, mode, step = given.pop("camera", None), given.pop("mode", DEFAULT_MODE), given.pop("step", 0.5)
-    chosen_mode(mode, given)
+    chosen_mode(mode, given, scene=volume)
     width, height = as_size(size)
     if min(width, height) < 2 * _GAP:
         raise OptionError(f"size must be at least {2 * _GAP} × {2 * _GAP}; got {width} × {height}")
-    source: Any = without_masked(volume if is_in_parts(volume) else as_volume(volume), held.pop("mask", None))
-    grid: Volume = source.grid
+    drawn = as_drawn(volume, held.pop("mask", None))
+    grid = drawn.grid
     if grid.ndim != 3:
         raise OptionError(f"volume must have 3 axes; got shape {grid.shape}{if_image(grid.shape)}")
     left = _is_mirrored(orientation, grid)
@@ -134,20 +141,23 @@ def orthogonal(
     pixel = _MARGIN * max(
         float(extents @ np.abs(way)) / n for name in sizes for way, n in zip(frames[name], sizes[name], strict=True)
     )
-    known = source.preview()
+    known = drawn.preview()
     if slices.get("window") is None and not (known.is_labels and slices.get("cmap") is None):
         slices["window"] = window_of_slices(known)
     panes: dict[str, NDArray[Any]] = {}
-    with Renderer(source, **held) as renderer:
-        field: Any = renderer.field_of_level(level_within(source, pixel)) if is_in_parts(source) else renderer.field
-        unsmoothed = slab in ("mip", "minip") and held.get("filter") is None
+    source = source_of(drawn, **held)
+    with Renderer(source) as renderer:
+        (field, _), *others = _sliced(source, as_mode(slab if slab in ("mip", "minip") else DEFAULT_MODE), pixel)
         for i, (name, (right, down)) in enumerate(frames.items()):
             right = -right if left and name in "zy" else right
             middle = np.array(grid.center)
             middle[AXES.index(name)] = at[AXES.index(name)]
             own: dict[str, Any] = slices | {"progress": part_of(progress, i / 10, (i + 1) / 10)}
-            own |= {k: v for k, v in held.items() if unsmoothed}
-            panes[name] = section(source if unsmoothed else field, middle, right, down, (pixel, pixel), sizes[name], **own)
+            place = middle, right, down, (pixel, pixel), sizes[name]
+            panes[name] = section(field, *place, **own)
+            across = slices.get("thickness", 0.0) * np.cross(right, down)
+            for other, transfer in others:
+                lay_over(panes[name], other, transfer, plane_points(*place), across, slab, own["progress"])
             if crosshair is not False:
                 offset = np.array([(at - middle) @ right, (at - middle) @ down]) / pixel
                 _draw_lines(panes[name], offset + np.array(sizes[name]) / 2, color)
@@ -157,6 +167,18 @@ def orthogonal(
     picture[:rows, :columns], picture[:rows, columns + _GAP :] = panes["z"], panes["3d"]
     picture[rows + _GAP :, :columns], picture[rows + _GAP :, columns + _GAP :] = panes["y"], panes["x"]
     return Picture(picture)
+
+
+def _sliced(source: Source, mode: Mode, pixel: float) -> list[tuple[ContinuousFunction, TransferFunction]]:
+    """The functions of a scene's media that slices show, the first one first, with what they look like over it."""
+    first, *others = source.scene.media
+    found: list[tuple[ContinuousFunction, TransferFunction]] = []
+    for medium in (first, *(one for one in others if one.visible and not one.surfaces)):
+        part = source.part(medium)
+        volume: Any = part.field.volume
+        level = level_within(volume, pixel) if part.by_bricks else 0
+        found.append((part.function(mode, level), medium.transfer or covering(part.preview, medium.words)))
+    return found
 
 
 def _is_mirrored(orientation: str | None, grid: Volume) -> bool:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.march.source import Drawable, Source
     from clvol.volume.volume import Volume
 
-__all__ = ["by_parts", "source_of", "without_masked"]
+__all__ = ["as_drawn", "by_parts", "source_of", "without_masked"]
 
 
 def source_of(
@@ -211,6 +211,14 @@ def _scene(given: Any, filter: str | Filter | None, boundary: str | Boundary | N
         given = as_volume(given)
         words["filter"] = filter_for(given, filter, usual)
     return as_scene(Medium(given, **words))  # type: ignore[arg-type]  # __post_init__ converts
+
+
+def as_drawn(given: Any, mask: ArrayLike | None = None) -> Volume | LazyVolume | Scene:
+    """What many pictures are made of, without what a mask excludes: it has a `grid`, a `preview()` and what tasks need."""
+    given = without_masked(given, mask)
+    if isinstance(given, (Medium, Scene, Volumes)):
+        return as_scene(given)
+    return given if is_in_parts(given) else as_volume(given)
 
 
 def without_masked(given: Any, mask: ArrayLike | None) -> Any:

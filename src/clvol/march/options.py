@@ -64,6 +64,7 @@ __all__ = [
     "ViewOptions",
     "as_outputs",
     "chosen_mode",
+    "covering",
     "require_room",
     "transfer_of",
     "unheard",
@@ -546,16 +547,18 @@ def _settled_colors(medium: Medium) -> Medium:
         signed = matter_of(volume).signed
         transfer = look(volume, "isosurface", **({"cmap": "matplotlib:coolwarm" if signed else "viridis"} | words))
     elif transfer is None:
-        opacity: Any = words.pop("opacity", 1.0)
-        transfer = look(volume, "composite", **words)
-        if np.ndim(opacity):
-            transfer = transfer.with_opacity(opacity)
-        else:  # what a preset shows as a little of matter covers a surface
-            faintest = min((share for _, share in transfer.opacities if share > 0), default=1.0)
-            transfer = transfer.with_opacity(
-                [(value, min(1.0, opacity * min(1.0, share / faintest))) for value, share in transfer.opacities]
-            )
+        transfer = covering(volume, words)
     return Medium(volume, transfer, filter=filter_for(volume, medium.filter, PICTURE_FILTER), boundary=medium.boundary)
+
+
+def covering(volume: Volume, words: Mapping[str, Any]) -> TransferFunction:
+    """The look of a volume as colours of something else: what it shows as a little of matter covers."""
+    opacity: Any = words.get("opacity", 1.0)
+    transfer = look(volume, "composite", **{name: value for name, value in words.items() if name != "opacity"})
+    if np.ndim(opacity):
+        return transfer.with_opacity(opacity)
+    faintest = min((share for _, share in transfer.opacities if share > 0), default=1.0)
+    return transfer.with_opacity([(value, min(1.0, opacity * min(1.0, share / faintest))) for value, share in transfer.opacities])
 
 
 def _changed(scene: Scene, transfer: TransferFunction | None, options: RefineOptions) -> Scene:

@@ -158,7 +158,9 @@ def grid_of(facts: Mapping[str, Any]) -> Volume:
 
 
 def _relative(known: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
-    """A path of a file as seen from a folder; absolute for no folder."""
+    """A path of a file as seen from a folder, and that of its mask; absolute for no folder."""
+    if "mask" in known:
+        known = {**known, "mask": _relative(known["mask"], folder)}
     path = str(known["path"])
     if "://" in path or path.startswith("phantom:"):
         return dict(known)

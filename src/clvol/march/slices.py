@@ -29,6 +29,7 @@ from clvol.march.function import row_for, single
 from clvol.march.renderer import Renderer
 from clvol.scene.clip import Plane
 from clvol.scene.mode import as_mode
+from clvol.scene.scene import Medium, Scene, as_scene
 from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import Picture
 from clvol.spline.field import as_field
@@ -42,6 +43,7 @@ __all__ = [
     "SliceOptions",
     "axis_directions",
     "axis_of",
+    "lay_over",
     "plane_points",
     "section",
     "shaded",
@@ -101,7 +103,7 @@ class SliceOptions(TypedDict, total=False):
 
 
 def slice(  # noqa: A001  # clvol.slice, as its users call it
-    volume: Volume | LazyVolume | ContinuousFunction | ArrayLike,
+    volume: Volume | LazyVolume | Medium | ContinuousFunction | ArrayLike,
     plane: str | int | Plane = "z",
     position: float | None = None,
     *,
@@ -115,9 +117,10 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
 
     Parameters
     ----------
-    volume : Volume, LazyVolume, Field, BrickedField or array-like, 3-D
+    volume : Volume, LazyVolume, Medium, Field, BrickedField or array-like, 3-D
         Of a LazyVolume the coarsest level whose voxels are at most a pixel long is read, where the slice lies. A Field makes many
-        slices of one volume in less time: it has its coefficients.
+        slices of one volume in less time: it has its coefficients. A Medium, or a scene of one, has its filter, boundary and mask;
+        its transfer function and its cuts are for 3-D. `clvol.orthogonal` shows several media.
     plane : str, int or Plane
         An axis of the world that the slice is across, "x", "y" or "z", or 0, 1 or 2; of a patient also "sagittal", "coronal" or
         "axial"; or an oblique `Plane`, which is seen from the side that its normal points to.
@@ -146,7 +149,7 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
     ------
     OptionError
         An unknown name; `position` beside a Plane; `mode` without a thickness; the mean of labels; a number outside its bounds;
-        the volume does not have three axes.
+        the volume does not have three axes; a scene of several media; `filter` or `boundary` beside a medium.
     GeometryError
         The plane does not meet the volume, `up` is along its normal, or a point is not three finite numbers.
     DataError, FormatError, DeviceError, OutOfMemoryError
@@ -162,6 +165,9 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
     >>> oblique = clvol.slice(volume, clvol.Plane((1, 1, 1), volume.center), thickness=0.2, mode="mip", size=(64, 64))
     """
     require_known("slice", options, SliceOptions.__annotations__)
+    if isinstance(volume, (Medium, Scene)):
+        volume, own = _of_medium(volume, options)
+        options |= own
     given = without_masked(_given(volume), options.pop("mask", None))
     grid: Volume = given.grid
     if grid.ndim != 3:
@@ -222,13 +228,46 @@ def section(
     memory.require(width * height * _OF_A_PIXEL, f"a slice of {width} × {height} pixels")
     points = plane_points(middle, right, down, pixel, (width, height))
     with _function(given, as_mode(mode or "mean").picture_filter if thickness else PICTURE_FILTER, max(pixel), options) as field:
-        if thickness:
-            found = _slab(field, points, thickness * np.cross(right, down), _SLABS[mode or "mean"], progress)
-        else:
-            found = field(points, fill=np.nan, progress=progress)
+        found = _sampled(field, points, thickness * np.cross(right, down), mode, progress)
     picture = shaded(found, known, options.get("window"), options.get("cmap"), background)
     picture.spacing = (float(pixel[0]), float(pixel[1]))
     return picture
+
+
+def lay_over(
+    picture: NDArray[Any],
+    field: ContinuousFunction,
+    transfer: TransferFunction,
+    points: NDArray[np.float64],
+    across: NDArray[np.float64],
+    mode: str | None,
+    progress: Progress | None,
+) -> None:
+    """Lay another function over a picture of a slice, as far as its transfer function is opaque.
+
+    `points` are those of `plane_points`, and `across` is from face to face of a slab.
+    """
+    values = _sampled(field, points, across, mode, progress)
+    seen = transfer(np.nan_to_num(values))
+    share = np.where(np.isnan(values), 0.0, seen[..., 3])[..., None]
+    below = (1 - share) * picture[..., 3:]
+    opacity = share + below
+    colors = share * seen[..., :3] + below * picture[..., :3]
+    picture[..., :3] = np.divide(colors, opacity, out=np.zeros_like(colors), where=opacity > 0)
+    picture[..., 3:] = opacity
+
+
+def _of_medium(given: Medium | Scene, options: SliceOptions) -> tuple[Volume, SliceOptions]:
+    """The volume of the only medium, and how it is reconstructed."""
+    first, *others = as_scene(given).media
+    if others:
+        raise OptionError(
+            f"a slice is of one medium; got a scene of {1 + len(others)}: give one of scene.media, or let clvol.orthogonal lay "
+            "them over each other"
+        )
+    if named := {"filter", "boundary"} & options.keys():
+        raise OptionError(f"{' and '.join(sorted(named))} must be left to the medium; got {options}")
+    return first.volume, {"filter": first.filter, "boundary": first.boundary}
 
 
 def _given(volume: Any) -> Any:
@@ -251,6 +290,15 @@ def _function(volume: Any, usual: str, pixel: float, options: SliceOptions) -> I
 
 
 # -- slabs -----------------------------------------------------------------------------------------------------
+
+
+def _sampled(
+    field: ContinuousFunction, points: NDArray[np.float64], across: NDArray[np.float64], mode: str | None, progress: Progress | None
+) -> NDArray[Any]:
+    """The values of a slice, or what a slab through its points shows; NaN outside."""
+    if across.any():
+        return _slab(field, points, across, _SLABS[mode or "mean"], progress)
+    return field(points, fill=np.nan, progress=progress)
 
 
 def _slab(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, replace
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -24,6 +25,7 @@ from clvol.scene.clip import Box, Clip, as_clip, joined
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.mode import Surfaces
 from clvol.scene.transfer import WORDS, TransferFunction
+from clvol.volume.provenance import note_masked
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume, masked
 from clvol.volume.volumes import Volumes
@@ -128,8 +130,9 @@ class Medium:
         lazy = is_in_parts(self.volume)
         volume = self.volume if lazy else as_volume(self.volume)
         if mask is not None or where is not None:
-            outside = _outside(mask, where)
+            outside, plain = _outside(mask, where), volume
             volume = import_module("clvol.bricks.continued").holed(volume, outside) if lazy else masked(volume, outside)
+            note_masked(volume, plain, mask, where)
         object.__setattr__(self, "volume", volume)
         instance("visible", self.visible, bool, np.bool_)
         if self.filter is not None:
@@ -301,6 +304,35 @@ class Scene:
         for medium in media:
             self.clip_of(medium)  # no more cuts than a picture may have
 
+    @property
+    def grid(self) -> Volume:
+        """The grid of the first medium."""
+        return self.media[0].volume.grid
+
+    @property
+    def name(self) -> str:
+        """The name of the first medium's volume."""
+        return self.media[0].volume.name
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether a pickle holds samples of a medium."""
+        return self.nbytes > 0
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the samples that a pickle holds, each volume once."""
+        media = (*self.media, *(medium.color_by for medium in self.media if medium.color_by))
+        return sum(volume.nbytes for volume in {id(one.volume): one.volume for one in media}.values() if volume.in_memory)
+
+    def preview(self) -> Volume:
+        """Samples of the first medium, from which looks are chosen."""
+        return self.media[0].volume.preview()
+
+    def for_tasks(self) -> Scene:
+        """The scene as sent to tasks of a cluster: see `LazyVolume.for_tasks`."""
+        return self.of_media([replace(medium, volume=medium.volume.for_tasks()) for medium in self.media])
+
     def with_looks(self, media: Sequence[Medium]) -> Scene:
         """The same with other looks of its media; `OptionError` if these are of other volumes, or reconstructed otherwise."""
         rule = "the scene's, in their order, with its volumes, filters and boundaries"
@@ -404,18 +436,21 @@ def as_scene(choice: Scene | Medium | Volume | Volumes | ArrayLike) -> Scene:
     return choice if isinstance(choice, Scene) else Scene((as_medium(choice),))
 
 
-def channels(volumes: Volumes, **words: Any) -> tuple[Medium, ...]:
-    """The media of a microscope's channels, each in its colour; `words` are further arguments of `Medium`."""
+def channels(volumes: Volumes, at: Mapping[str, int] = MappingProxyType({}), /, **words: Any) -> tuple[Medium, ...]:
+    """The media of a microscope's channels, each in its colour; `words` are further arguments of `Medium`.
+
+    `at` is a place along axes other than "channel"; along those without one the first is taken, with a warning.
+    """
     counts = dict(zip(volumes.axes, volumes.leading.counts, strict=True))
-    others = {axis: n for axis, n in counts.items() if axis != "channel" and n > 1}
+    others = {axis: n for axis, n in counts.items() if axis not in ("channel", *at) and n > 1}
     if not volumes.colors:
         held = f"{len(volumes)} volume" if not others else " of ".join(f"{n} {axis}s" for axis, n in others.items())
         raise DataError(f"data must be one volume or the channels of one; got Volumes of {held}: take one, as volumes[0]")
     if others:
         left = " and ".join(f"{n} {axis}s" for axis, n in others.items())
         warn(f"data holds {left}; the first of them is shown: choose by time= and the like when it is read")
-    first = {axis: volumes.leading.first(axis) for axis in volumes.axes if axis != "channel"}
-    each = [volumes.pick(**first, channel=k) for k in range(counts.get("channel", 1))] if others else list(volumes)
+    first = {axis: at.get(axis, volumes.leading.first(axis)) for axis in volumes.axes if axis != "channel"}
+    each = [volumes.pick(**first, channel=k) for k in range(counts["channel"])]
     if each[0].ndim == 2:
         each = [as_slice(volume) for volume in each]
     shown = list(zip(each, volumes.colors, strict=True))

@@ -10,10 +10,10 @@ import numpy as np
 
 from clvol.volume.volume import Volume
 
-__all__ = ["Provenance", "facts_of", "note", "provenance_of", "recognise", "sum_of"]
+__all__ = ["Provenance", "facts_of", "note", "note_masked", "provenance_of", "recognise", "sum_of"]
 
 Provenance: TypeAlias = Mapping[str, Any]
-"""Its "path", and options with which it was read."""
+"""Its "path", and options with which it was read; of a masked one that of its "mask", with the labels "where" it is seen."""
 
 _SUMMED = 1 << 11  # samples along each axis, at most, that enter a sum
 _NOT_NOTED = ("trusted", "limits", "storage_options")  # whoever reads it again decides
@@ -27,6 +27,15 @@ def note(volume: Any, path: object, options: Mapping[str, Any]) -> None:
         if value is not None and name not in _NOT_NOTED and name != "path" and (name, value) != ("offset", 0)
     }
     vars(volume)["_provenance"] = {"path": str(path), **given}
+
+
+def note_masked(masked: Any, volume: Any, mask: object, where: object) -> None:
+    """Note from where a volume and a mask are, of which another was made; nothing, unless both are known."""
+    known = provenance_of(volume)
+    labels = provenance_of(mask) if isinstance(mask, Volume) else None
+    if known is not None and labels is not None and masked is not volume:
+        seen = None if where is None else np.atleast_1d(np.asarray(where)).tolist()
+        vars(masked)["_provenance"] = {**known, "mask": dict(labels), "where": seen}
 
 
 def provenance_of(volume: Any) -> Provenance | None:
