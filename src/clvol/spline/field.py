@@ -15,15 +15,16 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import as_output
-from clvol.base.checks import one_of, suggests_options, warn, whole
+from clvol.base.checks import flag, one_of, suggests_options, warn, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.base.progress import Progress, part_of
-from clvol.base.rounding import wide
+from clvol.base.rounding import as_kind, wide
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop.dispatch import is_in_parts, require_lazy, with_dask
 from clvol.interop.images import read_array
+from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, bytes_of
 from clvol.spline.evaluator import DIRECT, choose_evaluator
 from clvol.spline.function import (
@@ -42,6 +43,7 @@ from clvol.spline.grids import Target, between, beyond, grid_for
 from clvol.spline.lease import Lease
 from clvol.spline.points import Floats, Given, Reals, Transform, sample_coefficients, sample_grid
 from clvol.spline.reduce import as_anti_aliasing, low_passed, nearest_spline, steps_along
+from clvol.spline.regions import labels_on, region_filter, require_no_blending
 from clvol.spline.resample import filled, resample_coefficients
 from clvol.volume.missing import as_missing, touching
 from clvol.volume.smoothing import filter_for, settled
@@ -593,6 +595,7 @@ def resample(
     *,
     anchor: Anchor = "center",
     transform: Transforms | None = None,
+    smooth: bool = False,
     anti_aliasing: AntiAliasing | bool = False,
     dtype: DTypeLike | None = None,
     fill: float | None = None,
@@ -652,7 +655,21 @@ def resample(
     """
     require_lazy("volume", chunks=chunks, dimensions=dimensions)
     results: tuple[int, ...] = ()
-    if (plain := _in_memory(volume)) is not None:
+    plain = _in_memory(volume)
+    if flag("smooth", smooth):
+        require_no_blending(anti_aliasing=anti_aliasing or None, precision=precision, nan=nan, out=out)
+        if plain is None:
+            raise OptionError(
+                "smooth=True takes labels in memory, or an array of dask: a LazyVolume gives them by whole(), a Field by volume; "
+                f"got {volume!r}"
+            )
+        grid, fill, device = grid_for(plain, shape, spacing, like, anchor), fill_value(fill), as_device(device)
+        chain = Chain(as_chain(transform, plain.ndim), grid, device)
+        kind = None if dtype is None else as_kind(dtype, plain.data.dtype)
+        target = Target(*chain.to_indices(plain), grid.shape, chain if chain.stages else None, fill, None, kind)
+        data = labels_on(target, plain, region_filter(filter), as_boundary(boundary or DEFAULT_BOUNDARY), device, progress)
+        return replace(plain.placed(data, grid), labels=True if plain.labels is None else plain.labels)
+    if plain is not None:
         volume = plain
         grid = grid_for(plain, shape, spacing, like, anchor)  # before the volume is prefiltered
         if out is not None:

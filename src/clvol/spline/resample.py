@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,11 @@ from clvol.spline.points import NOTHING_GIVEN, Given, Transform, sample_grid
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
+    from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.spline.evaluator import Evaluator
 
-__all__ = ["along_axes", "filled", "no_shear", "resample_axes", "resample_coefficients"]
+__all__ = ["along_axes", "axis_taps", "filled", "no_shear", "resample_axes", "resample_coefficients"]
 
 _BLOCK = 16  # rows that resample.cl computes at once
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
@@ -84,8 +85,19 @@ def no_shear(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
     return bool((np.abs(across) * np.array(shape[::-1])[: len(matrix)]).max() < _NO_SHEAR)
 
 
-def _axis_taps(
-    coefficients: Coefficients, axis: int, positions: NDArray[np.float64], edge: float
+class Tapped(Protocol):
+    """What is stored for each sample, with a halo: see `Coefficients`."""
+
+    filter: Filter
+    boundary: Boundary
+    size: NDArray[np.int32]
+    extent: NDArray[np.int32]
+    pad: int
+    reach: int
+
+
+def axis_taps(
+    coefficients: Tapped, axis: int, positions: NDArray[np.float64], edge: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The indices of the stored coefficients along an axis for `positions` in samples, and their weights; (N, taps)."""
     boundary, n, row = coefficients.boundary, int(coefficients.size[axis]), coefficients.filter
@@ -153,7 +165,7 @@ def _short_rows(coefficients: Coefficients, along: Positions, given: Given, part
         if count == 1 or coefficients.shape[2] <= _LONG:
             yield part
             return
-        places, _ = _axis_taps(coefficients, 0, along[part], _edge(coefficients, given))
+        places, _ = axis_taps(coefficients, 0, along[part], _edge(coefficients, given))
         if places.max() - places.min() < _LONG:
             yield part
             return
@@ -175,7 +187,7 @@ def _resample_part(
     nx, ny, nz = (*(len(along) for along in positions), 1, 1)[:3]
     nz = nz if d == 3 else coefficients.shape[0]
     whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
-    axes = [_axis_taps(coefficients, axis, x, edge) for axis, x in enumerate([whole_vectors, *positions[1:]])]
+    axes = [axis_taps(coefficients, axis, x, edge) for axis, x in enumerate([whole_vectors, *positions[1:]])]
     if d == 1:  # the only row
         axes.append((np.zeros((1, taps), np.int64), np.eye(1, taps)))
     places, weights = zip(*axes, strict=True)
