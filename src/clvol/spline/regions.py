@@ -165,7 +165,7 @@ class Regions:
     @property
     def _defines(self) -> DefineDict:
         kind = self._codes.kind
-        about = {"LABEL": OPENCL_TYPES[kind.str[1:]], "LABEL_BYTES": kind.itemsize}
+        about: DefineDict = {"LABEL": OPENCL_TYPES[kind.str[1:]], "LABEL_BYTES": kind.itemsize}
         return {**filter_defines(self.filter), **about, "DIMENSIONS": self.ndim, "LANES": 1}
 
     def on(self, target: Target, progress: Progress | None = None) -> NDArray[Any]:
