@@ -149,7 +149,11 @@ INLINE LABEL region_at(global const LABEL *restrict labels, const int4 extent, p
     return (LABEL)region_of(&taps, *inner);
 }
 
-// A work-item takes RUN points of a row. grid: points along x and y, and the first row and slice of this launch.
+// A work-item takes RUN points.
+
+#if ON_GRID
+
+// grid: points along x and y, and the first row and slice of this launch.
 kernel void regions_on_grid(global const LABEL *restrict labels, const int4 extent, const int4 size, const int4 period,
                             constant coord *transform, const int4 grid, const int2 given, global LABEL *results CHAIN_ARGUMENTS)
 {
@@ -159,4 +163,16 @@ kernel void regions_on_grid(global const LABEL *restrict labels, const int4 exte
         result[n] = region_at(labels, extent, index_of(point_of(source, n), transform), size, period, given);
 }
 
+#else
+
+// points: indices, in planes, the axis z first.
+kernel void regions_at_points(global const LABEL *restrict labels, const int4 extent, const int4 size, const int4 period,
+                              global const POINT *points, const ulong planes, const int2 given, global LABEL *results)
+{
+    const source_t source = { points, get_global_id(0) * RUN, planes };
+    for (int n = 0; n < RUN && source.first + n < planes; ++n)
+        results[source.first + n] = region_at(labels, extent, given_point(source, n), size, period, given);
+}
+
+#endif
 #endif

@@ -32,14 +32,13 @@ from clvol.spline.function import (
     ContinuousFunction,
     Precision,
     as_result,
-    described,
     fill_value,
     points_in_world,
     put,
     require_no_transform,
     result_kind,
 )
-from clvol.spline.grids import Target, between, beyond, grid_for
+from clvol.spline.grids import Target, between, beyond, described, grid_for
 from clvol.spline.lease import Lease
 from clvol.spline.points import Floats, Given, Reals, Transform, sample_coefficients, sample_grid
 from clvol.spline.reduce import as_anti_aliasing, low_passed, nearest_spline, steps_along

@@ -21,23 +21,23 @@ from clvol.base.rounding import limits as limits_of_type
 from clvol.device.program import LANES
 from clvol.filter.table import as_filter
 from clvol.spline.build import boundary_defines, filter_defines, point_defines, row_reach
-from clvol.spline.coefficients import OPENCL_TYPES, extent_of
-from clvol.spline.function import described
+from clvol.spline.coefficients import OPENCL_TYPES, axis_taps, extent_of
+from clvol.spline.grids import described, no_shear
 from clvol.spline.lease import release
 from clvol.spline.points import Given, Transform
-from clvol.spline.resample import axis_taps, no_shear
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
     from clvol.device import Device
+    from clvol.device.program import Program
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.spline.build import DefineDict
     from clvol.spline.chain import Chain
     from clvol.spline.grids import Target
 
-__all__ = ["Regions", "labels_on", "region_filter", "require_no_blending"]
+__all__ = ["Regions", "as_label", "labels_on", "region_filter", "require_no_blending"]
 
 _DEFAULT = "bspline5-approx"
 _RUN = 512  # points for each work-item of a CPU
@@ -136,7 +136,7 @@ class Regions:
     def __init__(self, volume: Volume, filter: Filter, boundary: Boundary, device: Device, fill: float | None = None) -> None:
         self.filter, self.boundary, self.device, self.ndim = filter, boundary, device, volume.ndim
         self.dtype = volume.data.dtype.newbyteorder("=")
-        outside = _label("fill", fill or 0, self.dtype), _label("the value of the boundary", boundary.cval, self.dtype)
+        outside = as_label("fill", fill or 0, self.dtype), as_label("the value of the boundary", boundary.cval, self.dtype)
         self._codes = _Codes.of(volume, outside)
         self._given, self._filled = [self._codes.of_label(label) for label in outside], fill is not None
         sizes = (*volume.size, 1, 1)[:3]
@@ -235,23 +235,45 @@ class Regions:
             inside = (x >= -self.boundary.edge) & (x <= n - 1 + self.boundary.edge)
             np.moveaxis(result, self.ndim - 1 - axis, 0)[~inside] = self._given[0 if self._filled else 1]
 
-    def _on_grid(self, transform: Transform, result: NDArray[Any], chain: Chain | None, progress: Progress | None) -> None:
-        device, (nz, ny, nx) = self.device, result.shape
-        run, together = (_RUN, 1) if device.kind == "cpu" else (1, 8)
+    def at(self, points: NDArray[Any], progress: Progress | None = None) -> NDArray[Any]:
+        """The labels at indices (d, N), in the order of the array's axes; outside also where one is not finite."""
+        device, count = self.device, points.shape[1]
+        kind = np.float64 if device.has_double else np.float32
+        result = np.empty(count, self._codes.kind)
+        run = _RUN if device.kind == "cpu" else 1
+        kernel = self._anywhere(run, {**point_defines(kind, planar=True, indices=True), "ON_GRID": 0}).kernel("regions_at_points")
+        some = max(run, device.limits.launch_taps // self.filter.support**self.ndim)
+        for first in range(0, count, some):
+            part = np.ascontiguousarray(points[:, first : first + some], kind)
+            own = result[first : first + some]
+            with device.buffers.lent(part, write=False) as lent, device.buffers.lent(own, write=True) as buffer, device.errors:
+                where = (lent, np.uint64(len(own)), np.array(self._given, np.int32), buffer)
+                kernel(device.queue, (-(-len(own) // run),), None, self._buffer, self.extent, self.size, self._period, *where)
+                device.finish()
+            if progress:
+                progress((first + len(own)) / count)
+        return self._codes.back(result, self.dtype)
+
+    def _anywhere(self, run: int, more: DefineDict) -> Program:
+        """The kernels that look at each point on its own."""
         defines: DefineDict = {
             **self._defines,
             **boundary_defines(self.boundary, self.pad, self.reach),
-            **point_defines(np.float32),
             **Given(0.0 if self._filled else None).defines(self.boundary),
             "ALONG_AXES": 0,
-            "COORD_DOUBLE": int(device.has_double),
-            "ON_GRID": 1,
+            "COORD_DOUBLE": int(self.device.has_double),
             "DERIVATIVE": 0,
             "WITH_VALUE": 0,
             "RUN": run,
-            **(chain.defines() if chain else {}),
+            **more,
         }
-        kernel = device.build("spline/regions.cl", defines).kernel("regions_on_grid")
+        return self.device.build("spline/regions.cl", defines)
+
+    def _on_grid(self, transform: Transform, result: NDArray[Any], chain: Chain | None, progress: Progress | None) -> None:
+        device, (nz, ny, nx) = self.device, result.shape
+        run, together = (_RUN, 1) if device.kind == "cpu" else (1, 8)
+        more = {**point_defines(np.float32), "ON_GRID": 1, **(chain.defines() if chain else {})}
+        kernel = self._anywhere(run, more).kernel("regions_on_grid")
         matrix, points = transform.upload(device), max(1, device.limits.launch_taps // self.filter.support**self.ndim)
         rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
         parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
@@ -308,7 +330,8 @@ def _cores(places: NDArray[np.int64], weights: NDArray[np.float64], least: float
     return found
 
 
-def _label(what: str, value: float, kind: np.dtype[Any]) -> int:
+def as_label(what: str, value: float, kind: np.dtype[Any]) -> int:
+    """A label that a type holds; else `OptionError`."""
     low, high = limits_of_type(kind) if kind.kind != "f" else (-(1 << 53), 1 << 53)
     if not float(value).is_integer() or not low <= value <= high:
         raise OptionError(f"{what} must be a label that {kind} holds, a whole number from {low} to {high}; got {value!r}")
