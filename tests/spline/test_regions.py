@@ -142,3 +142,15 @@ def test_bad_input(data: np.ndarray[Any, Any], options: dict[str, Any], says: st
 
 def test_one_voxel() -> None:
     assert (clvol.resample(np.full((1, 1, 1), 7, np.uint16), (3, 3, 3), smooth=True).data == 7).all()
+
+
+def test_the_largest_score_names_the_label() -> None:
+    scores = np.random.default_rng(3).normal(size=(5, 6, 7, 8)).astype(np.float32)
+    got = clvol.resample_scores(scores, (9, 9, 9), filter="linear")
+    assert (got.data == np.stack([clvol.resample(one, (9, 9, 9), filter="linear").data for one in scores]).argmax(0)).all()
+    assert got.data.dtype == np.uint8
+    same = clvol.resample_scores(np.concatenate([scores, scores]), (9, 9, 9), filter="linear")
+    assert (same.data == got.data).all()  # equal scores: the first class
+    for wrong, options, says in ((scores[0, 0], {}, "shape"), (scores[:0], {}, "classes"), (scores, {"dtype": "f4"}, "dtype")):
+        with pytest.raises((clvol.DataError, clvol.OptionError), match=says):
+            clvol.resample_scores(wrong, (9, 9, 9), **options)
