@@ -614,6 +614,9 @@ def resample(
         2-D or 3-D samples; an array has spacing 1 and origin 0. A LazyVolume is read by bricks, as in `sample`.
     shape, spacing, like, anchor, transform, anti_aliasing, dtype, fill
         As in `Field.resample`; without `anti_aliasing` larger voxels bring aliases of what is finer. With it no sample may be NaN.
+    smooth : bool
+        The samples are labels, whole numbers of any type, and the boundaries between them become smooth: see the notes. `filter` is
+        then "bspline5-approx" by default, and may be "linear" or another B-spline without a prefilter; `fill` is a label.
     filter, boundary, device, nan
         As in `sample`.
     precision : {"single", "double"}, optional
@@ -629,10 +632,13 @@ def resample(
     Returns
     -------
     Volume of float32, or of float64 as `sample` gives it, or of `dtype`; or a dask.array.Array of this dtype
+        With `smooth` of the volume's type, marked as labels.
 
     Raises
     ------
     OptionError
+        With `smooth`: the volume is not in memory, nor an array of dask; a filter with a prefilter or negative weights; a `fill`
+        that is no label; `anti_aliasing`, `precision`, `nan` or `out`, which are for values.
         A Field is given with a filter, boundary, device, precision or nan that differs from its options; or as `Field.resample`
         raises it.
     GeometryError
@@ -640,10 +646,16 @@ def resample(
     UnsupportedError
         Of an array of dask: `like`, `transform`, `progress`, `out`, or a `nan` other than "error".
     DataError, DeviceError, OutOfMemoryError
-        As `Field` and `Field.resample` raise them; of an array of dask as `prefilter` raises them.
+        As `Field` and `Field.resample` raise them; of an array of dask as `prefilter` raises them. With `smooth` also `DataError`
+        where a sample is no whole number.
 
     Notes
     -----
+    With `smooth` a point belongs to the label whose indicator, 1 at its samples and 0 elsewhere, is largest there as `filter`
+    reconstructs it. Labels leave no gaps and do not overlap; where several weigh the same, to 10⁻⁶, the smallest number wins. A block
+    of 2 × 2 × 2 samples keeps its middle with each of these filters. Where the new voxels are no smaller than the old ones
+    "bspline5-approx" may yet miss it, and keeps blocks of 2 × 2 × 3; "bspline3-approx" misses none unless they are larger.
+
     A block of an array of dask reads the samples in the support of its own, the margin that the prefilter needs, and with
     `anti_aliasing` the reach of the low-pass. Nothing is read before it is computed, so `filter` is "bspline3" by default also for
     labels, and its smoothing is not "auto". Results are float64 in double precision and, where no precision is given, of types that
