@@ -652,8 +652,8 @@ def resample(
     Notes
     -----
     With `smooth` a point belongs to the label whose indicator, 1 at its samples and 0 elsewhere, is largest there as `filter`
-    reconstructs it. Labels leave no gaps and do not overlap; where several weigh the same, to 10⁻⁶, the smallest number wins. A block
-    of 2 × 2 × 2 samples keeps its middle with each of these filters. Where the new voxels are no smaller than the old ones
+    reconstructs it. Labels leave no gaps and do not overlap; where several weigh the same, to 10⁻⁶, the smallest number wins.
+    A block of 2 × 2 × 2 samples keeps its middle with each of these filters. Where the new voxels are no smaller than the old ones
     "bspline5-approx" may yet miss it, and keeps blocks of 2 × 2 × 3; "bspline3-approx" misses none unless they are larger.
 
     A block of an array of dask reads the samples in the support of its own, the margin that the prefilter needs, and with
