@@ -425,7 +425,14 @@ def one_field(world: World, random: Random) -> Any:
 def grids(world: World, random: Random) -> Any:
     volume = _volume(world, random)
     chosen = _one(random, world.filters), _one(random, world.boundaries)
-    which = int(random.integers(4))
+    which = int(random.integers(5))
+    if which == 4:
+        like = replace(world.volumes["noise"], origin=tuple(volume.center))
+        labels = replace(volume, data=random.integers(0, 9, volume.shape).astype(np.uint16))
+        return [
+            clvol.resample(labels, like=like, boundary=chosen[1], smooth=True),
+            clvol.resample_scores(random.normal(size=(3, 5, 6, 7)), (6, 7, 8), filter=chosen[0]),
+        ]
     if which == 0:
         shape = tuple(random.integers(4, 30, 3).tolist())
         return clvol.resample(volume, shape, None, None, *chosen, dtype=_one(random, [None, "same", "f8"]))

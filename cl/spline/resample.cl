@@ -7,7 +7,7 @@
 // | BLOCK rows share what was summed along z                        | resample_axes   |
 //
 // Set by the host: TAPS; DIMENSIONS; BLOCK, rows computed at once, a multiple of 8. The host also computes the coefficients of each
-// column, row and slice of the grid, and their weights (resample.py, _axis_taps).
+// column, row and slice of the grid, and their weights (coefficients.py, axis_taps).
 
 #include "base/platform.cl"
 #include "base/transpose.cl"

@@ -96,6 +96,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.spline.field import resample as resample
     from clvol.spline.field import sample as sample
     from clvol.spline.scatter import adjoint as adjoint
+    from clvol.spline.scores import resample_scores as resample_scores
     from clvol.spline.warp import Warped as Warped
     from clvol.spline.warp import resample_series as resample_series
     from clvol.spline.warp import warp as warp
@@ -142,6 +143,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "show.picture": "Picture save show",
     "spline.field": "Field magnify prefilter resample sample",
     "spline.scatter": "adjoint",
+    "spline.scores": "resample_scores",
     "spline.warp": "Warped resample_series warp",
     "volume.missing": "Missing",
     "volume.transform": "AffineTransform BSplineTransform DisplacementField",

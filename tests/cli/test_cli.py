@@ -983,6 +983,15 @@ def test_resample_omits_results_that_missing_samples_touch(clvol_command: Comman
     assert np.isnan(clvol.read("a.npz").data).sum() == 7**3  # a cubic reaches less than two samples on each side
 
 
+def test_resample_keeps_labels_with_smooth_boundaries(clvol_command: Command) -> None:
+    labels = clvol.Volume(np.repeat(np.array([[[0, 300]]], np.int16), 4, 2).repeat(6, 0).repeat(5, 1), labels=True)
+    clvol.write(labels, "labels.npz")
+    options = ("labels.npz", "-o", "a.npz", "--smooth")
+    assert clvol_command("resample", *options, "--to-shape", "7", "8", "9").code == 0
+    np.testing.assert_array_equal(clvol.read("a.npz").data, clvol.resample(labels, (7, 8, 9), smooth=True).data)
+    clvol_command("resample", *options, "--magnify", "2").fails(1, "--smooth", "got --magnify")
+
+
 def test_resample_takes_exactly_one_grid(clvol_command: Command) -> None:
     clvol_command("resample", SPHERE, "-o", "a.npz").fails(1, "--to-shape, --to-spacing, --like, --magnify", "got none")
     both = ("--magnify", "2", "--to-shape", "3", "3", "3")

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from clvol.bricks.source import LazyVolume, known_of
 from clvol.filter.make import bspline
 from clvol.spline.evaluator import DIRECT
-from clvol.spline.grids import beyond
+from clvol.spline.grids import beyond, no_shear
 from clvol.spline.points import NOTHING_GIVEN, Transform, sample_into
 from clvol.spline.reduce import gaussian_sums, interpolated, nearest_sums, smoothed
-from clvol.spline.resample import no_shear, resample_coefficients
+from clvol.spline.resample import resample_coefficients
 from clvol.volume.stored import wide_enough
 from clvol.volume.volume import Volume
 

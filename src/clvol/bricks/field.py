@@ -34,7 +34,8 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.margin import reach
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.spline.coefficients import Whole, bytes_of, extent_of
-from clvol.spline.function import CLOSED, ContinuousFunction, described, fill_value
+from clvol.spline.function import CLOSED, ContinuousFunction, fill_value
+from clvol.spline.grids import described
 from clvol.spline.lease import Lease
 from clvol.spline.reduce import steps_along
 from clvol.volume.missing import as_missing

@@ -221,6 +221,7 @@ def resample(
     boundary: Boundary = "mirror",
     fill: float | None = None,
     nan: Literal["error", "propagate", "local"] = "error",
+    smooth: Annotated[bool, Parameter(negative="")] = False,
     device: DeviceName = None,
     input: Input | None = None,
     json: Json = False,
@@ -250,13 +251,15 @@ def resample(
         Value outside the volume; by default the boundary rule applies.
     nan
         How NaN and infinite samples are treated: error, propagate, or local, which makes only what they touch NaN.
+    smooth
+        The samples are labels, which are kept, with smooth boundaries; the filter is then bspline5-approx by default.
     """
     grids = (("--to-shape", shape), ("--to-spacing", spacing), ("--like", like), ("--magnify", magnify))
     given = [name for name, value in grids if value is not None]
     if len(given) != 1:
         raise OptionError(f"give one of --to-shape, --to-spacing, --like, --magnify; got {', '.join(given) or 'none'}")
-    if magnify is not None and (to_dtype is not None or anchor != "center"):
-        raise OptionError("--to-dtype and --anchor are for --to-shape, --to-spacing and --like; got --magnify")
+    if magnify is not None and (to_dtype is not None or anchor != "center" or smooth):
+        raise OptionError("--to-dtype, --anchor and --smooth are for --to-shape, --to-spacing and --like; got --magnify")
     require_writable(output, WRITTEN, "volumes")
     reader = input or Input()
     with warnings.catch_warnings():
@@ -275,10 +278,11 @@ def resample(
             filter,
             boundary,
             anchor=anchor,
+            smooth=smooth,
             dtype=dtype,
             fill=fill,
             device=device,
-            nan=nan,
+            nan=None if nan == "error" else nan,
             progress=report,
         )
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from clvol.base.checks import whole
+from clvol.base.checks import flag, whole
 from clvol.base.errors import DataError, OptionError, UnsupportedError
 from clvol.base.rounding import as_kind, in_kind, wide
 from clvol.dask.blocks import (
@@ -47,6 +47,7 @@ from clvol.spline.function import fill_value
 from clvol.spline.grids import Anchor, beyond, grid_for
 from clvol.spline.points import Given
 from clvol.spline.reduce import AntiAliasing, Sums, as_anti_aliasing, least_squares, lies_far, low_passed
+from clvol.spline.regions import Regions, as_label, region_filter, require_no_blending
 from clvol.spline.resample import along_axes, resample_axes, resample_coefficients
 from clvol.volume.smoothing import settled
 from clvol.volume.stored import wide_enough
@@ -93,8 +94,10 @@ def resample(
     positions = []
     for start, step, m in zip(starts.tolist(), steps.tolist(), grid.shape, strict=True):
         positions.append(np.asarray(start + step * np.arange(m), np.float64))
-    work = _Work.of(source, count, **options)
-    return _on_grid("resample", source, positions, steps, as_anti_aliasing(anti_aliasing), work, chunks)
+    work, low_pass = _Work.of(source, count, **options), as_anti_aliasing(anti_aliasing)
+    if work.smooth:
+        require_no_blending(anti_aliasing=low_pass)
+    return _on_grid("resample", source, positions, steps, low_pass, work, chunks)
 
 
 def magnify(volume: Any, factor: int, progress: object, chunks: Chunks, dimensions: int | None, **options: Any) -> Any:
@@ -158,6 +161,7 @@ class _Work:
     fill: float | None
     device: Any
     count: int
+    smooth: bool
 
     @classmethod
     def of(
@@ -171,11 +175,17 @@ class _Work:
         nan: object,
         dtype: DTypeLike | None = None,
         fill: float | None = None,
+        smooth: bool = False,
     ) -> _Work:
         """Options, checked; no device is looked up."""
+        if flag("smooth", smooth):
+            require_no_blending(precision=precision, nan=nan)
+            dtype = source.dtype if dtype is None else dtype
+            as_label("fill", fill or 0, source.dtype)
         if nan not in (None, "error"):
             raise UnsupportedError(f'nan must be "error" for an array of dask, where missing samples may span blocks; got {nan!r}')
-        row = settled_row(as_filter(DEFAULT_FILTER if filter is None else filter), source.shape[-count:])
+        chosen_filter = region_filter(filter) if smooth else as_filter(DEFAULT_FILTER if filter is None else filter)
+        row = settled_row(chosen_filter, source.shape[-count:])
         fill = fill_value(fill)
         kind = None if dtype is None else as_kind(dtype, source.dtype)
         if kind is not None and kind.kind != "f" and fill is not None and np.isnan(fill):
@@ -193,6 +203,7 @@ class _Work:
             fill,
             checked_device(device),
             count,
+            smooth,
         )
 
     def here(self) -> tuple[Any, type[np.generic]]:
@@ -203,7 +214,7 @@ class _Work:
     @property
     def identity(self) -> list[object]:
         """What distinguishes it from others, for keys of tasks."""
-        return [self.filter, self.boundary, self.precision, self.wide, repr(self.fill), repr(self.device), self.count]
+        return [self.filter, self.boundary, self.precision, self.wide, repr(self.fill), repr(self.device), self.count, self.smooth]
 
 
 def _on_grid(
@@ -269,6 +280,9 @@ class _Sampled:
         device, kind = self.work.here()
         row, boundary = self.work.filter, self.work.boundary
         volume = Volume(samples)
+        if self.work.smooth:
+            with Regions(volume, row, boundary, device) as regions:
+                return regions.along_axes(positions[::-1])
         if self.smooth:
             volume = low_passed(volume, self.steps[::-1], boundary, kind, device)
         given, shape = Given(), tuple(map(len, positions))

@@ -5,6 +5,10 @@ SciPy's signatures and rules, and a few more keywords (`precision`, `device`, `n
 refuse; they never pass a call on to SciPy. All other names of `scipy.ndimage` (`gaussian_filter`, `label`, ...) are SciPy's own
 functions, which this module looks up there.
 
+``order="labels"`` is for label maps: whole numbers are kept, never blended, and their boundaries are smooth, as by `clvol.resample`
+with ``smooth=True``: an element gets the label whose indicator is largest there, reconstructed by unprefiltered quintic B-splines,
+also along axes that do not change. It takes arrays of up to three axes, in memory or of dask; `cval` is a label.
+
 The input is one of
 
 - an array, or what can be made into one. Where its coefficients do not fit in memory, it is evaluated by bricks, with a

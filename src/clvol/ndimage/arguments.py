@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from clvol.base.errors import (
     OptionTypeError,
     OutOfMemoryError,
     RefusedError,
+    UnsupportedError,
 )
 from clvol.base.progress import part_of
 from clvol.device import Device
@@ -39,6 +40,7 @@ __all__ = [
     "AnyDevice",
     "Array",
     "Nan",
+    "Order",
     "Progress",
     "Spline",
     "as_array",
@@ -58,6 +60,7 @@ __all__ = [
     "require_addressable",
     "require_coordinates",
     "require_finite",
+    "require_of_labels",
     "warn",
 ]
 
@@ -65,6 +68,7 @@ Array: TypeAlias = NDArray[Any]
 AnyDevice: TypeAlias = Device | str | int | None
 Progress: TypeAlias = Callable[[float], None] | None
 Nan: TypeAlias = str
+Order: TypeAlias = int | Literal["labels"]
 
 BOUNDARIES = {
     "mirror": "mirror",
@@ -90,7 +94,8 @@ _KNOWN = "bool, integers, float16, float32, float64, complex64 or complex128"
 class Spline:
     """How an array is interpolated: the options that all functions share. It can be pickled, for tasks of dask.
 
-    `cval` is complex for complex arrays only; `device` is as `as_device` takes it, `nan` as `affine_transform` does.
+    `cval` is complex for complex arrays only; `device` is as `as_device` takes it, `nan` as `affine_transform` does. Where `labels`
+    is set, the label whose unprefiltered spline is largest is taken.
     """
 
     order: int
@@ -101,6 +106,7 @@ class Spline:
     device: AnyDevice = None
     progress: Progress = None
     nan: Nan = "propagate"
+    labels: bool = False
 
     @property
     def local(self) -> bool:
@@ -126,7 +132,7 @@ class Spline:
     @property
     def identity(self) -> list[object]:
         """What distinguishes it from others, for keys of tasks."""
-        return [self.order, self.mode, repr(self.cval), self.prefilter, self.precision, repr(self.device), self.nan]
+        return [self.order, self.mode, repr(self.cval), self.prefilter, self.precision, repr(self.device), self.nan, self.labels]
 
     def of_part(self, part: str, number: int) -> Spline:
         """For the real or the imaginary part of complex samples; each is half of the work."""
@@ -158,6 +164,14 @@ def as_order(order: object, minimum: int = 0) -> int:
     if not minimum <= number <= 5:
         raise RefusedError(f"order must be a whole number from {minimum} to 5; got {number}")
     return number
+
+
+def require_of_labels(dtype: np.dtype[Any], precision: object, nan: object) -> None:
+    """Refuse what order "labels" has no use for."""
+    if dtype.kind == "c":
+        raise UnsupportedError(f'order "labels" takes whole numbers; got {dtype}')
+    if precision is not None or nan != "propagate":
+        raise OptionError(f'precision and nan are for values: leave them out with order "labels"; got {precision!r} and {nan!r}')
 
 
 def as_mode(mode: object) -> str:

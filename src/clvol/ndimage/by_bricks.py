@@ -68,6 +68,8 @@ class ByBricks(Substrate):
             self._refuse(plan, f"precision={spline.precision!r}")
         if spline.local:
             self._refuse(plan, "nan='local'")
+        if spline.labels:
+            self._refuse(plan, "order='labels'")
         return plan.on(self)
 
     def grid(self, plan: Grid) -> Array:

@@ -18,14 +18,17 @@ from clvol.filter.boundary import as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 from clvol.ndimage.arguments import BOUNDARIES, Array, Spline
+from clvol.spline import grids
 from clvol.spline.build import DefineDict, scalar_defines
 from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, addressable, bundled
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import precision_kind
 from clvol.spline.points import Given, Transform, sample_grid, sample_into
 from clvol.spline.prefilter import gain_along, prefilter_in_place
+from clvol.spline.regions import Regions
 from clvol.spline.resample import resample_axes
 from clvol.volume.stored import is_far
+from clvol.volume.volume import Volume
 
 __all__ = [
     "FILTERED_AS",
@@ -96,6 +99,10 @@ def evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, sp
         target = Axes(tuple(target.positions[i] for i in closest))
         onto = onto.transpose((*range(len(kept)), *(len(kept) + i for i in closest)))
     moved, batch = data.transpose(kept + axes), len(kept)
+    if spline.labels:
+        for index in np.ndindex(moved.shape[:batch]):
+            onto[index] = _labels_at(moved[index], target, spline)
+        return
     outer = batch  # axes whose indices are computed one after the other
     if batch and len(axes) < 3 and not isinstance(target, Points):  # of one axis all are done at once: the longest
         moved, onto = _merged(moved, onto, batch)
@@ -129,6 +136,24 @@ def evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, sp
     finally:
         if made is not None:
             made.release()
+
+
+def _labels_at(data: Array, target: Target, spline: Spline) -> Array:
+    """The labels of one volume at a target; a line is an image of one row."""
+    line = data.ndim == 1
+    volume = Volume(data[np.newaxis] if line else data)
+    with Regions(volume, row_of(5, False), spline.boundary_with_cval, as_device(spline.device)) as regions:
+        if isinstance(target, Axes):
+            rows = (np.zeros(1),) if line else ()
+            labels = regions.along_axes((*target.positions[::-1], *rows), spline.progress)
+            return labels[0] if line else labels
+        if isinstance(target, Affine):
+            place = grids.Target(target.matrix[::-1, ::-1], target.offset[::-1], target.shape)
+            return regions.on(place, spline.progress)
+        planes = target.coordinates.reshape(data.ndim, -1)
+        labels = regions.at(np.concatenate([np.zeros_like(planes), planes]) if line else planes, spline.progress)
+        labels[~np.isfinite(planes).all(0)] = spline.cval.real
+        return labels.reshape(target.coordinates.shape[1:])
 
 
 def _merged(moved: Array, onto: Array, count: int) -> tuple[Array, Array]:

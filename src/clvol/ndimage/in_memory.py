@@ -273,6 +273,8 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
         axes, grid = _joined(data, *passes[0], spline)
         _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], axes, grid, *parts[1:]))
         return
+    if spline.labels:
+        raise UnsupportedError(f'order "labels" takes an input of up to {NATIVE} axes; got {data.ndim}')
 
     def compute(source: Array, target: Array, spline: Spline) -> None:
         kind = np.float64 if spline.precision == "double" else np.float32

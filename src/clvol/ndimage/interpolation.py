@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from clvol.base.errors import RefusedError, UnsupportedError
 from clvol.interop.dispatch import is_in_parts, is_lazy, require_lazy
 from clvol.ndimage.antialiasing import widths
-from clvol.ndimage.arguments import AnyDevice, Array, Nan, Progress, as_axes, as_axis, as_order, as_shape, warn
+from clvol.ndimage.arguments import AnyDevice, Array, Nan, Order, Progress, as_axes, as_axis, as_order, as_shape, warn
 from clvol.ndimage.geometry import diagonal, magnified, placed, require_rank, shifted, turned, zoomed
 from clvol.ndimage.in_memory import InMemory, require_few
 from clvol.ndimage.plan import Affine, Coefficients, Grid, Mapped, Points, Substrate
@@ -100,7 +100,7 @@ def spline_filter(
 
 def geometric_transform(
     input: ArrayLike, mapping: Callable[..., Sequence[float]], output_shape: Iterable[int] | None = None,
-    output: Any = None, order: int = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True,
+    output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True,
     extra_arguments: tuple[Any, ...] = (), extra_keywords: Mapping[str, Any] | None = None, *, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
 ) -> Array:  # fmt: skip
@@ -153,7 +153,7 @@ def geometric_transform(
 
 def map_coordinates(
     input: ArrayLike, coordinates: ArrayLike,
-    output: Any = None, order: int = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True, *,
+    output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True, *,
     axes: int | Sequence[int] | None = None, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
 ) -> Array:  # fmt: skip
@@ -212,7 +212,8 @@ def map_coordinates(
 
 def affine_transform(
     input: ArrayLike, matrix: ArrayLike, offset: float | Sequence[float] | Array = 0.0, output_shape: Iterable[int] | None = None,
-    output: Any = None, order: int = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True, *, chunks: Any = None,
+    output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True,
+    *, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
 ) -> Array:  # fmt: skip
     """An array on a grid that a matrix places: `scipy.ndimage.affine_transform`.
@@ -264,7 +265,8 @@ def affine_transform(
 
 def shift(
     input: ArrayLike, shift: float | Sequence[float] | Array,
-    output: Any = None, order: int = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True, *, chunks: Any = None,
+    output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True,
+    *, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
 ) -> Array:  # fmt: skip
     """An array shifted: `scipy.ndimage.shift`.
@@ -296,7 +298,7 @@ def shift(
 
 def zoom(
     input: ArrayLike, zoom: float | Sequence[float] | Array,
-    output: Any = None, order: int = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True, *,
+    output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True, *,
     grid_mode: bool = False, anti_aliasing: AntiAliasing | bool = False, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
 ) -> Array:  # fmt: skip
@@ -334,8 +336,10 @@ def zoom(
     """
     on = _substrate(input, chunks)
     shape, unchanged = zoomed(zoom, on.shape)
-    copied, chosen = unchanged and bool(prefilter), as_anti_aliasing(anti_aliasing)
-    spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
+    spline, chosen = on.spline(order, mode, cval, prefilter, precision, device, nan, progress), as_anti_aliasing(anti_aliasing)
+    if chosen and spline.labels:
+        raise UnsupportedError(f'anti_aliasing is for values, not for order "labels"; got {anti_aliasing!r}')
+    copied = unchanged and spline.prefilter
     if grid_mode and mode in ("constant", "wrap") and not copied:
         warn(f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.")
     positions = magnified(on.shape, shape, grid_mode)
@@ -345,7 +349,8 @@ def zoom(
 
 def rotate(
     input: ArrayLike, angle: float, axes: Sequence[int] = (1, 0), reshape: bool = True,
-    output: Any = None, order: int = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True, *, chunks: Any = None,
+    output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True,
+    *, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
 ) -> Array:  # fmt: skip
     """An array rotated in the plane of two of its axes: `scipy.ndimage.rotate`.

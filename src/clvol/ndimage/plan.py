@@ -16,6 +16,7 @@ from clvol.ndimage.arguments import (
     AnyDevice,
     Array,
     Nan,
+    Order,
     Progress,
     Spline,
     as_coordinates,
@@ -23,6 +24,7 @@ from clvol.ndimage.arguments import (
     as_mode,
     as_order,
     as_precision,
+    require_of_labels,
 )
 from clvol.spline.field import Precision
 
@@ -135,7 +137,7 @@ class Substrate(ABC):
 
     def spline(
         self,
-        order: int,
+        order: Order,
         mode: str,
         cval: complex,
         prefilter: bool,
@@ -145,11 +147,14 @@ class Substrate(ABC):
         progress: Progress,
     ) -> Spline:
         """The options of a call, checked. The device is not looked up."""
-        number, rule, outside = as_order(order), as_mode(mode), as_cval(cval, self.dtype.kind == "c")
+        labels = isinstance(order, str) and order == "labels"
+        if labels:
+            require_of_labels(self.dtype, precision, nan)
+        number, rule, outside = as_order(5 if labels else order), as_mode(mode), as_cval(cval, self.dtype.kind == "c")
         if nan not in NAN:
             raise one_of("nan", nan, NAN)
         chosen = as_precision(self.precision if precision is None else precision, self.dtype)
-        return Spline(number, rule, outside, bool(prefilter), chosen, device, progress, nan)
+        return Spline(number, rule, outside, bool(prefilter) and not labels, chosen, device, progress, nan, labels)
 
     def as_coordinates(self, coordinates: Any, count: int) -> Any:
         """Positions along `count` axes, checked."""

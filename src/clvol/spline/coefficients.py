@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from clvol.spline.evaluator import Evaluator
     from clvol.volume.stored import Stored
 
-__all__ = ["OPENCL_TYPES", "Coefficients", "Whole", "addressable", "bundled", "bytes_of", "extent_of", "require_kind"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Whole", "addressable", "axis_taps", "bundled", "bytes_of", "extent_of", "require_kind"]
 
 OPENCL_TYPES = {  # NumPy to OpenCL
     "b1": "uchar",
@@ -371,3 +371,30 @@ def extent_of(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int
     x, y, z = sizes
     pitch = -(-(x + 2 * halo + row_reach(filter) - filter.support) // LANES) * LANES
     return pitch, y + 2 * halo if dimensions > 1 else 1, z + 2 * halo if dimensions > 2 else 1, halo
+
+
+class Tapped(Protocol):
+    """What is stored for each sample, with a halo: see `Coefficients`."""
+
+    filter: Filter
+    boundary: Boundary
+    size: NDArray[np.int32]
+    extent: NDArray[np.int32]
+    pad: int
+    reach: int
+
+
+def axis_taps(
+    coefficients: Tapped, axis: int, positions: NDArray[np.float64], edge: float
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The indices of the stored coefficients along an axis for `positions` in samples, and their weights; (N, taps)."""
+    boundary, n, row = coefficients.boundary, int(coefficients.size[axis]), coefficients.filter
+    past = 1 + coefficients.pad + coefficients.reach  # up to here all taps are stored
+    inside = (positions >= -edge) & (positions <= n - 1 + edge)
+    if not inside.all():
+        brought = np.where(np.isfinite(positions), positions, 0.0)
+        brought, _ = boundary.position(brought, n, coefficients.pad, coefficients.reach)
+        positions = np.where(inside, positions, np.clip(brought, -past, n - 1 + past))
+    base, t = row.cell(positions)
+    weights = row.weights(t).T
+    return base.astype(np.int64)[:, None] + (np.arange(row.support) + int(coefficients.extent[3])), weights

@@ -18,7 +18,7 @@ from clvol.base.errors import DataError, OptionError
 from clvol.base.frames import flipped, in_frame
 from clvol.base.rounding import as_kind, in_kind
 from clvol.spline.chain import Chain
-from clvol.spline.grids import Target, grid_for
+from clvol.spline.grids import Target, described, grid_for
 from clvol.spline.lease import Leased
 from clvol.spline.reduce import as_anti_aliasing
 from clvol.volume.stored import RENUMBER, names_beyond
@@ -44,7 +44,6 @@ __all__ = [
     "Precision",
     "as_points",
     "as_result",
-    "described",
     "fill_value",
     "points_in_world",
     "put",
@@ -422,11 +421,6 @@ def require_no_transform(stages: Sequence[object]) -> None:
     """Refuse a low-pass with transforms, which scale voxels differently at different points."""
     if stages:
         raise OptionError("resample takes transform or anti_aliasing, not both: low-pass the volume first, by Volume.gaussian")
-
-
-def described(shape: tuple[int, ...]) -> str:
-    """Text for a result of this shape in an error message."""
-    return f"a result of {' × '.join(map(str, shape))} numbers"
 
 
 def put(results: Reals, target: NDArray[Any] | None, out: Any) -> Reals:

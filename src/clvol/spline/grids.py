@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from clvol.spline.reduce import AntiAliasing
     from clvol.volume.volumes import Volumes
 
-__all__ = ["Anchor", "Target", "between", "beyond", "grid_for"]
+__all__ = ["Anchor", "Target", "between", "beyond", "described", "grid_for", "no_shear"]
 
 Anchor: TypeAlias = Literal["center", "origin"]
+_NO_SHEAR = 1e-9  # samples
 _CHANNELS = 4  # most channels of a colour image
 
 
@@ -58,6 +59,17 @@ def beyond(
         x = offset[axis] + matrix[axis, axis] * np.arange(m)
         found.append((x < -boundary.edge) | (x > n - 1 + boundary.edge))
     return found[::-1]
+
+
+def no_shear(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
+    """Whether the axes of a grid of shape (z, y, x) are the volume's, up to rounding."""
+    across = matrix - np.diag(np.diag(matrix))
+    return bool((np.abs(across) * np.array(shape[::-1])[: len(matrix)]).max() < _NO_SHEAR)
+
+
+def described(shape: tuple[int, ...]) -> str:
+    """Text for a result of this shape in an error message."""
+    return f"a result of {' × '.join(map(str, shape))} numbers"
 
 
 def grid_for(

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from clvol.base.progress import part_of
 from clvol.device.program import LANES
 from clvol.spline.build import scalar_defines
-from clvol.spline.coefficients import Coefficients
+from clvol.spline.coefficients import Coefficients, axis_taps
 from clvol.spline.evaluator import DIRECT
+from clvol.spline.grids import no_shear
 from clvol.spline.points import NOTHING_GIVEN, Given, Transform, sample_grid
 
 if TYPE_CHECKING:
@@ -23,11 +24,10 @@ if TYPE_CHECKING:
     from clvol.filter.filter import Filter
     from clvol.spline.evaluator import Evaluator
 
-__all__ = ["along_axes", "filled", "no_shear", "resample_axes", "resample_coefficients"]
+__all__ = ["along_axes", "filled", "resample_axes", "resample_coefficients"]
 
 _BLOCK = 16  # rows that resample.cl computes at once
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
-_NO_SHEAR = 1e-9  # samples
 _LONG = 1 << 16  # points along an axis, and coefficients of a row that they read: more are computed in parts
 _PART = 1 << 24  # approximate points of such a part
 _SCRATCH = 64 << 20  # bytes for all work-items, unless these would be fewer than cores
@@ -76,28 +76,6 @@ def resample_coefficients(
 def along_axes(coefficients: Coefficients, evaluator: Evaluator) -> bool:
     """Whether `resample_axes` applies: on CPUs, with direct taps."""
     return coefficients.device.kind == "cpu" and evaluator == DIRECT
-
-
-def no_shear(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
-    """Whether the axes of a grid of shape (z, y, x) are the volume's, up to rounding."""
-    across = matrix - np.diag(np.diag(matrix))
-    return bool((np.abs(across) * np.array(shape[::-1])[: len(matrix)]).max() < _NO_SHEAR)
-
-
-def _axis_taps(
-    coefficients: Coefficients, axis: int, positions: NDArray[np.float64], edge: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The indices of the stored coefficients along an axis for `positions` in samples, and their weights; (N, taps)."""
-    boundary, n, row = coefficients.boundary, int(coefficients.size[axis]), coefficients.filter
-    past = 1 + coefficients.pad + coefficients.reach  # up to here all taps are stored
-    inside = (positions >= -edge) & (positions <= n - 1 + edge)
-    if not inside.all():
-        brought = np.where(np.isfinite(positions), positions, 0.0)
-        brought, _ = boundary.position(brought, n, coefficients.pad, coefficients.reach)
-        positions = np.where(inside, positions, np.clip(brought, -past, n - 1 + past))
-    base, t = row.cell(positions)
-    weights = row.weights(t).T
-    return base.astype(np.int64)[:, None] + (np.arange(row.support) + int(coefficients.extent[3])), weights
 
 
 def resample_axes(
@@ -153,7 +131,7 @@ def _short_rows(coefficients: Coefficients, along: Positions, given: Given, part
         if count == 1 or coefficients.shape[2] <= _LONG:
             yield part
             return
-        places, _ = _axis_taps(coefficients, 0, along[part], _edge(coefficients, given))
+        places, _ = axis_taps(coefficients, 0, along[part], _edge(coefficients, given))
         if places.max() - places.min() < _LONG:
             yield part
             return
@@ -175,7 +153,7 @@ def _resample_part(
     nx, ny, nz = (*(len(along) for along in positions), 1, 1)[:3]
     nz = nz if d == 3 else coefficients.shape[0]
     whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
-    axes = [_axis_taps(coefficients, axis, x, edge) for axis, x in enumerate([whole_vectors, *positions[1:]])]
+    axes = [axis_taps(coefficients, axis, x, edge) for axis, x in enumerate([whole_vectors, *positions[1:]])]
     if d == 1:  # the only row
         axes.append((np.zeros((1, taps), np.int64), np.eye(1, taps)))
     places, weights = zip(*axes, strict=True)
