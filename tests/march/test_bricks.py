@@ -71,7 +71,7 @@ def same(volume: clvol.Volume, filter: str, boundary: str, edge: int, *args: Any
     return whole["rgba"]
 
 
-@pytest.mark.one_in(54)
+@pytest.mark.one_in(80)
 @pytest.mark.parametrize("view", CAMERAS)
 @pytest.mark.parametrize(("mode", "options"), MODES)
 @pytest.mark.parametrize("filter", ["linear", "nearest", "catmull-rom", "bspline3-approx"])
@@ -82,7 +82,7 @@ def test_bit_identical_without_a_prefilter(
     assert same(volume, filter, "mirror", 16, CAMERAS[view], mode, (70, 50), **options).max() > 0
 
 
-@pytest.mark.one_in(54)
+@pytest.mark.one_in(80)
 @pytest.mark.parametrize("boundary", ["mirror", "wrap", "nearest", "zero", "constant"])
 @pytest.mark.parametrize("filter", ["bspline3", "bspline3(0.1)", "bspline2", "hybrid"])
 @pytest.mark.parametrize(("mode", "options"), MODES)
