@@ -1,8 +1,7 @@
 // What colours matter and surfaces by something else than their own value or colour, and draws outlines.
 //
-// Set by the host: CURVED, whether and by which curvature (curvature.cl), 0 by none; BY_DISTANCE, whether by the distance;
-// BY_LABEL, whether by the label behind a surface; COLORED, whether by another function, of MOST_TAPS taps at most; OUTLINED, whether
-// there are outlines.
+// Set by the host: CURVED, whether by a curvature (curvature.cl); BY_DISTANCE, whether by the distance; BY_LABEL, whether by the label
+// behind a surface; COLORED, whether by another function, of MOST_TAPS taps at most; OUTLINED, whether there are outlines.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"

@@ -3,7 +3,7 @@
 // On the tangent plane the surface bends by -H / |g|, with the Hessian H and the gradient g: positive where it bends away from lower
 // values, as that of a bright ball does (1 / radius). Its eigenvalues are the principal curvatures.
 //
-// Set by the host: CURVED, which of them is shown: 1 the larger one, 2 the smaller one, 3 their mean, 4 their product.
+// mode_block.curvature says which of them is shown.
 
 #include "march/sample.cl"
 
@@ -63,6 +63,8 @@ INLINE real bent_along(const shape_t *shape, constant frame_t *frame, const real
 
 #if CURVED
 
+enum { LARGER, SMALLER, MEAN, PRODUCT };
+
 // Per unit length of the world; 0 where the gradient is.
 INLINE real curvature_of(const shape_t *shape, constant frame_t *frame)
 {
@@ -74,16 +76,9 @@ INLINE real curvature_of(const shape_t *shape, constant frame_t *frame)
     u = scale3(u, 1.0f / square_root(MAX(dot3(u, u), (real)(1e-20f))));
     const real3 v = cross3(normal, u);
     const real a = bent_along(shape, frame, u, u), b = bent_along(shape, frame, u, v), c = bent_along(shape, frame, v, v);
-    const real mean = 0.5f * (a + c), apart = 0.5f * (a - c);
-#if CURVED == 1
-    const real shown = mean + square_root(madd(apart, apart, b * b));
-#elif CURVED == 2
-    const real shown = mean - square_root(madd(apart, apart, b * b));
-#elif CURVED == 3
-    const real shown = mean;
-#else
-    const real shown = a * c - b * b;
-#endif
+    const real mean = 0.5f * (a + c), apart = 0.5f * (a - c), bent = square_root(madd(apart, apart, b * b));
+    const int which = frame->mode.curvature;
+    const real shown = which == LARGER ? mean + bent : which == SMALLER ? mean - bent : which == MEAN ? mean : a * c - b * b;
     return choose(shape->flat, none, shown);
 }
 

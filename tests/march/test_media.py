@@ -66,7 +66,7 @@ def errors(scene: Scene, view: str, device: Device) -> tuple[float, float, float
     return float(apart.max()), float(np.sqrt((apart**2).mean())), float(deep)
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("other", MEDIA)
 def test_two_media_are_the_references(device: Device, other: str, tile: str) -> None:
@@ -224,7 +224,7 @@ OWN: dict[str, Any] = {
 CUT = Plane((0, -1, 0.2), (0, 6, 0))
 
 
-@pytest.mark.one_in(14)
+@pytest.mark.one_in(27)
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("other", ["one grid", "turned", "a slice"])
 @pytest.mark.parametrize("own", OWN)

@@ -124,7 +124,7 @@ def test_a_surface_ends_where_samples_do(method: str, device: Device) -> None:
     assert abs(len(at) / (np.linalg.norm(disc, axis=1) < RADIUS).sum() - 1) < 0.05
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize("filter", ["bspline3", "linear", "nearest"])
 @pytest.mark.parametrize("mode", [*MODES, "stepped"])
 def test_pictures_agree_with_the_reference_and_skipping_changes_no_bit(mode: str, filter: str, device: Device) -> None:

@@ -210,7 +210,7 @@ class Frame:
             "SEVERAL": int(self.several),
             "ADDED": int(added),
             "MISSING": int(self.gaps is not None),
-            "CURVED": CURVATURES.index(colored) + 1 if (colored := colored_by(mode)) in CURVATURES else 0,
+            "CURVED": int((colored := colored_by(mode)) in CURVATURES),
             "OUTLINED": int(outlined(mode)),
             "BY_LABEL": int(colored == BY_LABEL and self.labels),
             "BY_DISTANCE": int(colored == BY_DISTANCE),

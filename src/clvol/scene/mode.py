@@ -67,6 +67,7 @@ BY_DISTANCE = "distance"
 """... and by how far away they are."""
 BY_LABEL = "label"
 """What colours surfaces of labels, unless they are given a colour."""
+_LOOKS: dict[str, Any] = {"cap": INT, "cap_color": (FLOAT, 3), "outline": FLOAT, "curvature": INT}  # of modes that show surfaces
 _BENT = 1 / 8  # the curvature of the strongest colours, times the spacing
 _BONE, _RED = (0.93, 0.87, 0.76), (0.80, 0.25, 0.20)
 _SHOWN = ("matter", "surface", "max", "min", "mean")
@@ -321,9 +322,7 @@ class Isosurface(_OfSurfaces):
     description: ClassVar[str] = "the first isosurface along the ray, shaded"
     state_fields: ClassVar[int] = 2
     finished_there: ClassVar[bool] = True
-    BLOCK: ClassVar[Block] = Block(
-        "mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3), cap=INT, cap_color=(FLOAT, 3), outline=FLOAT
-    )
+    BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3), **_LOOKS)
 
     def __post_init__(self) -> None:
         if isinstance(self.isovalue, str):
@@ -372,9 +371,8 @@ class Isosurface(_OfSurfaces):
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         (surface,) = (stored(value) for value in self.isovalues)  # settled
-        return self.BLOCK(
-            isovalue=surface, tolerance=self.tolerance, color=self.color, outline=self.outline, **_cap_block(self.cap)
-        )
+        looks = _looks_block(self.cap, self.color_by, self.outline)
+        return self.BLOCK(isovalue=surface, tolerance=self.tolerance, color=self.color, **looks)
 
 
 @dataclass(frozen=True)
@@ -421,14 +419,7 @@ class Surfaces(_OfSurfaces):
     state_fields: ClassVar[int] = 8
     stretches: ClassVar[bool] = True
     BLOCK: ClassVar[Block] = Block(
-        "mode_block",
-        isovalue=FLOAT,
-        count=INT,
-        isovalues=(FLOAT, _MOST_SURFACES),
-        colors=(FLOAT, 4 * _MOST_SURFACES),
-        cap=INT,
-        cap_color=(FLOAT, 3),
-        outline=FLOAT,
+        "mode_block", isovalue=FLOAT, count=INT, isovalues=(FLOAT, _MOST_SURFACES), colors=(FLOAT, 4 * _MOST_SURFACES), **_LOOKS
     )
 
     def __post_init__(self) -> None:
@@ -474,10 +465,8 @@ class Surfaces(_OfSurfaces):
         assert isinstance(self.surfaces, tuple)  # settled
         for k, (value, color, opacity) in enumerate(self.surfaces):
             values[k], colors[k] = stored(value), (*color, opacity)
-        count = len(self.surfaces)
-        return self.BLOCK(
-            isovalue=values[0], count=count, isovalues=values, colors=colors.ravel(), outline=self.outline, **_cap_block(self.cap)
-        )
+        looks = _looks_block(self.cap, self.color_by, self.outline)
+        return self.BLOCK(isovalue=values[0], count=len(self.surfaces), isovalues=values, colors=colors.ravel(), **looks)
 
 
 @dataclass(frozen=True)
@@ -722,9 +711,10 @@ def _cap(given: object) -> bool | tuple[float, float, float]:
     return bool(given) if isinstance(given, (bool, np.bool_)) else color_of("cap", given)  # type: ignore[arg-type]  # it checks
 
 
-def _cap_block(cap: bool | Sequence[float] | str) -> dict[str, Any]:
+def _looks_block(cap: bool | Sequence[float] | str, color_by: str | None, outline: float) -> dict[str, Any]:
     kind, color = (int(cap), 0.0) if isinstance(cap, bool) else (2, cap)
-    return {"cap": kind, "cap_color": color}
+    curvature = CURVATURES.index(color_by) if color_by in CURVATURES else 0
+    return {"cap": kind, "cap_color": color, "outline": outline, "curvature": curvature}
 
 
 def _uncolored(cap: object, color_by: str | None) -> dict[str, str]:
