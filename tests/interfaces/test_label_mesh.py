@@ -170,11 +170,11 @@ def test_what_is_no_mesh_of_labels_is_refused() -> None:
 
 
 def test_the_shell_writes_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    clvol.write(touching(), tmp_path / "two.nrrd")
+    clvol.write(touching(), tmp_path / "two.npz")
     with pytest.raises(SystemExit, match="0"):
-        cli.main(["mesh", str(tmp_path / "two.nrrd"), "-o", str(tmp_path / "a.glb"), "--only", "3", "--only", "7", "--json"])
+        cli.main(["mesh", str(tmp_path / "two.npz"), "-o", str(tmp_path / "a.glb"), "--only", "3", "right", "--json"])
     assert '"labels"' in capsys.readouterr().out
     assert len(trimesh.load(tmp_path / "a.glb").geometry) == 2
     with pytest.raises(SystemExit, match="1"):
-        cli.main(["mesh", str(tmp_path / "two.nrrd"), "-o", str(tmp_path / "a.stl"), "--isovalue", "3"])
-    assert "isovalue is for values" in capsys.readouterr().err
+        cli.main(["mesh", str(tmp_path / "two.npz"), "-o", str(tmp_path / "a.stl"), "--isovalue", "3"])
+    assert "--isovalue is for values" in capsys.readouterr().err

@@ -377,8 +377,13 @@ def mesh(
     if known.ndim != 3:
         raise OptionError(f"a mesh is of a volume with 3 axes; got shape {known.shape}{if_image(known.shape)}")
     if known.is_labels:
-        unusable = {name: options.get(name) for name in ("faces", "nan", "mask")}
-        require_no_blending(isovalue=isovalue, curvature=curvature or None, **unusable)
+        require_no_blending(
+            isovalue=isovalue,
+            faces=faces,
+            curvature=curvature or None,
+            nan=None if options.get("nan") == "error" else options.get("nan"),
+            mask=options.get("mask"),
+        )
         if not isinstance(given, Volume):
             raise OptionError(f"a mesh of labels takes them in memory: a LazyVolume's whole(), a Field's volume; got {volume!r}")
         return _of_labels(given, closed, options)
