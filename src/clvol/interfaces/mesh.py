@@ -136,9 +136,9 @@ class Mesh:
         number = as_number(label, self.names)
         behind, front = (self.labels == number).T
         mine = behind | front
-        faces, pairs = self.faces.copy(), self.labels.copy()
-        faces[front], pairs[front] = faces[front, ::-1], pairs[front, ::-1]
-        split, sources = parted(faces[mine])
+        faces, pairs, turned = self.faces[mine], self.labels[mine], front[mine]
+        faces[turned], pairs[turned] = faces[turned, ::-1], pairs[turned, ::-1]
+        split, sources = parted(faces)
         vertices, normals = self.vertices[sources], self.normals[sources].copy()
         facing_back = np.zeros(len(self.vertices), bool)
         facing_back[self.faces[front]] = True
@@ -146,7 +146,7 @@ class Mesh:
         several = self._where_several_meet[sources]
         mean = normals_of(vertices, split)[several]
         normals[several] = mean / np.maximum(np.linalg.norm(mean, axis=1), np.finfo(float).tiny)[:, None]
-        one = {"labels": pairs[mine], "names": {number: self.names[number]}, "colors": {number: self.colors[number]}}
+        one = {"labels": pairs, "names": {number: self.names[number]}, "colors": {number: self.colors[number]}}
         return replace(self, vertices=vertices, faces=split, normals=normals, **one)
 
     @property
