@@ -1,10 +1,14 @@
-"""Meshes of an isosurface, beside scikit-image's and VTK's in the same run: time, and how far vertices are from the spline.
+"""Meshes of an isosurface and of labels, beside scikit-image's and VTK's in the same run: time, and how far vertices are off.
 
     python -m bench.meshes
 
 A ball of 256³ samples with a smooth bump; medians over rounds that alternate. Aimed at: 1 s. "off" is the largest distance of a
 vertex from the surface of the cubic spline, to first order, in voxels. scikit-image and VTK place vertices on edges of the grid by
 linear interpolation. Those that are not installed are left out.
+
+Then labels: the shapes of `bench.labels`, whose distance functions are known, with how far vertices and normals are from the truth,
+and by how much volume and area are; and 50 Voronoi regions of random points in 256³. VTK smooths its surface nets by its defaults,
+and leaves them open at the faces of the volume.
 """
 
 from __future__ import annotations
@@ -18,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clvol
+from bench.labels import SHAPES, Distances, regions
+from clvol.interfaces.triangles import normals_of
 
 _EDGE, _ROUNDS, _LEVEL = 256, 5, 0.0
 
@@ -52,8 +58,94 @@ def ways(data: NDArray[np.float32]) -> dict[str, Callable[[], NDArray[Any]]]:
     return found
 
 
+def surface_nets(data: NDArray[Any]) -> Any:
+    """VTK's output, smoothed."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonDataModel import vtkImageData
+    from vtkmodules.vtkFiltersCore import vtkSurfaceNets3D
+
+    nets: Any = vtkSurfaceNets3D
+    image, found = vtkImageData(), nets()
+    image.SetDimensions(*data.shape[::-1])
+    image.GetPointData().SetScalars(numpy_to_vtk(data.ravel()))  # type: ignore[no-untyped-call]
+    found.SetInputData(image)
+    for place, number in enumerate(np.unique(data[data > 0]).tolist()):
+        found.SetLabel(place, number)
+    found.SetOutputMeshTypeToTriangles()
+    found.Update()
+    return found.GetOutput()
+
+
+def mesh_of(made: Any) -> clvol.Mesh:
+    """That output as a mesh with the normals of its triangles."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    points, faces, labels = (
+        np.asarray(vtk_to_numpy(array))  # type: ignore[no-untyped-call]
+        for array in (
+            made.GetPoints().GetData(),
+            made.GetPolys().GetConnectivityArray(),
+            made.GetCellData().GetArray("BoundaryLabels"),
+        )
+    )
+    corners = faces.reshape(-1, 3).astype(np.int64)
+    normals = normals_of(points.astype(np.float64), corners)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    names = dict.fromkeys(np.unique(labels[labels > 0]).tolist(), "")
+    return clvol.Mesh(points.astype(np.float64), corners, normals.astype(np.float32), labels=labels.astype(np.int64), names=names)
+
+
+def of_labels() -> None:
+    """Measure labels, and print the tables."""
+    grid = clvol.Volume(np.broadcast_to(np.float32(0), (40, 40, 40)))
+    places = grid.index_to_world(np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), -1)[..., ::-1])
+    truths = {
+        "ball of radius 9.4": (4 / 3 * np.pi * 9.4**3, 4 * np.pi * 9.4**2),
+        "ball of radius 14": (4 / 3 * np.pi * 14**3, 4 * np.pi * 14**2),
+        "torus, 11.2 and 4.7": (2 * np.pi**2 * 11.2 * 4.7**2, 4 * np.pi**2 * 11.2 * 4.7),
+        "two balls that touch": (8 / 3 * np.pi * 8**3, 8 * np.pi * 8**2),
+    }
+    for shape, (volume, area) in truths.items():
+        data = np.zeros(grid.shape, np.uint8)
+        for label, distance in enumerate(SHAPES[shape](places), 1):
+            data[distance < 0] = label
+        labels = clvol.Volume(data, labels=True)
+        made = {row: clvol.mesh(labels, filter=row) for row in ("linear", "bspline3-approx", "bspline5-approx")}
+        for name, one in (made | {"VTK, smoothed": mesh_of(surface_nets(data))}).items():
+            off, slopes = _nearest(SHAPES[shape], one.vertices)
+            angles = np.degrees(np.arccos((one.normals * slopes).sum(1).clip(-1, 1)))
+            print(
+                f"{shape:21} {name:16} off {np.sqrt((off**2).mean()):.3f}, normals {np.sqrt((angles**2).mean()):5.1f}° (RMS)  "
+                f"volume {one.volume / volume - 1:+.2%}  area {one.area / area - 1:+.2%}"
+            )
+    data = regions(_EDGE, 50)
+    regions_of_points = clvol.Volume(data, labels=True)
+    ways: dict[str, Callable[[], Any]] = {
+        "clvol": lambda: clvol.mesh(regions_of_points),
+        "VTK, smoothed": lambda: surface_nets(data),
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(_ROUNDS):
+        for name, make in ways.items():
+            begun = time.perf_counter()
+            make()
+            seconds[name].append(time.perf_counter() - begun)
+    for name, taken in seconds.items():
+        print(f"50 labels of {_EDGE}³, {name:14} {statistics.median(taken[1:]):5.2f} s")
+
+
+def _nearest(distances: Distances, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far points are from the nearest surface, and the normals there."""
+    found = np.stack(distances(points))
+    nearest = np.abs(found).argmin(0)[None]
+    step = 1e-5
+    slopes = [np.stack(distances(points + step * axis)) - np.stack(distances(points - step * axis)) for axis in np.eye(3)]
+    there = np.stack([np.take_along_axis(slope, nearest, 0)[0] for slope in slopes], axis=-1)
+    return np.abs(np.take_along_axis(found, nearest, 0)[0]), there / np.linalg.norm(there, axis=1)[:, None]
+
+
 def main() -> None:
-    """Measure, and print a table."""
+    """Measure, and print the tables."""
     data = samples()
     makers = ways(data)
     seconds: dict[str, list[float]] = {name: [] for name in makers}
@@ -68,6 +160,7 @@ def main() -> None:
             at = vertices[name].astype(np.float64)
             off = np.abs(field(at) - _LEVEL) / np.linalg.norm(field.gradient(at), axis=1)
             print(f"{name:20} {1000 * statistics.median(taken[1:]):7.0f} ms  {len(at):8} vertices  off {off.max():.1e}")
+    of_labels()
 
 
 if __name__ == "__main__":

@@ -183,7 +183,7 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     ball = clvol.phantoms.sphere(8)
     cases: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
         (np.zeros((5, 5)), {}, OptionError, "3 axes; got shape \\(5, 5\\)"),
-        (clvol.Volume(np.eye(4, dtype=np.uint8)[None].repeat(4, 0), labels=True), {}, OptionError, "labels"),
+        (ball, {"only": [1]}, OptionError, "only is for labels"),
         (ball, {"faces": 3}, OptionError, "faces"),
         (ball, {"closed": "no"}, OptionError, "closed"),
         (ball, {"close": False}, OptionError, "close is no option of mesh \\(did you mean closed\\?\\)"),

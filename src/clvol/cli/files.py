@@ -328,10 +328,20 @@ class Meshing:
             help="Value of the surface, or standard deviations above the mean, as 3sigma. [default: as of 'clvol render']",
         ),
     ] = None
+    only: Annotated[
+        tuple[str, ...],
+        Parameter(
+            help="Of labels: those whose surfaces are made, by number or name. [default: all but the background]",
+            show_default=False,
+            consume_multiple=True,
+        ),
+    ] = ()
     closed: Annotated[bool, Parameter(help="Close it where it meets the faces of the volume.")] = True
     faces: Annotated[int | None, Parameter(help="Triangles at most.", converter=whole_numbers)] = None
     curvature: Annotated[bool, Parameter(negative="", help="Keep the principal curvatures of the vertices, in a .ply.")] = False
-    filter: Annotated[FilterName | None, Parameter(help="As of 'clvol render'.", show_default=False)] = None
+    filter: Annotated[
+        FilterName | None, Parameter(help="As of 'clvol render'; of labels, as of 'clvol resample --smooth'.", show_default=False)
+    ] = None
     boundary: Boundary = "mirror"
     nan: Annotated[
         Literal["error", "local"], Parameter(help="NaN and infinite samples: error, or local, where the surface ends at them.")
@@ -350,14 +360,17 @@ def mesh(
     input: Input | None = None,
     json: Json = False,
 ) -> None:
-    """Write the surface of a value as triangles that lie on the spline: STL, PLY, OBJ or GLB.
+    """Write the surface of a value, or the surfaces of labels, as triangles that lie on the spline: STL, PLY, OBJ or GLB.
+
+    Labels have smooth boundaries, as by 'clvol resample --smooth'; an STL holds one, chosen by --only.
 
     Parameters
     ----------
     frame
         Of coordinates, for a volume of a patient.
     """
-    given = vars(meshing or Meshing())
+    given = dict(vars(meshing or Meshing()))
+    given["only"] = [int(label) if label.lstrip("-").isdecimal() else label for label in given["only"]] or None
     require_writable(output, MESHES, "meshes")
     if given["curvature"] and output.suffix.lower() != ".ply":
         raise OptionError(f"--curvature is kept by .ply alone; got {output.name}")
@@ -367,6 +380,8 @@ def mesh(
         made = clvol.mesh(volume, progress=report, **given)
     made.save(output, frame=frame)
     found = {"output": str(output), "triangles": len(made.faces), "vertices": len(made.vertices), "area": made.area}
+    if made.labels is not None:
+        found["labels"] = len(made.names)
     if made.is_closed:
         found["volume"] = made.volume
     say(json, found | {"units": volume.units})

@@ -48,7 +48,9 @@ def in_the_shell(error: Exception | str, given: Sequence[str]) -> str:
         return message
     names = "|".join(map(re.escape, flags))
     if not isinstance(error, DataError):  # whose "samples must be finite" are those of the file
-        message = re.sub(rf"^({names})(?= (?:must|is no option|is only|changes nothing)\b)", lambda m: flags[m[1]], message)
+        message = re.sub(
+            rf"^({names})(?= (?:must|is no option|is only|is for values|changes nothing)\b)", lambda m: flags[m[1]], message
+        )
     message = re.sub(rf"(?<![\w.-])({names})=(?=[\w(\"'\[])", lambda m: f"{flags[m[1]]} ", message)
     return re.sub(rf"(?<![\w.-])({names})=", lambda m: flags[m[1]], message)
 

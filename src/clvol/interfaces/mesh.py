@@ -1,4 +1,4 @@
-"""Meshes of isosurfaces, whose vertices lie on the continuous function: `mesh` and `Mesh`.
+"""Meshes of isosurfaces and of labels, whose vertices lie on the continuous function: `mesh` and `Mesh`.
 
 VTK's flying edges says which edges of the grid a surface crosses and how they are joined; it gets nothing but which samples are
 inside, so that a value equal to the isovalue leaves no hole. Where the surface lies is then asked of the function.
@@ -6,10 +6,12 @@ inside, so that a value equal to the isovalue leaves no hole. Where the surface 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
@@ -17,19 +19,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
-from clvol.base.checks import as_path, flag, if_image, require_known, warn, whole
+from clvol.base.checks import as_path, flag, if_image, require_known, several, warn, whole
 from clvol.base.errors import MissingDependencyError, OptionError
 from clvol.base.files import require_folder, require_suffix, staged
 from clvol.base.frames import in_frame
 from clvol.base.progress import Progress, part_of, require_callback
+from clvol.device import as_device
+from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import PICTURE_FILTER
+from clvol.interfaces.label_surfaces import as_number, label_surfaces
+from clvol.interfaces.triangles import is_closed, normals_of, parted
 from clvol.interop.dispatch import is_in_parts
+from clvol.labels import name_of
 from clvol.march.choose import without_masked
 from clvol.march.function import row_for
 from clvol.scene.mode import Isosurface
+from clvol.scene.preset import Color, label_color
 from clvol.spline.curvature import principal_curvatures
 from clvol.spline.field import opened
 from clvol.spline.function import ContinuousFunction, Frame
+from clvol.spline.regions import region_filter, require_no_blending
+from clvol.volume.histogram import label_numbers
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume, as_volume
 
@@ -59,21 +69,27 @@ _PER_VERTEX = 400  # bytes of a vertex and its two triangles, while they are mad
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A surface of triangles in the world.
+    """A surface of triangles in the world, or all surfaces between the regions of labels.
 
     Attributes
     ----------
     vertices : ndarray of float64, shape (n, 3)
         World positions (x, y, z).
     faces : ndarray of int64, shape (m, 3)
-        The vertices of each triangle, counterclockwise as seen from where values are lower.
+        The vertices of each triangle, counterclockwise as seen from where values are lower, or from the label in front.
     normals : ndarray of float32, shape (n, 3)
-        Unit vectors towards lower values.
+        Unit vectors towards lower values, or the label in front. Those of labels are exact where two regions meet; where several
+        do, and at the rims of the domain's faces, they are means of those of the triangles.
     curvature : ndarray of float32, shape (n, 2), or None
         Principal curvatures κ₁ ≥ κ₂ per world unit; positive where the surface bends away from its normal, as a sphere around
         high values does: 1 / radius. NaN on the faces that close a mesh.
     units, space : str
         Those of the volume.
+    labels : ndarray of int64, shape (m, 2), or None
+        Of labels: the one behind each triangle, and the one in front. The one behind is in `names`; if both are, it is the smaller
+        one. In front of the faces of the domain is a number that is no label: -1, or lower if labels are negative.
+    names, colors : mapping of int to str, and to (r, g, b)
+        The labels whose surfaces are in the mesh, with their names, which may be "", and colours from 0 to 1.
 
     Examples
     --------
@@ -89,31 +105,87 @@ class Mesh:
     curvature: NDArray[np.float32] | None = None
     units: str = ""
     space: str = ""
+    labels: NDArray[np.int64] | None = None
+    names: Mapping[int, str] = dataclasses.field(default_factory=dict)
+    colors: Mapping[int, Color] = dataclasses.field(default_factory=dict)
 
     def __repr__(self) -> str:
-        return f"<Mesh of {len(self.faces)} triangles, {len(self.vertices)} vertices>"
+        of = "" if self.labels is None else f" of {len(self.names)} labels"
+        return f"<Mesh of {len(self.faces)} triangles, {len(self.vertices)} vertices{of}>"
+
+    def of(self, label: int | str) -> Mesh:
+        """The surface of one label, by its number or name: closed, if the mesh was made so.
+
+        Where two parts of a region touch along an edge, or in a point, each has vertices of its own.
+
+        Raises
+        ------
+        OptionError
+            The mesh is not of labels, or not of this one.
+
+        Examples
+        --------
+        >>> import numpy as np, clvol
+        >>> halves = np.repeat([[[1, 1, 2, 2]]], 4, 0).repeat(4, 1)
+        >>> both = clvol.mesh(clvol.Volume(halves, labels=True), only=[1, 2])
+        >>> both.is_closed, both.of(1).is_closed
+        (True, True)
+        """
+        if self.labels is None:
+            raise OptionError("of() takes a mesh of labels; got one of an isovalue")
+        number = as_number(label, self.names)
+        behind, front = (self.labels == number).T
+        mine = behind | front
+        faces, pairs, turned = self.faces[mine], self.labels[mine], front[mine]
+        faces[turned], pairs[turned] = faces[turned, ::-1], pairs[turned, ::-1]
+        split, sources = parted(faces)
+        vertices, normals = self.vertices[sources], self.normals[sources].copy()
+        facing_back = np.zeros(len(self.vertices), bool)
+        facing_back[self.faces[front]] = True
+        normals[facing_back[sources]] *= -1
+        several = self._where_several_meet[sources]
+        mean = normals_of(vertices, split)[several]
+        normals[several] = mean / np.maximum(np.linalg.norm(mean, axis=1), np.finfo(float).tiny)[:, None]
+        one = {"labels": pairs, "names": {number: self.names[number]}, "colors": {number: self.colors[number]}}
+        return replace(self, vertices=vertices, faces=split, normals=normals, **one)
 
     @property
     def area(self) -> float:
-        """In world units squared."""
+        """In world units squared; each triangle counts once."""
         a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
         return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
 
     @property
     def volume(self) -> float:
-        """What a closed mesh holds, in world units cubed; negative if it is around lower values."""
+        """What a closed mesh holds, with all its labels, in world units cubed; negative if it is around lower values."""
         if not self.is_closed:
             raise OptionError("volume takes a closed mesh; got one with open edges: clvol.mesh(..., closed=True)")
         middle = self.vertices.mean(0) if len(self.vertices) else 0.0
-        a, b, c = np.moveaxis((self.vertices - middle)[self.faces], 1, 0)
+        a, b, c = np.moveaxis((self.vertices - middle)[self._outer], 1, 0)
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
 
     @property
     def is_closed(self) -> bool:
-        """Whether each edge belongs to two triangles, which run along it in opposite directions."""
-        ahead = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
-        n = max(1, len(self.vertices))
-        return bool(np.array_equal(np.sort(ahead[:, 0] * n + ahead[:, 1]), np.sort(ahead[:, 1] * n + ahead[:, 0])))
+        """Whether each edge belongs to two triangles, which run along it in opposite directions; of labels, in each surface."""
+        if self.labels is None:
+            return is_closed(self.faces)
+        behind, front = self.labels.T
+        both = np.isin(front, list(self.names))  # also the surface of the label in front
+        return is_closed(np.concatenate([self.faces, self.faces[both, ::-1]]), np.concatenate([behind, front[both]]))
+
+    @cached_property
+    def _where_several_meet(self) -> Flags:
+        """Vertices of triangles between more than two labels."""
+        assert self.labels is not None
+        one, several = np.zeros(len(self.vertices), np.int64), np.zeros(len(self.vertices), bool)
+        one[self.faces] = np.arange(len(self.faces))[:, None]
+        several[self.faces[(self.labels[one[self.faces]] != self.labels[:, None]).any(-1)]] = True
+        return several
+
+    @property
+    def _outer(self) -> NDArray[np.int64]:
+        """The triangles without those between two labels of the mesh."""
+        return self.faces if self.labels is None else self.faces[~np.isin(self.labels[:, 1], list(self.names))]
 
     def save(self, path: str | os.PathLike[str], *, frame: Frame = "LPS") -> Path:
         """Write it to a file.
@@ -122,6 +194,8 @@ class Mesh:
         ----------
         path : str or path-like
             ``.stl`` (triangles alone, in float32), ``.obj``, ``.ply`` or ``.glb`` (with normals; ``.ply`` with curvatures, too).
+            Of labels, ``.obj`` and ``.glb`` hold an object for each, with its name and colour, ``.ply`` the triangles as they are,
+            with colours, and properties "label" and "front", and ``.stl`` one label alone, as `of` gives it.
             A file that is there is replaced once the new one is whole. No format has units: coordinates are in the volume's.
         frame : {"LPS", "RAS"}
             Of coordinates, for a volume whose space is "LPS". Slicer reads STL, OBJ and PLY as LPS.
@@ -129,7 +203,8 @@ class Mesh:
         Raises
         ------
         OptionError
-            There is no triangle; or `frame` is neither of these, or "RAS" for a volume that is not of a patient.
+            There is no triangle; or several labels for an ``.stl``; or `frame` is neither of these, or "RAS" for a volume that is
+            not of a patient.
         FormatError
             Another suffix, or the file cannot be written.
         MissingDependencyError
@@ -139,13 +214,15 @@ class Mesh:
         require_folder(target)
         if not len(self.faces):
             raise OptionError("a mesh must have a triangle to be written; got none")
-        made = self.to_trimesh(frame=frame)
+        if suffix == ".stl" and len(self.names) > 1:
+            raise OptionError(f".stl files have no labels, and the mesh has {len(self.names)}: save each mesh.of(label), or a .ply")
+        made = self._objects(frame) if self.labels is not None and suffix in (".obj", ".glb") else self.to_trimesh(frame=frame)
         with staged(target, suffix) as file:
             made.export(file, **({"vertex_normal": True} if suffix == ".ply" else {}))
         return target
 
     def to_trimesh(self, *, frame: Frame = "LPS") -> Any:
-        """A `trimesh.Trimesh` with the same vertices, faces and normals."""
+        """A `trimesh.Trimesh` with the same vertices, faces and normals; of labels, with their colours."""
         try:
             import trimesh
         except ModuleNotFoundError as error:
@@ -154,10 +231,39 @@ class Mesh:
         made = trimesh.Trimesh(vertices, self.faces, vertex_normals=normals, process=False)
         if self.curvature is not None:
             made.vertex_attributes |= {"k1": self.curvature[:, 0], "k2": self.curvature[:, 1]}
+        if self.labels is not None:
+            made.visual = trimesh.visual.ColorVisuals(made, face_colors=self._face_colors)
+            kind = np.result_type(np.int32, *map(np.min_scalar_type, (self.labels.min(initial=0), self.labels.max(initial=0))))
+            kind = kind if kind == np.int32 else np.dtype(np.float64)  # .ply has no longer integers
+            made.face_attributes |= {"label": self.labels[:, 0].astype(kind), "front": self.labels[:, 1].astype(kind)}
         return made
 
+    @property
+    def _face_colors(self) -> NDArray[np.uint8]:
+        assert self.labels is not None
+        numbers, which = np.unique(self.labels[:, 0], return_inverse=True)
+        shades: NDArray[np.uint8] = np.rint(255 * np.array([self.colors[n] for n in numbers.tolist()])).astype(np.uint8)
+        return shades[which]
+
+    def _objects(self, frame: Frame) -> Any:
+        """A scene of trimesh's, of an object for each label."""
+        import trimesh
+
+        scene = trimesh.Scene()
+        for number, name in self.names.items():
+            made = self.of(number)
+            if len(made.faces):
+                shown = made.to_trimesh(frame=frame)
+                shown.visual = trimesh.visual.ColorVisuals(shown, vertex_colors=made._face_colors[:1].repeat(len(made.vertices), 0))
+                shown.metadata["name"] = name or f"label {number}"
+                scene.add_geometry(shown, geom_name=shown.metadata["name"])
+        return scene
+
     def to_pyvista(self) -> Any:
-        """A `pyvista.PolyData` with the same points; "Normals", and "k1" and "k2" of curvature, are arrays of points."""
+        """A `pyvista.PolyData` with the same points; "Normals", and "k1" and "k2" of curvature, are arrays of points.
+
+        Of labels, "label", "front" and "colors" are arrays of cells.
+        """
         try:
             import pyvista
         except ModuleNotFoundError as error:
@@ -167,6 +273,9 @@ class Mesh:
         made.point_data.active_normals = self.normals
         if self.curvature is not None:
             made.point_data["k1"], made.point_data["k2"] = self.curvature.T
+        if self.labels is not None:
+            made.cell_data["label"], made.cell_data["front"] = self.labels.T
+            made.cell_data["colors"] = self._face_colors
         return made
 
 
@@ -175,6 +284,8 @@ class MeshOptions(TypedDict, total=False):
 
     Attributes
     ----------
+    only : iterable of int or str
+        Of labels: those whose surfaces are made, by number or name; default all but the background (`clvol.labels`).
     closed : bool
         Close the surface where it meets the faces of the domain, by parts of these; default True.
     faces : int
@@ -182,7 +293,7 @@ class MeshOptions(TypedDict, total=False):
     curvature : bool
         Also compute principal curvatures at the vertices, from the exact second derivatives; default False.
     filter, boundary, device
-        As of `clvol.render`: by default the mesh is what the picture shows.
+        As of `clvol.render`: by default the mesh is what the picture shows. Of labels, as of `clvol.resample` with ``smooth=True``.
     nan : str or Missing
         How missing samples are treated, as by `Field`; where values are NaN there is nothing, and the surface ends. By default they
         are an error; "local" with a mask.
@@ -192,6 +303,7 @@ class MeshOptions(TypedDict, total=False):
         Called with the fraction done.
     """
 
+    only: Iterable[int | str] | None
     closed: bool
     faces: int | None
     curvature: bool
@@ -208,14 +320,14 @@ def mesh(
     isovalue: float | str | None = None,
     **options: Unpack[MeshOptions],
 ) -> Mesh:
-    """The isosurface of a volume's continuous function as triangles, for printing, modelling and finite elements.
+    """The isosurface of a volume's continuous function, or the surfaces of labels, as triangles: to print, model or compute with.
 
     Parameters
     ----------
     volume : Volume, LazyVolume, Field, BrickedField or array-like, 3-D
-        A Field of double precision places vertices of flat slopes more exactly.
+        A Field of double precision places vertices of flat slopes more exactly. Labels (`Volume.is_labels`) are in memory.
     isovalue : float or str, optional
-        As of `clvol.Isosurface`, which chooses the same if it is None.
+        As of `clvol.Isosurface`, which chooses the same if it is None. Labels have none.
     **options
         Those of `clvol.interfaces.mesh.MeshOptions`, which describes them: `closed`, `faces`, `curvature`, `filter`, ...
 
@@ -226,12 +338,20 @@ def mesh(
         Vertices lie on the function's surface within 1e-5 of the spacing, as far as float32 tells values apart; normals and
         curvatures are the function's. A surface without a triangle gives a `ClvolWarning`.
 
+        Of labels: all surfaces between them, of shared triangles, and `Mesh.of` for that of one. A point belongs to the label
+        whose indicator, reconstructed by a B-spline without a prefilter, is the largest there (as of `clvol.resample` with
+        ``smooth=True``), the smaller one where two are equal. The topology is that of surface nets on these labels at the samples:
+        a label that is largest at none of them is told of by a `ClvolWarning`; ``filter="linear"`` loses none. Vertices of cells
+        with two labels lie where both are equal within 1e-5 of the spacing; those where more meet, at the place in their cell that
+        is nearest to it for all of them, by least squares.
+
     Raises
     ------
     OptionError
-        The volume does not have three axes, or holds labels; an unknown name; `faces` is not at least 4.
+        The volume does not have three axes; an unknown name, or a label that does not occur; `faces` is not at least 4; options of
+        values for labels, or `only` for values.
     DataError
-        Samples are missing, and `nan` does not say what to do.
+        Samples are missing, and `nan` does not say what to do; labels are no whole numbers.
     MissingDependencyError
         VTK is missing: ``pip install clvol[mesh]``.
     OutOfMemoryError
@@ -257,13 +377,58 @@ def mesh(
     if known.ndim != 3:
         raise OptionError(f"a mesh is of a volume with 3 axes; got shape {known.shape}{if_image(known.shape)}")
     if known.is_labels:
-        raise OptionError("a mesh is of values; got labels, between which there are none: Volume(data, labels=False)")
+        require_no_blending(
+            isovalue=isovalue,
+            faces=faces,
+            curvature=curvature or None,
+            nan=None if options.get("nan") == "error" else options.get("nan"),
+            mask=options.get("mask"),
+        )
+        if not isinstance(given, Volume):
+            raise OptionError(f"a mesh of labels takes them in memory: a LazyVolume's whole(), a Field's volume; got {volume!r}")
+        return _of_labels(given, closed, options)
+    if options.get("only") is not None:
+        raise OptionError(f"only is for labels: set Volume(..., labels=True) if the volume has some; got {options['only']!r}")
     level = Isosurface(isovalue).settled(known).isovalue
     assert isinstance(level, float)
     if not isinstance(given, ContinuousFunction):
         row = filter_for(given, row, PICTURE_FILTER) if isinstance(given, Volume) else row_for(given, row)
     with opened(given, row, options.get("boundary"), options.get("device"), nan=options.get("nan", nan)) as field:
         return _Surface(field, level, closed).mesh(flying_edges, faces, curvature, progress)
+
+
+def _of_labels(volume: Volume, closed: bool, options: MeshOptions) -> Mesh:
+    background, present = label_numbers(volume)
+    names = {int(number): name_of(volume, int(number)) for number in present.tolist()}
+    only = options.get("only")
+    if only is not None:
+        only = several("only", [only] if isinstance(only, (str, int, np.integer)) else only, "labels, by number or name")
+    chosen = sorted(set(names) - {int(background)} if only is None else {as_number(label, names) for label in only})
+    how = (
+        region_filter(options.get("filter")),
+        as_boundary(options.get("boundary") or DEFAULT_BOUNDARY),
+        as_device(options.get("device")),
+    )
+    made = label_surfaces(volume, np.array(chosen, np.int64), how, closed, options.get("progress"))
+    if made.lost:
+        some = ", ".join(map(str, made.lost[:8])) + (", ..." if len(made.lost) > 8 else "")
+        warn(
+            f"the mesh has no surface of {some}: too small for {how[0].name!r}, where other labels are the largest at all samples; "
+            'filter="linear" loses none'
+        )
+    elif not len(made.faces):
+        warn(f"the mesh is empty: {'no label was chosen' if not chosen else 'no label meets another one'}")
+    kept = [number for number in chosen if number not in made.lost]
+    return Mesh(
+        made.vertices,
+        made.faces,
+        made.normals.astype(np.float32),
+        units=volume.units,
+        space=volume.space,
+        labels=made.labels,
+        names={number: names[number] for number in kept},
+        colors={number: label_color(number, volume) for number in kept},
+    )
 
 
 def _vtk() -> Any:
@@ -310,7 +475,7 @@ class _Surface:
             faces = np.ascontiguousarray(faces[:, ::-1])
         flat = ~(np.linalg.norm(normals, axis=1) > 0)
         if flat.any():
-            normals[flat] = _normals(points, faces)[flat]
+            normals[flat] = normals_of(points, faces)[flat]
         normals /= np.linalg.norm(normals, axis=1)[:, None]
         bent = None
         if curvature:
@@ -475,12 +640,3 @@ def _decimated(points: Points, faces: NDArray[np.int64], most: int) -> tuple[Poi
     left = vtk_to_numpy(made.GetPolys().GetConnectivityArray()).reshape(-1, 3)  # type: ignore[no-untyped-call]
     used, faces = np.unique(left, return_inverse=True)
     return vtk_to_numpy(made.GetPoints().GetData())[used].astype(np.float64), faces.reshape(-1, 3)  # type: ignore[no-untyped-call]
-
-
-def _normals(points: Points, faces: NDArray[np.int64]) -> Points:
-    """Normals of vertices from the triangles around them, weighted by area; not of unit length."""
-    a, b, c = np.moveaxis(points[faces], 1, 0)
-    areas, result = np.cross(b - a, c - a), np.zeros_like(points)
-    for corner in range(3):
-        np.add.at(result, faces[:, corner], areas)
-    return result

@@ -13,13 +13,14 @@ from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.points import magnify, resample, sample
 from clvol.reference.spline.prefilter import prefilter, prefilter_fft
 from clvol.reference.spline.reduce import nearest_spline
-from clvol.reference.spline.regions import labels_at
+from clvol.reference.spline.regions import labels_at, labels_between
 from clvol.reference.spline.resample import lattice
 
 __all__ = [
     "extend",
     "kernel",
     "labels_at",
+    "labels_between",
     "lattice",
     "magnify",
     "map_points",

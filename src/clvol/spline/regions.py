@@ -7,7 +7,7 @@ read labels, of which a neighbourhood holds few.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -69,7 +69,7 @@ def require_no_blending(**options: object) -> None:
     """Refuse options of values, which labels have not."""
     for name, value in options.items():
         if value is not None:
-            raise OptionError(f"{name} is for values: leave it out with smooth=True, which takes labels; got {value!r}")
+            raise OptionError(f"{name} is for values: leave it out, as labels have none; got {value!r}")
 
 
 class _Codes(NamedTuple):
@@ -237,22 +237,49 @@ class Regions:
 
     def at(self, points: NDArray[Any], progress: Progress | None = None) -> NDArray[Any]:
         """The labels at indices (d, N), in the order of the array's axes; outside also where one is not finite."""
+        result = np.empty(points.shape[1], self._codes.kind)
+
+        def one(kernel: Any, items: int, lent: Any, own: slice, buffer: Any) -> None:
+            where = (lent, np.uint64(own.stop - own.start), np.array(self._given, np.int32), buffer)
+            kernel(self.device.queue, (items,), None, self._buffer, self.extent, self.size, self._period, *where)
+
+        self._at_points("regions_at_points", points, result, one, progress)
+        return self._codes.back(result, self.dtype)
+
+    def between(self, points: NDArray[Any], pairs: NDArray[Any]) -> NDArray[np.float32]:
+        """By how much the first label of a pair outweighs the second, and the derivatives of this per index: (N, 4), x first.
+
+        `points` (3, N) are indices as of `at`, in the domain; `pairs` (N, 2).
+        """
+        result, codes = np.empty((points.shape[1], 4), np.float32), self._codes.of_labels(pairs.astype(self.dtype))
+
+        def one(kernel: Any, items: int, lent: Any, own: slice, buffer: Any) -> None:
+            some = np.ascontiguousarray(codes[own], np.int32)
+            with self.device.buffers.lent(some, write=False) as labels:
+                where = (lent, np.uint64(len(some)), labels, buffer)
+                kernel(self.device.queue, (items,), None, self._buffer, self.extent, *where)
+                self.device.finish()
+
+        self._at_points("regions_between", points, result, one, None)
+        return result
+
+    def _at_points(
+        self, name: str, points: NDArray[Any], result: NDArray[Any], one: Callable[..., None], progress: Progress | None
+    ) -> None:
+        """Put results of a kernel at indices (d, N), by as many as a launch takes; `one` launches it."""
         device, count = self.device, points.shape[1]
         kind = np.float64 if device.has_double else np.float32
-        result = np.empty(count, self._codes.kind)
         run = _RUN if device.kind == "cpu" else 1
-        kernel = self._anywhere(run, {**point_defines(kind, planar=True, indices=True), "ON_GRID": 0}).kernel("regions_at_points")
+        kernel = self._anywhere(run, {**point_defines(kind, planar=True, indices=True), "ON_GRID": 0}).kernel(name)
         some = max(run, device.limits.launch_taps // self.filter.support**self.ndim)
         for first in range(0, count, some):
-            part = np.ascontiguousarray(points[:, first : first + some], kind)
-            own = result[first : first + some]
-            with device.buffers.lent(part, write=False) as lent, device.buffers.lent(own, write=True) as buffer, device.errors:
-                where = (lent, np.uint64(len(own)), np.array(self._given, np.int32), buffer)
-                kernel(device.queue, (-(-len(own) // run),), None, self._buffer, self.extent, self.size, self._period, *where)
+            own = slice(first, min(first + some, count))
+            part, target = np.ascontiguousarray(points[:, own], kind), result[own]
+            with device.buffers.lent(part, write=False) as lent, device.buffers.lent(target, write=True) as buffer, device.errors:
+                one(kernel, -(-len(target) // run), lent, own, buffer)
                 device.finish()
             if progress:
-                progress((first + len(own)) / count)
-        return self._codes.back(result, self.dtype)
+                progress(own.stop / count)
 
     def _anywhere(self, run: int, more: DefineDict) -> Program:
         """The kernels that look at each point on its own."""
