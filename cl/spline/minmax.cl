@@ -7,7 +7,7 @@
 // A cell is named by its first tap among the stored coefficients. A block is BLOCK cells along each axis.
 //
 // Set by the host: LANES, cells along x at a time, 8; BLOCK; TAPS; HULL, 1: by control points, 0: by the extremes of the taps
-// and the largest sums of weights; CONTROLS, control points along an axis of a cell; SHARED, whether the last is the next
+// and the largest sums of weights, or if NAMES, the extremes themselves: values are those of the taps; CONTROLS, control points along an axis of a cell; SHARED, whether the last is the next
 // cell's first; BERNSTEIN, a row of weights for each; SUM_LOW and SUM_HIGH, of a point's weights; LEBESGUE, the sum of their
 // magnitudes; PAD_SIZE, relative to the largest magnitude of a tap, PAD_SPREAD, relative to the range of the taps, and PAD_TINY,
 // the error from subnormal numbers (zeros are exact).
@@ -225,10 +225,14 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
                 tap_max = MAX(c, tap_max);
             }
         }
+#if NAMES
+    bounds[((size_t)bz * blocks.y + by) * blocks.x + bx] = (float2)(tap_min, tap_max);
+#else
     const float middle = 0.5f * tap_min + 0.5f * tap_max, reach = LEBESGUE * (0.5f * tap_max - 0.5f * tap_min);
     float low = middle * (middle > 0.0f ? SUM_LOW : SUM_HIGH) - reach, high = middle * (middle > 0.0f ? SUM_HIGH : SUM_LOW) + reach;
     widen(&low, &high, tap_min, tap_max);
     bounds[((size_t)bz * blocks.y + by) * blocks.x + bx] = (float2)(low, high);
+#endif
 }
 
 // No tighter than whole blocks.

@@ -60,8 +60,8 @@ def bernstein(filter: Filter) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=256)
-def _defines(filter: Filter, blur: float) -> DefineDict:
-    """The `#define`s of minmax.cl for a filter evaluated at positions with errors up to `blur`."""
+def _defines(filter: Filter, blur: float, names: bool) -> DefineDict:
+    """The `#define`s of minmax.cl for a filter evaluated at positions with errors up to `blur`; or for `names`, never blended."""
     taps, degree = filter.support, filter.degree
     weights = filter.weights(np.linspace(0, 1, 4097))
     sums = weights.sum(0)
@@ -86,7 +86,8 @@ def _defines(filter: Filter, blur: float) -> DefineDict:
     return {
         "BLOCK": BLOCK * filter.scale,
         "TAPS": taps,
-        "HULL": int(taps <= _HULL_TAPS and degree <= _HULL_DEGREE),
+        "HULL": int(taps <= _HULL_TAPS and degree <= _HULL_DEGREE and not names),
+        "NAMES": int(names),
         "CONTROLS": degree + 1,
         "SHARED": int(shared),
         "BERNSTEIN": literals(rows),
@@ -109,10 +110,12 @@ class MinMax:
 
     `buffer` holds (min, max) as float2 for every block, [z, y, x], the finest level first; `offsets` are the starts of the levels
     in it, in blocks. `blocks` are those along (x, y, z) on the finest level; halved, rounded up, on each next level. `first` is
-    the first cell.
+    the first cell. `names`: bounds are of the names among the taps, exactly.
     """
 
-    def __init__(self, coefficients: Coefficients, evaluator: Evaluator, part: tuple[Cell, Cell] | None = None) -> None:
+    def __init__(
+        self, coefficients: Coefficients, evaluator: Evaluator, part: tuple[Cell, Cell] | None = None, *, names: bool = False
+    ) -> None:
         self.coefficients = coefficients
         device, scale, support = coefficients.device, coefficients.filter.scale, coefficients.filter.support
         blur = 0.0
@@ -131,7 +134,7 @@ class MinMax:
         counts = [math.prod(size) for size in sizes]
         self.offsets = tuple(int(n) for n in np.cumsum([0, *counts[:-1]]))
         self.buffer = device.buffers.allocate(8 * sum(counts))
-        defines = _defines(coefficients.filter, blur)
+        defines = _defines(coefficients.filter, blur, names)
         self._built, self._hull = device.build("spline/minmax.cl", defines), bool(defines["HULL"])
         self._lock = threading.RLock()  # a signal handler may re-enter
         self._sides: tuple[tuple[float, ...], Any] | None = None
