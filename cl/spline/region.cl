@@ -64,9 +64,30 @@ INLINE scalar label_weight(const region_taps_t *taps, const int label, const int
     return row_sum(sum);
 }
 
+// The weight of a label alone.
+INLINE scalar weight_of(const region_taps_t *taps, const int label)
+{
+    row_t sum = (row_t)(0.0f);
+    for (int k = 0; k < TAP_SLICES; ++k) {
+        row_t slice = (row_t)(0.0f);
+        global const LABEL *row = taps->first + k * taps->area;
+#pragma unroll
+        for (int j = 0; j < TAPS; ++j, row += taps->pitch)
+#pragma unroll
+            for (int i = 0; i < CHUNKS; ++i) {
+                const label_row_t here = CONVERT(*(global const label_row_at *)(row + i * ROW), label_row_t) == label;
+                slice = madd((row_t)(taps->y[j]), AS_ROW(here & AS_MASK(taps->x[i])), slice);
+            }
+        sum = madd((row_t)(taps->z[k]), slice, sum);
+    }
+    return row_sum(sum);
+}
+
 // nearest: the label of a sample near by, which is tried first.
 INLINE int region_of(const region_taps_t *taps, const int nearest)
 {
+    if (weight_of(taps, nearest) > 0.5f + 2 * SAME_WEIGHT)
+        return nearest;
     int winner = nearest, next;
     scalar most = label_weight(taps, nearest, INT_MIN, nearest, &next), rest = 1.0f - most;
     while (next != NO_LABEL && most <= rest + 2 * SAME_WEIGHT) {
