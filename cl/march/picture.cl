@@ -79,10 +79,9 @@ INLINE real3 or_face_normals(constant frame_t *frame, const ray_t *ray, const re
     constant geometry_block *geometry = &frame->geometry;
     for (int i = 0; i < 3; ++i) {
         const real3 one = real3_of((real)(i == 0), (real)(i == 1), (real)(i == 2));
-        const real3 slope = transpose3(geometry->gradient, one);   // per sample
-        const real per = 1.0f / square_root(dot3(slope, slope));
+        const real3 slope = transpose3(geometry->gradient, one);
         const real place = axis_of(in, i), away = MIN(magnitude(place - geometry->low[i]), magnitude(place - geometry->high[i]));
-        nearer_face(&face, away * per, scale3(slope, per), active);
+        nearer_face(&face, away, scale3(slope, 1.0f / square_root(dot3(slope, slope))), active);
     }
 #endif
     const real3 facing = scale3(face.normal, choose(dot3(face.normal, ray->world) > 0.0f, (real)(-1.0f), (real)(1.0f)));

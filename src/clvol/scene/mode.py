@@ -490,8 +490,8 @@ class Regions(Mode):
 
     The indicator of a label is 1 at its samples and 0 at others. A B-spline without a prefilter makes of each a smooth function, and
     a place belongs to the label whose function is largest there, or of equal ones to the smallest. No indicator is stored, so that
-    there may be thousands of labels. Where a ray enters a region, it shows the colour of the transfer function for its label and stops the
-    share of light that is its opacity there; opaque by default, except the background. Regions that are transparent are passed
+    there may be thousands of labels. Where a ray enters a region, it shows the colour of the transfer function for its label and stops
+    the share of light that is its opacity there; opaque by default, except the background. Regions that are transparent are passed
     through. Where the volume or a cut begins inside a region, its face is unlit.
 
     The volume must be in memory. Things thinner than about two samples shrink or vanish; ``filter="linear"`` keeps the most of
@@ -517,6 +517,7 @@ class Regions(Mode):
     description: ClassVar[str] = "regions of labels with smooth boundaries, shaded"
     state_fields: ClassVar[int] = 9
     endpoints: ClassVar[bool] = True
+    capped: ClassVar[bool] = True
     picture_filter: ClassVar[str] = "bspline5-approx"
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "matter"
     regions: ClassVar[bool] = True
@@ -610,7 +611,9 @@ class Mean(_Opaque):
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "mean"
 
 
-_TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Surfaces, Regions, Mip, Attenuated, Minip, Mean)}
+_TABLE: dict[str, type[Mode]] = {
+    mode.name: mode for mode in (Composite, Isosurface, Surfaces, Regions, Mip, Attenuated, Minip, Mean)
+}
 
 
 class ModeTable(Named[Mode]):

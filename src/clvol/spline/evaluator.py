@@ -58,9 +58,7 @@ def require_direct(device: Device, what: str) -> None:
     limits = device.limits
     _require_names(limits.evaluator, limits.fetch)
     if limits.fetch == "image" or limits.evaluator not in ("auto", "taps"):
-        raise OptionError(
-            f"{what} read by direct taps from buffers; got evaluator {limits.evaluator!r} and fetch {limits.fetch!r}"
-        )
+        raise OptionError(f"{what} read by direct taps from buffers; got evaluator {limits.evaluator!r} and fetch {limits.fetch!r}")
 
 
 def choose_evaluator(device: Device, filter: Filter, *, bits: float = SAMPLE_BITS, double: bool = False) -> Evaluator:
