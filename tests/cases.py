@@ -11,6 +11,7 @@ import pytest
 
 from clvol.filter.boundary import boundaries
 from clvol.filter.table import as_filter
+from clvol.scene.mode import modes
 
 __all__ = [
     "BAD_COUNTS",
@@ -22,6 +23,7 @@ __all__ = [
     "BAD_VECTORS",
     "BAD_WHOLE",
     "DEGREES",
+    "MODES",
     "OBLIQUE",
     "RMSE",
     "RULES",
@@ -30,6 +32,9 @@ __all__ = [
     "examples",
     "rotation",
 ]
+
+MODES: Final = [name for name, mode in modes().items() if not mode.regions]
+"""Those that draw any volume; the regions of labels are tested in march/test_regions.py."""
 
 MASKED: Final = np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
 

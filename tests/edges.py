@@ -19,9 +19,9 @@ from clvol.device import as_device
 from clvol.filter.boundary import boundaries
 from clvol.filter.table import filters
 from clvol.march.frame import BY_RAYS
-from clvol.scene.mode import modes
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing
+from tests import cases
 
 BOTH: tuple[Precision, Precision] = ("single", "double")
 LENGTHS = (1, 2, 3, 7, 8, 9, 15, 16, 17, 33)
@@ -99,7 +99,7 @@ def pictures(names: Iterable[str], size: tuple[int, int] = (17, 15)) -> None:
     cuts = [clvol.Plane((1, 2, 3), (5, 5, 2)), clvol.Corner((-9, 2, -9), (9, 4, 9)), clvol.Corner((5, -9, 0), (6, 99, np.inf))]
     for name, shape in itertools.product(names, ((9, 12, 20), (3, 30, 9), (1, 2, 33), (1, 1, 1))):
         with clvol.Renderer(noise(*shape), filter=name) as renderer:
-            for camera, mode, step in itertools.product(LOOKS, modes(), (0.6, 8, 300)):
+            for camera, mode, step in itertools.product(LOOKS, cases.MODES, (0.6, 8, 300)):
                 assert np.isfinite(renderer.render(camera, mode, size, step)).all()
             for mode in ("composite", "isosurface"):
                 made = renderer.render(
@@ -115,7 +115,7 @@ def pictures(names: Iterable[str], size: tuple[int, int] = (17, 15)) -> None:
 def bricks(names: Iterable[str], size: tuple[int, int] = (17, 15), seen: Iterable[str] = (), *, few: bool = False) -> None:
     """The same by bricks, the last ones thinner: rays of pixels and listed rays, guides, with and without bounds."""
     shapes = (((9, 12, 20), 8), ((3, 30, 9), 8), ((1, 2, 33), 16), ((1, 1, 1), 8))
-    seen = tuple(seen or modes())
+    seen = tuple(seen or cases.MODES)
     for name, (shape, edge) in itertools.product(names, shapes[: 1 if few else None]):
         with clvol.BrickedField(noise(*shape), name, edge=edge) as field, clvol.Renderer(field) as renderer:
             for camera, mode, step in itertools.product(LOOKS[: 1 if few else 2], seen, (0.6, 3)):

@@ -74,6 +74,16 @@ INLINE real3 or_face_normals(constant frame_t *frame, const ray_t *ray, const re
     nearer_face_of_box(&face, at, clip->low, clip->high, (real)(off));
     for (int i = 0; i < clip->corners; ++i)
         nearer_face_of_box(&face, at, clip->corner + 6 * i, clip->corner + 6 * i + 3, (real)(off));
+#if LABELS == 3   // rays may begin inside a region, on a face of the domain
+    const real3 in = at3(ray->origin, ray->direction, t);
+    constant geometry_block *geometry = &frame->geometry;
+    for (int i = 0; i < 3; ++i) {
+        const real3 one = real3_of((real)(i == 0), (real)(i == 1), (real)(i == 2));
+        const real3 slope = transpose3(geometry->gradient, one);
+        const real place = axis_of(in, i), away = MIN(magnitude(place - geometry->low[i]), magnitude(place - geometry->high[i]));
+        nearer_face(&face, away, scale3(slope, 1.0f / square_root(dot3(slope, slope))), active);
+    }
+#endif
     const real3 facing = scale3(face.normal, choose(dot3(face.normal, ray->world) > 0.0f, (real)(-1.0f), (real)(1.0f)));
     const mask on = active & (face.away < off);
     return real3_of(choose(on, facing.x, normal.x), choose(on, facing.y, normal.y), choose(on, facing.z, normal.z));
@@ -91,7 +101,7 @@ INLINE real3 normals_at(COEFFICIENTS coefficients, const sample_t *sample, const
     const mask known = active & !flat_or_normal(sample->frame, g, value_at(coefficients, sample, at, active), ray->world, &facing);
     normal = real3_of(choose(known, facing.x, normal.x), choose(known, facing.y, normal.y), choose(known, facing.z, normal.z));
     const mask met = active & ON_FACE(state);
-    if (sample->frame->clip.clipped && FACES(sample->frame) && any_lane(met))
+    if ((LABELS == 3 || sample->frame->clip.clipped) && FACES(sample->frame) && any_lane(met))
         normal = or_face_normals(sample->frame, ray, at, met, normal);
     return normal;
 }

@@ -1,7 +1,8 @@
 // The function along a ray: what a mode can query at a sample, for LANES rays at a time.
 //
 // Set by the host: PLANES (whether the rays of a tile share blended planes), CENTRAL (gradients by central differences), LABELS
-// (whether values are labels, and what of them is solid: 1 what the transfer function shows, 2 what the isovalue bounds),
+// (whether values are labels, and what of them is solid: 1 what the transfer function shows, 2 what the isovalue bounds; 3 if each
+// place has the value of the region that it lies in, region.cl),
 // WINDOWED (whether only a brick of the volume's coefficients is resident: window.cl).
 
 #include "base/lanes.cl"
@@ -17,6 +18,11 @@
 #include "march/window.cl"
 #include "march/missing.cl"
 #include "transfer/ramp.cl"
+#if LABELS == 3
+#define LABEL scalar   // whole numbers
+#define LABEL_BYTES 4
+#include "spline/region.cl"
+#endif
 
 #if PLANES
 #define RARE OUT_OF_LINE   // kept out of the loop over samples on planes
@@ -58,6 +64,28 @@ INLINE cell_t locate_stored(const sample_t *sample, float x, float y, float z)
     c.z = stored_cell(c.z, STORED_FROM(sample->frame, 2) + GRID_SCALE, STORED_TO(sample->frame, extent, 2) - reach);
     return c;
 }
+
+#if LABELS == 3
+
+OUT_OF_LINE float value_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
+{
+    return (float)region_in(coefficients, sample->extent, locate_stored(sample, x, y, z));
+}
+
+// Of by how much the region there exceeds the next one; in units of the value, like its rounding error.
+OUT_OF_LINE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
+{
+    const cell_t c = locate_stored(sample, x, y, z);
+    const region_taps_t taps = taps_around(coefficients, sample->extent, c);
+    const int winner = region_in(coefficients, sample->extent, c);
+    float gradient[3];
+    gradient_between(&taps, c, winner, region_beside(&taps, winner), gradient);
+    const float unit = 1.0f + fabs((float)winner);
+    const gradient_t g = { unit * gradient[0], unit * gradient[1], unit * gradient[2] };
+    return g;
+}
+
+#else
 
 RARE float value_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
 {
@@ -121,6 +149,7 @@ RARE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, 
     return g;
 }
 
+#endif
 #endif
 
 // -- LANES rays: anywhere on them ------------------------------------------------------------------------------

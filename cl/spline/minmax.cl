@@ -7,7 +7,8 @@
 // A cell is named by its first tap among the stored coefficients. A block is BLOCK cells along each axis.
 //
 // Set by the host: LANES, cells along x at a time, 8; BLOCK; TAPS; HULL, 1: by control points, 0: by the extremes of the taps
-// and the largest sums of weights; CONTROLS, control points along an axis of a cell; SHARED, whether the last is the next
+// and the largest sums of weights, or if NAMES, the
+// extremes themselves of the names among the taps but the SPARED outer ones on each side, which others always outvote; CONTROLS, control points along an axis of a cell; SHARED, whether the last is the next
 // cell's first; BERNSTEIN, a row of weights for each; SUM_LOW and SUM_HIGH, of a point's weights; LEBESGUE, the sum of their
 // magnitudes; PAD_SIZE, relative to the largest magnitude of a tap, PAD_SPREAD, relative to the range of the taps, and PAD_TINY,
 // the error from subnormal numbers (zeros are exact).
@@ -215,20 +216,24 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
 {
     const int bx = get_global_id(0), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     float tap_min = INFINITY, tap_max = -INFINITY;
-    for (int k = 0; k < EDGE; ++k)
-        for (int j = 0; j < EDGE; ++j) {
+    for (int k = SPARED; k < EDGE - SPARED; ++k)
+        for (int j = SPARED; j < EDGE - SPARED; ++j) {
             const size_t z = MIN(first.z + bz * BLOCK + k, extent.z - 1), y = MIN(first.y + by * BLOCK + j, extent.y - 1);
             global const float *p = coefficients + (z * extent.y + y) * extent.x;
-            for (int i = 0; i < EDGE; ++i) {
+            for (int i = SPARED; i < EDGE - SPARED; ++i) {
                 const float c = p[MIN(first.x + bx * BLOCK + i, extent.x - 1)];
                 tap_min = MIN(c, tap_min);
                 tap_max = MAX(c, tap_max);
             }
         }
+#if NAMES
+    bounds[((size_t)bz * blocks.y + by) * blocks.x + bx] = (float2)(tap_min, tap_max);
+#else
     const float middle = 0.5f * tap_min + 0.5f * tap_max, reach = LEBESGUE * (0.5f * tap_max - 0.5f * tap_min);
     float low = middle * (middle > 0.0f ? SUM_LOW : SUM_HIGH) - reach, high = middle * (middle > 0.0f ? SUM_HIGH : SUM_LOW) + reach;
     widen(&low, &high, tap_min, tap_max);
     bounds[((size_t)bz * blocks.y + by) * blocks.x + bx] = (float2)(low, high);
+#endif
 }
 
 // No tighter than whole blocks.

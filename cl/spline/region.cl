@@ -5,9 +5,10 @@
 // by, then the others in ascending order, until what is left cannot exceed the largest. So there may be any number of them, and no list
 // of them is kept. Nearly equal weights are equal: then the smaller label wins, on whichever side of a boundary rounding falls.
 //
-// Set by the host: LABEL, the type of stored labels, of at most 32 bits; LABEL_BYTES, its size. No label is INT_MAX.
+// Set by the host: LABEL, the type of stored labels, of at most 32 bits, or float; LABEL_BYTES, its size. No label is INT_MAX.
 
 #include "spline/filter.cl"
+#include "spline/cell.cl"
 
 typedef PASTE(LABEL, ROW) label_row_at __attribute__((aligned(LABEL_BYTES)));
 typedef PASTE(int, ROW) label_row_t;
@@ -63,9 +64,30 @@ INLINE scalar label_weight(const region_taps_t *taps, const int label, const int
     return row_sum(sum);
 }
 
+// The weight of a label alone.
+INLINE scalar weight_of(const region_taps_t *taps, const int label)
+{
+    row_t sum = (row_t)(0.0f);
+    for (int k = 0; k < TAP_SLICES; ++k) {
+        row_t slice = (row_t)(0.0f);
+        global const LABEL *row = taps->first + k * taps->area;
+#pragma unroll
+        for (int j = 0; j < TAPS; ++j, row += taps->pitch)
+#pragma unroll
+            for (int i = 0; i < CHUNKS; ++i) {
+                const label_row_t here = CONVERT(*(global const label_row_at *)(row + i * ROW), label_row_t) == label;
+                slice = madd((row_t)(taps->y[j]), AS_ROW(here & AS_MASK(taps->x[i])), slice);
+            }
+        sum = madd((row_t)(taps->z[k]), slice, sum);
+    }
+    return row_sum(sum);
+}
+
 // nearest: the label of a sample near by, which is tried first.
 INLINE int region_of(const region_taps_t *taps, const int nearest)
 {
+    if (weight_of(taps, nearest) > 0.5f + 2 * SAME_WEIGHT)
+        return nearest;
     int winner = nearest, next;
     scalar most = label_weight(taps, nearest, INT_MIN, nearest, &next), rest = 1.0f - most;
     while (next != NO_LABEL && most <= rest + 2 * SAME_WEIGHT) {
@@ -78,4 +100,103 @@ INLINE int region_of(const region_taps_t *taps, const int nearest)
         }
     }
     return winner;
+}
+
+// The taps around the position of a cell.
+INLINE region_taps_t taps_around(global const LABEL *restrict labels, const int4 extent, const cell_t c)
+{
+    region_taps_t taps;
+    scalar w[WEIGHTS];
+    taps.pitch = extent.x;
+    taps.area = (size_t)extent.x * extent.y;
+    taps.first = labels + c.z * taps.area + c.y * taps.pitch + c.x;
+    unpack_weights(c.ty, w);
+    for (int n = 0; n < TAPS; ++n)
+        taps.y[n] = w[n];
+#if DIMENSIONS == 3
+    unpack_weights(c.tz, w);
+    for (int n = 0; n < TAPS; ++n)
+        taps.z[n] = w[n];
+#else
+    taps.z[0] = 1.0f;
+#endif
+#pragma unroll
+    for (int n = 0; n < CHUNKS; ++n)
+        taps.x[n] = tap_weights(c.tx, n);
+    return taps;
+}
+
+// The taps in the middle: where they are equal, and hold over half of the weight, they decide alone.
+#define CORE (TAPS % 2 ? 3 : 2)
+#define CORE_FIRST ((TAPS - CORE) / 2)
+
+INLINE scalar core_weight(const scalar *w)
+{
+    scalar sum = 0.0f;
+    for (int n = 0; n < CORE; ++n)
+        sum += w[CORE_FIRST + n];
+    return sum;
+}
+
+// The gradient of by how much the weight of one label exceeds that of another, per sample.
+INLINE void gradient_between(const region_taps_t *taps, const cell_t c, const int one, const int other, scalar gradient[3])
+{
+    scalar slopes_y[WEIGHTS], slopes_z[WEIGHTS];
+    row_t along = (row_t)(0.0f), across = along, deep = along;
+    unpack_slopes(c.ty, slopes_y);
+    unpack_slopes(c.tz, slopes_z);
+    for (int k = 0; k < TAP_SLICES; ++k)
+        for (int j = 0; j < TAPS; ++j) {
+            global const LABEL *row = taps->first + k * taps->area + j * taps->pitch;
+            for (int i = 0; i < CHUNKS; ++i) {
+                const label_row_t labels = CONVERT(*(global const label_row_at *)(row + i * ROW), label_row_t);
+                const row_t side = CONVERT((labels == other) - (labels == one), row_t);
+                const row_t slope = side * tap_slopes(c.tx, i), share = side * taps->x[i];
+                along = madd((row_t)(taps->y[j] * taps->z[k]), slope, along);
+                across = madd((row_t)(slopes_y[j] * taps->z[k]), share, across);
+                deep = madd((row_t)(taps->y[j] * slopes_z[k]), share, deep);
+            }
+        }
+    gradient[0] = row_sum(along);
+    gradient[1] = row_sum(across);
+    gradient[2] = row_sum(deep);
+}
+
+// The label with the largest weight but one, or that one if there is no other.
+INLINE int region_beside(const region_taps_t *taps, const int winner)
+{
+    int beside = winner, next;
+    scalar most = 0.0f;
+    label_weight(taps, winner, INT_MIN, winner, &next);
+    while (next != NO_LABEL) {
+        const int label = next;
+        const scalar weight = label_weight(taps, label, label + 1, winner, &next);
+        if (weight > most) {
+            beside = label;
+            most = weight;
+        }
+    }
+    return beside;
+}
+
+// The region of the position of a cell.
+INLINE int region_in(global const LABEL *restrict labels, const int4 extent, const cell_t c)
+{
+    const region_taps_t taps = taps_around(labels, extent, c);
+    global const LABEL *inner = taps.first + CORE_FIRST * (1 + taps.pitch);
+    scalar core = core_weight((const scalar *)taps.x) * core_weight(taps.y);
+#if DIMENSIONS == 3
+    core *= core_weight(taps.z);
+    inner += CORE_FIRST * taps.area;
+#endif
+    if (core > 0.5f + 2 * SAME_WEIGHT) {
+        int same = 1;
+        for (int k = 0; k < MIN(CORE, TAP_SLICES); ++k)
+            for (int j = 0; j < CORE; ++j)
+                for (int i = 0; i < CORE; ++i)
+                    same &= inner[k * taps.area + j * taps.pitch + i] == *inner;
+        if (same)
+            return (int)*inner;
+    }
+    return region_of(&taps, (int)*inner);
 }

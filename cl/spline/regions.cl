@@ -87,20 +87,7 @@ kernel void regions_along_axes(global const LABEL *restrict labels, const ulong 
 
 #else
 
-#include "spline/cell.cl"
 #include "spline/outside.cl"
-
-// The taps in the middle: where they are equal, and hold over half of the weight, they decide alone.
-#define CORE (TAPS % 2 ? 3 : 2)
-#define CORE_FIRST ((TAPS - CORE) / 2)
-
-INLINE scalar core_weight(const scalar w[WEIGHTS])
-{
-    scalar sum = 0.0f;
-    for (int n = 0; n < CORE; ++n)
-        sum += w[CORE_FIRST + n];
-    return sum;
-}
 
 // given: the label outside, and the boundary rule's.
 INLINE LABEL region_at(global const LABEL *restrict labels, const int4 extent, position_t at, const int4 size, const int4 period,
@@ -112,41 +99,7 @@ INLINE LABEL region_at(global const LABEL *restrict labels, const int4 extent, p
         if (kind != SAMPLED)
             return (LABEL)(kind == VALUED ? given.y : given.x);
     }
-    const cell_t c = locate_inner(at.x, at.y, at.z, extent.w);
-    region_taps_t taps;
-    taps.pitch = extent.x;
-    taps.area = (size_t)extent.x * extent.y;
-    taps.first = labels + c.z * taps.area + c.y * taps.pitch + c.x;
-    scalar w[WEIGHTS], core = 1.0f;
-    unpack_weights(c.tx, w);
-    core *= core_weight(w);
-    unpack_weights(c.ty, w);
-    core *= core_weight(w);
-    for (int n = 0; n < TAPS; ++n)
-        taps.y[n] = w[n];
-    global const LABEL *inner = taps.first + CORE_FIRST * (1 + taps.pitch);
-#if DIMENSIONS == 3
-    unpack_weights(c.tz, w);
-    core *= core_weight(w);
-    for (int n = 0; n < TAPS; ++n)
-        taps.z[n] = w[n];
-    inner += CORE_FIRST * taps.area;
-#else
-    taps.z[0] = 1.0f;
-#endif
-    if (core > 0.5f + 2 * SAME_WEIGHT) {
-        LABEL differ = 0;
-        for (int k = 0; k < MIN(CORE, TAP_SLICES); ++k)
-            for (int j = 0; j < CORE; ++j)
-                for (int i = 0; i < CORE; ++i)
-                    differ |= inner[k * taps.area + j * taps.pitch + i] ^ *inner;
-        if (!differ)
-            return *inner;
-    }
-#pragma unroll
-    for (int n = 0; n < CHUNKS; ++n)
-        taps.x[n] = tap_weights(c.tx, n);
-    return (LABEL)region_of(&taps, *inner);
+    return (LABEL)region_in(labels, extent, locate_inner(at.x, at.y, at.z, extent.w));
 }
 
 // A work-item takes RUN points.

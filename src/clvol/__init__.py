@@ -81,6 +81,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.scene.mode import Minip as Minip
     from clvol.scene.mode import Mip as Mip
     from clvol.scene.mode import Mode as Mode
+    from clvol.scene.mode import Regions as Regions
     from clvol.scene.mode import Surfaces as Surfaces
     from clvol.scene.mode import modes as modes
     from clvol.scene.preset import presets as presets
@@ -136,7 +137,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "scene.camera": "Camera",
     "scene.clip": "Corner Plane",
     "scene.light": "Light Material",
-    "scene.mode": "Attenuated Composite Isosurface Mean Minip Mip Mode Surfaces modes",
+    "scene.mode": "Attenuated Composite Isosurface Mean Minip Mip Mode Regions Surfaces modes",
     "scene.preset": "presets",
     "scene.scene": "Medium Scene",
     "scene.transfer": "TransferFunction",

@@ -18,6 +18,7 @@ from clvol.base.errors import ClvolWarning, GeometryError, OptionError
 from clvol.device import Device
 from clvol.reference.march import march as reference
 from clvol.scene.clip import Cuts, cuts_of
+from tests import cases
 from tests.march.looks import TILES
 
 INF = math.inf
@@ -184,7 +185,7 @@ def test_no_other_pixel_changes_by_a_bit(renderer: Renderer, clip: str, view: st
 
 
 @pytest.mark.one_in(3)
-@pytest.mark.parametrize("mode", clvol.modes())
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_cuts_that_cut_nothing_change_no_bit(renderer: Renderer, mode: str) -> None:
     """Beside the volume, and on its faces, where rounding decides."""
     grid = Volume(VOLUME.data)

@@ -15,6 +15,7 @@ import clvol
 from clvol.base.errors import ClvolWarning
 from clvol.cli import main
 from clvol.device import Device
+from tests import cases
 
 SIZE = (40, 30)
 RAMP = np.linspace(2, 6, 512, dtype=np.float32).reshape(8, 8, 8)
@@ -71,7 +72,7 @@ def test_a_surface_that_is_not_there_is_said(device: Device) -> None:
 
 
 @pytest.mark.one_in(3)
-@pytest.mark.parametrize("mode", clvol.modes())
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_constant_samples(device: Device, mode: str) -> None:
     for value in (0, 5):
         assert said(np.full((6, 6, 6), value), device, mode=mode) == [f"the picture shows no structure: all samples are {value}"]
@@ -81,7 +82,7 @@ def test_constant_samples(device: Device, mode: str) -> None:
 
 
 @pytest.mark.one_in(3)
-@pytest.mark.parametrize("mode", clvol.modes())
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_pictures_that_show_something_are_silent(device: Device, mode: str) -> None:
     ball = clvol.phantoms.sphere(12)
     turned = clvol.Volume(ball.data, ball.spacing, ball.origin, np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]]))

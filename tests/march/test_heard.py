@@ -16,7 +16,8 @@ from clvol.base.errors import OptionError
 from clvol.cli import main
 from clvol.device import Device
 from clvol.march.options import ModeOptions, PictureOptions
-from clvol.scene.mode import as_mode, mode_options, modes
+from clvol.scene.mode import as_mode, mode_options
+from tests import cases
 
 VALUES: dict[str, tuple[Any, ...]] = {
     "transfer": (clvol.TransferFunction.from_cmap("viridis", (0.0, 0.8), 0.3),),
@@ -75,7 +76,7 @@ def test_every_option_has_values() -> None:
 @pytest.mark.one_in(7)
 @pytest.mark.filterwarnings("ignore:preset 'ct-bone' is in Hounsfield")
 @pytest.mark.parametrize("own", OWN, ids=str)
-@pytest.mark.parametrize("mode", modes())
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_an_option_changes_the_picture_or_is_refused(renderer: clvol.Renderer, mode: str, own: dict[str, Any]) -> None:
     try:
         plain = renderer.render(None, mode, SIZE, COARSE, **own)
@@ -195,7 +196,7 @@ def test_a_viewer_keeps_for_other_modes_what_this_one_does_not_show(device: Devi
     try:
         given = resident.arguments(resident.initial)
         assert not {"cmap", "gradient"} & given.keys()
-        for mode, chosen in itertools.product(modes(), (None, "nearest", "bspline3")):
+        for mode, chosen in itertools.product(cases.MODES, (None, "nearest", "bspline3")):
             state = replace(resident.initial, mode=mode, filter=chosen)
             with clvol.Renderer(volume, chosen, device=device) as renderer:
                 renderer.refine(size=(8, 6), **resident.arguments(state))  # refuses what it takes in vain, and draws nothing yet

@@ -20,16 +20,17 @@ from clvol.march.renderer import Renderer
 from clvol.phantoms import marschner_lobb
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip, Corner
-from clvol.scene.mode import as_mode, modes
+from clvol.scene.mode import as_mode
 from clvol.scene.scene import Scene
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import MinMax
+from tests import cases
 from tests.march.looks import TILES, suited
 
 SIZE = (41, 35)
 TRANSFER = TransferFunction(((0.0, "navy"), (0.5, "orange"), (1.0, "white")), ((0.2, 0.0), (0.5, 0.25), (1.0, 0.9)))
-EXACT = [name for name in modes() if name not in ("composite", "surfaces", "mean")]  # nothing accumulates
+EXACT = [name for name in cases.MODES if name not in ("composite", "surfaces", "mean")]  # nothing accumulates
 SURFACES = ((0.3, "tan", 0.4), (0.5, "teal", 0.5), (0.7, "red", 1))  # in ascending order, as settled
 CAMERAS = {
     "across": Camera.orbit(25, 35, fit="volume"),
@@ -70,7 +71,7 @@ def check(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], mode: str
 
 
 @pytest.mark.one_in(16)
-@pytest.mark.parametrize(("mode", "tile"), [*product(modes(), ["planes", "rays"])])
+@pytest.mark.parametrize(("mode", "tile"), [*product(cases.MODES, ["planes", "rays"])])
 def test_two_merged_halves_of_the_rays_make_the_picture(renderer: Renderer, mode: str, tile: str) -> None:
     with renderer.device.limited(tile=TILES[tile]):
         for camera in CAMERAS.values():
@@ -82,7 +83,7 @@ def test_two_merged_halves_of_the_rays_make_the_picture(renderer: Renderer, mode
 
 
 @pytest.mark.one_in(7)
-@pytest.mark.parametrize("mode", modes())
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_continued_states_make_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
     """In segments of any length, with and without skipping."""
     for skipping in (True, False):
@@ -116,7 +117,7 @@ def test_segmented_rays_of_few_samples_make_the_picture_to_the_last_bit(renderer
 
 
 @pytest.mark.one_in(7)
-@pytest.mark.parametrize("mode", modes())
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_segmented_rays_with_gaps_make_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
     """Two corners, one thinner than a step, leave three parts of some rays, whose ends share sample numbers."""
     x, y, z = map(float, renderer.volume.center)
@@ -136,7 +137,7 @@ def test_segmented_rays_with_gaps_make_the_picture_to_the_last_bit(renderer: Ren
 
 
 @pytest.mark.one_in(3)
-@pytest.mark.parametrize("mode", modes())
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_merging_is_associative(renderer: Renderer, mode: str) -> None:
     """(a b) c and a (b c)."""
     frame = frame_of(renderer, mode, CAMERAS["across"])

@@ -25,9 +25,9 @@ from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.reference.march import march as reference
 from clvol.scene.camera import Camera
 from clvol.scene.light import HEADLIGHT, Light, Material
-from clvol.scene.mode import modes
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.volume import Volume
+from tests import cases
 from tests.cases import RULES
 from tests.march.looks import TILES, suited
 
@@ -49,7 +49,6 @@ OPTIONS: dict[str, Any] = {
     "rays": 1,
     "lights": HEADLIGHT,  # continuous where normals turn over; others are tested below
 }
-MODES = list(modes())
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ def allowance(filter: str, mode: str, device: Device, ways: dict[str, str] | Non
 # "attenuated" ranks samples as "mip" does, in the same kernel file: it meets each filter's values where mip does
 @pytest.mark.one_in(50)
 @pytest.mark.parametrize(
-    ("mode", "filter"), [*product([mode for mode in MODES if mode != "attenuated"], [*filters(), "bspline3(0.1)"])]
+    ("mode", "filter"), [*product([mode for mode in cases.MODES if mode != "attenuated"], [*filters(), "bspline3(0.1)"])]
 )
 def test_every_filter_in_every_mode(device: Device, keep: dict[Any, Renderer], mode: str, filter: str) -> None:
     assert clear_of_knots(block(), CAMERA, STEP)
@@ -210,8 +209,8 @@ WAYS = [
     {"evaluator": "eight-fetch", "fetch": "image"},
     {"evaluator": "taps", "fetch": "image"},
 ]
-PAIRWISE = [("bspline3", mode, way) for mode in MODES for way in range(1, len(WAYS))] + [
-    (name, MODES[i % len(MODES)], 1 + i % 3 if row.pairable(0) else 3)  # each with one of the ways in turn
+PAIRWISE = [("bspline3", mode, way) for mode in cases.MODES for way in range(1, len(WAYS))] + [
+    (name, cases.MODES[i % len(cases.MODES)], 1 + i % 3 if row.pairable(0) else 3)  # each with one of the ways in turn
     for i, (name, row) in enumerate(filters().items())
     if name != "bspline3"
 ]
@@ -273,7 +272,7 @@ VIEWS |= {
 
 
 @pytest.mark.one_in(4)
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 @pytest.mark.parametrize("view", VIEWS)
 def test_every_view(device: Device, keep: dict[Any, Renderer], view: str, mode: str) -> None:
     volume, camera, step, options = VIEWS[view]
@@ -372,7 +371,7 @@ def test_opacities_per_world_length(device: Device, keep: dict[Any, Renderer]) -
     check(held(keep, device, block(), "bspline3"), CAMERA, "composite", transfer=replace(TRANSFER, unit_distance=2.7))
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_the_default_look_matches_the_reference(device: Device, mode: str) -> None:
     """No options: each chooses transfer function, isovalue, colour, lights and background."""
     with Renderer(block(), device=device) as renderer:
@@ -390,7 +389,7 @@ def test_the_default_look_matches_the_reference(device: Device, mode: str) -> No
 
 
 @pytest.mark.one_in(7)
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_tiles_of_rays_render_the_same(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
     """One ray per work-item, eight at once, and tiles that share planes."""
     renderer = held(keep, device, block(), "bspline3")

@@ -23,11 +23,11 @@ from clvol.march.refine import Rate, Refined
 from clvol.march.renderer import Renderer
 from clvol.phantoms import marschner_lobb
 from clvol.scene.camera import Camera
-from clvol.scene.mode import modes
 from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import Picture
 from clvol.spline.field import Field
 from clvol.volume.volume import Volume
+from tests import cases
 from tests.march.looks import TILES, suited
 
 CAMERA = Camera.orbit(33, 21, fit="volume")
@@ -72,7 +72,7 @@ def checked(pictures: Iterator[Refined], want: Picture) -> list[Refined]:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("rays", [1, "auto", 4])
-@pytest.mark.parametrize("mode", modes())
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_the_last_is_the_picture_to_the_last_bit(renderer: Renderer, mode: str, rays: Any) -> None:
     want = renderer.render(CAMERA, mode, SIZE, rays=rays)
     soon = checked(renderer.refine(CAMERA, mode, SIZE, rays=rays, seconds=TINY), want)
@@ -213,7 +213,7 @@ def test_coarse_pictures_show_the_same_part_of_the_world(device: Device) -> None
 
 
 def test_steps_are_longer_only_where_all_samples_count(renderer: Renderer) -> None:
-    for mode in modes():
+    for mode in cases.MODES:
         first, *_, last = renderer.refine(CAMERA, mode, (200, 200), seconds=TINY)
         assert first.step == (2.0 if mode in ("composite", "mean") else 0.5)
         assert last.step == 0.5
@@ -548,7 +548,7 @@ def test_attributes_of_a_refined_picture_survive_copies(renderer: Renderer) -> N
 
 
 def test_options_reach_the_mode(renderer: Renderer) -> None:
-    for mode in modes():
+    for mode in cases.MODES:
         options = suited(mode, {"isovalue": 0.3, "shading": False, "attenuation": 1.0})
         checked(renderer.refine(CAMERA, mode, SIZE, seconds=TINY, **options), renderer.render(CAMERA, mode, SIZE, **options))
 

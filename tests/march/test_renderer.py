@@ -26,11 +26,11 @@ from clvol.scene.scene import Medium, Scene
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.smoothing import settled
 from clvol.volume.volume import Volume
+from tests import cases
 from tests.march.looks import TILES, suited
 
 SIZE = (24, 20)
 CAMERA = Camera.orbit(33, 21, fit="volume")
-MODES = list(modes())
 DATA = Path(__file__).parents[3] / "shared" / "data"
 
 
@@ -57,7 +57,7 @@ def renderer(device: Device) -> Iterator[Renderer]:
 
 
 @pytest.mark.one_in(6)
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_moving_volume_camera_and_light_together_changes_nothing(device: Device, mode: str) -> None:
     still = noise()
     camera = Camera.look_at((-9.0, -17.0, 11.0), (4.0, 3.5, 4.0), (0.1, 0.2, 1.0))
@@ -123,7 +123,7 @@ def test_one_polynomial_on_rotated_grids_gives_one_picture(device: Device, filte
 
 
 @pytest.mark.one_in(6)
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_tiles_are_invisible(renderer: Renderer, mode: str) -> None:
     size = (37, 29)
     for tile in (TILES["planes"], TILES["rays"]):
@@ -146,7 +146,7 @@ def test_no_row_is_added_twice_in_odd_tiles(renderer: Renderer) -> None:
 
 
 def test_pictures_are_reproducible_to_the_last_bit(device: Device, renderer: Renderer) -> None:
-    for mode in MODES:
+    for mode in cases.MODES:
         first = renderer.render(CAMERA, mode, SIZE, rays=2)
         np.testing.assert_array_equal(renderer.render(CAMERA, mode, SIZE, rays=2), first)
         np.testing.assert_array_equal(render(noise(), CAMERA, mode, size=SIZE, rays=2, device=device), first)
@@ -296,7 +296,7 @@ def test_no_ray_advances_farther_than_the_step(step: float) -> None:
 
 
 @pytest.mark.parametrize("name", [n for n in phantoms.names() if n != "polynomial"])
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_phantoms_are_visible(device: Device, name: str, mode: str) -> None:
     got = render(phantoms.by_name(f"{name}:24"), mode=mode, size=(48, 48), device=device)
     assert got.shape == (48, 48, 4)
@@ -456,7 +456,7 @@ def test_an_interrupt_leaves_the_renderer_usable(renderer: Renderer) -> None:
 
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 9, 9), (9, 1, 9), (9, 9, 1), (1, 1, 40), (2, 2, 2), (3, 1, 2)])
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_thin_volumes(device: Device, shape: tuple[int, int, int], mode: str) -> None:
     data = np.random.default_rng(2).random(shape).astype(np.float32)
     # `color` tells lit pixels from background even if the value is the least
@@ -496,7 +496,7 @@ def test_any_dtype_and_layout(device: Device) -> None:
 
 
 @pytest.mark.parametrize("value", [0, 5.5, -1e30])
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_constant_data(device: Device, mode: str, value: float) -> None:
     got = render(np.full((5, 6, 7), value, np.float32), CAMERA, mode, size=(16, 16), device=device, outputs=("rgba", "normal"))
     assert np.isfinite(got["rgba"]).all()
@@ -526,7 +526,7 @@ def test_isovalues_outside_the_data_show_nothing(renderer: Renderer) -> None:
         assert np.isnan(got["position"]).all()
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 def test_a_camera_inside_sees_only_what_is_ahead(renderer: Renderer, mode: str) -> None:
     camera = Camera.look_at((3.6, 4.1, 4.4), (3.6, 9.0, 4.6), fov=90)
     for step in (0.5, 50.0):
@@ -567,7 +567,7 @@ def test_world_units_of_any_size(device: Device, scale: float) -> None:
     np.testing.assert_allclose(got["depth"] / scale, want["depth"], rtol=1e-5)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", cases.MODES)
 @pytest.mark.parametrize("distance", [1e3, 1e6, 1e9])
 def test_a_camera_far_away_sees_what_an_orthographic_one_does(device: Device, mode: str, distance: float) -> None:
     volume = phantoms.sphere(14)
@@ -628,7 +628,7 @@ def test_one_renderer_renders_both(device: Device) -> None:
     with pytest.raises(OptionError, match="closed"):
         renderer.render(mode="mip")
     with Renderer(volume, "bspline3(0.3)", device=device) as renderer:
-        assert {renderer.filter_of(mode).name for mode in modes()} == {"bspline3(0.3)"}
+        assert {renderer.filter_of(mode).name for mode in cases.MODES} == {"bspline3(0.3)"}
 
 
 def test_noise_free_volumes_are_interpolated(device: Device) -> None:

@@ -17,6 +17,7 @@ from clvol.filter.table import as_filter
 from clvol.march import uncertainty
 from clvol.march.uncertainty import in_words
 from clvol.noise import Noise
+from tests import cases
 from tests.cases import BAD_NUMBERS
 
 SIZE = (60, 50)
@@ -139,7 +140,7 @@ def test_a_field_serves_many_pictures(device: Device) -> None:
 # -- what is rejected -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode", [name for name in clvol.modes() if name != "isosurface"])
+@pytest.mark.parametrize("mode", [name for name in cases.MODES if name != "isosurface"])
 def test_other_modes_have_no_uncertainty(device: Device, mode: str) -> None:
     with Renderer(bumps(), device=device) as renderer, pytest.raises(OptionError, match=f"mode must be isosurface; got '{mode}'"):
         renderer.render(mode=mode, outputs=("rgba", "uncertainty"))

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from clvol.scene.mode import modes
 from clvol.view import State, View
+from tests import cases
 
 __all__ = ["Client", "at_rest", "decoded", "random_changes", "random_event"]
 
@@ -92,7 +92,7 @@ def random_changes(chance: random.Random) -> dict[str, Any]:
     def shares(count: int) -> list[float]:
         return [chance.random() for _ in range(count)]
 
-    mode = chance.choice(list(modes()))
+    mode = chance.choice(cases.MODES)
     values = sorted(chance.uniform(-1000, 3000) for _ in range(chance.randint(1, 6)))
     low = vector()
     made: dict[str, Any] = {

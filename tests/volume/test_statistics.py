@@ -17,6 +17,7 @@ from clvol.scene.mode import as_mode
 from clvol.volume import histogram
 from clvol.volume.smoothing import choose
 from clvol.volume.statistics import Statistics
+from tests import cases
 
 
 def balls(size: int = 72, sigma: float = 0.05, dtype: str = "float32") -> clvol.Volume:
@@ -50,7 +51,7 @@ def test_isovalue_windows_noise_and_smoothing_are_those_of_the_whole(pair: tuple
     assert not store.estimated
     assert store.noise == whole.noise
     assert choose(store.part()) == choose(whole)
-    for mode in clvol.modes():
+    for mode in cases.MODES:
         assert as_mode(mode).transfer(small).colors == as_mode(mode).transfer(whole).colors
         assert look(small, mode, preset="mr-default").opacities == look(whole, mode, preset="mr-default").opacities
     if store.bounds is not None:

@@ -22,7 +22,7 @@ from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.colored import Other
 from clvol.march.frame import Subject
-from clvol.march.function import single, usual_filter
+from clvol.march.function import require_labels, single, usual_filter
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
@@ -30,10 +30,11 @@ from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
 from clvol.scene.mode import CURVATURES, colored_by, outlined
 from clvol.scene.scene import Medium, Scene
-from clvol.spline.evaluator import DIRECT, choose_evaluator, require_names
+from clvol.spline.evaluator import DIRECT, choose_evaluator, require_direct
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
+from clvol.spline.regions import region_filter
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
@@ -93,12 +94,16 @@ class Source(ABC):
 
     def filter_of(self, mode: Mode) -> Filter:
         """The filter of pictures in a mode."""
+        if mode.regions:
+            return region_filter(self.scene.media[0].filter or mode.picture_filter)
         if not self._free or mode.picture_filter == PICTURE_FILTER:
             return self.field.filter
         return filter_for(self.scene.media[0].volume, None, mode.picture_filter)
 
     def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:  # noqa: ARG002
         """Raise `OptionError` if an option of a picture changes nothing for this function, or an output does not exist."""
+        if mode.regions and (what := self._no_regions()):
+            raise OptionError(f"mode {mode.name!r} draws one label map that is in memory; got {what}")
         row = self.filter_of(mode)
         if "gradient" in options and not row.has_gradient:
             raise OptionError(f"gradient changes nothing with {row.name}, which has no slopes; leave it out")
@@ -108,6 +113,12 @@ class Source(ABC):
             raise OptionError(f"outline takes a filter with continuous slopes, such as bspline3; got {row.name}")
         if options.get("lod", "auto") != "auto" and not self.sizes:
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
+
+    def _no_regions(self) -> str:
+        """What of it keeps the regions of labels from being drawn; "" if nothing does."""
+        (medium,) = self.scene.media
+        own = [name for name in ("surfaces", "color_by") if getattr(medium, name) is not None]
+        return f"a medium with {' and '.join(own)}" if own else ""
 
     def part(self, medium: Medium) -> Source:  # noqa: ARG002  # most have one
         """The source of one of the scene's media."""
@@ -200,7 +211,7 @@ class InMemory(OneMedium):
 
     def __init__(self, scene: Scene, field: Field, preview: Volume, arguments: tuple[Any, ...]) -> None:
         super().__init__(scene, field, preview, arguments)
-        self.pyramids: dict[tuple[Filter, Evaluator], MinMax] = {}
+        self.pyramids: dict[tuple[Filter, Evaluator, bool], MinMax] = {}
         self._gaps = None if field.gaps is None else Gaps(field.gaps.volume.data, field.device)
         if self._gaps is not None:
             self.lease.frees(self._gaps.release)
@@ -234,17 +245,20 @@ class InMemory(OneMedium):
 
     def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool) -> Seen:  # noqa: ARG002
         """A look of the function, with its pyramid of minima and maxima where space is skipped."""
-        field = self.function(look.mode)
-        evaluator = choose_evaluator(field.device, field.filter, bits=_BITS)
-        pyramid = self._pyramid(field, evaluator) if look.skipping and look.mode.skips else None
+        field, names = self.function(look.mode), look.mode.regions
+        if names:
+            require_direct(field.device, "regions of labels are")
+            require_labels(look.scene.media[0].volume)
+        evaluator = DIRECT if names else choose_evaluator(field.device, field.filter, bits=_BITS)
+        pyramid = self._pyramid(field, evaluator, names) if look.skipping and look.mode.skips else None
         own = look.of_values(field.coefficients.volume)
         return Seen(Subject(own, field.coefficients, pyramid, evaluator, self._gaps, self._other(look)), field, None)
 
-    def _pyramid(self, field: Field, evaluator: Evaluator) -> MinMax:
+    def _pyramid(self, field: Field, evaluator: Evaluator, names: bool) -> MinMax:
         with self._lock:
-            key = field.filter, evaluator
+            key = field.filter, evaluator, names
             if key not in self.pyramids:
-                self.pyramids[key] = MinMax(field.coefficients, evaluator)
+                self.pyramids[key] = MinMax(field.coefficients, evaluator, names=names)
                 self.lease.frees(self.pyramids[key].release)
             return self.pyramids[key]
 
@@ -268,6 +282,9 @@ class ByBricks(OneMedium):
 
     by_bricks: ClassVar[bool] = True
     field: BrickedField
+
+    def _no_regions(self) -> str:
+        return "one that is read by bricks: LazyVolume.whole() takes it into memory, and LazyVolume.levels are smaller"
 
     def __init__(
         self, scene: Scene, field: BrickedField, preview: Volume, arguments: tuple[Any, ...], workers: Workers | None = None
@@ -326,14 +343,6 @@ class ByBricks(OneMedium):
     def level(self, fine: Fineness, view: Viewpoint) -> int:
         return level_of(self.field.volume, view, fine.size, fine.lod)
 
-    def _require_direct(self) -> None:
-        limits = self.field.device.limits
-        require_names(limits.evaluator, limits.fetch)
-        if limits.fetch == "image" or limits.evaluator not in ("auto", "taps"):
-            raise OptionError(
-                f"bricks are read by direct taps from buffers; got evaluator {limits.evaluator!r} and fetch {limits.fetch!r}"
-            )
-
     def drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
         try:
             return self._drawn(look, fine, level, guides, progress)
@@ -355,7 +364,7 @@ class ByBricks(OneMedium):
             return True
 
     def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool) -> Seen:
-        self._require_direct()
+        require_direct(self.field.device, "bricks are")
         field = self.function(look.mode, level)
         between = look.mode.between_samples(guides=guides)
         if between and fine.step > STEPPED_AT_MOST:
@@ -432,6 +441,8 @@ class Several(Source):
         return self.arguments, self._keywords
 
     def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:
+        if mode.regions:
+            raise OptionError(f"mode {mode.name!r} draws one label map; got a scene of {len(self.scene.media)} media")
         if options.get("lod", "auto") != "auto" and self.sizes:
             options = {name: value for name, value in options.items() if name != "lod"}  # type: ignore[assignment]  # it has them
         for part in self.parts.values():

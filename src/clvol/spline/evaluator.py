@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from clvol.device import Device
     from clvol.filter.filter import Filter
 
-__all__ = ["DIRECT", "SAMPLE_BITS", "Evaluator", "choose_evaluator", "require_names"]
+__all__ = ["DIRECT", "SAMPLE_BITS", "Evaluator", "choose_evaluator", "require_direct"]
 
 
 SAMPLE_BITS = 20.0
@@ -45,12 +45,20 @@ DIRECT = Evaluator(paired=False, image=False)
 """Direct taps from a buffer, which suit a CPU."""
 
 
-def require_names(evaluator: str, fetch: str) -> None:
+def _require_names(evaluator: str, fetch: str) -> None:
     """Raise `OptionError` for an unknown evaluator or fetch."""
     if evaluator not in ("auto", "taps", *_PAIRED):
         raise one_of("evaluator", evaluator, ("auto", "taps", *_PAIRED))
     if fetch not in ("auto", "buffer", "image"):
         raise one_of("fetch", fetch, ("auto", "buffer", "image"))
+
+
+def require_direct(device: Device, what: str) -> None:
+    """Raise `OptionError` if the device's limits name another evaluator than `DIRECT`; `what` is read by it: "bricks are"."""
+    limits = device.limits
+    _require_names(limits.evaluator, limits.fetch)
+    if limits.fetch == "image" or limits.evaluator not in ("auto", "taps"):
+        raise OptionError(f"{what} read by direct taps from buffers; got evaluator {limits.evaluator!r} and fetch {limits.fetch!r}")
 
 
 def choose_evaluator(device: Device, filter: Filter, *, bits: float = SAMPLE_BITS, double: bool = False) -> Evaluator:
@@ -62,7 +70,7 @@ def choose_evaluator(device: Device, filter: Filter, *, bits: float = SAMPLE_BIT
     (`double`).
     """
     evaluator, fetch = device.limits.evaluator, device.limits.fetch
-    require_names(evaluator, fetch)
+    _require_names(evaluator, fetch)
     if double and fetch == "image":
         raise OptionError("fetch must be 'buffer' or 'auto' where precision is 'double': images hold float32; got 'image'")
     if fetch == "image" and not device.has_images:

@@ -44,6 +44,7 @@ _HULL_TAPS, _HULL_DEGREE = 6, 5  # wider filters would have thousands of control
 _EPSILON = 2.0**-23
 _PAD_LIMIT = 0.01
 _TINIEST = 2.0**-126  # the smallest normal float32; devices may flush smaller numbers to zero
+_MAJORITY = 0.51  # of weights, with reserve for their rounding
 _BLOCKS_A_LAUNCH = 1 << 15  # so that a launch takes less than a quarter of a second
 
 
@@ -60,8 +61,8 @@ def bernstein(filter: Filter) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=256)
-def _defines(filter: Filter, blur: float) -> DefineDict:
-    """The `#define`s of minmax.cl for a filter evaluated at positions with errors up to `blur`."""
+def _defines(filter: Filter, blur: float, names: bool) -> DefineDict:
+    """The `#define`s of minmax.cl for a filter evaluated at positions with errors up to `blur`; or for `names`, never blended."""
     taps, degree = filter.support, filter.degree
     weights = filter.weights(np.linspace(0, 1, 4097))
     sums = weights.sum(0)
@@ -86,7 +87,9 @@ def _defines(filter: Filter, blur: float) -> DefineDict:
     return {
         "BLOCK": BLOCK * filter.scale,
         "TAPS": taps,
-        "HULL": int(taps <= _HULL_TAPS and degree <= _HULL_DEGREE),
+        "HULL": int(taps <= _HULL_TAPS and degree <= _HULL_DEGREE and not names),
+        "NAMES": int(names),
+        "SPARED": _spared(weights) if names else 0,
         "CONTROLS": degree + 1,
         "SHARED": int(shared),
         "BERNSTEIN": literals(rows),
@@ -101,6 +104,12 @@ def _defines(filter: Filter, blur: float) -> DefineDict:
     }
 
 
+def _spared(weights: NDArray[np.float64]) -> int:
+    """How many taps on each side, of weights (taps, positions), are outvoted by the others of three axes at each position."""
+    most = (len(weights) - 1) // 2
+    return max(n for n in range(most + 1) if n == 0 or weights[n:-n].sum(0).min() ** 3 > _MAJORITY)
+
+
 class MinMax:
     """The min-max pyramid of a 3-D volume's coefficients, on their device.
 
@@ -109,10 +118,12 @@ class MinMax:
 
     `buffer` holds (min, max) as float2 for every block, [z, y, x], the finest level first; `offsets` are the starts of the levels
     in it, in blocks. `blocks` are those along (x, y, z) on the finest level; halved, rounded up, on each next level. `first` is
-    the first cell.
+    the first cell. `names`: bounds are of the names among the taps, exactly.
     """
 
-    def __init__(self, coefficients: Coefficients, evaluator: Evaluator, part: tuple[Cell, Cell] | None = None) -> None:
+    def __init__(
+        self, coefficients: Coefficients, evaluator: Evaluator, part: tuple[Cell, Cell] | None = None, *, names: bool = False
+    ) -> None:
         self.coefficients = coefficients
         device, scale, support = coefficients.device, coefficients.filter.scale, coefficients.filter.support
         blur = 0.0
@@ -131,7 +142,7 @@ class MinMax:
         counts = [math.prod(size) for size in sizes]
         self.offsets = tuple(int(n) for n in np.cumsum([0, *counts[:-1]]))
         self.buffer = device.buffers.allocate(8 * sum(counts))
-        defines = _defines(coefficients.filter, blur)
+        defines = _defines(coefficients.filter, blur, names)
         self._built, self._hull = device.build("spline/minmax.cl", defines), bool(defines["HULL"])
         self._lock = threading.RLock()  # a signal handler may re-enter
         self._sides: tuple[tuple[float, ...], Any] | None = None

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from clvol.spline.chain import Chain
     from clvol.spline.grids import Target
 
-__all__ = ["Regions", "as_label", "labels_on", "region_filter", "require_no_blending"]
+__all__ = ["Regions", "as_label", "labels_on", "region_filter", "require_no_blending", "require_whole"]
 
 _DEFAULT = "bspline5-approx"
 _RUN = 512  # points for each work-item of a CPU
@@ -59,7 +59,7 @@ def region_filter(choice: str | Filter | None) -> Filter:
     fine = np.linspace(0, 1, 1025)
     if row.prefilter or row.magnified_by or row.support < 2 or not row.sums_to_one or row.weights(fine).min() < -_ABOVE:
         raise OptionError(
-            "smooth=True takes a filter whose weights are nowhere negative and sum to one, without a prefilter: "
+            "smooth boundaries of labels take a filter whose weights are nowhere negative and sum to one, without a prefilter: "
             f"linear, or bspline2-approx to bspline5-approx; got {row.name!r}"
         )
     return row
@@ -70,6 +70,17 @@ def require_no_blending(**options: object) -> None:
     for name, value in options.items():
         if value is not None:
             raise OptionError(f"{name} is for values: leave it out, as labels have none; got {value!r}")
+
+
+def require_whole(data: NDArray[Any]) -> None:
+    """Refuse samples that are no whole numbers: `DataError`."""
+    for part in _parts(data):
+        if not (part == np.rint(part)).all() or not np.isfinite(part).all():
+            some = part[~((part == np.rint(part)) & np.isfinite(part))][0]
+            raise DataError(
+                f"labels must be whole numbers; got {some} among samples of {data.dtype}: "
+                "take measured values for what they are, or round them with numpy.rint"
+            )
 
 
 class _Codes(NamedTuple):
@@ -83,13 +94,7 @@ class _Codes(NamedTuple):
         """Those for a volume of labels, and for other labels of its type."""
         data = volume.data
         if data.dtype.kind == "f":
-            for part in _parts(data):
-                if not (part == np.rint(part)).all() or not np.isfinite(part).all():
-                    some = part[~((part == np.rint(part)) & np.isfinite(part))][0]
-                    raise DataError(
-                        f"labels must be whole numbers; got {some} among samples of {data.dtype}: "
-                        "resample measured values without smooth=True, or round them with numpy.rint"
-                    )
+            require_whole(data)
         elif data.dtype.itemsize <= 2:
             return cls(np.dtype(np.uint8) if data.dtype.kind == "b" else data.dtype.newbyteorder("="))
         low, high = (int(end) for end in volume.limits)

@@ -28,11 +28,12 @@ from clvol.reference.march.missing import continued, is_missing
 from clvol.reference.march.rays import Rays, camera_rays, face_normals, kept_parts
 from clvol.reference.march.roots import crossings_by, first_crossings
 from clvol.reference.spline.points import sample
+from clvol.reference.spline.regions import labels_at, lead_gradient
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Clip, as_clip, cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.light import KIT, Light, Material, as_lights
-from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, Surfaces, as_mode, mode_options
+from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, Regions, Surfaces, as_mode, mode_options
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import Stored
@@ -47,6 +48,7 @@ _ROUNDING = 2.0**-19  # gradients below this share of the value per voxel may be
 _FACE = 16  # unit distances of matter that are as opaque as the face of a cut
 _PAST = 1e-7  # voxels behind a crossing, from where the next is sought
 _FAINT = 1e-6  # rays through surfaces end where less light is left
+_ENCLOSING = 24  # halvings of a step around a boundary of regions
 _BISECTIONS = 38  # to 1e-12 of a step; down to the last bit, rounding could cross a jump again
 
 
@@ -280,6 +282,8 @@ def render(
     ``mip``, ``minip``: the extreme sample, the first if several are equal; ``mean``: the mean of all, by the lengths of their
     stretches.
 
+    ``regions``: the value of a sample is the label of its region (`labels_at`); boundaries between two samples by bisection.
+
     Samples that are NaN or infinite are missing: `continued` replaces them, and nothing is shown where `is_missing`.
     """
     volume, row, chosen = as_volume(volume), as_filter(filter), as_mode(mode, options)
@@ -302,6 +306,8 @@ def render(
     central = gradient == "central" or not row.has_gradient
 
     def value(points: Array) -> Array:
+        if chosen.regions:
+            return labels_at(volume, points, row.name, as_boundary(inside).name)[0].astype(np.float64)
         return sample(present, points, row, inside)
 
     def missing(points: Array) -> Bools:
@@ -318,6 +324,8 @@ def render(
 
         ``df/dw_i = Σ_j df/dx_j dx_j/dw_i`` with index positions x and world positions w.
         """
+        if chosen.regions:
+            return lead_gradient(volume, points, row.name, as_boundary(inside).name)
         if not central:
             return sample(present, points, row, inside, 1)
         columns = volume.index_to_world_matrix.T / row.scale  # row j: one voxel along axis j, of the magnified grid if there is one
@@ -542,6 +550,44 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
     return rgb, 1 - light, depth
 
 
+def _regions(scene: _Scene, mode: Regions, samples: _Samples) -> _Gathered:
+    """Each region that is entered: where a part of a ray begins, and between samples, one boundary after the other."""
+    n = samples.t.shape[0]
+    rgb, light, depth = np.zeros((n, 3)), np.ones(n), np.full(n, math.inf)
+    for part in samples.parts:
+        begins = np.flatnonzero(part.there.any(1))
+        first = part.there[begins].argmax(1)
+        entries = [(begins, part.rays.enter[begins], scene.transfer(part.values[begins, first]))]
+        pairs = part.there[:, 1:] & part.there[:, :-1] & (part.values[:, 1:] != part.values[:, :-1])
+        on, k = np.nonzero(pairs)
+        near, label, end, last = part.t[on, k], part.values[on, k], part.t[on, k + 1], part.values[on, k + 1]
+        while on.size:
+            far, entered = end, last
+            for _ in range(_ENCLOSING):
+                middle = (near + far) / 2
+                there = scene.value(part.rays.at(middle, on))
+                near, far = np.where(there == label, middle, near), np.where(there == label, far, middle)
+                entered = np.where(there == label, entered, there)
+            colors = scene.transfer(entered)
+            if mode.shading:
+                gradient = scene.gradient(part.rays.at(far, on)) * (1 + np.abs(entered[:, None]))
+                colors[:, :3] = scene.lit(gradient, entered, colors[:, :3], part.rays.direction[on])
+            entries.append((on, far, colors))
+            more = entered != last
+            on, near, label, end, last = (each[more] for each in (on, far, entered, end, last))
+        rays, places, looks = (np.concatenate(each) for each in zip(*entries, strict=True))
+        for i in np.lexsort((places, rays)):
+            ray, opacity = rays[i], looks[i, 3]
+            if light[ray] < _FAINT:
+                continue
+            rgb[ray] += light[ray] * opacity * looks[i, :3]
+            left = light[ray] * (1 - opacity)
+            if left <= 0.5 < light[ray]:
+                depth[ray] = places[i]
+            light[ray] = left
+    return rgb, 1 - light, depth
+
+
 def _shape(scene: _Scene, points: Array) -> tuple[Array, Array]:
     """The shape operator -P H P / |∇f|, with P the projection on the tangent plane; and the unit gradient."""
     gradient = scene.gradient(points)
@@ -650,6 +696,7 @@ MODES: dict[str, Callable[[_Scene, Any, _Samples], _Gathered]] = {
     "composite": _composite,
     "isosurface": _isosurface,
     "surfaces": _surfaces,
+    "regions": _regions,
     "mip": _mip,
     "attenuated": _attenuated,
     "minip": _minip,

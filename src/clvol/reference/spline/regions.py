@@ -13,7 +13,7 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.reference.spline.points import sample
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["labels_at", "labels_between"]
+__all__ = ["labels_at", "labels_between", "lead_gradient"]
 
 
 def labels_at(
@@ -33,11 +33,27 @@ def labels_at(
     -------
     ndarray of the volume's dtype, ndarray of float64, shape (...)
     """
-    volume, rule = as_volume(volume), as_boundary(boundary)
-    labels = np.union1d(volume.data, [rule.cval] if rule.name.startswith(("constant", "grid-constant")) else [])
-    weights = np.stack([_indicator(volume, label, points, filter, rule, 0) for label in labels])
+    labels, weights = _weights(as_volume(volume), points, filter, boundary)
     ordered = np.sort(np.concatenate([weights, np.zeros_like(weights[:1])]), axis=0)
-    return labels[weights.argmax(0)].astype(volume.data.dtype), ordered[-1] - ordered[-2]
+    return labels[weights.argmax(0)].astype(as_volume(volume).data.dtype), ordered[-1] - ordered[-2]
+
+
+def lead_gradient(
+    volume: Volume | ArrayLike, points: ArrayLike, filter: str = "bspline5-approx", boundary: str = DEFAULT_BOUNDARY
+) -> Array:
+    """The gradient, per world unit, of by how much the largest weight at points exceeds the next one; shape (..., d)."""
+    _, weights = _weights(as_volume(volume), points, filter, boundary)
+    _, slopes = _weights(as_volume(volume), points, filter, boundary, 1)
+    first, second = np.argsort(-weights, axis=0, kind="stable")[:2, ..., None]
+    chosen = (np.take_along_axis(slopes, which[None], axis=0)[0] for which in (first, second))
+    return np.subtract(*chosen)
+
+
+def _weights(volume: Volume, points: ArrayLike, filter: str, boundary: str, derivative: int = 0) -> tuple[NDArray[Any], Array]:
+    """The labels in ascending order, and the weight of each at points, or its derivative."""
+    rule = as_boundary(boundary)
+    labels = np.union1d(volume.data, [rule.cval] if rule.name.startswith(("constant", "grid-constant")) else [])
+    return labels, np.stack([_indicator(volume, label, points, filter, rule, derivative) for label in labels])
 
 
 def labels_between(
