@@ -308,6 +308,7 @@ def modes_as_classes(world: World, random: Random) -> Any:
         clvol.Mean(),
         clvol.Surfaces(),
     )
+    assert clvol.Regions().regions
     chosen: clvol.Mode = _one(random, classes[: len(world.modes)])
     assert chosen.name in clvol.modes()
     return _one(random, world.renderers).render(_camera(random), chosen, (48, 48))

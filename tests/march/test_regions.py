@@ -99,7 +99,7 @@ def test_refusals(device: Device) -> None:
         clvol.render(clvol.LazyVolume(volume.data, labels=True), **look)  # type: ignore[call-overload]
     with pytest.raises(OptionError, match="a medium with color_by"):
         clvol.render(clvol.Medium(volume, color_by=volume), **look)  # type: ignore[call-overload]
-    with pytest.raises(DataError, match="whole numbers; got 1.5"):
+    with pytest.raises(DataError, match=r"whole numbers; got 1\.5"):
         clvol.render(clvol.Volume(volume.data / 10.0, labels=True), **look)  # type: ignore[call-overload]
     with pytest.raises(DataError, match="up to 2"):
         clvol.render(clvol.Volume(volume.data + (1 << 24), labels=True), **look)  # type: ignore[call-overload]

@@ -46,7 +46,7 @@ def lead_gradient(
     _, slopes = _weights(as_volume(volume), points, filter, boundary, 1)
     first, second = np.argsort(-weights, axis=0, kind="stable")[:2, ..., None]
     chosen = (np.take_along_axis(slopes, which[None], axis=0)[0] for which in (first, second))
-    return np.subtract(*chosen)
+    return np.asarray(np.subtract(*chosen))
 
 
 def _weights(volume: Volume, points: ArrayLike, filter: str, boundary: str, derivative: int = 0) -> tuple[NDArray[Any], Array]:
