@@ -305,10 +305,7 @@ def render(
     material = material or Material()
     central = gradient == "central" or not row.has_gradient
 
-    def value(points: Array) -> Array:
-        if chosen.regions:
-            return labels_at(volume, points, row.name, as_boundary(inside).name)[0].astype(np.float64)
-        return sample(present, points, row, inside)
+    value, exact_slope = _function(present, row, as_boundary(inside), regions=chosen.regions)
 
     def missing(points: Array) -> Bools:
         return is_missing(volume, points, row) if some_missing else np.zeros(points.shape[:-1], np.bool_)
@@ -324,10 +321,8 @@ def render(
 
         ``df/dw_i = Σ_j df/dx_j dx_j/dw_i`` with index positions x and world positions w.
         """
-        if chosen.regions:
-            return lead_gradient(volume, points, row.name, as_boundary(inside).name)
         if not central:
-            return sample(present, points, row, inside, 1)
+            return exact_slope(points)
         columns = volume.index_to_world_matrix.T / row.scale  # row j: one voxel along axis j, of the magnified grid if there is one
         if volume.is_labels and not row.has_gradient:
             total = np.zeros(points.shape)
@@ -399,6 +394,18 @@ def render(
     pictures = {"rgba": np.clip(np.concatenate([over, cover], 1), 0, 1), **guides}
     shaped = {name: array.reshape(height, width, *array.shape[1:]) for name, array in pictures.items()}
     return shaped[outputs] if isinstance(outputs, str) else {name: shaped[name] for name in outputs}
+
+
+def _function(
+    volume: Volume, row: Filter, rule: Boundary, *, regions: bool
+) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+    """The value at points, and its gradient; of `regions` their labels, and by how much they lead."""
+    if regions:
+        return (
+            lambda points: labels_at(volume, points, row.name, rule.name)[0].astype(np.float64),
+            lambda points: lead_gradient(volume, points, row.name, rule.name),
+        )
+    return lambda points: sample(volume, points, row, rule), lambda points: sample(volume, points, row, rule, 1)
 
 
 def pixel_rays(count: int, filter: str | Filter) -> list[tuple[tuple[float, float], float]]:
