@@ -66,7 +66,7 @@ BAD_DATA: Final[tuple[Any, ...]] = (
     [[1], [1, 2]],
     [[10**400, 1]],
     np.array([[1, None]]),
-    np.ma.array([[1, 2]], mask=[[0, 1]]),
+    np.ma.array([[1, 2]], mask=[[False, True]]),
     np.zeros((2, 2), "V4"),
     np.ones((0, 3)),
     np.ones((1, 1, 1, 1)),
