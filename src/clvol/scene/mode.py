@@ -477,11 +477,11 @@ class Surfaces(_OfSurfaces):
 class Regions(Mode):
     """The regions of labels with smooth boundaries, shaded: every region that a ray enters, in order.
 
-    The indicator of a label is 1 at its samples and 0 at others. A B-spline without a prefilter makes of each a smooth function,
-    and a place belongs to the label whose function is largest there, or of equal ones to the smallest. No indicator is stored, so that
-    there may be thousands of labels. Where a ray enters a region, it shows the colour of the transfer function for its label and
-    stops the share of light that is its opacity there; opaque by default, except the background. Regions that are transparent are
-    passed through. Where the volume or a cut begins inside a region, its face is unlit.
+    The indicator of a label is 1 at its samples and 0 at others. A B-spline without a prefilter makes of each a smooth
+    function, and a place belongs to the label whose function is largest there, or of equal ones to the smallest. No indicator
+    is stored, so that there may be thousands of labels. Where a ray enters a region, it shows the colour of the transfer
+    function for its label and stops the share of light that is its opacity there; opaque by default, except the background.
+    Regions that are transparent are passed through. Where the volume or a cut begins inside a region, its face is unlit.
 
     The volume must be in memory. Things thinner than about two samples shrink or vanish; ``filter="linear"`` keeps the most of
     them, and ``filter="bspline3-approx"`` more than the default, "bspline5-approx", which is smoothest.
