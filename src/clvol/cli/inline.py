@@ -63,6 +63,9 @@ def inline_options(words: Sequence[str], what: str, names: Sequence[str]) -> dic
         if name not in names:
             raise OptionError(f"{name} is no option of {what}{did_you_mean(name, names)}; it may have {', '.join(names)}")
         count, many = known[name].token_count()
+        count = max(1, count)  # of a flag it is 0, and --flag=true is read
+        if not value:
+            raise OptionError(f"{name} of {what} must have a value: {name}=VALUE")
         values = value.split("/") if many or count > 1 else [value]
         if len(values) % count or not (many or len(values) == count):
             raise OptionError(f"{name} of {what} must be {'/'.join(count * ['number'])}; got {value!r}")

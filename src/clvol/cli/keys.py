@@ -79,5 +79,8 @@ class Keys:
                 f"--key changes no {' and '.join(sorted(fixed))} beside other volumes: it is the same in all pictures"
             )
         gone: set[str] = {name for name in ("mode", "step") if name in named and getattr(look, name) == getattr(Look, name)}
+        for word in named.intersection((*_CAMERA, *_CUTS)):
+            if getattr(look, word) != getattr(Look, word):
+                raise OptionError(f"--{word.replace('_', '-')} must be given in key frames or beside them; got both")
         gone |= {name for name, words in (("camera", _CAMERA), ("clip", _CUTS)) if named.intersection(words)}
         return {name: value for name, value in options.items() if name not in gone}

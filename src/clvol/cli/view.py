@@ -286,8 +286,7 @@ def _wanted(
 
     if others is None:
         return _made(_read(reader, name, device), name, filter, device, look, own)
-    reader = others.first(reader)
-    volume = reader.open(name)
+    volume = others.first(reader).open(name)
     options = look.named(volume.preview()) | own | {"filter": filter, "boundary": look.boundary}
     (scene,) = others.drawn([volume], options, name, reader, Input().open)
     return View(scene, device=device, name=Path(name).name, limits=look.limits(), **options)

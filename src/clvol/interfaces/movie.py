@@ -363,6 +363,8 @@ class _Series:
         mode = as_mode(options.get("mode", DEFAULT_MODE), {name: v for name, v in options.items() if name not in KEYWORDS})
         if mode.name not in self._alike:
             self._alike[mode.name] = self._made_alike(mode)
+        if len(self._pooled) == 1 and any(options.get(word) is not None for word in WORDS):  # which are of the only medium
+            return self._alike[mode.name], _shown(self._pooled[0], options)
         rest = {name: value for name, value in options.items() if name in KEYWORDS}
         return self._alike[mode.name], rest | {"mode": mode.settled(self._pooled[0]) if len(self._pooled) == 1 else mode}
 

@@ -222,8 +222,7 @@ def section(
     require_callback("progress", progress)
     given = without_masked(_given(volume), options.pop("mask", None))
     known: Volume = getattr(given, "volume", given).preview()  # a function has its volume
-    if thickness and mode in (None, "mean") and known.is_labels:
-        raise OptionError("mode of a slab of labels must be mip or minip, because the mean of two labels is a third; got mean")
+    _require_no_mean(known, thickness != 0, mode)
     width, height = _counts(size)
     memory.require(width * height * _OF_A_PIXEL, f"a slice of {width} × {height} pixels")
     points = plane_points(middle, right, down, pixel, (width, height))
@@ -247,6 +246,7 @@ def lay_over(
 
     `points` are those of `plane_points`, and `across` is from face to face of a slab.
     """
+    _require_no_mean(field.grid, bool(across.any()), mode)
     values = _sampled(field, points, across, mode, progress)
     seen = transfer(np.nan_to_num(values))
     share = np.where(np.isnan(values), 0.0, seen[..., 3])[..., None]
@@ -255,6 +255,11 @@ def lay_over(
     colors = share * seen[..., :3] + below * picture[..., :3]
     picture[..., :3] = np.divide(colors, opacity, out=np.zeros_like(colors), where=opacity > 0)
     picture[..., 3:] = opacity
+
+
+def _require_no_mean(volume: Volume, slab: bool, mode: str | None) -> None:
+    if slab and mode in (None, "mean") and volume.is_labels:
+        raise OptionError("mode of a slab of labels must be mip or minip, because the mean of two labels is a third; got mean")
 
 
 def _of_medium(given: Medium | Scene, options: SliceOptions) -> tuple[Volume, SliceOptions]:

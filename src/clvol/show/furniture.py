@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import itertools
 import math
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -70,6 +71,8 @@ _STEPS = (1, 2, 2.5, 5, 10)
 _AROUND, _TICKED, _BESIDE = 1.1, 0.25, 0.15  # radius of the view of a box, relative to it, and more for ticks, and for a colour bar
 _WIDE = 1.25  # aspect from which there is room beside it
 
+_STYLING = threading.Lock()  # matplotlib's style is one for all threads
+
 Color: TypeAlias = tuple[float, float, float]
 Points: TypeAlias = NDArray[np.float64]
 _BLACK, _GREY, _WHITE = (0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (1.0, 1.0, 1.0)
@@ -113,8 +116,8 @@ class Furniture:
     @property
     def given(self) -> dict[str, Any]:
         """What differs from the default: options of `clvol.render`."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {name: value for name, value in values.items() if value is not False and value not in ("", "screen")}
+        values = {each.name: (getattr(self, each.name), each.default) for each in fields(self)}
+        return {name: value for name, (value, usual) in values.items() if value is not False and value != usual}
 
     def require_shown(self, space: str) -> None:
         """Raise `OptionError` if a word applies to no volume of this space, `MissingDependencyError` if matplotlib is missing."""
@@ -609,7 +612,7 @@ def require_matplotlib(what: str = "figures need") -> Any:
 def _styled() -> Iterator[None]:
     """A context with matplotlib's own style, whatever the user's is; texts stay texts in files."""
     mpl = require_matplotlib("PDF and SVG files, and what stands around pictures, need")
-    with mpl.rc_context():
+    with _STYLING, mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update({"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "clvol"})
         yield

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import threading
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 from clvol.base.errors import ClvolError, MissingDependencyError
@@ -179,7 +180,7 @@ class View:
         row = as_filter(state.filter or resident.mode(state).picture_filter)
         plain = Renderer(self.volume, without_prefilter(row), state.boundary, resident.device)
         with plain as renderer, renderer.device.limited(**resident.limits):
-            renderer.render(size=(_SMALL, _SMALL), **resident.arguments(state))
+            renderer.render(size=(_SMALL, _SMALL), **resident.arguments(replace(state, media=())))
 
     def python(self, size: tuple[int, int] = (512, 512)) -> str:
         """A program that draws `picture(size)`, bit for bit."""

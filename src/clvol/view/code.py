@@ -119,8 +119,10 @@ def _drawn(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     if resident.catalog.media or resident.beyond:
         own = [f"{key}={_text(words.pop(key))}" for key in ("filter", "boundary", "transfer", *WORDS, "material") if key in words]
         own += [f"{key}=first.{key}" for key in resident.beyond]
-        own += ["visible=False"] if state.media and state.media[0].visible is False else []
-        scene = f"clvol.Scene([{_call('clvol.Medium', ['volume', *own])}{_others(resident, state)}])"
+        hidden = resident.catalog.media and not media.of_state(resident.catalog.media, state)[0].visible
+        own += ["visible=False"] if hidden else []
+        mix = "" if resident.mix == "add" else f", mix={resident.mix!r}"
+        scene = f"clvol.Scene([{_call('clvol.Medium', ['volume', *own])}{_others(resident, state)}]{mix})"
     texts = [scene, _camera(camera), repr(mode), *(f"{key}={_text(value)}" for key, value in words.items())]
     call = _call("clvol.render", texts)
     return [f"{result} = to_bytes(heat({call}))" if state.heat else f"{result} = {call}"]

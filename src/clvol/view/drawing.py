@@ -226,7 +226,10 @@ class Drawer:
                 share = np.asarray(renderer.render(size=shape, outputs="visited", **given))
                 yield Shot(to_bytes(heat(share)), not coarse, state.step, _mean(share))
             else:
-                yield from _refined(renderer, order, self._resident.arguments(state))
+                given = self._resident.arguments(state, bare=coarse)
+                if coarse:  # where it is with what stands around, which is drawn at rest
+                    given["camera"] = self._resident.placed(state, size[0] / size[1])
+                yield from _refined(renderer, order, given)
 
     def _slice_size(self, size: tuple[int, int], budget: float) -> tuple[int, int]:
         """The size of a slice that takes no longer than a budget, but at least a quarter along each edge."""

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from clvol.base.errors import OptionError
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
@@ -25,6 +27,8 @@ def changes(medium: Medium, shown: MediumState) -> dict[str, Any]:
     """What a state changes of a medium, by the names of `Medium`."""
     given = {name: value for name, value in vars(shown).items() if value is not None}
     transfer, cmap, opacity = medium.transfer, given.get("cmap"), given.get("opacity")
+    if transfer is None and opacity is not None and np.ndim(np.asarray(medium.opacity, object)) > 0:
+        given["opacity"] = [(value, min(1.0, opacity * one)) for value, one in medium.opacity]  # type: ignore[union-attr]  # pairs
     if transfer is None or (cmap is None and opacity is None):
         return given
     if cmap is not None:
@@ -44,13 +48,16 @@ def require(media: Sequence[Medium], state: State) -> None:
 
 
 def described(media: Sequence[Medium]) -> list[dict[str, Any]]:
-    """For a panel: each medium's name, and how it is seen if a state leaves it open."""
-    return [
-        {
-            "name": medium.volume.name or f"medium {number}",
-            "visible": medium.visible,
-            "cmap": medium.cmap,
-            "opacity": medium.opacity,
-        }
-        for number, medium in enumerate(media, 1)
-    ]
+    """For a panel: each medium's name, how it is seen if a state leaves it open, and whether it takes other colours."""
+    return [_described(medium, number) for number, medium in enumerate(media, 1)]
+
+
+def _described(medium: Medium, number: int) -> dict[str, Any]:
+    one = medium.opacity is not None and np.ndim(np.asarray(medium.opacity, object)) == 0  # else pairs, or none
+    return {
+        "name": medium.volume.name or f"medium {number}",
+        "visible": bool(medium.visible),
+        "edited": number > 1 and medium.surfaces is None,
+        "cmap": medium.cmap,
+        "opacity": float(np.asarray(medium.opacity)) if one else None,
+    }

@@ -54,7 +54,8 @@ def opened(
     scene: Viewable, device: Device | str | int | None, source: str | None, finer: Finer | None, options: dict[str, Any]
 ) -> Opened:
     """Take a scene apart; of a `LazyVolume` the largest size that fits is read, with NaN for what cannot be read."""
-    if Furniture(theme=options.pop("theme", None) or "screen").theme == "print":
+    theme = options.pop("theme", None)
+    if theme is not None and Furniture(theme=theme).theme == "print":
         options = {"background": "white"} | options
     if (mask := options.pop("mask", None)) is not None:
         if isinstance(scene, Volumes):

@@ -74,6 +74,7 @@ class Resident:
         self.catalog = Catalog(found.volume, found.volumes, lambda: self.renderers.in_use(), several)
         self.renderers = Renderers(self.catalog, self.device, found.coefficients, found.scene, self._learn, self.limits)
         self.name = name or (found.volume.name or "volume" if found.volumes is None else "volumes")
+        self.mix = "add" if found.scene is None else found.scene.mix
         self.beyond = () if found.scene is None else found.scene.media[0].beyond_words
         """What the first medium has that no state holds."""
         self._colored = found.scene is not None and any(one.color_by is not None for one in found.scene.media)

@@ -38,7 +38,7 @@ class Sketch:
 
     def picture(self, state: State, size: tuple[int, int]) -> Picture:
         """A picture of at most `_EDGE` pixels along each edge, with the aspect ratio of `size`."""
-        state = replace(state, index={}, labels=None)  # the samples are of these
+        state = replace(state, index={}, labels=None, media=())  # the samples are of these
         few, mode = self._few, self._few.mode(state)
         transfer = few.transfer(state)
         unit = transfer.unit_distance if state.transfer is not None else unit_of(self._whole)

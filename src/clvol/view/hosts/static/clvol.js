@@ -1063,9 +1063,9 @@ class Media {
     this.body.replaceChildren(...this.rows.flatMap((row) => Object.values(row).map((control) => control.element)));
   }
 
-  rowOf({ name }, k, colormaps) {
+  rowOf({ name, edited }, k, colormaps) {
     const row = { visible: toggle(name, (on) => this.put(k, "visible", on), "whether it is seen") };
-    if (!k) return row;
+    if (!edited) return row;
     row.cmap = choice("Colours", (value) => this.put(k, "cmap", value || null), `of ${name}`);
     row.cmap.fill([["", "as given"], ...colormaps]);
     row.opacity = slider("Opacity", { low: 0, high: 2 }, (value, live) => this.put(k, "opacity", Math.max(0, value), live), `of ${name}`);
