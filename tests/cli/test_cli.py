@@ -1467,6 +1467,7 @@ def test_volumes_of_other_files_are_in_the_picture_and_color_it(clvol_command: C
     tifffile.imwrite("c.ome.tif", np.stack([first.data, first.data[::-1]]).astype(np.float32), metadata={"axes": "CZYX"}, ome=True)
     channels = ("render", "c.ome.tif", "--output", "p.png", *SMALL, "--mode", "mip")
     assert clvol_command(*channels, "--all-channels").code == 0
+    assert clvol_command("view", "c.ome.tif", "--all-channels", "--terminal").code == 0
     clvol.render(clvol.read_all("c.ome.tif"), mode="mip", size=(16, 12)).save("q.png")
     np.testing.assert_array_equal(iio.imread("q.png"), iio.imread("p.png"))
     assert clvol_command("render", "--from", "p.png", "--output", "q.png").code == 0

@@ -17,6 +17,7 @@ from clvol.filter.make import bc, bspline, lanczos, moms3, omoms3, quasi, sinc
 __all__ = [
     "DEFAULT_FILTER",
     "PICTURE_FILTER",
+    "REGION_FILTER",
     "FilterTable",
     "as_filter",
     "as_filters",
@@ -28,6 +29,7 @@ __all__ = [
 
 DEFAULT_FILTER = "bspline3"
 PICTURE_FILTER = "bspline3(auto)"  # default of pictures: they should not show the noise of the data
+REGION_FILTER = "bspline5-approx"  # default of smooth boundaries between labels
 
 _TABLE: dict[str, Filter] = {}
 _FAMILIES: dict[str, tuple[str, Callable[..., Filter]]] = {

@@ -22,7 +22,7 @@ from clvol.base.errors import OptionError
 from clvol.base.scaling import share_of
 from clvol.base.shown import Named
 from clvol.base.uniform import FLOAT, INT, Block, Values
-from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, as_filter
+from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, REGION_FILTER, as_filter
 from clvol.scene.preset import diverging
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.histogram import Projection, clims_of, isovalue_of, matter_of, spread_of
@@ -507,7 +507,7 @@ class Regions(Mode):
     state_fields: ClassVar[int] = 9
     endpoints: ClassVar[bool] = True
     capped: ClassVar[bool] = True
-    picture_filter: ClassVar[str] = "bspline5-approx"
+    picture_filter: ClassVar[str] = REGION_FILTER
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "matter"
     regions: ClassVar[bool] = True
 

@@ -19,7 +19,7 @@ from clvol.base.errors import DataError, OptionError
 from clvol.base.rounding import in_kind
 from clvol.base.rounding import limits as limits_of_type
 from clvol.device.program import LANES
-from clvol.filter.table import as_filter
+from clvol.filter.table import REGION_FILTER, as_filter
 from clvol.spline.build import boundary_defines, filter_defines, point_defines, row_reach
 from clvol.spline.coefficients import OPENCL_TYPES, axis_taps, extent_of
 from clvol.spline.grids import described, no_shear
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Regions", "as_label", "labels_on", "region_filter", "require_no_blending", "require_whole"]
 
-_DEFAULT = "bspline5-approx"
 _RUN = 512  # points for each work-item of a CPU
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
 _MOST = np.iinfo(np.int32).max  # stands for no label in kernels
@@ -55,7 +54,7 @@ def region_filter(choice: str | Filter | None) -> Filter:
     OptionError
         It has a prefilter, weights below zero or not of sum one, or one tap.
     """
-    row = as_filter(_DEFAULT if choice is None else choice)
+    row = as_filter(REGION_FILTER if choice is None else choice)
     fine = np.linspace(0, 1, 1025)
     if row.prefilter or row.magnified_by or row.support < 2 or not row.sums_to_one or row.weights(fine).min() < -_ABOVE:
         raise OptionError(

@@ -26,7 +26,7 @@ from clvol.base.checks import whole
 from clvol.base.errors import OptionError
 from clvol.filter.filter import MOST_SMOOTHING, Filter
 from clvol.filter.make import bspline
-from clvol.filter.table import as_filter
+from clvol.filter.table import REGION_FILTER, as_filter
 from clvol.noise import Spectrum
 from clvol.volume.volume import Volume, as_volume
 
@@ -125,8 +125,9 @@ def choice(volume: Volume, degree: int) -> Smoothing:
 
 
 def filter_for(volume: Volume, filter: str | Filter | None, otherwise: str) -> Filter:
-    """The given filter; if None, "nearest" for labels, which are never blended, else `otherwise`."""
-    return as_filter(filter if filter is not None else "nearest" if volume.is_labels else otherwise)
+    """The given filter; if None `otherwise`, but "nearest" for labels, which nothing else blends, if it is not of their indicators."""
+    blended = volume.is_labels and otherwise != REGION_FILTER
+    return as_filter(filter if filter is not None else "nearest" if blended else otherwise)
 
 
 def settled(filter: str | Filter, volume: Volume) -> Filter:
