@@ -125,7 +125,7 @@ def choice(volume: Volume, degree: int) -> Smoothing:
 
 
 def filter_for(volume: Volume, filter: str | Filter | None, otherwise: str) -> Filter:
-    """The given filter; if None `otherwise`, but "nearest" for labels, which nothing else blends, if it is not of their indicators."""
+    """The given filter; if None `otherwise`, but "nearest" for labels, which no filter blends but one of their indicators."""
     blended = volume.is_labels and otherwise != REGION_FILTER
     return as_filter(filter if filter is not None else "nearest" if blended else otherwise)
 
