@@ -338,7 +338,7 @@ WRONG: dict[str, tuple[dict[str, Any], type[ClvolError], str]] = {
     "mode": (
         {"mode": "xray"},
         OptionError,
-        "mode must be one of composite, isosurface, surfaces, mip, attenuated, minip, mean; got 'xray'",
+        "mode must be one of composite, isosurface, surfaces, regions, mip, attenuated, minip, mean; got 'xray'",
     ),
     "evaluator": ({"evaluator": "taps"}, OptionError, "evaluator is no option of composite; composite has shading, termination"),
     "gradient": ({"gradient": "sobel"}, OptionError, "gradient must be one of analytic, central; got 'sobel'"),

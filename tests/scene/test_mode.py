@@ -56,14 +56,14 @@ def test_every_option_is_a_documented_field(name: str) -> None:
 
 @pytest.mark.parametrize("wrong", ["MIP", "", None, 3, Volume])
 def test_unknown_modes(wrong: Any) -> None:
-    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, surfaces, mip, .*, mean; got "):
+    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, surfaces, regions, mip, .*, mean; got "):
         as_mode(wrong)
 
 
 def test_options_of_other_modes_are_rejected_by_name() -> None:
     with pytest.raises(OptionError, match="isovalue is no option of mip, but of isosurface; mip has none"):
         as_mode("mip", {"isovalue": 0.5})
-    with pytest.raises(OptionError, match="shading is no option of mean, but of composite, isosurface and surfaces; mean has none"):
+    with pytest.raises(OptionError, match="shading is no option of mean, but of composite, isosurface, surfaces and regions; mean has none"):
         as_mode("mean", {"shading": True})
     with pytest.raises(OptionError, match="speed is no option of composite; composite has shading, termination"):
         as_mode("composite", {"speed": 1})

@@ -305,8 +305,6 @@ def test_words_are_checked(given: dict[str, Any], words: str) -> None:
 def test_furniture_is_for_colors_and_for_whole_pictures() -> None:
     with pytest.raises(OptionError, match='scale_bar changes nothing in composite: it is for the output "rgba"'):
         clvol.render(volume(), size=SIZE, outputs="depth", scale_bar=True)
-    with clvol.Renderer(volume()) as renderer, pytest.raises(OptionError, match="refine gives colours alone: leave out title"):
-        renderer.refine(size=SIZE, title="title")
     made = clvol.render(volume(), size=SIZE, outputs=("rgba", "depth"), scale_bar=True)
     np.testing.assert_array_equal(made["depth"], clvol.render(volume(), size=SIZE, outputs="depth"))
     assert made["rgba"].furnished is not None
