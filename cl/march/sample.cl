@@ -79,7 +79,7 @@ OUT_OF_LINE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *s
     const region_taps_t taps = taps_around(coefficients, sample->extent, c);
     const int winner = region_in(coefficients, sample->extent, c);
     float gradient[3];
-    gradient_between(&taps, c, winner, region_beside(&taps, winner), gradient);
+    lead_between(&taps, c, winner, region_beside(&taps, winner), gradient);
     const float unit = 1.0f + fabs((float)winner);
     const gradient_t g = { unit * gradient[0], unit * gradient[1], unit * gradient[2] };
     return g;

@@ -6,9 +6,9 @@
 //
 // A cell is named by its first tap among the stored coefficients. A block is BLOCK cells along each axis.
 //
-// Set by the host: LANES, cells along x at a time, 8; BLOCK; TAPS; HULL, 1: by control points, 0: by the extremes of the taps
-// and the largest sums of weights, or if NAMES, the
-// extremes themselves of the names among the taps but the SPARED outer ones on each side, which others always outvote; CONTROLS, control points along an axis of a cell; SHARED, whether the last is the next
+// Set by the host: LANES, cells along x at a time, 8; BLOCK; TAPS; HULL, 1: by control points, 0: by the extremes of the taps and
+// the largest sums of weights, or if NAMES, the extremes themselves of the names among the taps but the SPARED outer ones on each
+// side, which others always outvote; CONTROLS, control points along an axis of a cell; SHARED, whether the last is the next
 // cell's first; BERNSTEIN, a row of weights for each; SUM_LOW and SUM_HIGH, of a point's weights; LEBESGUE, the sum of their
 // magnitudes; PAD_SIZE, relative to the largest magnitude of a tap, PAD_SPREAD, relative to the range of the taps, and PAD_TINY,
 // the error from subnormal numbers (zeros are exact).

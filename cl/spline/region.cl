@@ -138,11 +138,11 @@ INLINE scalar core_weight(const scalar *w)
     return sum;
 }
 
-// The gradient of by how much the weight of one label exceeds that of another, per sample.
-INLINE void gradient_between(const region_taps_t *taps, const cell_t c, const int one, const int other, scalar gradient[3])
+// By how much the weight of one label exceeds that of another, and the gradient of this per sample.
+INLINE scalar lead_between(const region_taps_t *taps, const cell_t c, const int one, const int other, scalar gradient[3])
 {
     scalar slopes_y[WEIGHTS], slopes_z[WEIGHTS];
-    row_t along = (row_t)(0.0f), across = along, deep = along;
+    row_t lead = (row_t)(0.0f), along = lead, across = lead, deep = lead;
     unpack_slopes(c.ty, slopes_y);
     unpack_slopes(c.tz, slopes_z);
     for (int k = 0; k < TAP_SLICES; ++k)
@@ -152,6 +152,7 @@ INLINE void gradient_between(const region_taps_t *taps, const cell_t c, const in
                 const label_row_t labels = CONVERT(*(global const label_row_at *)(row + i * ROW), label_row_t);
                 const row_t side = CONVERT((labels == other) - (labels == one), row_t);
                 const row_t slope = side * tap_slopes(c.tx, i), share = side * taps->x[i];
+                lead = madd((row_t)(taps->y[j] * taps->z[k]), share, lead);
                 along = madd((row_t)(taps->y[j] * taps->z[k]), slope, along);
                 across = madd((row_t)(slopes_y[j] * taps->z[k]), share, across);
                 deep = madd((row_t)(taps->y[j] * slopes_z[k]), share, deep);
@@ -160,6 +161,7 @@ INLINE void gradient_between(const region_taps_t *taps, const cell_t c, const in
     gradient[0] = row_sum(along);
     gradient[1] = row_sum(across);
     gradient[2] = row_sum(deep);
+    return row_sum(lead);
 }
 
 // The label with the largest weight but one, or that one if there is no other.

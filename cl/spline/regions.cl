@@ -140,36 +140,10 @@ kernel void regions_between(global const LABEL *restrict labels, const int4 exte
         const position_t at = given_point(source, n);
         const cell_t c = locate_inner(at.x, at.y, at.z, extent.w);
         const int2 pair = pairs[source.first + n];
-        scalar wy[WEIGHTS], wz[WEIGHTS], sy[WEIGHTS], sz[WEIGHTS];
-        row_t wx[CHUNKS], sx[CHUNKS];
-        unpack_weights(c.ty, wy);
-        unpack_slopes(c.ty, sy);
-        unpack_weights(c.tz, wz);
-        unpack_slopes(c.tz, sz);
-#pragma unroll
-        for (int i = 0; i < CHUNKS; ++i) {
-            wx[i] = tap_weights(c.tx, i);
-            sx[i] = tap_slopes(c.tx, i);
-        }
-        row_t sum = (row_t)(0.0f), along_x = sum, along_y = sum, along_z = sum;
-        global const LABEL *slice = labels + ((size_t)c.z * extent.y + c.y) * extent.x + c.x;
-#pragma unroll 1
-        for (int k = 0; k < TAPS; ++k, slice += (size_t)extent.x * extent.y) {
-            global const LABEL *row = slice;
-#pragma unroll
-            for (int j = 0; j < TAPS; ++j, row += extent.x)
-#pragma unroll
-                for (int i = 0; i < CHUNKS; ++i) {
-                    const label_row_t found = CONVERT(*(global const label_row_at *)(row + i * ROW), label_row_t);
-                    const row_t sign = CONVERT((found == pair.y) - (found == pair.x), row_t);   // a mask is -1 where it holds
-                    const row_t weight = sign * wx[i];
-                    sum = madd((row_t)(wy[j] * wz[k]), weight, sum);
-                    along_x = madd((row_t)(wy[j] * wz[k]), sign * sx[i], along_x);
-                    along_y = madd((row_t)(sy[j] * wz[k]), weight, along_y);
-                    along_z = madd((row_t)(wy[j] * sz[k]), weight, along_z);
-                }
-        }
-        results[source.first + n] = (scalar4)(row_sum(sum), row_sum(along_x), row_sum(along_y), row_sum(along_z));
+        const region_taps_t taps = taps_around(labels, extent, c);
+        scalar slope[3];
+        const scalar lead = lead_between(&taps, c, pair.x, pair.y, slope);
+        results[source.first + n] = (scalar4)(lead, slope[0], slope[1], slope[2]);
     }
 }
 

@@ -23,7 +23,7 @@ from clvol.formats import leading_of, read, read_all
 from clvol.formats.opening import open as open_volume
 from clvol.formats.opening import opened_if
 from clvol.interfaces.batches import Shot, frames, needs_whole
-from clvol.march.choose import as_drawn
+from clvol.march.choose import as_drawn, without_masked
 from clvol.march.function import row_for
 from clvol.march.options import KEYWORDS, WORDS, BatchOptions, FieldOptions, ResolvedLook, as_size, chosen_mode, transfer_of
 from clvol.scene.camera import Camera
@@ -192,14 +192,14 @@ def movie(
     if isinstance(source, Volumes) and source.colors:
         words = {name: given.pop(name) for name in ("filter", "boundary") if given.get(name) is not None}
         source = [Scene(channels(source, at, **words)) for at in places_of(source.leading)]
-    volumes = [as_drawn(one, mask) for one in _volumes(source, dict(own["reading"] or {}), limits)]
+    volumes = [without_masked(one, mask) for one in _volumes(source, dict(own["reading"] or {}), limits)]
     turns = (1.0 if len(volumes) == 1 and keys is None else 0.0) if turns is None else turns
     count, fps = _timing(own, len(volumes), moves=bool(turns) or keys is not None)
     movies.require_room(form, count, size)
 
     mode = as_mode(given.get("mode", DEFAULT_MODE))
     series = _Series(volumes)
-    row = given.pop("filter", None) if series.scenes else _row(volumes[0], given.pop("filter", None), mode)  # type: ignore[arg-type]  # no scene
+    row = given.pop("filter", None) if series.scenes else _row(volumes[0], given.pop("filter", None), mode)
     given = {name: value for name, value in given.items() if value is not None or name in ("background", "clip")}
     shared = {name: given.pop(name) for name in FieldOptions.__annotations__ if name in given} | {"filter": row, "size": size}
     shots = _shots(series, keys, turns, count, given, size[0] / size[1])
@@ -358,15 +358,16 @@ class _Series:
         """What plays, and the options, with what was left open chosen from all of it."""
         if not self._pooled:
             return self.played, dict(options)
+        single = len(self._pooled) == 1
         if not self.scenes:
             return self.played, _shown(self._pooled[0], options)
         mode = as_mode(options.get("mode", DEFAULT_MODE), {name: v for name, v in options.items() if name not in KEYWORDS})
         if mode.name not in self._alike:
             self._alike[mode.name] = self._made_alike(mode)
-        if len(self._pooled) == 1 and any(options.get(word) is not None for word in WORDS):  # which are of the only medium
+        if single and any(options.get(word) is not None for word in WORDS):  # which are of the only medium
             return self._alike[mode.name], _shown(self._pooled[0], options)
         rest = {name: value for name, value in options.items() if name in KEYWORDS}
-        return self._alike[mode.name], rest | {"mode": mode.settled(self._pooled[0]) if len(self._pooled) == 1 else mode}
+        return self._alike[mode.name], rest | {"mode": mode.settled(self._pooled[0]) if single else mode}
 
     def _made_alike(self, mode: Mode) -> list[Scene]:
         """The scenes, whose media have one transfer function and one filter at all times."""

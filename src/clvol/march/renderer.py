@@ -396,5 +396,5 @@ def render(
     chosen = chosen_mode(mode, options, as_outputs(outputs), scene=scene)  # before any work, and so is what follows
     fine = Fineness.of(chosen, size, step, options)
     require_room(fine.size, as_outputs(outputs), edges=False)
-    with Renderer(source_of(scene, **held, usual=None if chosen.regions else chosen.picture_filter)) as renderer:
+    with Renderer(source_of(scene, **held, usual=chosen.picture_filter)) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, progress=progress, **cast(PictureOptions, options))  # type: ignore[arg-type]  # either

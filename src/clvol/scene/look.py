@@ -13,10 +13,10 @@ from clvol.base.checks import number
 from clvol.base.errors import OptionError
 from clvol.scene.mode import Mode, as_mode
 from clvol.scene.preset import as_preset, unit_of
-from clvol.scene.transfer import TransferFunction
+from clvol.scene.transfer import TransferFunction, is_curve
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["look"]
+__all__ = ["look", "seen_through"]
 
 
 def look(
@@ -71,12 +71,15 @@ def look(
         values = [value for value, _ in transfer.colors]
         colored = TransferFunction.from_cmap(cmap, (values[0], values[-1]))
         transfer = replace(transfer, colors=colored.colors)
-    if opacity is None:
-        return transfer
-    if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or not a sequence
-        factor = number("opacity", opacity, minimum=0)
-        return transfer.with_opacity([(value, min(1.0, factor * share)) for value, share in transfer.opacities])
-    return transfer.with_opacity(opacity)  # type: ignore[arg-type]  # __post_init__ checks it
+    return transfer if opacity is None else seen_through(transfer, opacity)
+
+
+def seen_through(transfer: TransferFunction, opacity: object) -> TransferFunction:
+    """A copy whose opacities are scaled by a number, or replaced by pairs of value and opacity."""
+    if is_curve(opacity):
+        return transfer.with_opacity(opacity)  # type: ignore[arg-type]  # __post_init__ checks it
+    factor = number("opacity", opacity, minimum=0)
+    return transfer.with_opacity([(value, min(1.0, factor * share)) for value, share in transfer.opacities])
 
 
 def _ends(window: object) -> tuple[float, float]:

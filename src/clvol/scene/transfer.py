@@ -21,7 +21,7 @@ from clvol.scene.preset import as_preset, automatic, unit_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["WORDS", "TransferFunction"]
+__all__ = ["WORDS", "TransferFunction", "is_curve"]
 
 WORDS = ("preset", "window", "cmap", "opacity")
 """Words by which a transfer function may be given: arguments of `clvol.scene.look.look`."""
@@ -111,7 +111,7 @@ class TransferFunction:
         places = [unscaled(bottom + (top * u - bottom * u), exponent) for u in at]
         colors = tuple(zip(places, shades, strict=True))
         points: Any = opacity
-        if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or not a sequence
+        if not is_curve(opacity):
             points = ((low, number("opacity", opacity, minimum=0, maximum=1)),)
         return cls(colors, points, unit_distance)  # type: ignore[arg-type]  # three floats each
 
@@ -201,6 +201,11 @@ class TransferFunction:
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
         """A copy with the same colours and other opacities."""
         return replace(self, opacities=opacities)  # type: ignore[arg-type]  # __post_init__ converts
+
+
+def is_curve(opacity: object) -> bool:
+    """Whether an opacity is a sequence, of pairs of value and opacity; else it is one number, or nothing that is allowed."""
+    return np.ndim(np.asarray(opacity, dtype=object)) > 0
 
 
 class _Layout(NamedTuple):

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from clvol.base.errors import OptionError
+from clvol.scene.look import seen_through
 from clvol.scene.scene import Medium
-from clvol.scene.transfer import TransferFunction
+from clvol.scene.transfer import TransferFunction, is_curve
 from clvol.view.state import MediumState, State
 
 __all__ = ["changes", "described", "of_state", "require"]
@@ -27,14 +26,14 @@ def changes(medium: Medium, shown: MediumState) -> dict[str, Any]:
     """What a state changes of a medium, by the names of `Medium`."""
     given = {name: value for name, value in vars(shown).items() if value is not None}
     transfer, cmap, opacity = medium.transfer, given.get("cmap"), given.get("opacity")
-    if transfer is None and opacity is not None and np.ndim(np.asarray(medium.opacity, object)) > 0:
+    if transfer is None and opacity is not None and is_curve(medium.opacity):
         given["opacity"] = [(value, min(1.0, opacity * one)) for value, one in medium.opacity]  # type: ignore[union-attr]  # pairs
     if transfer is None or (cmap is None and opacity is None):
         return given
     if cmap is not None:
         transfer = replace(transfer, colors=TransferFunction.from_cmap(cmap, transfer.value_range).colors)
     if opacity is not None:
-        transfer = transfer.with_opacity([(value, min(1.0, opacity * one)) for value, one in transfer.opacities])
+        transfer = seen_through(transfer, opacity)
     return {name: value for name, value in given.items() if name == "visible"} | {"transfer": transfer}
 
 
@@ -53,11 +52,10 @@ def described(media: Sequence[Medium]) -> list[dict[str, Any]]:
 
 
 def _described(medium: Medium, number: int) -> dict[str, Any]:
-    one = medium.opacity is not None and np.ndim(np.asarray(medium.opacity, object)) == 0  # else pairs, or none
     return {
         "name": medium.volume.name or f"medium {number}",
         "visible": bool(medium.visible),
         "edited": number > 1 and medium.surfaces is None,
         "cmap": medium.cmap,
-        "opacity": float(np.asarray(medium.opacity)) if one else None,
+        "opacity": None if medium.opacity is None or is_curve(medium.opacity) else float(medium.opacity),  # type: ignore[arg-type]  # one
     }

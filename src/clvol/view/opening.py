@@ -23,6 +23,7 @@ from clvol.scene.fit import usual_camera
 from clvol.scene.look import look
 from clvol.scene.mode import as_mode, modes
 from clvol.scene.scene import Medium, Scene
+from clvol.scene.transfer import is_curve
 from clvol.show.furniture import Furniture
 from clvol.spline.field import Field
 from clvol.view.finer import Finer, resident_level
@@ -133,7 +134,7 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
         raise OptionError(f"mode must be one of {', '.join(modes())} in a view; got {chosen.name!r}")
     default = type(chosen)()
     options = {f.name: getattr(chosen, f.name) for f in fields(chosen) if getattr(chosen, f.name) != getattr(default, f.name)}
-    if values.get("opacity") is not None and np.ndim(np.asarray(values["opacity"], dtype=object)) > 0:
+    if is_curve(values.get("opacity")):
         values["transfer"] = look(volume, chosen, **{name: values.pop(name, None) for name in WORDS})
     if isinstance(values.get("background"), str):
         values["background"] = color_of("background", values["background"])
