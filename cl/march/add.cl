@@ -42,9 +42,10 @@ kernel void add_medium(COEFFICIENTS coefficients, const int4 extent, global cons
         if (!enter_window(&tile, frame))
             continue;
 #endif
-        enter_tile(&tile, whole_pointer(coefficients, extent, frame), extent, frame, table, part, from + 1.0f,
-                   to + 1.0f AND_MISSING);   // faces have the number before
-        tile.first = MAX(tile.first, from);
+        // faces have the number before the first sample's on a plane
+        enter_tile(&tile, whole_pointer(coefficients, extent, frame), extent, frame, table, part, from + !ENDPOINTS,
+                   to + !ENDPOINTS AND_MISSING);
+        tile.first = MAX(tile.first, LAYERED ? from : from - REACH);
         tile.last = MIN(tile.last, to);
         march_tile(&tile, whole_pointer(coefficients, extent, frame), extent, minmax, sides, frame, table AND_MISSING);
     }

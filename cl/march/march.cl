@@ -320,10 +320,10 @@ INLINE void enter_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
 #if WINDOWED
         here &= in_window(frame, ray, ray->enter);
 #endif
+        if (part)
+            restart(tile->states + g, ADDED & !WINDOWED ? tile->going[g] : here);   // of a slab no state is carried on
         if (!any_lane(here))
             continue;
-        if (part)
-            restart(tile->states + g, here);
         here &= ray->cut;
 #if MISSING
         here &= !missing_at(missing, frame, ray, ray->enter, here);

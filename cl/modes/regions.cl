@@ -4,11 +4,15 @@
 #include "march/sample.cl"
 #include "march/light.cl"
 #include "march/enclose.cl"
+#include "march/slots.cl"
 #include "transfer/ramp.cl"
 
 typedef struct {
     real red, green, blue, light, depth, label, before;   // label: of the sample before, at `before`
     mask started, face;                                    // whether there is one; whether the result is where rays begin
+#if ADDED
+    slots_t slots;   // where regions are added to the samples of media
+#endif
 } state_t;
 
 #define REACH 1.0f   // a boundary lies between two samples
@@ -28,6 +32,10 @@ INLINE void begin(state_t *s)
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->light < FAINT; }
 
+#if ADDED
+INLINE void set_light(state_t *s, const real opacity, const real rest, const real side) { s->light = (1.0f - opacity) - rest; }
+#endif
+
 // Inside a single region nothing changes; but rays may begin there.
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
@@ -46,6 +54,11 @@ INLINE void enter_region(state_t *s, COEFFICIENTS coefficients, const sample_t *
         const real3 gradient = gradient_at(coefficients, sample, choose(active, t, sample->ray->enter), active);
         color = shade(sample->frame, color, gradient, label, sample->ray->world);
     }
+#if ADDED
+    // faces, like those of matter, in front of all samples; a boundary to the sample behind it
+    const real number = face ? sample->ray->begin - 1.0f : (real)(sample->number);
+    add_each(&s->slots, number, color, log_light(color, (real)(1.0f)), active);
+#endif
     const real share = choose(active, s->light * color.opacity, (real)(0.0f)), left = s->light * color.clear;
     s->red = madd(share, color.red, s->red);
     s->green = madd(share, color.green, s->green);
@@ -59,7 +72,10 @@ INLINE void enter_region(state_t *s, COEFFICIENTS coefficients, const sample_t *
 INLINE void begin_in(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, const real label, const real t, const mask active)
 {
     const ray_t *ray = sample->ray;
-    const mask entry = active & (t <= madd((real)(AT_ENTRY), ray->step, ray->enter));
+    mask entry = active & (t <= madd((real)(AT_ENTRY), ray->step, ray->enter));
+#if ADDED
+    entry &= ray->begin > s->slots.from;   // others were added before
+#endif
     if (any_lane(entry))
         enter_region(s, coefficients, sample, label, ray->enter, 1, entry);
     s->label = choose(active, label, s->label);

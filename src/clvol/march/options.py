@@ -18,7 +18,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.look import look
-from clvol.scene.mode import BY_LABEL, Surfaces, as_mode, colored_by, require_heard
+from clvol.scene.mode import BY_LABEL, as_mode, colored_by, require_heard
 from clvol.scene.preset import as_preset
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import WORDS
@@ -436,8 +436,7 @@ class ResolvedLook:
         preview = part_of(medium).preview
         camera = usual_camera(preview) if camera is None else camera
         instance("camera", camera, Camera)
-        if medium.surfaces and mode.shows != "matter":
-            raise OptionError(f"surfaces of a medium change nothing in {mode.name}: they are for composite; leave them out")
+        shown = medium.shown_in(mode)
         if medium.color_by is not None:
             if mode.shows not in ("matter", "surface"):
                 raise OptionError(
@@ -449,7 +448,6 @@ class ResolvedLook:
         words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
         scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
         transfer = scene.media[0].transfer or mode.transfer(preview)
-        shown = Surfaces(medium.surfaces, mode.shaded) if medium.surfaces else mode
         return cls(camera, shown.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
 
     @classmethod
@@ -519,7 +517,7 @@ def _rank(medium: Medium, transfer: TransferFunction, preview: Volume) -> tuple[
     """A key by which media are in one order, whatever their list's: the finest grid is first."""
     volume = medium.volume
     place = volume.mean_spacing, volume.spacing, volume.size, volume.origin, tuple(np.ravel(volume.direction))
-    own = medium.material, medium.filter, medium.boundary, cuts_of(medium.clip), medium.surfaces
+    own = medium.material, *medium.reconstruction, cuts_of(medium.clip), medium.surfaces
     other = medium.color_by
     by = _rank(other, other.transfer, other.volume) if other and other.transfer else ()
     look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, *own, by))

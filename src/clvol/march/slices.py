@@ -272,7 +272,7 @@ def _of_medium(given: Medium | Scene, options: SliceOptions) -> tuple[Volume, Sl
         )
     if named := {"filter", "boundary"} & options.keys():
         raise OptionError(f"{' and '.join(sorted(named))} must be left to the medium; got {options}")
-    return first.volume, {"filter": first.filter, "boundary": first.boundary}
+    return first.volume, {"filter": None if first.smooth else first.filter, "boundary": first.boundary}
 
 
 def _given(volume: Any) -> Any:

@@ -94,16 +94,22 @@ class Source(ABC):
 
     def filter_of(self, mode: Mode) -> Filter:
         """The filter of pictures in a mode."""
+        medium = self.scene.media[0]
         if mode.regions:
-            return region_filter(self.scene.media[0].filter or mode.picture_filter)
-        if not self._free or mode.picture_filter == PICTURE_FILTER:
+            return region_filter(medium.filter or mode.picture_filter)
+        if not medium.smooth and (not self._free or mode.picture_filter == PICTURE_FILTER):
             return self.field.filter
-        return filter_for(self.scene.media[0].volume, None, mode.picture_filter)
+        return filter_for(medium.volume, None, mode.picture_filter)  # one that is given is that of smooth boundaries
 
     def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:  # noqa: ARG002
         """Raise `OptionError` if an option of a picture changes nothing for this function, or an output does not exist."""
+        medium = self.scene.media[0]
+        mode = medium.shown_in(mode)
         if mode.regions and (what := self._no_regions()):
-            raise OptionError(f"mode {mode.name!r} draws one label map that is in memory; got {what}")
+            by = "smooth=True" if medium.smooth else f"mode {mode.name!r}"
+            raise OptionError(f"{by} draws one label map that is in memory; got {what}")
+        if "gradient" in options and medium.smooth:
+            raise OptionError("gradient changes nothing with smooth=True: boundaries have the gradient of their filter; leave it out")
         row = self.filter_of(mode)
         if "gradient" in options and not row.has_gradient:
             raise OptionError(f"gradient changes nothing with {row.name}, which has no slopes; leave it out")
@@ -442,7 +448,10 @@ class Several(Source):
 
     def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:
         if mode.regions:
-            raise OptionError(f"mode {mode.name!r} draws one label map; got a scene of {len(self.scene.media)} media")
+            raise OptionError(
+                f"mode {mode.name!r} draws one label map; got a scene of {len(self.scene.media)} media: in composite, "
+                "Medium(labels, smooth=True) shows them with others"
+            )
         if options.get("lod", "auto") != "auto" and self.sizes:
             options = {name: value for name, value in options.items() if name != "lod"}  # type: ignore[assignment]  # it has them
         for part in self.parts.values():
@@ -539,4 +548,4 @@ def _together(seen: Sequence[Seen]) -> Subject:
 
 def _reconstructed(medium: Medium) -> tuple[Any, ...]:
     """What the function of a medium depends on, whatever its look."""
-    return id(medium.volume), medium.filter, medium.boundary
+    return id(medium.volume), *medium.reconstruction

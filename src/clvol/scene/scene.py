@@ -23,7 +23,7 @@ from clvol.filter.table import as_filter
 from clvol.interop.dispatch import is_in_parts
 from clvol.scene.clip import Box, Clip, as_clip, joined
 from clvol.scene.light import KIT, Light, Material, as_lights
-from clvol.scene.mode import Surfaces
+from clvol.scene.mode import Mode, Regions, Surfaces
 from clvol.scene.transfer import WORDS, TransferFunction
 from clvol.volume.provenance import note_masked
 from clvol.volume.stored import AS_THEY_ARE, Stored
@@ -84,12 +84,17 @@ class Medium:
         labels and presets cover what they show. Where that volume ends, or its samples are missing, the medium has its own
         colours, and so have caps. An array has the medium's grid. A function gives the values at points (n, 3) of the world, and is
         taken at the medium's samples, slice by slice.
+    smooth : bool
+        Of labels in memory: their regions with smooth boundaries instead of their samples, as of `clvol.Regions`, in and among the
+        other media of a "composite". Each has the colour of the transfer function, and stops the share of light that is its opacity
+        where a ray enters it, or on the face of a cut; within a step it mixes with matter. `filter` is that of the boundaries, by
+        default "bspline5-approx". Slices show the samples.
 
     Raises
     ------
     OptionError
         The volume does not have three axes, the filter or boundary is unknown, or there are words beside a transfer function;
-        `color_by` is read by bricks, or has cuts or surfaces.
+        `color_by` is read by bricks, or has cuts or surfaces; `smooth` is of no labels, or beside a mask, surfaces or `color_by`.
     DataError
         A function returned no number for each point; an array of `color_by` has another shape.
     GeometryError
@@ -112,6 +117,7 @@ class Medium:
     opacity: float | Sequence[tuple[float, float]] | None = None
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
     color_by: Medium | None = None
+    smooth: bool = False
     mask: InitVar[ArrayLike | None] = None
     where: InitVar[ArrayLike | None] = None
 
@@ -165,6 +171,13 @@ class Medium:
             )
         if self.color_by is not None:
             object.__setattr__(self, "color_by", _coloring(self.color_by, self.volume))
+        instance("smooth", self.smooth, bool, np.bool_)
+        if self.smooth:
+            given = {"surfaces": self.surfaces, "color_by": self.color_by, "mask": mask}
+            if own := [name for name, value in given.items() if value is not None]:
+                raise OptionError(f"smooth shows the regions of labels, in colours of their own, and takes no {' and '.join(own)}")
+            if not volume.is_labels:
+                raise OptionError("smooth takes labels, and these samples look like none; Volume(..., labels=True) says that they are")
 
     @property
     def words(self) -> dict[str, Any]:
@@ -173,8 +186,17 @@ class Medium:
 
     @property
     def beyond_words(self) -> tuple[str, ...]:
-        """What it has that is no option of a picture: cuts and surfaces of its own, and what colours it."""
-        return tuple(name for name in ("clip", "surfaces", "color_by") if getattr(self, name) is not None)
+        """What it has that is no option of a picture: cuts, surfaces and smooth boundaries of its own, and what colours it."""
+        return tuple(name for name in ("clip", "surfaces", "smooth", "color_by") if getattr(self, name))
+
+    def shown_in(self, mode: Mode) -> Mode:
+        """The mode in which a picture draws it; `OptionError` if one that shows no matter is to show surfaces or smooth regions."""
+        if (self.surfaces or self.smooth) and mode.shows != "matter":
+            own = "surfaces" if self.surfaces else "smooth boundaries"
+            raise OptionError(f"{own} of a medium change nothing in {mode.name}: they are for composite; leave them out")
+        if self.surfaces:
+            return Surfaces(self.surfaces, mode.shaded)
+        return Regions(mode.shaded) if self.smooth else mode
 
     def with_transfer(self, transfer: TransferFunction | None) -> Medium:
         """The same with a transfer function, instead of its own or of words."""
@@ -183,9 +205,14 @@ class Medium:
     def with_look(self, other: Medium) -> Medium | None:
         """The same with the look of another medium of this function, as it is here or was given; None if that is of another."""
         given = vars(self.volume).get("_of", self) if is_in_parts(other.volume) else self
-        if other.volume is not given.volume or (other.filter, other.boundary) != (given.filter, given.boundary):
+        if other.volume is not given.volume or other.reconstruction != given.reconstruction:
             return None
         return other if given is self else replace(other, volume=self.volume, filter=self.filter, boundary=self.boundary)
+
+    @property
+    def reconstruction(self) -> tuple[Filter | None, Boundary, bool]:
+        """How its function is made of samples."""
+        return self.filter, self.boundary, self.smooth
 
     @property
     def domain(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -335,7 +362,7 @@ class Scene:
 
     def with_looks(self, media: Sequence[Medium]) -> Scene:
         """The same with other looks of its media; `OptionError` if these are of other volumes, or reconstructed otherwise."""
-        rule = "the scene's, in their order, with its volumes, filters and boundaries"
+        rule = "the scene's, in their order, with its volumes, filters, boundaries and smooth"
         if not isinstance(media, (list, tuple)) or len(media) != len(self.media):
             raise OptionError(f"media must be {rule}; got {media!r:.200}")
         seen = []
@@ -385,9 +412,10 @@ def _coloring(given: Any, volume: Volume) -> Medium:
     made = as_medium(given)
     if is_in_parts(made.volume):
         raise OptionError("color_by takes a volume in memory; got one that is read by bricks: give its whole()")
-    own = made.color_by is not None or made.clip is not None or made.surfaces is not None or not made.visible
-    if own or made.material != Material():
-        raise OptionError("color_by takes a medium without clip, surfaces, material and color_by of its own, and a visible one")
+    if made.beyond_words or not made.visible or made.material != Material():
+        raise OptionError(
+            "color_by takes a medium without clip, surfaces, smooth, material and color_by of its own, and a visible one"
+        )
     return made
 
 

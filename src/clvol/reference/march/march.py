@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
@@ -39,7 +39,7 @@ from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import Stored
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["Rays", "camera_rays", "facing", "flat_below", "pixel_rays", "planes_across", "render", "shade"]
+__all__ = ["Rays", "boundaries_by", "camera_rays", "facing", "flat_below", "pixel_rays", "planes_across", "render", "shade"]
 
 Bools: TypeAlias = NDArray[np.bool_]
 
@@ -557,6 +557,26 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
     return rgb, 1 - light, depth
 
 
+def boundaries_by(
+    value: Callable[[Array], Array], rays: Rays, t: Array, there: Bools, values: Array
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]]:
+    """Boundaries of regions between successive samples, by bisection: the first ones, those behind them, and so on. Of each the ray,
+    the number of the sample behind it, its place, and the label that is entered.
+    """
+    on, k = np.nonzero(there[:, 1:] & there[:, :-1] & (values[:, 1:] != values[:, :-1]))
+    near, label, end, last = t[on, k], values[on, k], t[on, k + 1], values[on, k + 1]
+    while on.size:
+        far, entered = end, last
+        for _ in range(_ENCLOSING):
+            middle = (near + far) / 2
+            inside = value(rays.at(middle, on))
+            near, far = np.where(inside == label, middle, near), np.where(inside == label, far, middle)
+            entered = np.where(inside == label, entered, inside)
+        yield on, k + 1, far, entered
+        more = entered != last
+        on, k, near, label, end, last = (each[more] for each in (on, k, far, entered, end, last))
+
+
 def _regions(scene: _Scene, mode: Regions, samples: _Samples) -> _Gathered:
     """Each region that is entered: where a part of a ray begins, and between samples, one boundary after the other."""
     n = samples.t.shape[0]
@@ -565,23 +585,12 @@ def _regions(scene: _Scene, mode: Regions, samples: _Samples) -> _Gathered:
         begins = np.flatnonzero(part.there.any(1))
         first = part.there[begins].argmax(1)
         entries = [(begins, part.rays.enter[begins], scene.transfer(part.values[begins, first]))]
-        pairs = part.there[:, 1:] & part.there[:, :-1] & (part.values[:, 1:] != part.values[:, :-1])
-        on, k = np.nonzero(pairs)
-        near, label, end, last = part.t[on, k], part.values[on, k], part.t[on, k + 1], part.values[on, k + 1]
-        while on.size:
-            far, entered = end, last
-            for _ in range(_ENCLOSING):
-                middle = (near + far) / 2
-                there = scene.value(part.rays.at(middle, on))
-                near, far = np.where(there == label, middle, near), np.where(there == label, far, middle)
-                entered = np.where(there == label, entered, there)
+        for on, _, far, entered in boundaries_by(scene.value, part.rays, part.t, part.there, part.values):
             colors = scene.transfer(entered)
             if mode.shading:
                 gradient = scene.gradient(part.rays.at(far, on)) * (1 + np.abs(entered[:, None]))
                 colors[:, :3] = scene.lit(gradient, entered, colors[:, :3], part.rays.direction[on])
             entries.append((on, far, colors))
-            more = entered != last
-            on, near, label, end, last = (each[more] for each in (on, far, entered, end, last))
         rays, places, looks = (np.concatenate(each) for each in zip(*entries, strict=True))
         for i in np.lexsort((places, rays)):
             ray, opacity = rays[i], looks[i, 3]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -12,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.arrays import Array
-from clvol.filter.table import DEFAULT_FILTER, as_filter
+from clvol.filter.table import DEFAULT_FILTER, REGION_FILTER, as_filter
 from clvol.reference.march.colored import colored
-from clvol.reference.march.march import flat_below, planes_across, shade
+from clvol.reference.march.march import boundaries_by, flat_below, planes_across, shade
 from clvol.reference.march.rays import Rays, camera_rays, kept_parts
 from clvol.reference.march.roots import crossings_by, first_crossings
 from clvol.reference.spline.points import sample
+from clvol.reference.spline.regions import labels_at, lead_gradient
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Cuts, cuts_of
 from clvol.scene.scene import Medium, Scene
@@ -29,6 +31,7 @@ __all__ = ["render_media"]
 
 _OPAQUE = 1e9  # greatest optical thickness, so that colours of opaque matter have weights
 _FACE = 16  # unit distances of matter that are as opaque as the face of a cut
+_INSET = 1e-3  # of a step, inside both ends of a ray: the samples of regions there
 
 
 def render_media(
@@ -37,7 +40,8 @@ def render_media(
     """The picture of a scene's media in "composite", without termination, and its depth.
 
     The camera has a target and a radius, or a position; all media have a transfer function, or surfaces with numbers as isovalues,
-    each crossing of which is at the place of the nearest sample. The grid of medium number `lead` has
+    each crossing of which is at the place of the nearest sample. A boundary of smooth regions is at that of the sample behind it,
+    and where a ray enters their medium it is before its first sample's. The grid of medium number `lead` has
     the planes of the samples, whose stretches are half a step to either side, except from where a ray enters a medium to the first
     of its samples, and from the last to where it leaves. A ray that meets none has a sample in its middle, at the next plane's
     place. A ray that enters at the face of a cut has the slice, unlit, for 16 unit distances, at the place before its first sample.
@@ -47,6 +51,12 @@ def render_media(
     view = camera.view(volume, width / height)
     t, world_step = _places(scene, volume, view, size, step)
     optical, light = np.zeros(t.shape), np.zeros((*t.shape, 3))
+
+    def add(which: NDArray[np.intp], slot: NDArray[np.intp], thickness: Array, rgb: Array) -> None:
+        thickness = np.minimum(thickness, _OPAQUE)
+        np.add.at(optical, (which, slot), thickness)
+        np.add.at(light, (which, slot), thickness[:, None] * rgb)
+
     for medium in scene.media:
         whole = camera_rays(medium.volume, view, size, (0.5, 0.5), None, medium.boundary.edge)
         unit = (medium.transfer and medium.transfer.unit_distance) or medium.volume.mean_spacing
@@ -58,22 +68,20 @@ def render_media(
                     for which, at in crossings_by(partial(_first, medium, isovalue=value), medium.volume, rays):
                         _, rgb = _matter(plain, scene, rays, view, which, at, shading)
                         slot = np.abs(t[which] - at[:, None]).argmin(1)
-                        thickness = np.full(which.size, min(-math.log1p(-opacity) if opacity < 1 else math.inf, _OPAQUE))
-                        np.add.at(optical, (which, slot), thickness)
-                        np.add.at(light, (which, slot), thickness[:, None] * rgb)
+                        add(which, slot, np.full(which.size, -math.log1p(-opacity) if opacity < 1 else math.inf), rgb)
+                continue
+            if medium.smooth:
+                for entered in _regions(medium, scene, rays, view, t, world_step, shading):
+                    add(*entered)
                 continue
             which, slot, at, length = _samples(rays, t, world_step)
             stopped, rgb = _matter(medium, scene, rays, view, which, at, shading)
             thickness = np.multiply(stopped, length / unit, out=np.zeros_like(stopped), where=length > 0)
-            thickness = np.minimum(thickness, _OPAQUE)
-            np.add.at(optical, (which, slot), thickness)
-            np.add.at(light, (which, slot), thickness[:, None] * rgb)
+            add(which, slot, thickness, rgb)
             cut = np.flatnonzero(face)
             stopped, rgb = _matter(medium, scene, rays, view, cut, rays.enter[cut], shading=False)
             slot = (t[cut] < rays.enter[cut, None]).sum(1) - 1
-            thickness = np.minimum(_FACE * stopped, _OPAQUE)
-            np.add.at(optical, (cut, slot), thickness)
-            np.add.at(light, (cut, slot), thickness[:, None] * rgb)
+            add(cut, slot, _FACE * stopped, rgb)
     opacity = -np.expm1(-optical)
     after = np.cumprod(1 - opacity, axis=1)
     before = np.concatenate([np.ones((len(after), 1)), after[:, :-1]], 1)
@@ -155,6 +163,41 @@ def _samples(rays: Rays, t: Array, step: Array) -> tuple[NDArray[np.intp], NDArr
         np.concatenate([t[which, slot], middle]),
         np.concatenate([(far - near)[which, slot], rays.leave[alone] - rays.enter[alone]]),
     )
+
+
+def _regions(
+    medium: Medium, scene: Scene, rays: Rays, view: Viewpoint, t: Array, step: Array, shading: bool
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]]:
+    """Regions that rays enter: of each the ray, its place among the samples, its optical thickness and its colour."""
+    volume, row = medium.volume, as_filter(medium.filter or REGION_FILTER).name
+    rule = medium.boundary.name if medium.boundary.edge else "mirror"
+    lights = [light.placed(view) for light in scene.lights]
+    assert medium.transfer is not None
+    shades = medium.transfer
+
+    def value(points: Array) -> Array:
+        return labels_at(volume, points, row, rule)[0].astype(np.float64)
+
+    first, last = rays.enter + _INSET * step, rays.leave - _INSET * step  # rays have samples at both ends, too
+    every = np.concatenate([first[:, None], t, last[:, None]], 1)
+    before, behind = (t < rays.enter[:, None]).sum(1) - 1, (t <= rays.leave[:, None]).sum(1)
+    slots = np.concatenate([before[:, None], np.broadcast_to(np.arange(t.shape[1]), t.shape), behind[:, None]], 1)
+    every = np.where((every >= first[:, None]) & (every <= last[:, None]), every, math.inf)
+    order = np.argsort(every, axis=1, kind="stable")
+    every, slots = np.take_along_axis(every, order, 1), np.take_along_axis(slots, order, 1)
+    there, values = np.isfinite(every), np.zeros(every.shape)
+    values[there] = value(rays.at(every[there], np.nonzero(there)[0]))
+    begins = np.flatnonzero(there[:, 0])
+    with np.errstate(divide="ignore"):
+        colors = shades(values[begins, 0])
+        yield begins, before[begins], -np.log1p(-colors[:, 3]), colors[:, :3]
+        for on, k, at, entered in boundaries_by(value, rays, every, there, values):
+            colors = shades(entered)
+            if shading:
+                points, flat = rays.at(at, on), flat_below(volume, entered)
+                gradient = lead_gradient(volume, points, row, rule) * (1 + np.abs(entered[:, None]))  # as its rounding error
+                colors[:, :3] = shade(gradient, colors[:, :3], rays.direction[on], medium.material, lights, flat)
+            yield on, slots[on, k], -np.log1p(-colors[:, 3]), colors[:, :3]
 
 
 def _first(medium: Medium, rays: Rays, isovalue: float) -> Array:
