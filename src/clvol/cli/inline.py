@@ -25,6 +25,7 @@ def _command(
     filter: FilterName | None = None,
     mask: str | None = None,
     where: Annotated[tuple[float, ...] | None, Parameter(consume_multiple=True)] = None,
+    smooth: bool = False,
     look: Look | None = None,
     own: ModeOptions | None = None,
     furniture: Furniture | None = None,

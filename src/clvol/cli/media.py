@@ -23,7 +23,7 @@ __all__ = ["Others"]
 
 _OF_MEDIUM = (
     *("preset", "window", "cmap", "opacity", "filter", "boundary"),
-    *("clip", "clip-plane", "clip-corner", "surfaces", "mask", "where"),
+    *("clip", "clip-plane", "clip-corner", "surfaces", "smooth", "mask", "where"),
 )
 _OF_FIRST = ("transfer", *WORDS, "filter", "boundary")  # options of a picture that are of the first medium
 
@@ -39,7 +39,8 @@ class Others:
             name="--with",
             help="One in and around SOURCE: FILE, and how it is shown, as FILE,preset=stat-map or "
             f"FILE,cmap=hot,window=40/400,clip-plane=0/0/1/0/0/20. Words are {', '.join(_OF_MEDIUM)}; numbers have / between them; "
-            "mask is a file of labels, of which where names those that show it. May be repeated.",
+            "smooth=true draws labels with smooth boundaries; mask is a file of labels, of which where names those that show it. "
+            "May be repeated.",
             show_default=False,
         ),
     ] = ()

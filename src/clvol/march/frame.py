@@ -241,7 +241,7 @@ class Subject:
     @property
     def mode(self) -> Mode:
         """The mode of the picture: of several media, some may show surfaces in it."""
-        return self.look.unsettled or self.look.mode
+        return (self.look.unsettled if self.others else None) or self.look.mode
 
     @property
     def medium(self) -> Medium:

@@ -404,7 +404,7 @@ class ResolvedLook:
     skipping: bool
     preview: Volume  # samples to which the camera is fitted
     others: tuple[ResolvedLook, ...] = ()  # of the scene's other visible media; the grid of the first one leads
-    unsettled: Mode | None = None  # the mode of several, which is settled for each
+    unsettled: Mode | None = None  # the mode of several, which is settled for each, or in which one shows surfaces or regions
 
     @classmethod
     def of(
@@ -448,7 +448,9 @@ class ResolvedLook:
         words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
         scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
         transfer = scene.media[0].transfer or mode.transfer(preview)
-        return cls(camera, shown.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
+        given = None if shown is mode else mode
+        seen = shown.settled(preview), scene, transfer
+        return cls(camera, *seen, gradient == "central", bool(skipping), preview, unsettled=given)
 
     @classmethod
     def _of_several(

@@ -122,9 +122,7 @@ class Source(ABC):
 
     def _no_regions(self) -> str:
         """What of it keeps the regions of labels from being drawn; "" if nothing does."""
-        (medium,) = self.scene.media
-        own = [name for name in ("surfaces", "color_by") if getattr(medium, name) is not None]
-        return f"a medium with {' and '.join(own)}" if own else ""
+        return "a medium with color_by" if self.scene.media[0].color_by is not None else ""
 
     def part(self, medium: Medium) -> Source:  # noqa: ARG002  # most have one
         """The source of one of the scene's media."""

@@ -524,7 +524,8 @@ class Regions(Mode):
     def settled(self, volume: Volume) -> Self:
         if not volume.is_labels:
             raise OptionError(
-                "mode 'regions' takes labels, and these samples look like none; Volume(..., labels=True) says that they are"
+                "mode 'regions' takes labels, like smooth=True of a medium, and these samples look like none; "
+                "Volume(..., labels=True) says that they are"
             )
         return self
 

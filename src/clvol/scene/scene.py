@@ -94,7 +94,7 @@ class Medium:
     ------
     OptionError
         The volume does not have three axes, the filter or boundary is unknown, or there are words beside a transfer function;
-        `color_by` is read by bricks, or has cuts or surfaces; `smooth` is of no labels, or beside a mask, surfaces or `color_by`.
+        `color_by` is read by bricks, or has cuts or surfaces; `smooth` is beside a mask, surfaces or `color_by`.
     DataError
         A function returned no number for each point; an array of `color_by` has another shape.
     GeometryError
@@ -176,8 +176,6 @@ class Medium:
             given = {"surfaces": self.surfaces, "color_by": self.color_by, "mask": mask}
             if own := [name for name, value in given.items() if value is not None]:
                 raise OptionError(f"smooth shows the regions of labels, in colours of their own, and takes no {' and '.join(own)}")
-            if not volume.is_labels:
-                raise OptionError("smooth takes labels, and these samples look like none; Volume(..., labels=True) says that they are")
 
     @property
     def words(self) -> dict[str, Any]:
@@ -190,8 +188,8 @@ class Medium:
         return tuple(name for name in ("clip", "surfaces", "smooth", "color_by") if getattr(self, name))
 
     def shown_in(self, mode: Mode) -> Mode:
-        """The mode in which a picture draws it; `OptionError` if one that shows no matter is to show surfaces or smooth regions."""
-        if (self.surfaces or self.smooth) and mode.shows != "matter":
+        """The mode in which a picture draws it; `OptionError` if that shows nothing of its surfaces or smooth boundaries."""
+        if (self.surfaces and mode.regions) or ((self.surfaces or self.smooth) and mode.shows != "matter"):
             own = "surfaces" if self.surfaces else "smooth boundaries"
             raise OptionError(f"{own} of a medium change nothing in {mode.name}: they are for composite; leave them out")
         if self.surfaces:
