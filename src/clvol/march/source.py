@@ -109,7 +109,7 @@ class Source(ABC):
             by = "smooth=True" if medium.smooth else f"mode {mode.name!r}"
             raise OptionError(f"{by} draws one label map that is in memory; got {what}")
         if "gradient" in options and medium.smooth:
-            raise OptionError("gradient changes nothing with smooth=True: boundaries have the gradient of their filter; leave it out")
+            raise OptionError("gradient changes nothing with smooth=True: boundaries have that of their filter; leave it out")
         row = self.filter_of(mode)
         if "gradient" in options and not row.has_gradient:
             raise OptionError(f"gradient changes nothing with {row.name}, which has no slopes; leave it out")

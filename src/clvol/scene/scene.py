@@ -173,8 +173,8 @@ class Medium:
             object.__setattr__(self, "color_by", _coloring(self.color_by, self.volume))
         instance("smooth", self.smooth, bool, np.bool_)
         if self.smooth:
-            given = {"surfaces": self.surfaces, "color_by": self.color_by, "mask": mask}
-            if own := [name for name, value in given.items() if value is not None]:
+            each = ("surfaces", self.surfaces), ("color_by", self.color_by), ("mask", mask)
+            if own := [name for name, value in each if value is not None]:
                 raise OptionError(f"smooth shows the regions of labels, in colours of their own, and takes no {' and '.join(own)}")
 
     @property

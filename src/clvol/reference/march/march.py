@@ -560,8 +560,9 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
 def boundaries_by(
     value: Callable[[Array], Array], rays: Rays, t: Array, there: Bools, values: Array
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]]:
-    """Boundaries of regions between successive samples, by bisection: the first ones, those behind them, and so on. Of each the ray,
-    the number of the sample behind it, its place, and the label that is entered.
+    """Boundaries of regions between successive samples, by bisection: the first ones, those behind them, and so on.
+
+    Of each the ray, the number of the sample behind it, its place, and the label that is entered.
     """
     on, k = np.nonzero(there[:, 1:] & there[:, :-1] & (values[:, 1:] != values[:, :-1]))
     near, label, end, last = t[on, k], values[on, k], t[on, k + 1], values[on, k + 1]
