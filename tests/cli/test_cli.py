@@ -1485,14 +1485,17 @@ def test_volumes_of_other_files_are_in_the_picture_and_color_it(clvol_command: C
 def test_cuts_surfaces_and_masks_of_other_volumes(clvol_command: Command) -> None:
     """As `clvol.Medium` has them, in the words of the shell; and every command draws the same scene."""
     ball = clvol.phantoms.sphere(14)
-    labels = np.where(np.arange(14) < 7, np.uint8(1), np.uint8(2)) * np.ones(ball.shape, np.uint8)
+    labels = np.random.default_rng(3).integers(0, 4, (3, 3, 3)).astype(np.uint8)[np.ix_(*3 * [np.arange(14) // 5])]
+    named = replace(ball, data=labels)
     clvol.write(ball, "a.nrrd")
-    clvol.write(replace(ball, data=labels), "labels.nrrd")
+    clvol.write(named, "labels.nrrd")
+    clvol.write(named, "organs.nrrd")
     words = "a.nrrd,mask=labels.nrrd,where=2,clip-plane=0/0/1/0/0/0.4,clip-plane=0/-1/0/0/-0.5/0,surfaces=0.5:tan:0.4,0.2:red:0.1"
-    others = ("a.nrrd", "--with", words, "--opacity", "0.1")
+    others = ("a.nrrd", "--with", words, "--with", "organs.nrrd,smooth=true,opacity=0.3", "--opacity", "0.1")
     cuts = [clvol.Plane((0, 0, 1), (0, 0, 0.4)), clvol.Plane((0, -1, 0), (0, -0.5, 0))]
     part = clvol.Medium(ball, mask=labels, where=2, clip=cuts, surfaces=[(0.5, "tan", 0.4), (0.2, "red", 0.1)])
-    want = clvol.render(clvol.Scene([clvol.Medium(ball, opacity=0.1), part]), size=(16, 12))
+    smooth = clvol.Medium(named, smooth=True, opacity=0.3)
+    want = clvol.render(clvol.Scene([clvol.Medium(ball, opacity=0.1), part, smooth]), size=(16, 12))
     want.save("want.png")
     shown = iio.imread("want.png")[..., :3]
     assert clvol_command("render", *others, *SMALL, "-o", "p.png").code == 0

@@ -150,7 +150,9 @@ def test_smooth_regions_alone_are_those_of_the_mode(device: Device) -> None:
     look: dict[str, Any] = {"size": SIZE, "clip": Plane((0.3, -1, 0.2), ORGANS.center), "device": device}
     want = clvol.render(ORGANS, camera("perspective"), "regions", transfer=SMOOTH.transfer, **look)
     for mode in ("composite", "regions"):
-        np.testing.assert_array_equal(clvol.render(SMOOTH, camera("perspective"), mode, **look), want)
+        got = clvol.render(SMOOTH, camera("perspective"), mode, **look)
+        np.testing.assert_array_equal(got, want)
+        assert got.recipe.mode.name == mode
     opaque = replace(SMOOTH, transfer=TransferFunction.preset("labels", ORGANS).with_opacity([(4, 0), (5, 1)]))
     alone, among = (clvol.render(Scene(media), camera("perspective"), **look) for media in (opaque, [opaque, MEDIA["turned"]]))
     hidden = (np.abs(alone - among).max(-1) < 1e-3) & (alone[..., :3].max(-1) > 0)
@@ -500,7 +502,10 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "smooth surfaces": (lambda: Medium(ORGANS, smooth=True, color_by=ORGANS, **SHELLS), "takes no surfaces and color_by"),
     "a mask of smooth labels": (lambda: Medium(ORGANS, smooth=True, mask=ORGANS.data, where=5), "takes no mask"),
     "smooth by a prefilter": (lambda: clvol.render(replace(SMOOTH, filter="bspline3")), "without a prefilter: linear"),
-    "smooth and central": (lambda: clvol.render(Scene([FIRST, SMOOTH]), gradient="central"), "gradient changes nothing with smooth"),
+    "smooth and central": (
+        lambda: clvol.render(Scene([FIRST, SMOOTH]), gradient="central"),
+        "gradient changes nothing with smooth",
+    ),
     "smooth by bricks": (lambda: clvol.render(Scene([FIRST, lazy(SMOOTH)])), "smooth=True draws one label map that is in memory"),
     "regions of several": (lambda: clvol.render(Scene([FIRST, SMOOTH]), mode="regions"), r"Medium\(labels, smooth=True\)"),
     "less smooth": (

@@ -41,16 +41,17 @@ ALONE: dict[str, dict[str, Any]] = {
     "clip": {"clip": clvol.Corner((0, 0, 0), SHELL.center), "transfer": TISSUE},
     "surfaces": {"surfaces": [(0.2, "tan", 0.5)]},
     "color_by": {"color_by": CORE},
+    "smooth": {"volume": replace(SHELL, data=np.digitize(SHELL.data, [0.2, 0.5]), labels=True), "smooth": True},
 }
 
 
 @pytest.mark.parametrize("case", ALONE)
 def test_one_medium_has_all_of_its_look(case: str, device: Device) -> None:  # noqa: ARG001
-    medium = clvol.Medium(SHELL, **ALONE[case])
+    medium = clvol.Medium(**{"volume": SHELL} | ALONE[case])
     view = View(medium)
     want = clvol.render(medium, camera_of(view.state), size=SIZE)
     assert_array_equal(view.picture(SIZE), want)
-    names: dict[str, Any] = {"clvol": clvol, "volume": SHELL, "first": medium}
+    names: dict[str, Any] = {"clvol": clvol, "volume": medium.volume, "first": medium}
     exec(view.python(SIZE), names)  # what was copied
     assert_array_equal(names["picture"], want)
 
