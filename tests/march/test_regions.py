@@ -106,6 +106,8 @@ def test_by_bricks_the_same_bits(device: Device, cut: bool) -> None:
         clvol.BrickedField(lazy, "bspline5-approx", device=device, edge=8) as field,
         clvol.Renderer(field) as bricked,
     ):
+        with clvol.Renderer(lazy, device=device) as other:
+            assert other.shown.filter.name == "nearest", "other modes blend no labels either"
         for transfer in (None, own.with_opacity([(-5, 1), (-1, 1), (0, 0.4), (4, 0.4), (5, 0), (9, 0), (10, 1)])):
             want = whole.render(transfer=transfer, **look)  # type: ignore[call-overload]
             assert np.isfinite(want["depth"]).sum() > 200

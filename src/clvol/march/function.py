@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from clvol.filter.filter import Filter
     from clvol.volume.volume import Volume
 
-__all__ = ["extrapolated_samples", "lacks_samples", "row_for", "single", "usual_filter"]
+__all__ = ["extrapolated_samples", "lacks_samples", "row_for", "single"]
 
 
 def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:
@@ -30,11 +30,6 @@ def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str
     if filter is not None or volume.bounds is not None:
         return filter
     return filter_for(volume.part(), None, usual)
-
-
-def usual_filter(volume: LazyVolume) -> str | None:
-    """The filter of pictures where none is given; None: that of the volume's bounds."""
-    return PICTURE_FILTER if volume.bounds is None else None
 
 
 class _Shown(Field):

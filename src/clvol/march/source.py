@@ -22,7 +22,7 @@ from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.colored import Other
 from clvol.march.frame import Subject
-from clvol.march.function import single, usual_filter
+from clvol.march.function import row_for, single
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
@@ -315,7 +315,7 @@ class ByBricks(OneMedium):
             if not level:
                 return finest
             coarser = finest.volume.levels[level - 1]
-            row = usual_filter(coarser) if self._free and mode.picture_filter == PICTURE_FILTER else finest.filter
+            row = row_for(coarser, None) if self._free and mode.picture_filter == PICTURE_FILTER else finest.filter
             key = level, "" if row is None else as_filter(row).name, mode.regions
             if key not in self._levels:
                 made = type(finest)(coarser, row, finest.boundary, finest.device, beside=finest)  # which has one budget with it
