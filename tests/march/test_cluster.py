@@ -147,6 +147,25 @@ def test_several_media_go_together_in_each_worker(cluster: Cluster, volume: clvo
         assert len(pickle.dumps(many)) < 1 << 20
 
 
+def test_regions_of_labels(cluster: Cluster) -> None:
+    """In order the same bits, cut open or not; a tree would miss boundaries between two boxes."""
+    blocks = np.random.default_rng(3).integers(0, 4, (6, 6, 6)).astype(np.int16)
+    labels = clvol.LazyVolume(np.kron(blocks, np.ones((5, 5, 5), np.int16)) - 1, (1, 0.9, 1.2), labels=True)
+    look = {"size": (40, 40), "mode": "regions", "outputs": ["rgba", "depth", "normal"]}
+    with (
+        Renderer(labels.whole()) as one,
+        Renderer(labels, cluster=cluster) as many,
+        Renderer(labels, cluster=cluster, merge="tree") as tree,
+    ):
+        for clip in (None, clvol.Plane((1, -0.6, 0.3), labels.center)):
+            want, got = (renderer.render(CAMERAS["aslant"], clip=clip, **look) for renderer in (one, many))  # type: ignore[call-overload]
+            for name in want:
+                np.testing.assert_array_equal(got[name], want[name], err_msg=name)
+        assert many.shown.bricks.counts == (2, 2, 2)  # type: ignore[union-attr]
+        with pytest.raises(OptionError, match='merge must be "order" for boundaries of regions'):
+            tree.render(**look)  # type: ignore[call-overload]
+
+
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize(("mode", "options"), [pair for pair in MODES if "method" not in pair[1]])
 def test_merging_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:

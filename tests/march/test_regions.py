@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,7 @@ import clvol
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
 from clvol.reference.march import march
+from tests.march.test_bricks import Known
 
 BALL, MIDDLE = 9.4, (12.1, 11.7, 12.3)  # samples; x, y, z
 
@@ -87,6 +91,67 @@ def test_skipping_and_labels_change_nothing_else(device: Device) -> None:
     assert 0 < (alone[..., :3].max(-1) > 0).sum() < (whole[..., :3].max(-1) > 0).sum()
 
 
+@pytest.mark.parametrize("cut", [False, True])
+def test_by_bricks_the_same_bits(device: Device, cut: bool) -> None:
+    """In bricks of 8 samples, cut open or not, with and without skipping and hidden labels; big-endian and negative ones."""
+    labels = _labels()
+    volume = clvol.Volume((labels.data - 5).astype(">i2"), labels.spacing, labels=True)
+    lazy = clvol.LazyVolume(volume.data, volume.spacing, labels=True)
+    own = clvol.TransferFunction.preset("labels", volume)
+    corner = clvol.Corner((-np.inf, 8, -np.inf), (6, np.inf, 13))  # rays of several parts
+    clip = [clvol.Plane((0.3, -1, 0.2), volume.center), corner] if cut else None
+    look = {"size": (40, 40), "mode": "regions", "outputs": ("rgba", "depth", "normal"), "clip": clip}
+    with (
+        clvol.Renderer(volume, device=device) as whole,
+        clvol.BrickedField(lazy, "bspline5-approx", device=device, edge=8) as field,
+        clvol.Renderer(field) as bricked,
+    ):
+        with clvol.Renderer(lazy, device=device) as other:
+            assert other.shown.filter.name == "nearest", "other modes blend no labels either"
+        for transfer in (None, own.with_opacity([(-5, 1), (-1, 1), (0, 0.4), (4, 0.4), (5, 0), (9, 0), (10, 1)])):
+            want = whole.render(transfer=transfer, **look)  # type: ignore[call-overload]
+            assert np.isfinite(want["depth"]).sum() > 200
+            for skipping in (True, False):
+                got = bricked.render(transfer=transfer, skipping=skipping, **look)  # type: ignore[call-overload]
+                for name in want:
+                    np.testing.assert_array_equal(got[name], want[name], err_msg=f"{name}, skipping {skipping}")
+
+
+class _Kept(Known):
+    """Bounds of labels, as `clvol.pyramid` keeps them."""
+
+    filter = "nearest"
+
+
+def test_bricks_in_which_nothing_is_shown_are_not_read(device: Device) -> None:
+    """By kept bounds of the samples, which reach as far as the filter; smaller levels have labels too."""
+    data = np.zeros((48, 48, 48), np.uint8)
+    data[8:16, 8:16, 8:16], data[32:40, 8:16, 8:16] = 7, 3
+    level = clvol.LazyVolume(data[::2, ::2, ::2], (2, 2, 2), labels=True)
+    volume = clvol.LazyVolume(data, labels=True, limits=(0, 7), bounds=_Kept(data), levels=[level])
+    one = clvol.TransferFunction.preset("labels", clvol.Volume(data, labels=True)).with_opacity([(0, 0), (6, 0), (7, 1)])
+    look = {
+        "camera": clvol.Camera.look_at((90, 60, 80), (24, 12, 12)),
+        "size": (40, 40),
+        "mode": "regions",
+        "outputs": ("rgba", "depth", "normal"),
+    }
+    with clvol.BrickedField(volume, "bspline5-approx", device=device, edge=8) as field, clvol.Renderer(field) as renderer:
+        for bricks, shown in ((27, one), (2 * 27, None)):
+            got, want = (
+                made(transfer=shown, **look)  # type: ignore[operator]
+                for made in (renderer.render, partial(clvol.render, clvol.Volume(data, labels=True), device=device))
+            )
+            for name in want:
+                np.testing.assert_array_equal(got[name], want[name], err_msg=name)
+            shown_by = renderer.shown
+            assert isinstance(shown_by, clvol.BrickedField)
+            assert 0 < shown_by.reads.bricks <= bricks, f"of {len(shown_by.bricks)}: others are hidden"
+        coarse = renderer.render(lod=9, **look)  # type: ignore[call-overload]
+        assert renderer.shown.grid.shape == level.shape
+        np.testing.assert_array_equal(coarse["rgba"], clvol.render(level.whole(), device=device, **look)["rgba"])  # type: ignore[call-overload]
+
+
 def test_refusals(device: Device) -> None:
     volume, look = _labels(), {"mode": "regions", "size": (8, 8), "device": device}
     with pytest.raises(OptionError, match="takes labels"):
@@ -95,13 +160,20 @@ def test_refusals(device: Device) -> None:
         clvol.render(volume, filter="bspline3", **look)  # type: ignore[call-overload]
     with pytest.raises(OptionError, match="a scene of 2 media"):
         clvol.render(clvol.Scene([clvol.Medium(volume), clvol.Medium(volume)]), **look)  # type: ignore[call-overload]
-    with pytest.raises(OptionError, match="read by bricks"):
-        clvol.render(clvol.LazyVolume(volume.data, labels=True), **look)  # type: ignore[call-overload]
     with pytest.raises(OptionError, match="a medium with color_by"):
         clvol.render(clvol.Medium(volume, color_by=volume), **look)  # type: ignore[call-overload]
     with pytest.raises(DataError, match=r"whole numbers; got 1\.5"):
         clvol.render(clvol.Volume(volume.data / 10.0, labels=True), **look)  # type: ignore[call-overload]
     with pytest.raises(DataError, match="up to 2"):
         clvol.render(clvol.Volume(volume.data + (1 << 24), labels=True), **look)  # type: ignore[call-overload]
+    lazy: list[tuple[type[Exception], str, Any, dict[str, Any]]] = [
+        (DataError, r"whole numbers; got 1\.5", volume.data / 10.0, {}),
+        (DataError, "up to 2.*: renumber", np.full((8, 8, 8), -1, np.int8).astype(np.uint64), {}),
+        (OptionError, "lacks samples", np.where(volume.data > 0, volume.data, np.nan), {}),
+        (OptionError, "step must be at most 3 for boundaries of regions", volume.data, {"step": 4}),
+    ]
+    for error, words, data, options in lazy:
+        with pytest.raises(error, match=words):
+            clvol.render(clvol.LazyVolume(data, labels=True), outputs=["depth"], **look, **options)  # type: ignore[call-overload]
     with pytest.raises(OptionError, match="gradient changes nothing in regions"):
         clvol.render(volume, gradient="central", **look)  # type: ignore[call-overload]

@@ -29,14 +29,21 @@ class BrickBounds:
     stored : Stored
         How values are stored on the device.
     kept : Bounds, optional
-        Those kept beside the samples, used if they are of this function.
+        Those kept beside the samples, used if they are of this function, or of the samples where they bound names.
     filter, boundary
         Of the function.
+    names : bool
+        Whether samples are names, which are never blended: then bounds are of those among the taps, exactly.
     """
 
-    def __init__(self, grid: BrickGrid, stored: Stored, kept: Bounds | None, filter: Filter, boundary: Boundary) -> None:
+    def __init__(
+        self, grid: BrickGrid, stored: Stored, kept: Bounds | None, filter: Filter, boundary: Boundary, *, names: bool = False
+    ) -> None:
         own = kept is not None and (kept.filter, kept.boundary) == (filter.name, boundary.name)
-        self._grid, self._stored, self._kept = grid, stored, kept if own else None
+        if names:  # none come from elsewhere than from near by
+            own = kept is not None and kept.filter == "nearest" and boundary.fold is not None and boundary.beyond is None
+        self._grid, self._stored, self._kept, self._names = grid, stored, kept if own else None, names
+        self._taps = filter.support // 2 + 1 if names else 0  # to either side of a place, and one for half a sample
         self._found: dict[Index, tuple[float, float]] = {}
 
     def of(self, brick: Brick) -> tuple[float, float] | None:
@@ -47,15 +54,17 @@ class BrickBounds:
         found = self._found.get(brick.at)
         if self._kept is None:
             return found
-        kept = self._kept.within(*self._grid.seen(brick))
+        kept = self._kept.within(*self._grid.seen(brick, self._taps))
         return kept if found is None else (max(kept[0], found[0]), min(kept[1], found[1]))
 
     def stored(self, brick: Brick) -> tuple[float, float] | None:
-        """The same in stored values, rounded outwards."""
+        """The same in stored values, rounded outwards; names are exact."""
         ends = self.of(brick)
         if ends is None:
             return None
         low, high = (np.float32(value) for value in self._stored(np.array(ends, np.float64)))
+        if self._names:
+            return float(low), float(high)
         return float(np.nextafter(low, np.float32(-np.inf))), float(np.nextafter(high, np.float32(np.inf)))
 
     def pyramid(self, brick: Resident, evaluator: Evaluator) -> MinMax:
@@ -63,7 +72,7 @@ class BrickBounds:
         with brick.lock:
             if brick.minmax is None:
                 cells = self._grid.pyramid_cells(self._grid[brick.at], brick.coefficients.shape[::-1])
-                made = MinMax(brick.coefficients, evaluator, cells)
+                made = MinMax(brick.coefficients, evaluator, cells, names=self._names)
                 low, high = (float(value) for value in self._stored.values(np.array(made.extremes(), np.float32)))
                 self._found[brick.at] = low, high
                 brick.minmax = made

@@ -38,6 +38,7 @@ from clvol.spline.function import CLOSED, ContinuousFunction, fill_value
 from clvol.spline.grids import described
 from clvol.spline.lease import Lease
 from clvol.spline.reduce import steps_along
+from clvol.spline.regions import require_few_digits
 from clvol.volume.missing import as_missing
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import Stored
@@ -55,7 +56,7 @@ if TYPE_CHECKING:
     from clvol.spline.points import Reals
     from clvol.volume.missing import Missing
 
-__all__ = ["BrickedField", "as_lazy", "of_lazy", "require_plain"]
+__all__ = ["BrickedField", "BrickedLabels", "as_lazy", "of_lazy", "require_plain"]
 
 _SHORT = 16  # samples along an edge of bricks, where chunks are damaged
 
@@ -127,6 +128,8 @@ class BrickedField(ContinuousFunction):
     """
 
     in_parts: ClassVar[bool] = True
+    names: ClassVar[bool] = False
+    """Whether samples are names, of which the function is never asked for blends."""
     store: Store
 
     def __init__(
@@ -153,6 +156,8 @@ class BrickedField(ContinuousFunction):
         known = row.settled and (row.magnified_by is None or row.magnified_by.settled)
         self.filter = row = settled(row, volume.grid if known else volume.part())
         require_distinct_labels(row, volume, partial(known_of, volume))
+        if self.names:
+            require_few_digits(known_of(volume))
         self.boundary = rule = as_boundary(boundary)
         self.device, self.missing = as_device(device), as_missing("error")
         account: Account = Account(own) if beside is None else beside.store.account
@@ -163,8 +168,8 @@ class BrickedField(ContinuousFunction):
         outside = rule.padding((row.magnified_by or row).prefilter, row.support) + rule.reach(row.support)
         self._extent = extent_of(row, 3, tuple(row.scale * n for n in volume.size), row.scale * outside)
         self.bricks = BrickGrid(volume.size, self.edge, needs.margin, needs.wraps, row.support, row.scale, int(self._extent[3]))
-        self.store = Store(volume, row, rule, self.device, self.stored, self.bricks, needs, account)
-        self.bounds = BrickBounds(self.bricks, self.stored, kept, row, rule)
+        self.store = Store(volume, row, rule, self.device, self.stored, self.bricks, needs, account, names=self.names)
+        self.bounds = BrickBounds(self.bricks, self.stored, kept, row, rule, names=self.names)
         self.long_chunks = needs.long_chunks(self.edge)
         self._function = ByBricks(volume, row, rule, self.device, self.stored, self.bricks, self.store)
         self._lease = Lease(CLOSED)
@@ -262,6 +267,12 @@ class BrickedField(ContinuousFunction):
                 yield from smooth._parts(replace(target, anti_aliasing=None))
         else:
             yield from function.parts(target)
+
+
+class BrickedLabels(BrickedField):
+    """The labels of a volume that is read brick by brick, whose regions pictures show with smooth boundaries."""
+
+    names: ClassVar[bool] = True
 
 
 def _needs(volume: LazyVolume, row: Filter, rule: Boundary) -> Needs:

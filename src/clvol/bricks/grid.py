@@ -150,9 +150,9 @@ class BrickGrid:
             past.append(min(n - self.support + 1, high - begin * self.scale + BLOCK * self.scale))
         return (first[0], first[1], first[2]), (past[0], past[1], past[2])
 
-    def seen(self, brick: Brick) -> tuple[Index, Index]:
-        """The samples between which rays look at values of a brick: from the first to before the second."""
-        beside = NEIGHBOURS + 1  # rays look so far back
+    def seen(self, brick: Brick, more: int = 0) -> tuple[Index, Index]:
+        """The samples between which rays look at values of a brick, and `more` beside: from the first to before the second."""
+        beside = NEIGHBOURS + 1 + more  # rays look so far back
         x, y, z = (
             (math.floor(max(a - beside, 0)), math.ceil(min(b + beside + 1, n)))
             for a, b, n in zip(brick.low, brick.high, self.size, strict=True)

@@ -21,8 +21,9 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.spline.coefficients import Coefficients, bytes_of
 from clvol.spline.levels import gathered
 from clvol.spline.minmax import bytes_beside
+from clvol.spline.regions import require_labels
 from clvol.spline.resample import filled
-from clvol.volume.stored import RENUMBER, names_beyond
+from clvol.volume.stored import names_beyond, too_large_names
 
 if TYPE_CHECKING:
     from clvol.bricks.budget import Needs
@@ -56,6 +57,8 @@ class Store:
         What bricks take.
     account : Account
         The budget, which stores may share.
+    names : bool
+        Whether samples are labels that kernels distinguish, whatever the filter: others are refused when they are read.
 
     Attributes
     ----------
@@ -74,7 +77,10 @@ class Store:
         grid: BrickGrid,
         needs: Needs,
         account: Account,
+        *,
+        names: bool = False,
     ) -> None:
+        self._names = names
         self._volume, self._filter, self._device, self._stored, self._grid = volume, filter, device, stored, grid
         # bricks that reach outside the volume's faces hold the samples there
         self._boundary = as_boundary(DEFAULT_BOUNDARY) if grid.wraps else boundary
@@ -148,6 +154,8 @@ class Store:
         """
         self._count(brick.samples)
         samples = gathered(self._read, self._grid.runs(brick))
+        if self._names:
+            require_labels(replace(known_of(self._volume), data=samples))
         require_distinct_labels(self._filter, self._volume, lambda: replace(known_of(self._volume), data=samples))
         return samples
 
@@ -209,5 +217,4 @@ def _chunks_of(volume: LazyVolume, needs: Needs, edge: int, account: Account) ->
 def require_distinct_labels(filter: Filter, volume: LazyVolume, known: Callable[[], Volume]) -> None:
     """Refuse labels that float32 does not tell apart, in what is `known` of a volume: its limits may be those of a few samples."""
     if filter.support == 1 and volume.dtype.itemsize > 2 and names_beyond(24, found := known(), filter):
-        low, high = map(int, found.limits)
-        raise DataError(f"labels must be whole numbers that float32 holds, up to 2**24; got {low} to {high}: {RENUMBER}")
+        raise DataError(too_large_names(*map(int, found.limits)))

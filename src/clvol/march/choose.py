@@ -16,7 +16,7 @@ from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import LazyVolume, memory_for
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
-from clvol.march.function import extrapolated_samples, lacks_samples, row_for, single, usual_filter
+from clvol.march.function import extrapolated_samples, lacks_samples, row_for, single
 from clvol.march.launch import Drawing
 from clvol.march.media import drawing_of
 from clvol.march.options import MERGES
@@ -125,7 +125,7 @@ def _lazy(volume: LazyVolume, row: str | Filter | None, boundary: str | Boundary
     """The function of a volume that is read by bricks, and its medium."""
     if lacks_some(volume):
         volume = continued(volume)
-    used = usual_filter(volume) if row is None else row
+    used = row_for(volume, row)
     field = BrickedField(volume, used, boundary, how.device, memory=how.budget(volume), at_once=how.here)
     known = field.coefficients.volume
     return field, Medium(known, filter=None if row is None else field.filter, boundary=field.boundary)

@@ -147,6 +147,7 @@ class _Recipe:
     """The arguments of the field that each worker makes once."""
 
     token: str
+    kind: type[BrickedField]
     volume: LazyVolume
     limits: tuple[float, float]
     labels: bool
@@ -213,6 +214,7 @@ class Shared:
         field, volume = self.field, self.field.volume.for_tasks()
         recipe = _Recipe(
             self.token,
+            type(field),
             volume,
             volume.limits,
             volume.is_labels,
@@ -517,7 +519,7 @@ class Workers:
             edge //= 2
         if edge == field.edge:
             return field
-        return BrickedField(field.volume, field.filter, field.boundary, field.device, memory=field.memory, edge=edge)
+        return type(field)(field.volume, field.filter, field.boundary, field.device, memory=field.memory, edge=edge)
 
     def share(self, field: BrickedField) -> Shared:
         """The distribution of a field's bricks over the workers; renewed when the workers change."""
@@ -561,7 +563,7 @@ def _field_of(recipe: _Recipe) -> BrickedField:
             raise ClusterError(f"workers must have an OpenCL device; {worker_address()} has none: {error}") from error
         volume = recipe.volume.as_known(recipe.limits, recipe.labels)
         memory = (recipe.memory or memory_for(volume, None, local_size(recipe.ranks))) // recipe.sharing
-        _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, memory=memory, edge=recipe.edge)
+        _fields[recipe.token] = recipe.kind(volume, recipe.filter, recipe.boundary, device, memory=memory, edge=recipe.edge)
     field = _fields[recipe.token]
     _fields.move_to_end(recipe.token)
     return field

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from clvol.base.errors import DataError
 from clvol.filter.table import PICTURE_FILTER
 from clvol.spline.field import Field
-from clvol.spline.regions import require_whole
 from clvol.volume.missing import Missing, extrapolated
 from clvol.volume.smoothing import filter_for
-from clvol.volume.stored import RENUMBER, names_beyond
+from clvol.volume.stored import names_beyond, too_large_names
 
 if TYPE_CHECKING:
     from clvol.bricks.source import LazyVolume
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from clvol.filter.filter import Filter
     from clvol.volume.volume import Volume
 
-__all__ = ["extrapolated_samples", "lacks_samples", "require_labels", "row_for", "single", "usual_filter"]
+__all__ = ["extrapolated_samples", "lacks_samples", "row_for", "single"]
 
 
 def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:
@@ -31,24 +30,6 @@ def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str
     if filter is not None or volume.bounds is not None:
         return filter
     return filter_for(volume.part(), None, usual)
-
-
-def usual_filter(volume: LazyVolume) -> str | None:
-    """The filter of pictures where none is given; None: that of the volume's bounds."""
-    return PICTURE_FILTER if volume.bounds is None else None
-
-
-def require_labels(volume: Volume) -> None:
-    """Raise `DataError` if samples are no labels that float32 distinguishes."""
-    if volume.data.dtype.kind == "f":
-        require_whole(volume.data)
-    low, high = volume.limits
-    if max(abs(low), abs(high)) > 1 << 24:
-        raise DataError(_beyond(low, high))
-
-
-def _beyond(low: float, high: float) -> str:
-    return f"labels must be whole numbers that float32 holds to be drawn, up to 2**24; got {low} to {high}: {RENUMBER}"
 
 
 class _Shown(Field):
@@ -79,7 +60,7 @@ def extrapolated_samples(volume: Volume, where: NDArray[np.bool_]) -> NDArray[An
 def single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:
     """A field in single precision, as kernels of pictures read; float32 must distinguish the labels."""
     if names_beyond(24, volume, row):
-        raise DataError(_beyond(*volume.limits))
+        raise DataError(too_large_names(*map(int, volume.limits)))
     if lacks_samples(volume):
         return _Shown(volume, row, boundary, device, precision="single", nan=Missing("local", most=0.5))
     return Field(volume, row, boundary, device, precision="single")

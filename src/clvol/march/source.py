@@ -15,14 +15,14 @@ from clvol.base.checks import whole
 from clvol.base.errors import ChunkError, MissingSampleError, OptionError
 from clvol.base.progress import part_of
 from clvol.bricks.continued import continued
-from clvol.bricks.field import BrickedField
+from clvol.bricks.field import BrickedField, BrickedLabels
 from clvol.bricks.source import LazyVolume
 from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.colored import Other
 from clvol.march.frame import Subject
-from clvol.march.function import require_labels, single, usual_filter
+from clvol.march.function import row_for, single
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
@@ -34,7 +34,7 @@ from clvol.spline.evaluator import DIRECT, choose_evaluator, require_direct
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
-from clvol.spline.regions import region_filter
+from clvol.spline.regions import region_filter, require_labels
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
@@ -75,7 +75,7 @@ class Source(ABC):
         self.lease = Lease(_CLOSED)
         self._lock = threading.RLock()  # a signal handler may re-enter
         self._unsmoothed: Any = None
-        self._levels: dict[tuple[int, str], BrickedField] = {}
+        self._levels: dict[tuple[int, str, bool], BrickedField] = {}
         self._colored: dict[tuple[Any, ...], Other] = {}
         self._owned = arguments[0] is not field
         if self._owned:
@@ -107,7 +107,7 @@ class Source(ABC):
         mode = medium.shown_in(mode)
         if mode.regions and (what := self._no_regions()):
             by = "smooth=True" if medium.smooth else f"mode {mode.name!r}"
-            raise OptionError(f"{by} draws one label map that is in memory; got {what}")
+            raise OptionError(f"{by} draws one label map, all of whose samples are labels; got {what}")
         if "gradient" in options and medium.smooth:
             raise OptionError("gradient changes nothing with smooth=True: boundaries have that of their filter; leave it out")
         row = self.filter_of(mode)
@@ -288,7 +288,7 @@ class ByBricks(OneMedium):
     field: BrickedField
 
     def _no_regions(self) -> str:
-        return "one that is read by bricks: LazyVolume.whole() takes it into memory, and LazyVolume.levels are smaller"
+        return super()._no_regions() or ("" if self.field.volume.where is None else "one that lacks samples")
 
     def __init__(
         self, scene: Scene, field: BrickedField, preview: Volume, arguments: tuple[Any, ...], workers: Workers | None = None
@@ -319,20 +319,21 @@ class ByBricks(OneMedium):
             if not level:
                 return finest
             coarser = finest.volume.levels[level - 1]
-            row = usual_filter(coarser) if self._free and mode.picture_filter == PICTURE_FILTER else finest.filter
-            key = level, "" if row is None else as_filter(row).name
+            row = row_for(coarser, None) if self._free and mode.picture_filter == PICTURE_FILTER else finest.filter
+            key = level, "" if row is None else as_filter(row).name, mode.regions
             if key not in self._levels:
-                made = BrickedField(coarser, row, finest.boundary, finest.device, beside=finest)  # which has one budget with it
+                made = type(finest)(coarser, row, finest.boundary, finest.device, beside=finest)  # which has one budget with it
                 self._levels[key] = made if self._workers is None else self._workers.shared_out(made)
                 self.lease.frees(self._levels[key].close)
             return self._levels[key]
 
     def _finest(self, mode: Mode) -> BrickedField:
         field, row = self.field, self.filter_of(mode)
-        if row == field.filter:
+        kind = BrickedLabels if mode.regions else BrickedField
+        if row == field.filter and type(field) is kind:
             return field
         if self._unsmoothed is None:
-            self._unsmoothed = BrickedField(field.volume, row, field.boundary, field.device, edge=field.edge, beside=field)
+            self._unsmoothed = kind(field.volume, row, field.boundary, field.device, edge=field.edge, beside=field)
             self.lease.frees(self._unsmoothed.close)
         made: BrickedField = self._unsmoothed
         return made
@@ -351,7 +352,7 @@ class ByBricks(OneMedium):
         try:
             return self._drawn(look, fine, level, guides, progress)
         except (ChunkError, MissingSampleError):  # only its bricks showed that samples are missing
-            if not self.leave_out():
+            if look.mode.regions or not self.leave_out():  # nothing stands for a label
                 raise
             return self._drawn(look, fine, level, guides, progress)
 

@@ -483,7 +483,7 @@ class Regions(Mode):
     function for its label and stops the share of light that is its opacity there; opaque by default, except the background.
     Regions that are transparent are passed through. Where the volume or a cut begins inside a region, its face is unlit.
 
-    The volume must be in memory. Things thinner than about two samples shrink or vanish; ``filter="linear"`` keeps the most of
+    Things thinner than about two samples shrink or vanish; ``filter="linear"`` keeps the most of
     them, and ``filter="bspline3-approx"`` more than the default, "bspline5-approx", which is smoothest.
 
     Parameters
@@ -518,8 +518,14 @@ class Regions(Mode):
     def unheard(self) -> Mapping[str, str]:
         return {"gradient": "boundaries have the gradient of their filter", **super().unheard}
 
+    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:
+        return transfer.opacity_within(low, high) > 0
+
+    def between_samples(self, *, guides: bool) -> str:  # noqa: ARG002
+        return "boundaries of regions"
+
     def unmergeable(self, *, guides: bool, smooth: bool) -> str:  # noqa: ARG002
-        return "the depth and normals of regions, which depend on transmittance" if guides else ""
+        return "boundaries of regions, which are between two samples"
 
     def settled(self, volume: Volume) -> Self:
         if not volume.is_labels:

@@ -25,6 +25,7 @@ from clvol.spline.coefficients import OPENCL_TYPES, axis_taps, extent_of
 from clvol.spline.grids import described, no_shear
 from clvol.spline.lease import release
 from clvol.spline.points import Given, Transform
+from clvol.volume.stored import too_large_names
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
@@ -37,7 +38,16 @@ if TYPE_CHECKING:
     from clvol.spline.chain import Chain
     from clvol.spline.grids import Target
 
-__all__ = ["Regions", "as_label", "labels_on", "region_filter", "require_no_blending", "require_whole"]
+__all__ = [
+    "Regions",
+    "as_label",
+    "labels_on",
+    "region_filter",
+    "require_few_digits",
+    "require_labels",
+    "require_no_blending",
+    "require_whole",
+]
 
 _RUN = 512  # points for each work-item of a CPU
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
@@ -80,6 +90,20 @@ def require_whole(data: NDArray[Any]) -> None:
                 f"labels must be whole numbers; got {some} among samples of {data.dtype}: "
                 "take measured values for what they are, or round them with numpy.rint"
             )
+
+
+def require_labels(volume: Volume) -> None:
+    """Raise `DataError` if samples are no labels that float32 distinguishes."""
+    if volume.data.dtype.kind == "f":
+        require_whole(volume.data)
+    require_few_digits(volume)
+
+
+def require_few_digits(volume: Volume) -> None:
+    """Raise `DataError` if labels are too large for float32 to distinguish."""
+    low, high = map(int, volume.limits)
+    if max(abs(low), abs(high)) > 1 << 24:
+        raise DataError(too_large_names(low, high))
 
 
 class _Codes(NamedTuple):

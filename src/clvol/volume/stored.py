@@ -17,7 +17,7 @@ from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.volume.volume import Volume
 
-__all__ = ["AS_THEY_ARE", "RENUMBER", "Stored", "differences", "is_far", "names_beyond", "wide_enough"]
+__all__ = ["AS_THEY_ARE", "RENUMBER", "Stored", "differences", "is_far", "names_beyond", "too_large_names", "wide_enough"]
 
 _FAR = 8  # distance from zero, in ranges of the samples, that needs an offset: the float32 error is then 1e-6 of the range
 _ROUNDING = 1e-12
@@ -216,3 +216,8 @@ def names_beyond(bits: int, volume: Volume, row: Filter) -> bool:
     if row.support > 1 or volume.data.dtype.kind not in "iu" or volume.data.dtype.itemsize <= bits // 8 or not volume.is_labels:
         return False
     return max(abs(int(v)) for v in volume.limits) > 1 << bits
+
+
+def too_large_names(low: int, high: int) -> str:
+    """What is wrong with labels from `low` to `high` that float32 does not tell apart."""
+    return f"labels must be whole numbers that float32 holds to be drawn, up to 2**24; got {low} to {high}: {RENUMBER}"
