@@ -22,7 +22,7 @@ from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.colored import Other
 from clvol.march.frame import Subject
-from clvol.march.function import require_labels, single, usual_filter
+from clvol.march.function import regions_of, require_labels, single, usual_filter
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
@@ -34,7 +34,7 @@ from clvol.spline.evaluator import DIRECT, choose_evaluator, require_direct
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
-from clvol.spline.regions import region_filter
+from clvol.spline.regions import Regions, region_filter
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
@@ -120,9 +120,9 @@ class Source(ABC):
         own = [name for name in ("surfaces", "color_by") if getattr(medium, name) is not None]
         return f"a medium with {' and '.join(own)}" if own else ""
 
-    def part(self, medium: Medium) -> Source:  # noqa: ARG002  # most have one
+    @abstractmethod
+    def part(self, medium: Medium) -> OneMedium:
         """The source of one of the scene's media."""
-        return self
 
     @property
     def limits(self) -> tuple[float, float] | None:
@@ -173,6 +173,13 @@ class OneMedium(Source):
     coarsest: int = 0
     """The number of its lowest resolution; the finest is 0."""
 
+    def part(self, medium: Medium) -> OneMedium:  # noqa: ARG002  # it has one
+        return self
+
+    @abstractmethod
+    def regions(self) -> Regions:
+        """The smooth regions of its labels, which slices show; they are freed with the source."""
+
     def level(self, fine: Fineness, view: Viewpoint) -> int:  # noqa: ARG002  # volumes in memory have one
         """The level whose voxels are about as fine as the picture's pixels."""
         return 0
@@ -216,6 +223,7 @@ class InMemory(OneMedium):
         if self._gaps is not None:
             self.lease.frees(self._gaps.release)
         self._uncertainty: Uncertainty | None = None
+        self._regions: Regions | None = None
         self._rates: dict[tuple[Any, ...], Rate] = {}
 
     def function(self, mode: Mode, level: int = 0) -> Field:
@@ -229,6 +237,14 @@ class InMemory(OneMedium):
                 self.lease.frees(self._unsmoothed.close)
             made: Field = self._unsmoothed
             return made
+
+    def regions(self) -> Regions:
+        with self._lock:
+            if self._regions is None:
+                (medium,) = self.scene.media
+                self._regions = regions_of(medium.volume, medium.filter, self.field.boundary, self.field.device)
+                self.lease.frees(self._regions.release)
+            return self._regions
 
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
         return self.drawn(look, fine, 0, guides, progress)
@@ -293,6 +309,9 @@ class ByBricks(OneMedium):
         self._workers = workers
         if workers is not None:
             self.lease.frees(workers.close)
+
+    def regions(self) -> Regions:
+        raise OptionError(f"smooth boundaries of labels on slices are those of a volume in memory; got {self._no_regions()}")
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
         if self._workers is not None:
