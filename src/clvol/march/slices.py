@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypedDict, Unpack
 from weakref import WeakKeyDictionary
 
@@ -82,8 +82,8 @@ class SliceOptions(TypedDict, total=False):
         What a pixel shows of a slab: the mean (the default), by the trapezoidal rule, so that faces count half; the largest or the
         smallest value.
     smooth : bool
-        Whether labels have smooth boundaries, those of ``clvol.render(mode="regions")`` and ``clvol.resample(smooth=True)``: a
-        pixel shows the label whose region its centre lies in. The labels must be in memory.
+        Whether the samples are labels with smooth boundaries, those of ``clvol.render(mode="regions")`` and
+        ``clvol.resample(smooth=True)``: a pixel shows the label whose region its centre lies in. They must be in memory.
     contour : float
         Lines along the boundaries of labels, instead of their areas: how many pixels wide, from 1 to 16, on the inner side of each
         boundary and in the colour of the label there. 0, the default, fills the areas. The volume's own ends are no boundaries.
@@ -170,12 +170,12 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
     OptionError
         An unknown name; `position` beside a Plane; `mode` without a thickness; the mean of labels; a number outside its bounds;
         the volume does not have three axes; a scene of several media; `filter` or `boundary` beside a medium; `transfer` beside
-        `window` or `cmap`; `smooth` or `contour` of what is no label map, `smooth` of one that is not in memory or with a filter
-        that has a prefilter or negative weights, `contour` of a slab.
+        `window` or `cmap`; `contour` of what is no label map, or of a slab; `smooth` of one that is not in memory, or with a filter
+        that has a prefilter or negative weights.
     GeometryError
         The plane does not meet the volume, `up` is along its normal, or a point is not three finite numbers.
     DataError, FormatError, DeviceError, OutOfMemoryError
-        As by `clvol.render`.
+        As by `clvol.render`; with `smooth` also `DataError` where a sample is no whole number.
 
     Examples
     --------
@@ -192,7 +192,7 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
     if isinstance(volume, (Medium, Scene)):
         volume, own = _of_medium(volume, options)
         options |= own
-    given = without_masked(_given(volume), options.pop("mask", None))
+    given = without_masked(_given(volume, options), options.pop("mask", None))
     grid: Volume = given.grid
     if grid.ndim != 3:
         raise OptionError(f"a slice is of a volume with 3 axes; got shape {grid.shape}{if_image(grid.shape)}")
@@ -252,7 +252,7 @@ def section(
     background = None if background is None else color_of("background", background)
     progress = options.get("progress")
     require_callback("progress", progress)
-    given = without_masked(_given(volume), options.pop("mask", None))
+    given = without_masked(_given(volume, options), options.pop("mask", None))
     known: Volume = getattr(given, "volume", given).preview()  # a function has its volume
     _require_no_mean(known, thickness != 0, mode)
     if contour and not known.is_labels:
@@ -312,9 +312,12 @@ def has_smooth_labels(medium: Medium, smooth: bool | None, usual: bool = False) 
     return (usual if smooth is None else flag("smooth", smooth)) and medium.volume.preview().is_labels
 
 
-def _given(volume: Any) -> Any:
+def _given(volume: Any, options: SliceOptions) -> Any:
     """A function, a volume that is read by parts, or a volume in memory."""
-    return volume if isinstance(volume, (ContinuousFunction, Regions)) or is_in_parts(volume) else as_volume(volume)
+    if isinstance(volume, (ContinuousFunction, Regions)) or is_in_parts(volume):
+        return volume
+    volume = as_volume(volume)
+    return replace(volume, labels=True) if options.get("smooth") and volume.labels is None else volume
 
 
 @contextmanager

@@ -176,9 +176,9 @@ class OneMedium(Source):
     def part(self, medium: Medium) -> OneMedium:  # noqa: ARG002  # it has one
         return self
 
-    @abstractmethod
     def regions(self) -> Regions:
         """The smooth regions of its labels, which slices show; they are freed with the source."""
+        raise OptionError(f"smooth boundaries of labels on slices are those of a volume in memory; got {self._no_regions()}")
 
     def level(self, fine: Fineness, view: Viewpoint) -> int:  # noqa: ARG002  # volumes in memory have one
         """The level whose voxels are about as fine as the picture's pixels."""
@@ -309,9 +309,6 @@ class ByBricks(OneMedium):
         self._workers = workers
         if workers is not None:
             self.lease.frees(workers.close)
-
-    def regions(self) -> Regions:
-        raise OptionError(f"smooth boundaries of labels on slices are those of a volume in memory; got {self._no_regions()}")
 
     def recipe(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
         if self._workers is not None:

@@ -177,12 +177,15 @@ class Regions:
         """The volume."""
         return self.volume
 
-    def __call__(self, points: NDArray[np.float64], *, fill: float, progress: Progress | None = None) -> NDArray[Any]:
-        """The labels at world points (..., d), in float64, as which pictures take them; `fill` outside of the domain."""
-        index = self.volume.world_to_index(points.reshape(-1, self.ndim))
-        edge = self.boundary.edge
-        inside = ((index >= -edge) & (index <= self.size[: self.ndim] - 1 + edge)).all(1)
-        return np.where(inside, self.at(index.T[::-1], progress), fill).reshape(points.shape[:-1])
+    def __call__(
+        self, points: NDArray[np.float64], *, fill: float | None = None, progress: Progress | None = None
+    ) -> NDArray[np.float64]:
+        """The labels at world points (..., d), in float64; `fill` outside the domain, None: as the boundary rule says."""
+        index, edge = self.volume.world_to_index(points.reshape(-1, self.ndim)), self.boundary.edge
+        found = self.at(index.T[::-1], progress).astype(np.float64)
+        if fill is not None:
+            found[~((index >= -edge) & (index <= self.size[: self.ndim] - 1 + edge)).all(1)] = fill
+        return found.reshape(points.shape[:-1])
 
     def on(self, target: Target, progress: Progress | None = None) -> NDArray[Any]:
         """The labels on a grid."""
