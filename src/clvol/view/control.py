@@ -179,7 +179,8 @@ class Control:
             first = self._resident.initial
             return (*common, replace(state, layout="3d", active="3d", tool=None, slice=first.slice, crosshair=None))
         point = state.crosshair or self._resident.volume.center
-        return (*common, state.slice, float(point["xyz".index(name)]))
+        smooth = (state.transfer,) if as_mode(state.mode).regions else ()
+        return (*common, *smooth, state.slice, float(point["xyz".index(name)]))
 
 
 # -- what lies under the pointer: exact values of the function that is drawn -----------------------------------
