@@ -159,6 +159,24 @@ def test_the_edited_function_covers_all_labels(view: View, client: Client) -> No
     assert np.array_equal(drawn, view.resident.transfer(State())([0, 2]))
 
 
+def test_slices_beside_regions_have_their_boundaries(client: Client, volume: Volume) -> None:
+    """Smooth ones, as copied programs draw them; what is picked there is what is seen."""
+    client.set(layout="slice", active="z")
+    nearest = client.still("z")[1]
+    client.forget()
+    client.set(mode="regions")
+    shown = client.still("z")[1]
+    assert 0.005 < (shown != nearest).any(-1).mean() < 0.1
+    program = client.session.python()
+    assert "smooth=True" in program
+    assert np.array_equal(shown[..., :3], copied(client, volume))
+    colors = {0: (0, 0, 0), **{n: tuple(to_bytes(np.float32([[label_color(n)]]))[0, 0].tolist()) for n in (1, 2)}}
+    for number, (y, x) in enumerate(np.argwhere((shown != nearest).any(-1))[::40]):
+        client.session.receive({"type": "do", "what": "pick", "id": number, "pane": "z", "x": x + 0.5, "y": y + 0.5})
+        reply, _ = client.wait(lambda m, number=number: m["type"] == "reply" and m["id"] == number)  # type: ignore[misc]
+        assert colors[reply["value"]] == tuple(shown[y, x, :3].tolist())
+
+
 def test_hidden_labels_cannot_be_picked(client: Client) -> None:
     at = {"what": "pick", "x": 0.62 * SIZE[0], "y": SIZE[1] / 2}
     client.session.receive({"type": "do", "id": 1, **at})

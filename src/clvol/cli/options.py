@@ -42,6 +42,7 @@ __all__ = [
     "PageOutput",
     "ReportLook",
     "Size",
+    "SlicedLabels",
     "Source",
     "SurfaceLook",
     "Together",
@@ -461,6 +462,19 @@ class Look:
         if len(self.opacity) % 2:
             raise OptionError(f"--opacity takes one number, or pairs of a value and an opacity; got {len(self.opacity)} numbers")
         return tuple(zip(self.opacity[0::2], self.opacity[1::2], strict=True))
+
+
+@Parameter(name="*", group=_LOOK)
+@dataclass
+class SlicedLabels:
+    """How slices show labels."""
+
+    smooth: Annotated[
+        bool, Parameter(help="Labels have smooth boundaries on slices, as with 'clvol render --mode regions'.", negative="")
+    ] = False
+    contour: Annotated[
+        float, Parameter(help="Draw lines along the boundaries of labels on slices, so many pixels wide (1 to 16), no areas.")
+    ] = 0.0
 
 
 @Parameter(name="*", group=_LOOK)

@@ -40,6 +40,7 @@ from clvol.cli.options import (
     PageOutput,
     ReportLook,
     Size,
+    SlicedLabels,
     Source,
     SurfaceLook,
     Together,
@@ -467,6 +468,7 @@ def slice(  # noqa: A001  # its name in the shell
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     boundary: Boundary = "mirror",
     device: DeviceName = None,
+    labels: SlicedLabels | None = None,
     input: Input | None = None,
     json: Json = False,
 ) -> None:
@@ -507,7 +509,8 @@ def slice(  # noqa: A001  # its name in the shell
         raise OptionError(f"--point is of an oblique slice: give its --normal too, or --at; got {point}")
     if normal is not None and (plane is not None or at is not None):
         raise OptionError("--normal is of an oblique slice, whose place is its --point: leave out --plane and --at")
-    volume = _volume(input or Input(), source)
+    labels = labels or SlicedLabels()
+    volume = _volume(input or Input(), source, whole=labels.smooth)
     x, y, z = (float(v) for v in (volume.center if point is None else point))
     cut = plane or "z" if normal is None else clvol.Plane(normal, (x, y, z))
     with speech.progress("drawing", json) as progress:
@@ -520,6 +523,8 @@ def slice(  # noqa: A001  # its name in the shell
             up=up,
             thickness=thickness,
             mode=mode,
+            smooth=labels.smooth,
+            contour=labels.contour,
             window=window,
             cmap=cmap,
             background=None if background == "none" else background,
@@ -548,6 +553,7 @@ def orthogonal(
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     size: Size = (1024, 1024),
     device: DeviceName = None,
+    labels: SlicedLabels | None = None,
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
@@ -577,10 +583,10 @@ def orthogonal(
         As of 'clvol render'.
     """
     speech.require_picture(output)
-    look, others, reader = look or Look(), others or Others(), input or Input()
+    look, others, reader, labels = look or Look(), others or Others(), input or Input(), labels or SlicedLabels()
     solid = replace(look, window=None, cmap=None)
     options = own_options(solid, own, colored=others.colors is not None)
-    whole = needs_whole(look.limits())
+    whole = labels.smooth or needs_whole(look.limits())
     volume = _volume(others.first(reader), source, whole=whole)
     with speech.progress("drawing", json) as progress, look.limited(device):
         options |= solid.options(volume.preview()) | {"filter": filter, "boundary": look.boundary}
@@ -593,6 +599,8 @@ def orthogonal(
             orientation=orientation,
             thickness=thickness,
             slab=slab,
+            smooth=labels.smooth or None,
+            contour=labels.contour,
             window=look.window,
             cmap=look.cmap,
             device=device,

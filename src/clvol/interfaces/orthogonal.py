@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,19 +15,19 @@ from clvol.base.errors import GeometryError, OptionError
 from clvol.base.progress import Progress, part_of
 from clvol.march.bricks import level_within
 from clvol.march.choose import as_drawn, source_of
-from clvol.march.options import FieldOptions, PanelOptions, PictureOptions, as_size, chosen_mode, covering
+from clvol.march.options import FieldOptions, PanelOptions, PictureOptions, as_size, chosen_mode, covering, transfer_of
 from clvol.march.renderer import Renderer
-from clvol.march.slices import AXES, axis_directions, lay_over, plane_points, section, window_of_slices
+from clvol.march.slices import AXES, Sheet, axis_directions, has_smooth_labels, lay_over, section, window_of_slices
 from clvol.scene.mode import DEFAULT_MODE, as_mode
 from clvol.show.picture import Picture
 
 if TYPE_CHECKING:
     from clvol.bricks.source import LazyVolume
+    from clvol.march.contours import Shown
     from clvol.march.source import Source
     from clvol.scene.mode import Mode
     from clvol.scene.scene import Medium, Scene
     from clvol.scene.transfer import TransferFunction
-    from clvol.spline.function import ContinuousFunction
     from clvol.volume.volume import Volume
     from clvol.volume.volumes import Volumes
 
@@ -54,12 +54,20 @@ class OrthogonalOptions(PanelOptions, PictureOptions, FieldOptions, total=False)
         Of slabs instead of slices, as of `clvol.slice`.
     slab : {"mean", "mip", "minip"}
         What these show.
+    smooth : bool
+        Whether labels on slices have smooth boundaries, as of `clvol.slice`: the curves in which the slices cut the boundaries of
+        mode "regions". By default those of the picture have them that this mode draws. Labels then have the colours and opacities
+        of the 3-D picture.
+    contour : float
+        Lines along the boundaries of labels, instead of their areas, as of `clvol.slice`.
     progress : callable
         Called with the fraction done.
     """
 
     thickness: float
     slab: Literal["mean", "mip", "minip"] | None
+    smooth: bool | None
+    contour: float
     progress: Progress | None
 
 
@@ -82,8 +90,8 @@ def orthogonal(
     ----------
     volume : Volume, LazyVolume, Scene, Medium, Volumes or array-like, 3-D
         As of `clvol.slice`. The slices of a scene are those of its first medium, with the matter of its other visible media over
-        it, whole, as far as their transfer functions are opaque; in words, what they show as a little of matter covers. Surfaces
-        and cuts of media, and what colours one, are in the 3-D picture alone.
+        it, whole, as far as their transfer functions are opaque; in words, what they show as a little of matter covers; labels as
+        areas or, with `contour`, as lines. Surfaces and cuts of media, and what colours one, are in the 3-D picture alone.
     point : (x, y, z), optional
         The world point; by default the middle of the volume.
     size : (width, height)
@@ -104,7 +112,8 @@ def orthogonal(
     Raises
     ------
     OptionError
-        An option is unknown or changes nothing; `orientation` of what is no patient; the volume does not have three axes.
+        An option is unknown or changes nothing; `orientation` of what is no patient; the volume does not have three axes; `smooth`
+        or `contour` where no medium is of labels.
     GeometryError
         The point is not in the volume.
     ClvolError
@@ -120,10 +129,11 @@ def orthogonal(
     given: dict[str, Any] = {**options}
     slices: dict[str, Any] = {name: given.pop(name) for name in ("window", "cmap", "thickness") if name in given}
     slab, progress = given.pop("slab", None), given.pop("progress", None)
+    smooth, contour = given.pop("smooth", None), given.pop("contour", 0.0)
     slices |= {"mode": slab, "background": given.get("background", (0.0, 0.0, 0.0))}
     held = {name: given.pop(name) for name in FieldOptions.__annotations__ if name in given}
     camera, mode, step = given.pop("camera", None), given.pop("mode", DEFAULT_MODE), given.pop("step", 0.5)
-    chosen_mode(mode, given, scene=volume)
+    chosen = chosen_mode(mode, given, scene=volume)
     width, height = as_size(size)
     if min(width, height) < 2 * _GAP:
         raise OptionError(f"size must be at least {2 * _GAP} × {2 * _GAP}; got {width} × {height}")
@@ -147,17 +157,24 @@ def orthogonal(
     panes: dict[str, NDArray[Any]] = {}
     source = source_of(drawn, **held)
     with Renderer(source) as renderer:
-        (field, _), *others = _sliced(source, as_mode(slab if slab in ("mip", "minip") else DEFAULT_MODE), pixel)
+        by_slab = as_mode(slab if slab in ("mip", "minip") else DEFAULT_MODE)
+        first, *others = (_layer(source, one, by_slab, pixel, smooth, chosen) for one in _on_slices(source.scene))
+        named = {"smooth": smooth, "contour": contour}
+        if any(named.values()) and not any(one.labels for one in (first, *others)):
+            words = " and ".join(name for name, value in named.items() if value)
+            raise OptionError(f"{words} is for labels: Volume(..., labels=True) says that samples are some; got {known!r}")
+        if first.smooth and slices.get("window") is None and slices.get("cmap") is None:
+            slices["transfer"] = source.scene.media[0].transfer or transfer_of(known, chosen, given | source.scene.media[0].words)
         for i, (name, (right, down)) in enumerate(frames.items()):
             right = -right if left and name in "zy" else right
             middle = np.array(grid.center)
             middle[AXES.index(name)] = at[AXES.index(name)]
             own: dict[str, Any] = slices | {"progress": part_of(progress, i / 10, (i + 1) / 10)}
             place = middle, right, down, (pixel, pixel), sizes[name]
-            panes[name] = section(field, *place, **own)
-            across = slices.get("thickness", 0.0) * np.cross(right, down)
-            for other, transfer in others:
-                lay_over(panes[name], other, transfer, plane_points(*place), across, slab, own["progress"])
+            panes[name] = section(first.shown, *place, **own, contour=contour if first.labels else 0.0)
+            for other in others:
+                sheet = Sheet.of(*place, own | {"contour": contour if other.labels else 0.0})
+                lay_over(panes[name], other.shown, other.transfer, sheet, own["progress"])
             if crosshair is not False:
                 offset = np.array([(at - middle) @ right, (at - middle) @ down]) / pixel
                 _draw_lines(panes[name], offset + np.array(sizes[name]) / 2, color)
@@ -169,16 +186,30 @@ def orthogonal(
     return Picture(picture)
 
 
-def _sliced(source: Source, mode: Mode, pixel: float) -> list[tuple[ContinuousFunction, TransferFunction]]:
-    """The functions of a scene's media that slices show, the first one first, with what they look like over it."""
-    first, *others = source.scene.media
-    found: list[tuple[ContinuousFunction, TransferFunction]] = []
-    for medium in (first, *(one for one in others if one.visible and not one.surfaces)):
-        part = source.part(medium)
-        volume: Any = part.field.volume
-        level = level_within(volume, pixel) if part.by_bricks else 0
-        found.append((part.function(mode, level), medium.transfer or covering(part.preview, medium.words)))
-    return found
+class _Layer(NamedTuple):
+    """What slices show of a medium."""
+
+    shown: Shown
+    transfer: TransferFunction  # of what it looks like over others
+    labels: bool
+    smooth: bool
+
+
+def _on_slices(scene: Scene) -> tuple[Medium, ...]:
+    """The media of a scene that slices show, the first one first."""
+    first, *others = scene.media
+    return first, *(one for one in others if one.visible and not one.surfaces)
+
+
+def _layer(source: Source, medium: Medium, by_slab: Mode, pixel: float, smooth: bool | None, mode: Mode) -> _Layer:
+    """The function of a medium, of a level as fine as pixels; or the smooth regions of its labels."""
+    part = source.part(medium)
+    transfer = medium.transfer or covering(part.preview, medium.words)
+    if has_smooth_labels(medium, smooth, mode.regions):
+        return _Layer(part.regions(), transfer, True, True)
+    volume: Any = part.field.volume
+    level = level_within(volume, pixel) if part.by_bricks else 0
+    return _Layer(part.function(by_slab, level), transfer, part.preview.is_labels, False)
 
 
 def _is_mirrored(orientation: str | None, grid: Volume) -> bool:

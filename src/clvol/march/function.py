@@ -8,21 +8,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.errors import DataError
+from clvol.base.errors import DataError, OptionError
 from clvol.filter.table import PICTURE_FILTER
 from clvol.spline.field import Field
+from clvol.spline.regions import Regions, region_filter, require_labels
 from clvol.volume.missing import Missing, extrapolated
 from clvol.volume.smoothing import filter_for
 from clvol.volume.stored import names_beyond, too_large_names
+from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from clvol.bricks.source import LazyVolume
     from clvol.device import Device
     from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
-    from clvol.volume.volume import Volume
 
-__all__ = ["extrapolated_samples", "lacks_samples", "row_for", "single"]
+__all__ = ["extrapolated_samples", "lacks_samples", "regions_of", "row_for", "single"]
 
 
 def row_for(volume: Volume | LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:
@@ -64,3 +65,15 @@ def single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str
     if lacks_samples(volume):
         return _Shown(volume, row, boundary, device, precision="single", nan=Missing("local", most=0.5))
     return Field(volume, row, boundary, device, precision="single")
+
+
+def regions_of(volume: Any, filter: str | Filter | None, boundary: Boundary, device: Device) -> Regions:
+    """The regions of labels as pictures show them; float32 must distinguish the labels."""
+    if not isinstance(volume, Volume):
+        raise OptionError(
+            f"smooth boundaries are of labels in memory: a LazyVolume gives them by whole(), a Field by volume; got {volume!r}"
+        )
+    if not volume.is_labels:
+        raise OptionError("smooth is for labels, and these samples look like none; Volume(..., labels=True) says that they are")
+    require_labels(volume)
+    return Regions(volume, region_filter(filter), boundary, device)

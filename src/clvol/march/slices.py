@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypedDict, Unpack
 from weakref import WeakKeyDictionary
 
@@ -13,19 +14,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
 from clvol.base.arrays import reals
-from clvol.base.checks import if_image, number, one_of, require_known, whole
+from clvol.base.checks import flag, if_image, instance, number, one_of, require_known, whole
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.progress import Progress, part_of, require_callback
 from clvol.bricks.source import LazyVolume
-from clvol.device import Device
+from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.bricks import level_within
 from clvol.march.choose import without_masked
-from clvol.march.function import row_for, single
+from clvol.march.contours import Shown, contour_width, on_contours
+from clvol.march.function import regions_of, row_for, single
+from clvol.march.options import covering
 from clvol.march.renderer import Renderer
 from clvol.scene.clip import Plane
 from clvol.scene.mode import as_mode
@@ -34,15 +37,18 @@ from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import Picture
 from clvol.spline.field import as_field
 from clvol.spline.function import ContinuousFunction
+from clvol.spline.regions import Regions
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = [
     "AXES",
     "SLABS",
+    "Sheet",
     "SliceOptions",
     "axis_directions",
     "axis_of",
+    "has_smooth_labels",
     "lay_over",
     "plane_points",
     "section",
@@ -75,14 +81,24 @@ class SliceOptions(TypedDict, total=False):
     mode : {"mean", "mip", "minip"}
         What a pixel shows of a slab: the mean (the default), by the trapezoidal rule, so that faces count half; the largest or the
         smallest value.
+    smooth : bool
+        Whether the samples are labels with smooth boundaries, those of ``clvol.render(mode="regions")`` and
+        ``clvol.resample(smooth=True)``: a pixel shows the label whose region its centre lies in. They must be in memory.
+    contour : float
+        Lines along the boundaries of labels, instead of their areas: how many pixels wide, from 1 to 16, on the inner side of each
+        boundary and in the colour of the label there. 0, the default, fills the areas. The volume's own ends are no boundaries.
     filter, boundary, device, memory
-        As of `clvol.Renderer`. By default "bspline3(auto)", in the modes that show extremes "bspline3", and labels "nearest".
+        As of `clvol.Renderer`. By default "bspline3(auto)", in the modes that show extremes "bspline3", and labels "nearest", or
+        with `smooth` "bspline5-approx".
     window : (center, width)
         Values from black to white; by default those of `Volume.clim`, or nearly all of the volume's.
     cmap : str
         The name of a colour map. By default labels have a colour each, and other values are grey.
+    transfer : TransferFunction
+        Colours, and how far they cover the background, instead of both. Labels of opacity 0 are hidden; by default, only the one of
+        the background among them is.
     background : three numbers, a name, or None
-        Outside the volume, and where its samples are missing; None is transparent.
+        Outside the volume, where its samples are missing, and where labels are hidden; None is transparent.
     progress : callable
         Called with the fraction done.
     mask : array-like of bool or LazyVolume of bool, shape of the volume
@@ -91,12 +107,15 @@ class SliceOptions(TypedDict, total=False):
 
     thickness: float
     mode: Literal["mean", "mip", "minip"] | None
+    smooth: bool
+    contour: float
     filter: str | Filter | None
     boundary: str | Boundary
     device: Device | str | int | None
     memory: int | None
     window: tuple[float, float] | None
     cmap: str | None
+    transfer: TransferFunction | None
     background: Sequence[float] | str | None
     progress: Progress | None
     mask: ArrayLike | None
@@ -119,8 +138,9 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
     ----------
     volume : Volume, LazyVolume, Medium, Field, BrickedField or array-like, 3-D
         Of a LazyVolume the coarsest level whose voxels are at most a pixel long is read, where the slice lies. A Field makes many
-        slices of one volume in less time: it has its coefficients. A Medium, or a scene of one, has its filter, boundary and mask;
-        its transfer function and its cuts are for 3-D. `clvol.orthogonal` shows several media.
+        slices of one volume in less time: it has its coefficients. A Medium, or a scene of one, has its filter, boundary and mask,
+        and with `smooth` its colours and opacities; else its transfer function is for 3-D, as its cuts are. `clvol.orthogonal`
+        shows several media.
     plane : str, int or Plane
         An axis of the world that the slice is across, "x", "y" or "z", or 0, 1 or 2; of a patient also "sagittal", "coronal" or
         "axial"; or an oblique `Plane`, which is seen from the side that its normal points to.
@@ -149,11 +169,13 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
     ------
     OptionError
         An unknown name; `position` beside a Plane; `mode` without a thickness; the mean of labels; a number outside its bounds;
-        the volume does not have three axes; a scene of several media; `filter` or `boundary` beside a medium.
+        the volume does not have three axes; a scene of several media; `filter` or `boundary` beside a medium; `transfer` beside
+        `window` or `cmap`; `contour` of what is no label map, or of a slab; `smooth` of one that is not in memory, or with a filter
+        that has a prefilter or negative weights.
     GeometryError
         The plane does not meet the volume, `up` is along its normal, or a point is not three finite numbers.
     DataError, FormatError, DeviceError, OutOfMemoryError
-        As by `clvol.render`.
+        As by `clvol.render`; with `smooth` also `DataError` where a sample is no whole number.
 
     Examples
     --------
@@ -163,12 +185,14 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
     >>> picture.shape, picture.spacing
     ((207, 207, 4), (0.01, 0.01))
     >>> oblique = clvol.slice(volume, clvol.Plane((1, 1, 1), volume.center), thickness=0.2, mode="mip", size=(64, 64))
+    >>> labels = clvol.Volume((volume.data > 0.5).astype("uint8"), volume.spacing, volume.origin, labels={1: "waves"})
+    >>> lines = clvol.slice(labels, "y", 0.25, smooth=True, contour=2, background=None)
     """
     require_known("slice", options, SliceOptions.__annotations__)
     if isinstance(volume, (Medium, Scene)):
         volume, own = _of_medium(volume, options)
         options |= own
-    given = without_masked(_given(volume), options.pop("mask", None))
+    given = without_masked(_given(volume, options), options.pop("mask", None))
     grid: Volume = given.grid
     if grid.ndim != 3:
         raise OptionError(f"a slice is of a volume with 3 axes; got shape {grid.shape}{if_image(grid.shape)}")
@@ -185,7 +209,7 @@ def slice(  # noqa: A001  # clvol.slice, as its users call it
 
 
 def section(
-    volume: Volume | LazyVolume | ContinuousFunction | ArrayLike,
+    volume: Volume | LazyVolume | Shown | ArrayLike,
     middle: Sequence[float] | NDArray[np.float64],
     right: Sequence[float] | NDArray[np.float64],
     down: Sequence[float] | NDArray[np.float64],
@@ -198,7 +222,7 @@ def section(
     Parameters
     ----------
     volume : Volume, LazyVolume or array-like
-        As of `clvol.slice`.
+        As of `clvol.slice`; or the regions of labels.
     middle : (x, y, z)
         The world point in the middle of the picture.
     right, down : (x, y, z)
@@ -216,38 +240,41 @@ def section(
         raise one_of("mode of a slice", mode, SLABS)
     if mode is not None and not thickness:
         raise OptionError("mode changes nothing in a slice without a thickness; leave it out, or give the thickness of a slab")
+    contour = contour_width(options.get("contour", 0.0))
+    if contour and thickness:
+        raise OptionError(f"contour is of a plane; leave out the thickness of a slab; got {thickness:g}")
+    window, cmap, transfer = options.get("window"), options.get("cmap"), options.get("transfer")
+    if transfer is not None:
+        instance("transfer", transfer, TransferFunction)
+        if window is not None or cmap is not None:
+            raise OptionError("transfer must be left out where window or cmap say what it is; got both")
     background = options.get("background", (0.0, 0.0, 0.0))
     background = None if background is None else color_of("background", background)
     progress = options.get("progress")
     require_callback("progress", progress)
-    given = without_masked(_given(volume), options.pop("mask", None))
+    given = without_masked(_given(volume, options), options.pop("mask", None))
     known: Volume = getattr(given, "volume", given).preview()  # a function has its volume
     _require_no_mean(known, thickness != 0, mode)
+    if contour and not known.is_labels:
+        raise OptionError(f"contour is for labels: Volume(..., labels=True) says that samples are some; got {known!r}")
     width, height = _counts(size)
     memory.require(width * height * _OF_A_PIXEL, f"a slice of {width} × {height} pixels")
-    points = plane_points(middle, right, down, pixel, (width, height))
-    with _function(given, as_mode(mode or "mean").picture_filter if thickness else PICTURE_FILTER, max(pixel), options) as field:
-        found = _sampled(field, points, thickness * np.cross(right, down), mode, progress)
-    picture = shaded(found, known, options.get("window"), options.get("cmap"), background)
+    sheet = Sheet.of(middle, right, down, pixel, (width, height), options)
+    with _function(given, as_mode(mode or "mean").picture_filter if thickness else PICTURE_FILTER, max(pixel), options) as function:
+        found = sheet.values(function, progress)
+    picture = shaded(found, known, window, cmap, background, transfer)
     picture.spacing = (float(pixel[0]), float(pixel[1]))
     return picture
 
 
-def lay_over(
-    picture: NDArray[Any],
-    field: ContinuousFunction,
-    transfer: TransferFunction,
-    points: NDArray[np.float64],
-    across: NDArray[np.float64],
-    mode: str | None,
-    progress: Progress | None,
-) -> None:
-    """Lay another function over a picture of a slice, as far as its transfer function is opaque.
+def lay_over(picture: NDArray[Any], function: Shown, transfer: TransferFunction, sheet: Sheet, progress: Progress | None) -> None:
+    """Lay another function over a picture of a slice, as far as its transfer function is opaque."""
+    _require_no_mean(function.grid, bool(sheet.across.any()), sheet.mode)
+    _lay(picture, sheet.values(function, progress), transfer)
 
-    `points` are those of `plane_points`, and `across` is from face to face of a slab.
-    """
-    _require_no_mean(field.grid, bool(across.any()), mode)
-    values = _sampled(field, points, across, mode, progress)
+
+def _lay(picture: NDArray[Any], values: NDArray[Any], transfer: TransferFunction) -> None:
+    """Lay values over a picture, but none where they are NaN."""
     seen = transfer(np.nan_to_num(values))
     share = np.where(np.isnan(values), 0.0, seen[..., 3])[..., None]
     below = (1 - share) * picture[..., 3:]
@@ -272,19 +299,37 @@ def _of_medium(given: Medium | Scene, options: SliceOptions) -> tuple[Volume, Sl
         )
     if named := {"filter", "boundary"} & options.keys():
         raise OptionError(f"{' and '.join(sorted(named))} must be left to the medium; got {options}")
-    return first.volume, {"filter": None if first.smooth else first.filter, "boundary": first.boundary}
+    own: SliceOptions = {"filter": None if first.smooth else first.filter, "boundary": first.boundary}
+    if has_smooth_labels(first, options.get("smooth")):
+        own |= {"smooth": True, "filter": first.filter}
+        if (first.transfer or first.words) and all(options.get(name) is None for name in ("transfer", "window", "cmap")):
+            own["transfer"] = first.transfer or covering(first.volume, first.words)
+    return first.volume, own
 
 
-def _given(volume: Any) -> Any:
+def has_smooth_labels(medium: Medium, smooth: bool | None, usual: bool = False) -> bool:
+    """Whether slices show smooth boundaries of a medium: if it is of labels, as asked for or as usual."""
+    return (usual or medium.smooth if smooth is None else flag("smooth", smooth)) and medium.volume.preview().is_labels
+
+
+def _given(volume: Any, options: SliceOptions) -> Any:
     """A function, a volume that is read by parts, or a volume in memory."""
-    return volume if isinstance(volume, ContinuousFunction) or is_in_parts(volume) else as_volume(volume)
+    if isinstance(volume, (ContinuousFunction, Regions)) or is_in_parts(volume):
+        return volume
+    volume = as_volume(volume)
+    return replace(volume, labels=True) if options.get("smooth") and volume.labels is None else volume
 
 
 @contextmanager
-def _function(volume: Any, usual: str, pixel: float, options: SliceOptions) -> Iterator[ContinuousFunction]:
+def _function(volume: Any, usual: str, pixel: float, options: SliceOptions) -> Iterator[Shown]:
     """The function of a slice: the one given, a volume's, or that of the level whose voxels are about as long as a pixel."""
     row, boundary, device = options.get("filter"), options.get("boundary"), options.get("device")
-    if isinstance(volume, ContinuousFunction):
+    if isinstance(volume, Regions):
+        yield volume
+    elif flag("smooth", options.get("smooth", False)):
+        with regions_of(volume, row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device)) as regions:
+            yield regions
+    elif isinstance(volume, ContinuousFunction):
         yield as_field(volume, row, boundary, device)
     elif is_in_parts(volume):
         with Renderer(volume, row_for(volume, row, usual), boundary, device, memory=options.get("memory")) as renderer:
@@ -294,34 +339,75 @@ def _function(volume: Any, usual: str, pixel: float, options: SliceOptions) -> I
             yield field
 
 
-# -- slabs -----------------------------------------------------------------------------------------------------
+# -- what pixels show ------------------------------------------------------------------------------------------
 
 
-def _sampled(
-    field: ContinuousFunction, points: NDArray[np.float64], across: NDArray[np.float64], mode: str | None, progress: Progress | None
-) -> NDArray[Any]:
-    """The values of a slice, or what a slab through its points shows; NaN outside."""
-    if across.any():
-        return _slab(field, points, across, _SLABS[mode or "mean"], progress)
-    return field(points, fill=np.nan, progress=progress)
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """The points of a slice, and what of a function its pixels show.
+
+    Attributes
+    ----------
+    points : (height, width, 3)
+        The middles of pixels in the world.
+    axes : (2, 3)
+        What a pixel measures in the world, along rows and columns.
+    across : (3,)
+        From face to face of a slab.
+    mode : {"mean", "mip", "minip"}, optional
+        What is shown of it.
+    contour : float
+        The width of lines along the boundaries of labels, in pixels; 0 fills areas.
+    """
+
+    points: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    across: NDArray[np.float64]
+    mode: str | None
+    contour: float
+
+    @classmethod
+    def of(
+        cls,
+        middle: Sequence[float] | NDArray[np.float64],
+        right: Sequence[float] | NDArray[np.float64],
+        down: Sequence[float] | NDArray[np.float64],
+        pixel: tuple[float, float],
+        size: tuple[int, int],
+        options: Mapping[str, Any],
+    ) -> Sheet:
+        """The sheet of a picture of `section`."""
+        axes = np.stack([right, down]) * np.reshape(pixel, (2, 1))
+        across = options.get("thickness", 0.0) * np.cross(right, down)
+        points = plane_points(middle, right, down, pixel, size)
+        return cls(points, axes, across, options.get("mode"), options.get("contour", 0.0))
+
+    def values(self, function: Shown, progress: Progress | None) -> NDArray[Any]:
+        """What the pixels show of a function; NaN outside, and beside contours."""
+        if self.across.any():
+            return _slab(function, self.points, self.across, _SLABS[self.mode or "mean"], progress)
+        found = function(self.points, fill=np.nan, progress=progress)
+        if self.contour:
+            found[~on_contours(function, found, self.points, self.axes, self.contour)] = np.nan
+        return found
 
 
 def _slab(
-    field: ContinuousFunction,
+    function: Shown,
     points: NDArray[np.float64],
     across: NDArray[np.float64],
     projected: Callable[[NDArray[Any]], NDArray[Any]],
     progress: Progress | None,
 ) -> NDArray[Any]:
     """What a slab through the points shows: `across` is from face to face."""
-    count = 1 + math.ceil(2 * float(np.linalg.norm(across)) / min(field.grid.spacing))
+    count = 1 + math.ceil(2 * float(np.linalg.norm(across)) / min(function.grid.spacing))
     offsets = np.linspace(-0.5, 0.5, count)[:, None, None] * across
     flat, each = points.reshape(-1, 3), max(1, _AT_ONCE // count)
     found = []
     for first in range(0, len(flat), each):
         part = flat[first : first + each]
         told = part_of(progress, first / len(flat), min(1.0, (first + each) / len(flat)))
-        found.append(projected(field(part + offsets, fill=np.nan, progress=told)))
+        found.append(projected(function(part + offsets, fill=np.nan, progress=told)))
     return np.concatenate(found).reshape(points.shape[:-1])
 
 
@@ -470,37 +556,35 @@ def plane_points(
 
 
 def shaded(
-    values: NDArray[Any], volume: Volume, window: tuple[float, float] | None, cmap: str | None, background: Sequence[float] | None
+    values: NDArray[Any],
+    volume: Volume,
+    window: tuple[float, float] | None,
+    cmap: str | None,
+    background: Sequence[float] | None,
+    transfer: TransferFunction | None = None,
 ) -> Picture:
-    """Values in colours, (height, width, 4) float32; NaN is background."""
-    if volume.is_labels and window is None and cmap is None:
-        colors = _of_labels(values, volume)
+    """Values in colours, (height, width, 4) float32; NaN is background, as are hidden labels. `transfer` excludes the words."""
+    picture = np.zeros((*values.shape, 4), np.float32)
+    if background is not None:
+        picture[...] = (*background, 1)
+    if transfer is None and volume.is_labels and window is None and cmap is None:
+        transfer = TransferFunction.preset("labels", volume)
+    if transfer is not None:
+        _lay(picture, values, transfer)
+        return Picture(picture)
+    center, width = window_of_slices(volume) if window is None else window
+    low = center - width / 2
+    if not width > 0:
+        raise OptionError(f"window must be (center, width), the width positive; got {window!r}")
+    inside = ~np.isnan(values)
+    share = np.clip((values[inside] - low) / width, 0, 1)
+    if cmap is None:
+        colors = share[..., None]
     else:
-        center, width = window_of_slices(volume) if window is None else window
-        low = center - width / 2
-        if not width > 0:
-            raise OptionError(f"window must be (center, width), the width positive; got {window!r}")
-        with np.errstate(invalid="ignore"):
-            share = np.clip((values - low) / width, 0, 1)
-        share = np.nan_to_num(share, nan=0.0)
-        if cmap is None:
-            colors = np.repeat(share[..., None], 3, -1)
-        else:
-            table = TransferFunction.from_cmap(cmap, (0.0, 1.0))(np.linspace(0, 1, 1024))[:, :3]
-            colors = table[np.rint(share * 1023).astype(np.intp)]
-    picture = np.ones((*values.shape, 4), np.float32)
-    picture[..., :3] = colors
-    outside = np.isnan(values)
-    if outside.any():
-        picture[outside] = (0, 0, 0, 0) if background is None else (*background, 1)
+        table = TransferFunction.from_cmap(cmap, (0.0, 1.0))(np.linspace(0, 1, 1024))[:, :3]
+        colors = table[np.rint(share * 1023).astype(np.intp)]
+    picture[inside, :3], picture[inside, 3] = colors, 1
     return Picture(picture)
-
-
-def _of_labels(values: NDArray[Any], volume: Volume) -> NDArray[np.float64]:
-    numbers, inverse = np.unique(np.nan_to_num(values), return_inverse=True)
-    look = TransferFunction.preset("labels", volume)(numbers)
-    colors = look[:, :3] * (look[:, 3:] > 0)
-    return np.asarray(colors[inverse.reshape(values.shape)])
 
 
 def window_of_slices(volume: Volume) -> tuple[float, float]:

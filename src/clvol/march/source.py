@@ -22,7 +22,7 @@ from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.colored import Other
 from clvol.march.frame import Subject
-from clvol.march.function import row_for, single
+from clvol.march.function import regions_of, row_for, single
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
@@ -34,7 +34,7 @@ from clvol.spline.evaluator import DIRECT, choose_evaluator, require_direct
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
-from clvol.spline.regions import region_filter, require_labels
+from clvol.spline.regions import Regions, region_filter, require_labels
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
@@ -124,9 +124,9 @@ class Source(ABC):
         """What of it keeps the regions of labels from being drawn; "" if nothing does."""
         return "a medium with color_by" if self.scene.media[0].color_by is not None else ""
 
-    def part(self, medium: Medium) -> Source:  # noqa: ARG002  # most have one
+    @abstractmethod
+    def part(self, medium: Medium) -> OneMedium:
         """The source of one of the scene's media."""
-        return self
 
     @property
     def limits(self) -> tuple[float, float] | None:
@@ -177,6 +177,13 @@ class OneMedium(Source):
     coarsest: int = 0
     """The number of its lowest resolution; the finest is 0."""
 
+    def part(self, medium: Medium) -> OneMedium:  # noqa: ARG002  # it has one
+        return self
+
+    def regions(self) -> Regions:
+        """The smooth regions of its labels, which slices show; they are freed with the source."""
+        raise OptionError(f"smooth boundaries of labels on slices are those of a volume in memory; got {self._no_regions()}")
+
     def level(self, fine: Fineness, view: Viewpoint) -> int:  # noqa: ARG002  # volumes in memory have one
         """The level whose voxels are about as fine as the picture's pixels."""
         return 0
@@ -220,6 +227,7 @@ class InMemory(OneMedium):
         if self._gaps is not None:
             self.lease.frees(self._gaps.release)
         self._uncertainty: Uncertainty | None = None
+        self._regions: Regions | None = None
         self._rates: dict[tuple[Any, ...], Rate] = {}
 
     def function(self, mode: Mode, level: int = 0) -> Field:
@@ -233,6 +241,14 @@ class InMemory(OneMedium):
                 self.lease.frees(self._unsmoothed.close)
             made: Field = self._unsmoothed
             return made
+
+    def regions(self) -> Regions:
+        with self._lock:
+            if self._regions is None:
+                (medium,) = self.scene.media
+                self._regions = regions_of(medium.volume, medium.filter, self.field.boundary, self.field.device)
+                self.lease.frees(self._regions.release)
+            return self._regions
 
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
         return self.drawn(look, fine, 0, guides, progress)

@@ -162,7 +162,7 @@ class Regions:
     """
 
     def __init__(self, volume: Volume, filter: Filter, boundary: Boundary, device: Device, fill: float | None = None) -> None:
-        self.filter, self.boundary, self.device, self.ndim = filter, boundary, device, volume.ndim
+        self.volume, self.filter, self.boundary, self.device, self.ndim = volume, filter, boundary, device, volume.ndim
         self.dtype = volume.data.dtype.newbyteorder("=")
         outside = as_label("fill", fill or 0, self.dtype), as_label("the value of the boundary", boundary.cval, self.dtype)
         self._codes = _Codes.of(volume, outside)
@@ -195,6 +195,21 @@ class Regions:
         kind = self._codes.kind
         about: DefineDict = {"LABEL": OPENCL_TYPES[kind.str[1:]], "LABEL_BYTES": kind.itemsize}
         return {**filter_defines(self.filter), **about, "DIMENSIONS": self.ndim, "LANES": 1}
+
+    @property
+    def grid(self) -> Volume:
+        """The volume."""
+        return self.volume
+
+    def __call__(
+        self, points: NDArray[np.float64], *, fill: float | None = None, progress: Progress | None = None
+    ) -> NDArray[np.float64]:
+        """The labels at world points (..., d), in float64; `fill` outside the domain, None: as the boundary rule says."""
+        index, edge = self.volume.world_to_index(points.reshape(-1, self.ndim)), self.boundary.edge
+        found = self.at(index.T[::-1], progress).astype(np.float64)
+        if fill is not None:
+            found[~((index >= -edge) & (index <= self.size[: self.ndim] - 1 + edge)).all(1)] = fill
+        return found.reshape(points.shape[:-1])
 
     def on(self, target: Target, progress: Progress | None = None) -> NDArray[Any]:
         """The labels on a grid."""

@@ -20,6 +20,7 @@ from clvol.base.printable import printable
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Corner, Plane
 from clvol.scene.light import Light, Material
+from clvol.scene.mode import as_mode
 from clvol.scene.transfer import TransferFunction
 from clvol.view import media
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
@@ -143,6 +144,10 @@ def _cut(resident: Resident, state: State, name: str, shown: PaneSize, size: tup
     words: dict[str, Any] = {key: tuple(getattr(pane, key).tolist()) for key in ("middle", "right", "down")}
     words |= {"pixel": pane.pixel(size), "size": size}
     words |= {key: value for key in ("window", "cmap") if (value := getattr(state, key)) is not None}
+    if as_mode(state.mode).regions:
+        words |= {"smooth": True} | (
+            {"transfer": state.transfer} if state.transfer and not words.keys() & {"window", "cmap"} else {}
+        )
     words |= _reconstruction(state)
     finer = resident.finer_picture(state, shown, name, size)
     words |= {} if finer is None else finer.given

@@ -20,10 +20,12 @@ from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
 from clvol.scene.mode import as_mode
 from clvol.spline.field import Field
+from clvol.spline.regions import Regions
 from clvol.view import events
 from clvol.view.events import Context, Inputs
 from clvol.view.panes import Pane3D, PaneSize, SlicePane, triple
 from clvol.view.protocol import Change
+from clvol.view.renderers import on_slices
 from clvol.view.resident import Resident
 from clvol.view.state import History, State
 from clvol.volume.histogram import label_numbers
@@ -177,7 +179,8 @@ class Control:
             first = self._resident.initial
             return (*common, replace(state, layout="3d", active="3d", tool=None, slice=first.slice, crosshair=None))
         point = state.crosshair or self._resident.volume.center
-        return (*common, state.slice, float(point["xyz".index(name)]))
+        smooth = (state.transfer,) if as_mode(state.mode).regions else ()
+        return (*common, *smooth, state.slice, float(point["xyz".index(name)]))
 
 
 # -- what lies under the pointer: exact values of the function that is drawn -----------------------------------
@@ -212,20 +215,21 @@ def _picked(resident: Resident, context: Context, state: State, name: str, x: fl
         volume, arguments = renderer.volume, resident.arguments(state, bare=True)
         if isinstance(pane, SlicePane):
             point: NDArray[np.float64] | None = pane.point(x, y)
-            field = renderer.field
+            field = on_slices(renderer, state.mode)
         else:
             point = _hit(renderer, pane, x, y, arguments)
-            field = renderer._source.function(as_mode(arguments["mode"]))
+            mode = as_mode(arguments["mode"])
+            field = on_slices(renderer, state.mode) if mode.regions else renderer._source.function(mode)
             if point is not None and volume.is_labels:
                 point = _in_label(volume, field, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
         found: dict[str, Any] = {"pane": name, "x": x, "y": y, "units": volume.units, "position": None}
         return found if point is None or not _within(volume, point) else found | _values(volume, field, point)
 
 
-def _values(volume: Volume, field: Field | BrickedField, point: NDArray[np.float64]) -> dict[str, Any]:
+def _values(volume: Volume, field: Field | BrickedField | Regions, point: NDArray[np.float64]) -> dict[str, Any]:
     value = float(field(point[None])[0])
     found = {"position": point.tolist(), "index": volume.world_to_index(point).tolist(), "value": value, "gradient": None}
-    if field.filter.has_gradient:
+    if not isinstance(field, Regions) and field.filter.has_gradient:
         slope = np.asarray(field.gradient(point[None])[0], np.float64)
         found |= {"gradient": slope.tolist(), "steepness": float(np.linalg.norm(slope))}
     if isinstance(volume.labels, dict):
@@ -253,7 +257,7 @@ def _hit(renderer: Renderer, pane: Pane3D, x: float, y: float, arguments: dict[s
 
 
 def _in_label(
-    volume: Volume, field: Field | BrickedField, point: NDArray[np.float64], way: NDArray[np.float64], step: float
+    volume: Volume, field: Field | BrickedField | Regions, point: NDArray[np.float64], way: NDArray[np.float64], step: float
 ) -> NDArray[np.float64]:
     """The point itself, or the first behind it that is in a label: what a sample shows begins up to a step before it.
 

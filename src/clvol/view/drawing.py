@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 from clvol.base.errors import ClvolError
 from clvol.march.renderer import Renderer
 from clvol.march.slices import plane_points, shaded
+from clvol.scene.mode import as_mode
 from clvol.show.picture import Picture, heat, to_bytes
 from clvol.view.background import started
 from clvol.view.events import Context
 from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane
+from clvol.view.renderers import on_slices
 from clvol.view.resident import Resident
 from clvol.view.sketch import Sketch
 from clvol.view.state import State
@@ -246,8 +248,10 @@ def has_sketch(state: State) -> bool:
 def _slice(renderer: Renderer, order: Order, size: tuple[int, int]) -> NDArray[Any]:
     state, pane = order.state, order.context.pane(order.state, order.name)
     assert isinstance(pane, SlicePane)  # by its name
-    values = renderer.field(plane_points(pane.middle, pane.right, pane.down, pane.pixel(size), size), fill=np.nan)
-    return shaded(values, renderer.volume, state.window, state.cmap, state.background)
+    points = plane_points(pane.middle, pane.right, pane.down, pane.pixel(size), size)
+    values = on_slices(renderer, state.mode)(points, fill=np.nan)
+    transfer = state.transfer if as_mode(state.mode).regions and state.window is None and state.cmap is None else None
+    return shaded(values, renderer.volume, state.window, state.cmap, state.background, transfer)
 
 
 def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generator[Shot, None, None]:

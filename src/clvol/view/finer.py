@@ -1,7 +1,8 @@
 """Pictures of a volume that does not fit into memory: by bricks of stored samples, where pixels are finer than resident voxels.
 
 A level of the volume that fits is resident, and is what is turned, dragged and picked. At rest, once a picture's pixels are finer
-than its voxels, the picture is drawn again by bricks, of the level that `clvol.render` would take.
+than its voxels, the picture is drawn again by bricks, of the level that `clvol.render` would take; but no regions of labels, which
+bricks do not draw.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class Finer:
         Voxels are no longer than a pixel at the camera's target; the volume's nearest corner may be much nearer. `given` are
         arguments by which other samples show the same matter in the same place (`Resident.settled_arguments`).
         """
-        if state.wiper is not None or state.heat or state.step > STEPPED_AT_MOST:
+        if state.wiper is not None or state.heat or state.step > STEPPED_AT_MOST or as_mode(state.mode).regions:
             return None
         view = given["camera"].view(self.stored.grid, size[0] / size[1])
         away = float((np.asarray(given["camera"].target) - view.eye) @ view.forward)
@@ -83,7 +84,7 @@ class Finer:
 
     def wanted_slice(self, state: State, pane: SlicePane, size: tuple[int, int], window: tuple[float, float]) -> Wanted | None:
         """A slice in a state; None if the resident level shows as much."""
-        if state.wiper is not None or level_within(self.stored, max(pane.pixel(size))) >= self.level:
+        if state.wiper is not None or as_mode(state.mode).regions or level_within(self.stored, max(pane.pixel(size))) >= self.level:
             return None
         return Wanted(state, size, self._reconstructed(state) | {"window": window}, pane)
 

@@ -11,14 +11,17 @@ from typing import Any, TypeAlias
 
 from clvol.base import memory
 from clvol.base.errors import OutOfMemoryError
+from clvol.bricks.field import BrickedField
 from clvol.device import Device
 from clvol.march.renderer import Renderer
+from clvol.scene.mode import as_mode
 from clvol.scene.scene import Scene
 from clvol.scene.transfer import WORDS
 from clvol.spline.field import Field
+from clvol.spline.regions import Regions
 from clvol.view.catalog import Catalog, Which
 
-__all__ = ["Renderers"]
+__all__ = ["Renderers", "on_slices"]
 
 _LARGE = 1 << 22  # samples of a volume whose coefficients take longer than a picture
 _LARGE_LABELS = 1 << 25  # likewise where some labels are hidden, and nothing is prefiltered
@@ -53,6 +56,11 @@ class _OfScene(Renderer):
         first, *others = options.get("media", self.scene.media)
         looked = replace(self.scene.media[0], **own, visible=first.visible)
         return options | {"media": (looked, *others)}
+
+
+def on_slices(renderer: Renderer, mode: str) -> Field | BrickedField | Regions:
+    """The function that slices show beside a picture in a mode: smooth regions beside those."""
+    return renderer._source.part(renderer.scene.media[0]).regions() if as_mode(mode).regions else renderer.field
 
 
 class Renderers:
