@@ -22,7 +22,7 @@ from clvol.scene.light import LIGHTS, Material, lights_block
 from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, outlined
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
-from clvol.spline.build import along_defines
+from clvol.spline.build import along_defines, spared_taps
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.minmax import BLOCK, MINMAX, minmax_block
 from clvol.volume.stored import AS_THEY_ARE
@@ -217,6 +217,7 @@ class Frame:
             "COLORED": int(self.other is not None),
             **({} if self.other is None else {"MOST_TAPS": MAX_TAPS}),
             "COORD_DOUBLE": 0,
+            **({"SPARED": spared_taps(self.coefficients.filter)} if mode.regions else {}),
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
 

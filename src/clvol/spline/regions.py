@@ -20,7 +20,7 @@ from clvol.base.rounding import in_kind
 from clvol.base.rounding import limits as limits_of_type
 from clvol.device.program import LANES
 from clvol.filter.table import REGION_FILTER, as_filter
-from clvol.spline.build import boundary_defines, filter_defines, point_defines, row_reach
+from clvol.spline.build import boundary_defines, filter_defines, point_defines, row_reach, spared_taps
 from clvol.spline.coefficients import OPENCL_TYPES, axis_taps, extent_of
 from clvol.spline.grids import described, no_shear
 from clvol.spline.lease import release
@@ -169,7 +169,7 @@ class Regions:
     @property
     def _defines(self) -> DefineDict:
         kind = self._codes.kind
-        about: DefineDict = {"LABEL": OPENCL_TYPES[kind.str[1:]], "LABEL_BYTES": kind.itemsize}
+        about: DefineDict = {"LABEL": OPENCL_TYPES[kind.str[1:]], "LABEL_BYTES": kind.itemsize, "SPARED": spared_taps(self.filter)}
         return {**filter_defines(self.filter), **about, "DIMENSIONS": self.ndim, "LANES": 1}
 
     def on(self, target: Target, progress: Progress | None = None) -> NDArray[Any]:
