@@ -248,6 +248,9 @@ INLINE int core_is_one(global const LABEL *core, const size_t pitch, const size_
 #endif
 }
 
+// Of an even number of taps the first one behind the middle is not the nearest there.
+#define MIDDLE(t) (TAPS % 2 == 0 && (t) < 0.5f)
+
 // The region of the position of a cell.
 INLINE int region_in(global const LABEL *restrict labels, const int4 extent, const cell_t c)
 {
@@ -256,6 +259,7 @@ INLINE int region_in(global const LABEL *restrict labels, const int4 extent, con
     if (core_is_one(core, pitch, area))
         return (int)*core;
     const region_taps_t taps = taps_around(labels, extent, c);
-    const int middle = CORE / 2;
-    return region_of(&taps, (int)core[(TAP_SLICES > 1 ? middle * area : 0) + middle * pitch + middle]);
+    const int middle = TAPS / 2 - SPARED;
+    core += (middle - MIDDLE(c.ty)) * pitch + middle - MIDDLE(c.tx);
+    return region_of(&taps, (int)core[TAP_SLICES > 1 ? (middle - MIDDLE(c.tz)) * area : 0]);
 }

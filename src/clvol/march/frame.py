@@ -132,9 +132,11 @@ class Frame:
         return self.device.buffers.upload(self.table) if self.other is None else self.other.behind(self.table, self.device)
 
     @property
-    def sought(self) -> tuple[float, ...]:
-        """The stored values whose surfaces are searched for between samples; none for modes that take samples."""
-        return tuple(float(self.coefficients.stored(v)) for v in self.mode.isovalues) if self.mode.stretches else ()
+    def sought(self) -> tuple[float, ...] | None:
+        """The stored values whose sides cells are on, or () for regions, which are all sought; None if modes do not ask."""
+        if self.mode.regions:
+            return ()
+        return tuple(float(self.coefficients.stored(v)) for v in self.mode.isovalues) if self.mode.stretches else None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -281,7 +283,7 @@ class Subject:
 
     def _searched(self, made: Frame, progress: Progress | None) -> Frame:
         """A frame with what is known of its cells, if surfaces are searched for in them."""
-        if self.minmax is None or not (sought := made.sought):
+        if self.minmax is None or (sought := made.sought) is None:
             return made
         return replace(made, sides=self.minmax.sides(sought, progress))
 
