@@ -73,17 +73,22 @@ OUT_OF_LINE float value_one(COEFFICIENTS coefficients, const sample_t *sample, f
     return (float)region_in(coefficients, sample->extent, locate_stored(sample, x, y, z));
 }
 
+INLINE gradient_t scaled_lead(const int winner, const float gradient[3])
+{
+    const float unit = 1.0f + (float)(winner < 0 ? -winner : winner);
+    const gradient_t g = { unit * gradient[0], unit * gradient[1], unit * gradient[2] };
+    return g;
+}
+
 // Of by how much the region there exceeds the next one; in units of the value, like its rounding error.
 OUT_OF_LINE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
 {
     const cell_t c = locate_stored(sample, x, y, z);
     const region_taps_t taps = taps_around(coefficients, sample->extent, c);
     const int winner = region_in(coefficients, sample->extent, c);
-    float gradient[3];
-    lead_between(&taps, c, winner, region_beside(&taps, winner), gradient);
-    const float unit = 1.0f + fabs((float)winner);
-    const gradient_t g = { unit * gradient[0], unit * gradient[1], unit * gradient[2] };
-    return g;
+    float gradient[3], both;
+    lead_between(&taps, c, winner, region_beside(&taps, winner), gradient, &both);
+    return scaled_lead(winner, gradient);
 }
 
 #else

@@ -184,29 +184,42 @@ INLINE region_taps_t taps_around(global const LABEL *restrict labels, const int4
     return taps;
 }
 
-// By how much the weight of one label exceeds that of another, and the gradient of this per sample.
-INLINE scalar lead_between(const region_taps_t *taps, const cell_t c, const int one, const int other, scalar gradient[3])
+// By how much the weight of one label exceeds that of another, and the gradient of this per sample; and the sum of both.
+INLINE scalar lead_between(const region_taps_t *taps, const cell_t c, const int one, const int other, scalar gradient[3], scalar *both)
 {
     scalar slopes_y[WEIGHTS], slopes_z[WEIGHTS];
-    row_t lead = (row_t)(0.0f), along = lead, across = lead, deep = lead;
     unpack_slopes(c.ty, slopes_y);
     unpack_slopes(c.tz, slopes_z);
-    for (int k = 0; k < TAP_SLICES; ++k)
-        for (int j = 0; j < TAPS; ++j) {
-            global const LABEL *row = taps->first + k * taps->area + j * taps->pitch;
-            for (int i = 0; i < CHUNKS; ++i) {
-                const label_row_t labels = CONVERT(*(global const label_row_at *)(row + i * ROW), label_row_t);
+    row_t lead = (row_t)(0.0f), along = lead, across = lead, deep = lead, sum = lead;
+#pragma unroll
+    for (int i = 0; i < CHUNKS; ++i) {
+        row_t sides = (row_t)(0.0f), across_y = sides, across_z = sides, shares = sides;
+        for (int k = 0; k < TAP_SLICES; ++k) {
+            global const LABEL *row = taps->first + k * taps->area + i * ROW;
+            row_t slice = (row_t)(0.0f), slope = slice, share = slice;
+#pragma unroll
+            for (int j = 0; j < TAPS; ++j, row += taps->pitch) {
+                const label_row_t labels = CONVERT(*(global const label_row_at *)row, label_row_t);
                 const row_t side = CONVERT((labels == other) - (labels == one), row_t);
-                const row_t slope = side * tap_slopes(c.tx, i), share = side * taps->x[i];
-                lead = madd((row_t)(taps->y[j] * taps->z[k]), share, lead);
-                along = madd((row_t)(taps->y[j] * taps->z[k]), slope, along);
-                across = madd((row_t)(slopes_y[j] * taps->z[k]), share, across);
-                deep = madd((row_t)(taps->y[j] * slopes_z[k]), share, deep);
+                slice = madd((row_t)(taps->y[j]), side, slice);
+                slope = madd((row_t)(slopes_y[j]), side, slope);
+                share = madd((row_t)(taps->y[j]), side * side, share);
             }
+            sides = madd((row_t)(taps->z[k]), slice, sides);
+            across_y = madd((row_t)(taps->z[k]), slope, across_y);
+            across_z = madd((row_t)(slopes_z[k]), slice, across_z);
+            shares = madd((row_t)(taps->z[k]), share, shares);
         }
+        lead = madd(taps->x[i], sides, lead);
+        along = madd(tap_slopes(c.tx, i), sides, along);
+        across = madd(taps->x[i], across_y, across);
+        deep = madd(taps->x[i], across_z, deep);
+        sum = madd(taps->x[i], shares, sum);
+    }
     gradient[0] = row_sum(along);
     gradient[1] = row_sum(across);
     gradient[2] = row_sum(deep);
+    *both = row_sum(sum);
     return row_sum(lead);
 }
 
