@@ -19,6 +19,7 @@ from clvol.base.errors import DataError, OptionError
 from clvol.base.rounding import in_kind
 from clvol.base.rounding import limits as limits_of_type
 from clvol.device.program import LANES
+from clvol.filter.boundary import REGION_BOUNDARY, Boundary, as_boundary
 from clvol.filter.table import REGION_FILTER, as_filter
 from clvol.spline.build import boundary_defines, filter_defines, point_defines, row_reach, spared_taps
 from clvol.spline.coefficients import OPENCL_TYPES, axis_taps, extent_of
@@ -31,13 +32,12 @@ if TYPE_CHECKING:
     from clvol.base.progress import Progress
     from clvol.device import Device
     from clvol.device.program import Program
-    from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.spline.build import DefineDict
     from clvol.spline.chain import Chain
     from clvol.spline.grids import Target
 
-__all__ = ["Regions", "as_label", "labels_on", "region_filter", "require_no_blending", "require_whole"]
+__all__ = ["Regions", "as_label", "labels_on", "region_boundary", "region_filter", "require_no_blending", "require_whole"]
 
 _RUN = 512  # points for each work-item of a CPU
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
@@ -62,6 +62,12 @@ def region_filter(choice: str | Filter | None) -> Filter:
             f"linear, or bspline2-approx to bspline5-approx; got {row.name!r}"
         )
     return row
+
+
+def region_boundary(choice: str | Boundary | None) -> Boundary:
+    """The rule outside labels with smooth boundaries: what was given, else "nearest"."""
+    unsaid = choice is None or (isinstance(choice, Boundary) and not choice.given)
+    return as_boundary(REGION_BOUNDARY if unsaid else choice)  # type: ignore[arg-type]  # not None
 
 
 def require_no_blending(**options: object) -> None:
