@@ -157,9 +157,14 @@ INLINE real sample_t_of(const ray_t *ray, float n)
     return ENDPOINTS ? MIN(MAX(t, ray->enter + inset), ray->leave - inset) : t;
 }
 
+#if !STRETCHES
+
 // The value of a sample. Ends of rays are not on a plane, nor is the single sample of a ray between two planes.
-INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
+INLINE real sample_value_of(COEFFICIENTS coefficients, global const ulong2 *sides, const sample_t *sample, real t, mask active)
 {
+#if LABELS == 3
+    return name_at(coefficients, sides, sample, t, active);
+#else
     const ray_t *ray = sample->ray;
     const float n = sample->number;
     real value = value_here(coefficients, sample, t, active);
@@ -169,12 +174,11 @@ INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, r
             value = choose(apart, value_at(coefficients, sample, t, apart), value);
     }
     return value;
+#endif
 }
 
-#if !STRETCHES
-
 // Gathers samples number start to stop of the unfinished rays.
-INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame,
+INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const ulong2 *sides, constant frame_t *frame,
                          global const float4 *table, const mask wanted[PACKETS], const float start, const float stop MISSING_TOO)
 {
     plane_t planes[SLAB];   // one per sample number, blended when the first packet needs it
@@ -211,7 +215,7 @@ INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 ext
 #endif
             plane_sample_t on_plane;
             const sample_t sample = { frame, table, extent, ray, plane, &on_plane, n, apart AND_MISSING };
-            const real t = sample_t_of(ray, n), value = sample_value_of(coefficients, &sample, t, active);
+            const real t = sample_t_of(ray, n), value = sample_value_of(coefficients, sides, &sample, t, active);
             going = going & !gather(&state, coefficients, &sample, t, value, active);
             gathered += choose(active, (real)(1.0f), (real)(0.0f));
         }
@@ -242,7 +246,7 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
 #if STRETCHES
         walk_segment(tile, coefficients, extent, sides, frame, table, wanted, start, stop AND_MISSING);
 #else
-        take_samples(tile, coefficients, extent, frame, table, wanted, start, stop AND_MISSING);
+        take_samples(tile, coefficients, extent, sides, frame, table, wanted, start, stop AND_MISSING);
 #endif
     }
 }

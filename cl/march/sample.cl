@@ -14,6 +14,7 @@
 #include "spline/taps.cl"
 #include "spline/pairs.cl"
 #include "spline/cell.cl"
+#include "spline/sides.cl"
 #include "march/camera.cl"
 #include "march/window.cl"
 #include "march/missing.cl"
@@ -72,17 +73,22 @@ OUT_OF_LINE float value_one(COEFFICIENTS coefficients, const sample_t *sample, f
     return (float)region_in(coefficients, sample->extent, locate_stored(sample, x, y, z));
 }
 
+INLINE gradient_t scaled_lead(const int winner, const float gradient[3])
+{
+    const float unit = 1.0f + (float)(winner < 0 ? -winner : winner);
+    const gradient_t g = { unit * gradient[0], unit * gradient[1], unit * gradient[2] };
+    return g;
+}
+
 // Of by how much the region there exceeds the next one; in units of the value, like its rounding error.
 OUT_OF_LINE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
 {
     const cell_t c = locate_stored(sample, x, y, z);
     const region_taps_t taps = taps_around(coefficients, sample->extent, c);
     const int winner = region_in(coefficients, sample->extent, c);
-    float gradient[3];
-    lead_between(&taps, c, winner, region_beside(&taps, winner), gradient);
-    const float unit = 1.0f + fabs((float)winner);
-    const gradient_t g = { unit * gradient[0], unit * gradient[1], unit * gradient[2] };
-    return g;
+    float gradient[3], both;
+    lead_between(&taps, c, winner, region_beside(&taps, winner), gradient, &both);
+    return scaled_lead(winner, gradient);
 }
 
 #else
@@ -166,6 +172,36 @@ INLINE real value_at(COEFFICIENTS coefficients, const sample_t *sample, real t, 
             value.each[i] = value_one(coefficients, sample, x.each[i], y.each[i], z.each[i]);
     return value.all;
 }
+
+#if LABELS == 3
+
+// The same at samples: in cells that are known to hold one name, that is the core's.
+INLINE real name_at(COEFFICIENTS coefficients, global const ulong2 *sides, const sample_t *sample, real t, mask active)
+{
+    constant frame_t *frame = sample->frame;
+    if (!frame->minmax.skipping)
+        return value_at(coefficients, sample, t, active);
+    const int4 extent = sample->extent;
+    const real3 p = at3(sample->ray->origin, sample->ray->direction, t);
+    const float origin = cell_origin(extent.w);
+    const mask x = to_mask(GRID_POSITION(p.x, origin)), y = to_mask(GRID_POSITION(p.y, origin)), z = to_mask(GRID_POSITION(p.z, origin));
+    const int nx = frame->minmax.blocks[0] * BRICKS, ny = frame->minmax.blocks[1] * BRICKS, nz = frame->minmax.blocks[2] * BRICKS;
+    const mask bx = (x - BLOCKS_FROM(frame, 0)) / SIDES_EDGE, by = (y - BLOCKS_FROM(frame, 1)) / SIDES_EDGE, bz = (z - BLOCKS_FROM(frame, 2)) / SIDES_EDGE;
+    const mask known = active & (bx >= 0) & (by >= 0) & (bz >= 0) & (bx < nx) & (by < ny) & (bz < nz);
+    const lane_masks_u looked = { known }, bits = { BIT_OF(x, y, z) };
+    const lane_indices_u at = { (bz * ny + by) * nx + bx }, row = { (z + SPARED) * extent.y + y + SPARED }, column = { x + SPARED };
+    lane_masks_u held = { ~NONE };
+    lanes_u value = { (real)(0.0f) };
+    for (int i = 0; i < LANES; ++i)
+        if (looked.each[i] && !(sides[at.each[i]].x >> bits.each[i] & 1)) {
+            held.each[i] = 0;
+            value.each[i] = coefficients[(size_t)row.each[i] * extent.x + column.each[i]];
+        }
+    const mask unknown = active & held.all;
+    return any_lane(unknown) ? choose(unknown, value_at(coefficients, sample, t, unknown), value.all) : value.all;
+}
+
+#endif
 
 // The gradient in world directions, in a unit (Medium.block) in which float holds its square.
 INLINE real3 gradient_at(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)

@@ -42,21 +42,19 @@ INLINE int matters(const state_t *s, constant frame_t *frame, global const float
     return !transparent(&frame->transfer, table, low, high) && (low != high || any_lane(active & !s->started));
 }
 
-// Rays enter a region at t. The place of the result is that at which half of the light is stopped.
-INLINE void enter_region(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, const real label, const real t, const int face,
-                         mask active)
+// Rays enter a region at t, where its lead has a gradient, or else on a face. The place of the result is that at which half of the light is stopped.
+INLINE void enter_region(state_t *s, const sample_t *sample, const real label, const real t,
+                         const real3 *gradient, mask active)
 {
     color_t color = classify(&sample->frame->transfer, sample->table, label);
     active &= color.opacity > 0.0f;
     if (!any_lane(active))
         return;
-    if (SHADED && !face) {
-        const real3 gradient = gradient_at(coefficients, sample, choose(active, t, sample->ray->enter), active);
-        color = shade(sample->frame, color, gradient, label, sample->ray->world);
-    }
+    if (SHADED && gradient)
+        color = shade(sample->frame, color, *gradient, label, sample->ray->world);
 #if ADDED
     // faces, like those of matter, in front of all samples; a boundary to the sample behind it
-    const real number = face ? sample->ray->begin - 1.0f : (real)(sample->number);
+    const real number = gradient ? (real)(sample->number) : sample->ray->begin - 1.0f;
     add_each(&s->slots, number, color, log_light(color, (real)(1.0f)), active);
 #endif
     const real share = choose(active, s->light * color.opacity, (real)(0.0f)), left = s->light * color.clear;
@@ -65,11 +63,11 @@ INLINE void enter_region(state_t *s, COEFFICIENTS coefficients, const sample_t *
     s->blue = madd(share, color.blue, s->blue);
     const mask here = active & (s->light > 0.5f) & (left <= 0.5f);
     s->depth = choose(here, t, s->depth);
-    s->face = choose_whole(here, (mask)(face ? ~0 : 0), s->face);
+    s->face = choose_whole(here, (mask)(gradient ? 0 : ~0), s->face);
     s->light = choose(active, left, s->light);
 }
 
-INLINE void begin_in(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, const real label, const real t, const mask active)
+INLINE void begin_in(state_t *s, const sample_t *sample, const real label, const real t, const mask active)
 {
     const ray_t *ray = sample->ray;
     mask entry = active & (t <= madd((real)(AT_ENTRY), ray->step, ray->enter));
@@ -77,7 +75,7 @@ INLINE void begin_in(state_t *s, COEFFICIENTS coefficients, const sample_t *samp
     entry &= ray->begin > s->slots.from;   // others were added before
 #endif
     if (any_lane(entry))
-        enter_region(s, coefficients, sample, label, ray->enter, 1, entry);
+        enter_region(s, sample, label, ray->enter, 0, entry);
     s->label = choose(active, label, s->label);
     s->before = choose(active, t, s->before);
     s->started |= active;
@@ -88,14 +86,15 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     const ray_t *ray = sample->ray;
     const mask first = active & !s->started;
     if (any_lane(first))
-        begin_in(s, coefficients, sample, value, t, first);
+        begin_in(s, sample, value, t, first);
     // behind skipped samples, of which none is seen, the region is another one
     mask crossed = active & (s->label != value) & (t - s->before < 1.5f * ray->step);
     const real close = TOLERANCE / square_root(dot3(ray->direction, ray->direction));
     while (any_lane(crossed)) {
         real far = t, entered = value;
-        enclose(coefficients, sample, s->label, s->before, close, &far, &entered, crossed);
-        enter_region(s, coefficients, sample, entered, far, 0, crossed);
+        real3 gradient;
+        enclose(coefficients, sample, s->label, s->before, close, &far, &entered, &gradient, crossed);
+        enter_region(s, sample, entered, far, &gradient, crossed);
         s->label = choose(crossed, entered, s->label);
         s->before = choose(crossed, far, s->before);
         crossed &= (s->label != value) & !finished(s, sample->frame);
@@ -127,7 +126,7 @@ INLINE void restart(state_t *s, mask active) { s->started &= !active; }
 
 INLINE mask gather_face(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real value, mask active)
 {
-    begin_in(s, coefficients, sample, value, sample->ray->enter, active);
+    begin_in(s, sample, value, sample->ray->enter, active);
     return active & finished(s, sample->frame);
 }
 

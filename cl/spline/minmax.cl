@@ -236,6 +236,44 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
 #endif
 }
 
+#if NAMES
+
+// Whether the taps but the spared ones of a cell, counted from `first`, have different names.
+INLINE int differ_in_cell(global const float *restrict coefficients, const int4 extent, const int4 first, const int x, const int y, const int z)
+{
+    const size_t pitch = extent.x, area = pitch * extent.y;
+    int cells[3] = { first.x + x, first.y + y, first.z + z };
+    const int last[3] = { extent.x - TAPS, extent.y - TAPS, extent.z - TAPS };
+    for (int n = 0; n < 3; ++n)
+        cells[n] = MIN(cells[n], last[n]) + SPARED;   // there are none behind the last, but in its block
+    global const float *core = coefficients + cells[2] * area + cells[1] * pitch + cells[0];
+    int differ = 0;
+    for (int k = 0; k < TAPS - 2 * SPARED && !differ; ++k)
+        for (int j = 0; j < TAPS - 2 * SPARED; ++j)
+            for (int i = 0; i < TAPS - 2 * SPARED; ++i)
+                differ |= core[k * area + j * pitch + i] != *core;
+    return differ;
+}
+
+// Whether a cell may hold several names.
+kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
+                       global const float2 *bounds, const float8 sought, const int count, global ulong2 *sides)
+{
+    const int bx = get_global_id(0), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
+    const float2 bound = bounds[((size_t)bz * blocks.y + by) * blocks.x + bx];
+    ulong2 bricks[BRICKS][BRICKS][BRICKS];
+    for (int i = 0; i < BRICKS * BRICKS * BRICKS; ++i)
+        (&bricks[0][0][0])[i] = (ulong2)(0, 0);
+    for (int z = 0; bound.x != bound.y && z < BLOCK; ++z)
+        for (int y = 0; y < BLOCK; ++y)
+            for (int x = 0; x < BLOCK; ++x)
+                if (differ_in_cell(coefficients, extent, first, bx * BLOCK + x, by * BLOCK + y, bz * BLOCK + z))
+                    bricks[z / SIDES_EDGE][y / SIDES_EDGE][x / SIDES_EDGE].x |= (ulong)1 << BIT_OF(x, y, z);
+    store_bricks(sides, &bricks[0][0][0], blocks, bx, by, bz, BRICKS);
+}
+
+#else
+
 // No tighter than whole blocks.
 kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
                        global const float2 *bounds, const float8 sought, const int count, global ulong2 *sides)
@@ -250,6 +288,7 @@ kernel void side_cells(global const float *restrict coefficients, const int4 ext
     store_bricks(sides, &bricks[0][0][0], blocks, bx, by, bz, BRICKS);
 }
 
+#endif
 #endif
 
 // Two blocks along each axis make one of the next level, a row of it for each work-item. Levels: blocks along x, y and z, and where

@@ -141,8 +141,8 @@ kernel void regions_between(global const LABEL *restrict labels, const int4 exte
         const cell_t c = locate_inner(at.x, at.y, at.z, extent.w);
         const int2 pair = pairs[source.first + n];
         const region_taps_t taps = taps_around(labels, extent, c);
-        scalar slope[3];
-        const scalar lead = lead_between(&taps, c, pair.x, pair.y, slope);
+        scalar slope[3], both;
+        const scalar lead = lead_between(&taps, c, pair.x, pair.y, slope, &both);
         results[source.first + n] = (scalar4)(lead, slope[0], slope[1], slope[2]);
     }
 }

@@ -51,7 +51,7 @@ def test_differences_of_weights_are_those_of_the_reference(filter: str, device: 
     pairs = random.integers(0, 5, (500, 2))
     with Regions(volume, region_filter(filter), as_boundary("mirror"), device) as regions:
         got = regions.between(at.T[::-1], pairs)
-    values, slopes = labels_between(volume, volume.index_to_world(at), pairs, filter)
+    values, slopes = labels_between(volume, volume.index_to_world(at), pairs, filter, "mirror")
     assert_allclose(got[:, 0], values, atol=5e-7)
     assert_allclose(got[:, 1:] @ volume.world_to_index_matrix, slopes, atol=2e-6)
 

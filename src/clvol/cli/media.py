@@ -111,7 +111,7 @@ def _medium(text: str, read: Callable[[str], Any], *, whole: bool = False) -> cl
     if cuts := look.cuts():
         given["clip"] = cuts
     volume = read(source)
-    return clvol.Medium(_whole(volume) if whole else volume, boundary=look.boundary, **look.words(), **given)  # type: ignore[arg-type]  # it looks it up
+    return clvol.Medium(_whole(volume) if whole else volume, boundary=look.rule, **look.words(), **given)
 
 
 def _whole(volume: Any) -> Any:

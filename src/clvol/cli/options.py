@@ -16,6 +16,7 @@ import clvol
 from clvol.base.errors import ChunkError, OptionError
 from clvol.bricks.continued import holed
 from clvol.device import as_device
+from clvol.filter import boundary as rules
 from clvol.formats.opening import WholeOnlyError, opened_if
 from clvol.interfaces.movie import series_of
 from clvol.march.options import unheard
@@ -350,7 +351,14 @@ class Look:
             show_default=False,
         ),
     ] = ()
-    boundary: Boundary = "mirror"
+    boundary: Annotated[
+        str | None,
+        Parameter(
+            help=f"{BOUNDARIES} By default mirror; of mode regions, nearest.",
+            completer=_any_of(clvol.boundaries),
+            show_default=False,
+        ),
+    ] = None
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = (
         0.5
     )
@@ -405,6 +413,11 @@ class Look:
         planes = [clvol.Plane(plane[:3], plane[3:]) for plane in self.clip_plane]
         corners = [clvol.Corner(corner[:3], corner[3:]) for corner in self.clip_corner]
         return [*([] if self.clip is None else [(self.clip[:3], self.clip[3:])]), *planes, *corners]
+
+    @property
+    def rule(self) -> rules.Boundary:
+        """The boundary rule."""
+        return rules.UNSAID_BOUNDARY if self.boundary is None else rules.as_boundary(self.boundary)
 
     def words(self) -> dict[str, Any]:
         """The transfer function in words, as `clvol.render` takes it."""

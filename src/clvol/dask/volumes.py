@@ -47,7 +47,7 @@ from clvol.spline.function import fill_value
 from clvol.spline.grids import Anchor, beyond, grid_for
 from clvol.spline.points import Given
 from clvol.spline.reduce import AntiAliasing, Sums, as_anti_aliasing, least_squares, lies_far, low_passed
-from clvol.spline.regions import Regions, as_label, region_filter, require_no_blending
+from clvol.spline.regions import Regions, as_label, region_boundary, region_filter, require_no_blending
 from clvol.spline.resample import along_axes, resample_axes, resample_coefficients
 from clvol.volume.smoothing import settled
 from clvol.volume.stored import wide_enough
@@ -196,7 +196,7 @@ class _Work:
         chosen: Precision = "double" if more else precision or "single"
         return cls(
             row,
-            as_boundary(DEFAULT_BOUNDARY if boundary is None else boundary),
+            region_boundary(boundary) if smooth else as_boundary(DEFAULT_BOUNDARY if boundary is None else boundary),
             chosen,
             more,
             made if kind is None else kind,

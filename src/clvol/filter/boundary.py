@@ -8,7 +8,7 @@ or zero. Everything else follows: the matrix of eq. (11) has row ``i`` and colum
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -18,9 +18,22 @@ from clvol.base.checks import one_of, several, whole
 from clvol.base.errors import OptionError
 from clvol.base.shown import Named
 
-__all__ = ["DEFAULT_BOUNDARY", "Boundary", "BoundaryTable", "Outside", "as_boundary", "boundaries"]
+__all__ = [
+    "DEFAULT_BOUNDARY",
+    "REGION_BOUNDARY",
+    "UNSAID_BOUNDARY",
+    "Boundary",
+    "BoundaryTable",
+    "Outside",
+    "as_boundary",
+    "boundaries",
+    "is_given",
+]
 
 DEFAULT_BOUNDARY = "mirror"
+REGION_BOUNDARY = (
+    "nearest"  # where regions of labels meet the faces: mirrored about outer samples, a ball that is cut would widen again
+)
 
 Outside: TypeAlias = Literal["rule", "clamp", "constant", "grid-constant", "overlap"]
 _OUTSIDE = ("rule", "clamp", "constant", "grid-constant", "overlap")
@@ -54,6 +67,8 @@ class Boundary:
         function between the outer samples is repeated, so that the last sample coincides with the first.
     cval : float
         The value outside for "constant" and "grid-constant"; may be NaN.
+    given : bool
+        False for a default, in place of which labels with smooth boundaries have "nearest".
 
     Raises
     ------
@@ -75,6 +90,7 @@ class Boundary:
     description: str
     outside: Outside = "rule"
     cval: float = 0.0
+    given: bool = field(default=True, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.outside not in _OUTSIDE:
@@ -241,3 +257,11 @@ def as_boundary(choice: str | Boundary) -> Boundary:
     if not isinstance(choice, str) or choice not in _TABLE:
         raise one_of("boundary", choice, _TABLE)
     return _TABLE[choice]
+
+
+def is_given(choice: str | Boundary | None) -> bool:
+    """Whether a rule was chosen, and is no default."""
+    return choice.given if isinstance(choice, Boundary) else choice is not None
+
+
+UNSAID_BOUNDARY = replace(as_boundary(DEFAULT_BOUNDARY), given=False)

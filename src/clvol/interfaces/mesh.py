@@ -25,7 +25,6 @@ from clvol.base.files import require_folder, require_suffix, staged
 from clvol.base.frames import in_frame
 from clvol.base.progress import Progress, part_of, require_callback
 from clvol.device import as_device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interfaces.label_surfaces import as_number, label_surfaces
 from clvol.interfaces.triangles import is_closed, normals_of, parted
@@ -38,7 +37,7 @@ from clvol.scene.preset import Color, label_color
 from clvol.spline.curvature import principal_curvatures
 from clvol.spline.field import opened
 from clvol.spline.function import ContinuousFunction, Frame
-from clvol.spline.regions import region_filter, require_no_blending
+from clvol.spline.regions import region_boundary, region_filter, require_no_blending
 from clvol.volume.histogram import label_numbers
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume, as_volume
@@ -404,11 +403,7 @@ def _of_labels(volume: Volume, closed: bool, options: MeshOptions) -> Mesh:
     if only is not None:
         only = several("only", [only] if isinstance(only, (str, int, np.integer)) else only, "labels, by number or name")
     chosen = sorted(set(names) - {int(background)} if only is None else {as_number(label, names) for label in only})
-    how = (
-        region_filter(options.get("filter")),
-        as_boundary(options.get("boundary") or DEFAULT_BOUNDARY),
-        as_device(options.get("device")),
-    )
+    how = (region_filter(options.get("filter")), region_boundary(options.get("boundary")), as_device(options.get("device")))
     made = label_surfaces(volume, np.array(chosen, np.int64), how, closed, options.get("progress"))
     if made.lost:
         some = ", ".join(map(str, made.lost[:8])) + (", ..." if len(made.lost) > 8 else "")

@@ -14,6 +14,7 @@ from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.bricks.continued import continued, holed, lacks_some
 from clvol.bricks.field import BrickedField, as_lazy
 from clvol.bricks.source import LazyVolume, memory_for
+from clvol.filter.boundary import Boundary, is_given
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.function import extrapolated_samples, lacks_samples, row_for, single
@@ -33,7 +34,6 @@ if TYPE_CHECKING:  # clusters need dask
 
     from clvol.dask.cluster import ClusterLike
     from clvol.device import Device
-    from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.march.cluster import Workers
     from clvol.march.options import Merge
@@ -128,7 +128,9 @@ def _lazy(volume: LazyVolume, row: str | Filter | None, boundary: str | Boundary
     used = row_for(volume, row)
     field = BrickedField(volume, used, boundary, how.device, memory=how.budget(volume), at_once=how.here)
     known = field.coefficients.volume
-    return field, Medium(known, filter=None if row is None else field.filter, boundary=field.boundary)
+    return field, Medium(
+        known, filter=None if row is None else field.filter, boundary=replace(field.boundary, given=is_given(boundary))
+    )
 
 
 def _made(medium: Medium, how: _How) -> tuple[Field | BrickedField, Medium, Volume]:

@@ -22,7 +22,7 @@ from clvol.scene.light import LIGHTS, Material, lights_block
 from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, outlined
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
-from clvol.spline.build import along_defines
+from clvol.spline.build import along_defines, spared_taps
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.minmax import BLOCK, MINMAX, minmax_block
 from clvol.volume.stored import AS_THEY_ARE
@@ -132,9 +132,11 @@ class Frame:
         return self.device.buffers.upload(self.table) if self.other is None else self.other.behind(self.table, self.device)
 
     @property
-    def sought(self) -> tuple[float, ...]:
-        """The stored values whose surfaces are searched for between samples; none for modes that take samples."""
-        return tuple(float(self.coefficients.stored(v)) for v in self.mode.isovalues) if self.mode.stretches else ()
+    def sought(self) -> tuple[float, ...] | None:
+        """The stored values whose sides cells are on, or () for regions, which are all sought; None if modes do not ask."""
+        if self.mode.regions:
+            return ()
+        return tuple(float(self.coefficients.stored(v)) for v in self.mode.isovalues) if self.mode.stretches else None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -217,6 +219,7 @@ class Frame:
             "COLORED": int(self.other is not None),
             **({} if self.other is None else {"MOST_TAPS": MAX_TAPS}),
             "COORD_DOUBLE": 0,
+            **({"SPARED": spared_taps(self.coefficients.filter)} if mode.regions else {}),
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
 
@@ -280,7 +283,7 @@ class Subject:
 
     def _searched(self, made: Frame, progress: Progress | None) -> Frame:
         """A frame with what is known of its cells, if surfaces are searched for in them."""
-        if self.minmax is None or not (sought := made.sought):
+        if self.minmax is None or (sought := made.sought) is None:
             return made
         return replace(made, sides=self.minmax.sides(sought, progress))
 

@@ -62,8 +62,8 @@ class Renderer:
         LazyVolume is read by bricks (`BrickedField`), and so is a volume whose coefficients do not fit on the device.
     filter, boundary : str, Filter, Boundary, optional
         How a volume is reconstructed between its samples; a medium, a scene or a field has its own. By default the boundary is
-        "mirror" and the filter "bspline3(auto)", which smooths the noise that it finds; "bspline3" in modes that show extremes,
-        such as "mip"; and "nearest" for labels (see `filter_of`).
+        "mirror", in mode "regions" "nearest"; the filter "bspline3(auto)", which smooths the noise that it finds; "bspline3" in
+        modes that show extremes, such as "mip"; and "nearest" for labels (see `filter_of`).
     device : Device, str or int, optional
         See `as_device`.
     memory : int, optional

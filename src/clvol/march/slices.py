@@ -37,7 +37,7 @@ from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import Picture
 from clvol.spline.field import as_field
 from clvol.spline.function import ContinuousFunction
-from clvol.spline.regions import Regions
+from clvol.spline.regions import Regions, region_boundary
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume, as_volume
 
@@ -327,7 +327,7 @@ def _function(volume: Any, usual: str, pixel: float, options: SliceOptions) -> I
     if isinstance(volume, Regions):
         yield volume
     elif flag("smooth", options.get("smooth", False)):
-        with regions_of(volume, row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device)) as regions:
+        with regions_of(volume, row, region_boundary(boundary), as_device(device)) as regions:
             yield regions
     elif isinstance(volume, ContinuousFunction):
         yield as_field(volume, row, boundary, device)

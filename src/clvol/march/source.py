@@ -34,7 +34,7 @@ from clvol.spline.evaluator import DIRECT, choose_evaluator, require_direct
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
-from clvol.spline.regions import Regions, region_filter, require_labels
+from clvol.spline.regions import Regions, region_boundary, region_filter, require_labels
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
@@ -232,12 +232,14 @@ class InMemory(OneMedium):
 
     def function(self, mode: Mode, level: int = 0) -> Field:
         whole("level", level, 0, 0)
-        row = self.filter_of(mode)
-        if row == self.field.filter:
+        row, rule = self.filter_of(mode), self.field.boundary
+        if mode.regions:
+            rule = region_boundary(self.scene.media[0].boundary)
+        if (row, rule) == (self.field.filter, self.field.boundary):
             return self.field
         with self._lock:
             if self._unsmoothed is None:
-                self._unsmoothed = single(self.scene.media[0].volume, row, self.field.boundary, self.field.device)
+                self._unsmoothed = single(self.scene.media[0].volume, row, rule, self.field.device)
                 self.lease.frees(self._unsmoothed.close)
             made: Field = self._unsmoothed
             return made
@@ -246,7 +248,7 @@ class InMemory(OneMedium):
         with self._lock:
             if self._regions is None:
                 (medium,) = self.scene.media
-                self._regions = regions_of(medium.volume, medium.filter, self.field.boundary, self.field.device)
+                self._regions = regions_of(medium.volume, medium.filter, region_boundary(medium.boundary), self.field.device)
                 self.lease.frees(self._regions.release)
             return self._regions
 
@@ -349,7 +351,8 @@ class ByBricks(OneMedium):
         if row == field.filter and type(field) is kind:
             return field
         if self._unsmoothed is None:
-            self._unsmoothed = kind(field.volume, row, field.boundary, field.device, edge=field.edge, beside=field)
+            rule = region_boundary(self.scene.media[0].boundary) if mode.regions else field.boundary
+            self._unsmoothed = kind(field.volume, row, rule, field.device, edge=field.edge, beside=field)
             self.lease.frees(self._unsmoothed.close)
         made: BrickedField = self._unsmoothed
         return made

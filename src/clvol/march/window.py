@@ -87,7 +87,7 @@ def brick_inputs(
     missing = nothing = table  # any buffer: it is not read
     if frame.gaps is not None:
         missing, values["gaps"] = frame.gaps.part(brick.low, brick.high, frame.stride)
-    sides = minmax.sides(sought) if minmax is not None and (sought := frame.sought) else nothing
+    sides = minmax.sides(sought) if minmax is not None and (sought := frame.sought) is not None else nothing
     bounds = nothing if minmax is None else minmax.buffer
     block = frame.device.buffers.upload(values[None])
     return made.argument(frame.evaluator), made.extent, bounds, sides, missing, block, table

@@ -483,8 +483,9 @@ class Regions(Mode):
     function for its label and stops the share of light that is its opacity there; opaque by default, except the background.
     Regions that are transparent are passed through. Where the volume or a cut begins inside a region, its face is unlit.
 
-    Things thinner than about two samples shrink or vanish; ``filter="linear"`` keeps the most of
-    them, and ``filter="bspline3-approx"`` more than the default, "bspline5-approx", which is smoothest.
+    Whatever is two samples thick is seen, though smaller. Of what is one thick, plates are, by a weight of 66/120 with the
+    default, "bspline5-approx"; rods (.30) and single samples (.17) are lost to one other label that has the rest, also with
+    ``filter="bspline3-approx"`` (.44, .30); ``filter="linear"`` keeps all.
 
     Parameters
     ----------

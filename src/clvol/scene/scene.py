@@ -17,7 +17,7 @@ from clvol.base.checks import if_image, instance, one_of, suggests_options, warn
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.base.uniform import FLOAT, REACH, Block, Values
-from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.boundary import UNSAID_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 from clvol.interop.dispatch import is_in_parts
@@ -67,8 +67,8 @@ class Medium:
     where : label or sequence of labels, optional
         The labels of `mask` in which the medium is shown.
     boundary : str or Boundary
-        Boundary rule outside its samples. The domain ends half a voxel outside the outer samples, or at the outer samples
-        for "constant" and "overlap", where the function changes there.
+        Boundary rule outside its samples, by default "mirror", and "nearest" for mode "regions". The domain ends half a voxel
+        outside the outer samples, or at the outer samples for "constant" and "overlap", where the function changes there.
     clip : (low, high), Plane, Corner, or a list of these, optional
         What is cut away of this medium alone, beside what `Scene.clip` cuts away of all, and in the same terms. A face shows the
         slice of what is cut there; media that go on in front of it or behind it stay as they are.
@@ -108,7 +108,7 @@ class Medium:
     transfer: TransferFunction | None = None
     material: Material = Material()  # noqa: RUF009  # frozen
     filter: Filter | None = None
-    boundary: Boundary = DEFAULT_BOUNDARY  # type: ignore[assignment]  # __post_init__ looks names up
+    boundary: Boundary = UNSAID_BOUNDARY
     visible: bool = True
     clip: Clip | None = None
     preset: str | None = None

@@ -28,9 +28,12 @@ __all__ = [
     "row_reach",
     "row_width",
     "scalar_defines",
+    "spared_taps",
 ]
 
 DefineDict: TypeAlias = dict[str, str | int | float]
+
+_MAJORITY = 0.51  # of weights, with reserve for their rounding
 
 
 def row_width(filter: Filter) -> int:
@@ -75,6 +78,14 @@ def _filter_defines(filter: Filter, double: bool) -> DefineDict:
         "GRID_SCALE": filter.scale,
         **({"SCALAR_DOUBLE": 1} if double else {}),
     }
+
+
+@lru_cache(maxsize=256)
+def spared_taps(filter: Filter) -> int:
+    """How many outer taps on each side the others of three axes always outvote, with reserve for the rounding of weights."""
+    weights = filter.weights(np.linspace(0, 1, 4097))
+    most = (filter.support - 1) // 2
+    return max(n for n in range(most + 1) if n == 0 or weights[n:-n].sum(0).min() ** 3 > _MAJORITY)
 
 
 def scalar_defines(kind: type[np.generic]) -> DefineDict:

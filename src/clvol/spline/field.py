@@ -42,7 +42,7 @@ from clvol.spline.grids import Target, between, beyond, described, grid_for
 from clvol.spline.lease import Lease
 from clvol.spline.points import Floats, Given, Reals, Transform, sample_coefficients, sample_grid
 from clvol.spline.reduce import as_anti_aliasing, low_passed, nearest_spline, steps_along
-from clvol.spline.regions import labels_on, region_filter, require_no_blending
+from clvol.spline.regions import labels_on, region_boundary, region_filter, require_no_blending
 from clvol.spline.resample import filled, resample_coefficients
 from clvol.volume.missing import as_missing, touching
 from clvol.volume.smoothing import filter_for, settled
@@ -616,7 +616,8 @@ def resample(
         As in `Field.resample`; without `anti_aliasing` larger voxels bring aliases of what is finer. With it no sample may be NaN.
     smooth : bool
         The samples are labels, whole numbers of any type, and the boundaries between them become smooth: see the notes. `filter` is
-        then "bspline5-approx" by default, and may be "linear" or another B-spline without a prefilter; `fill` is a label.
+        then "bspline5-approx" by default, and may be "linear" or another B-spline without a prefilter; `boundary` is
+        "nearest" by default, and `fill` a label.
     filter, boundary, device, nan
         As in `sample`.
     precision : {"single", "double"}, optional
@@ -678,7 +679,7 @@ def resample(
         chain = Chain(as_chain(transform, plain.ndim), grid, device)
         kind = None if dtype is None else as_kind(dtype, plain.data.dtype)
         target = Target(*chain.to_indices(plain), grid.shape, chain if chain.stages else None, fill, None, kind)
-        data = labels_on(target, plain, region_filter(filter), as_boundary(boundary or DEFAULT_BOUNDARY), device, progress)
+        data = labels_on(target, plain, region_filter(filter), region_boundary(boundary), device, progress)
         return replace(plain.placed(data, grid), labels=True if plain.labels is None else plain.labels)
     if plain is not None:
         volume = plain

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device.program import LANES
-from clvol.spline.build import literals
+from clvol.spline.build import literals, spared_taps
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.lease import release
 
@@ -44,7 +44,6 @@ _HULL_TAPS, _HULL_DEGREE = 6, 5  # wider filters would have thousands of control
 _EPSILON = 2.0**-23
 _PAD_LIMIT = 0.01
 _TINIEST = 2.0**-126  # the smallest normal float32; devices may flush smaller numbers to zero
-_MAJORITY = 0.51  # of weights, with reserve for their rounding
 _BLOCKS_A_LAUNCH = 1 << 15  # so that a launch takes less than a quarter of a second
 
 
@@ -89,7 +88,7 @@ def _defines(filter: Filter, blur: float, names: bool) -> DefineDict:
         "TAPS": taps,
         "HULL": int(taps <= _HULL_TAPS and degree <= _HULL_DEGREE and not names),
         "NAMES": int(names),
-        "SPARED": _spared(weights) if names else 0,
+        "SPARED": spared_taps(filter) if names else 0,
         "CONTROLS": degree + 1,
         "SHARED": int(shared),
         "BERNSTEIN": literals(rows),
@@ -102,12 +101,6 @@ def _defines(filter: Filter, blur: float, names: bool) -> DefineDict:
         "LANES": LANES,
         "COORD_DOUBLE": 0,
     }
-
-
-def _spared(weights: NDArray[np.float64]) -> int:
-    """How many taps on each side, of weights (taps, positions), are outvoted by the others of three axes at each position."""
-    most = (len(weights) - 1) // 2
-    return max(n for n in range(most + 1) if n == 0 or weights[n:-n].sum(0).min() ** 3 > _MAJORITY)
 
 
 class MinMax:

@@ -19,8 +19,9 @@ from clvol.base.errors import DataError, OptionError
 from clvol.base.rounding import in_kind
 from clvol.base.rounding import limits as limits_of_type
 from clvol.device.program import LANES
+from clvol.filter.boundary import REGION_BOUNDARY, Boundary, as_boundary, is_given
 from clvol.filter.table import REGION_FILTER, as_filter
-from clvol.spline.build import boundary_defines, filter_defines, point_defines, row_reach
+from clvol.spline.build import boundary_defines, filter_defines, point_defines, row_reach, spared_taps
 from clvol.spline.coefficients import OPENCL_TYPES, axis_taps, extent_of
 from clvol.spline.grids import described, no_shear
 from clvol.spline.lease import release
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from clvol.base.progress import Progress
     from clvol.device import Device
     from clvol.device.program import Program
-    from clvol.filter.boundary import Boundary
     from clvol.filter.filter import Filter
     from clvol.spline.build import DefineDict
     from clvol.spline.chain import Chain
@@ -42,6 +42,7 @@ __all__ = [
     "Regions",
     "as_label",
     "labels_on",
+    "region_boundary",
     "region_filter",
     "require_few_digits",
     "require_labels",
@@ -72,6 +73,11 @@ def region_filter(choice: str | Filter | None) -> Filter:
             f"linear, or bspline2-approx to bspline5-approx; got {row.name!r}"
         )
     return row
+
+
+def region_boundary(choice: str | Boundary | None) -> Boundary:
+    """The rule outside labels with smooth boundaries: what was given, else "nearest"."""
+    return as_boundary(choice if choice is not None and is_given(choice) else REGION_BOUNDARY)
 
 
 def require_no_blending(**options: object) -> None:
@@ -193,7 +199,7 @@ class Regions:
     @property
     def _defines(self) -> DefineDict:
         kind = self._codes.kind
-        about: DefineDict = {"LABEL": OPENCL_TYPES[kind.str[1:]], "LABEL_BYTES": kind.itemsize}
+        about: DefineDict = {"LABEL": OPENCL_TYPES[kind.str[1:]], "LABEL_BYTES": kind.itemsize, "SPARED": spared_taps(self.filter)}
         return {**filter_defines(self.filter), **about, "DIMENSIONS": self.ndim, "LANES": 1}
 
     @property

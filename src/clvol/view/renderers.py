@@ -13,6 +13,7 @@ from clvol.base import memory
 from clvol.base.errors import OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.device import Device
+from clvol.filter.boundary import DEFAULT_BOUNDARY, UNSAID_BOUNDARY, as_boundary
 from clvol.march.renderer import Renderer
 from clvol.scene.mode import as_mode
 from clvol.scene.scene import Scene
@@ -164,13 +165,14 @@ class Renderers:
         given = self._field
         if given is not None and key == (given.filter.name, given.boundary.name, self._catalog.first):
             return Renderer(given)
-        row, boundary, which = key
+        row, name, which = key
+        boundary = UNSAID_BOUNDARY if name == DEFAULT_BOUNDARY else as_boundary(name)
         volume = self._catalog.volume_at(which)
 
         def made() -> Renderer:
             if self._scene is None:
                 return Renderer(volume, row, boundary, self._device)
-            first = replace(self._scene.media[0].with_transfer(None), volume=volume, filter=row, boundary=boundary)  # type: ignore[arg-type]  # names
+            first = replace(self._scene.media[0].with_transfer(None), volume=volume, filter=row, boundary=boundary)  # type: ignore[arg-type]  # a name
             return _OfScene(replace(self._scene, media=(first, *self._scene.media[1:])), device=self._device)
 
         try:

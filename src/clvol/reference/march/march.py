@@ -20,7 +20,7 @@ from clvol.base.arrays import Array
 from clvol.base.checks import one_of
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
-from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.boundary import REGION_BOUNDARY, UNSAID_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.colored import colored
@@ -245,7 +245,7 @@ def render(
     camera: Camera | None = None,
     mode: str | Mode = DEFAULT_MODE,
     filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    boundary: str | Boundary = UNSAID_BOUNDARY,
     size: tuple[int, int] = (64, 64),
     step: float = 0.5,
     *,
@@ -296,6 +296,8 @@ def render(
     if gather is None:
         raise one_of("mode of the reference", chosen.name, MODES)
     rule = as_boundary(boundary)
+    if chosen.regions and not rule.given:
+        rule = as_boundary(REGION_BOUNDARY)
     some_missing = not np.isfinite(volume.data).all()
     present = continued(volume) if some_missing else volume
     taken_off = Stored.of(present, row, rule).offset  # kernels round values minus this

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.arrays import Array
+from clvol.filter.boundary import REGION_BOUNDARY, is_given
 from clvol.filter.table import DEFAULT_FILTER, REGION_FILTER, as_filter
 from clvol.reference.march.colored import colored
 from clvol.reference.march.march import boundaries_by, flat_below, planes_across, shade
@@ -170,7 +171,7 @@ def _regions(
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]]:
     """Regions that rays enter: of each the ray, its place among the samples, its optical thickness and its colour."""
     volume, row = medium.volume, as_filter(medium.filter or REGION_FILTER).name
-    rule = medium.boundary.name if medium.boundary.edge else "mirror"
+    rule = medium.boundary.name if medium.boundary.edge and is_given(medium.boundary) else REGION_BOUNDARY
     lights = [light.placed(view) for light in scene.lights]
     assert medium.transfer is not None
     shades = medium.transfer

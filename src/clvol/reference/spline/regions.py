@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.arrays import Array
-from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.boundary import REGION_BOUNDARY, Boundary, as_boundary
 from clvol.reference.spline.points import sample
 from clvol.volume.volume import Volume, as_volume
 
@@ -17,7 +17,7 @@ __all__ = ["labels_at", "labels_between", "lead_gradient"]
 
 
 def labels_at(
-    volume: Volume | ArrayLike, points: ArrayLike, filter: str = "bspline5-approx", boundary: str = DEFAULT_BOUNDARY
+    volume: Volume | ArrayLike, points: ArrayLike, filter: str = "bspline5-approx", boundary: str = REGION_BOUNDARY
 ) -> tuple[NDArray[Any], Array]:
     """The label at points of the world, and by how much its weight exceeds the next one's.
 
@@ -39,7 +39,7 @@ def labels_at(
 
 
 def lead_gradient(
-    volume: Volume | ArrayLike, points: ArrayLike, filter: str = "bspline5-approx", boundary: str = DEFAULT_BOUNDARY
+    volume: Volume | ArrayLike, points: ArrayLike, filter: str = "bspline5-approx", boundary: str = REGION_BOUNDARY
 ) -> Array:
     """The gradient, per world unit, of by how much the largest weight at points exceeds the next one; shape (..., d)."""
     _, weights = _weights(as_volume(volume), points, filter, boundary)
@@ -61,7 +61,7 @@ def labels_between(
     points: ArrayLike,
     pairs: ArrayLike,
     filter: str = "bspline5-approx",
-    boundary: str = DEFAULT_BOUNDARY,
+    boundary: str = REGION_BOUNDARY,
 ) -> tuple[Array, Array]:
     """By how much one label's weight exceeds another's at points of the world, and the gradient of this per world unit.
 
