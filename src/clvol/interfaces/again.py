@@ -190,6 +190,8 @@ def _from(path: Path, known: dict[str, Any], *, by_bricks: bool) -> Volume | Laz
             f"{path} shows {source}, which is not there any more (seen from the folder of the picture): give the volume"
         )
     filled = known.pop("fill_nan", None)
+    if isinstance(known.get("labels"), str):
+        known["labels"] = path.absolute().parent / known["labels"]
     try:
         if by_bricks and known.get("missing") is None and filled is None:
             return opened(place, **known)

@@ -16,7 +16,7 @@ from clvol.scene.preset import label_color
 from clvol.scene.scene import Medium
 from clvol.view import media
 from clvol.view.state import LabelState, State
-from clvol.volume.volume import Volume
+from clvol.volume.volume import Volume, table_of
 from clvol.volume.volumes import Volumes
 
 __all__ = ["Catalog", "Which"]
@@ -38,8 +38,7 @@ class _Listing:
 
     def __init__(self, volume: Volume) -> None:
         self.numbers = labels.numbers_of(volume)
-        names = volume.labels if isinstance(volume.labels, dict) else {}
-        self._names = {number: name.casefold() for number, name in names.items()}
+        self._names = {number: name.casefold() for number, name in table_of(volume).items()}
 
     @cached_property
     def _texts(self) -> list[str]:

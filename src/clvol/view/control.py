@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
 from clvol.bricks.field import BrickedField
+from clvol.labels import name_of
 from clvol.march.renderer import Renderer
 from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
@@ -228,8 +229,8 @@ def _values(volume: Volume, field: Field | BrickedField, point: NDArray[np.float
     if field.filter.has_gradient:
         slope = np.asarray(field.gradient(point[None])[0], np.float64)
         found |= {"gradient": slope.tolist(), "steepness": float(np.linalg.norm(slope))}
-    if isinstance(volume.labels, dict):
-        found["label"] = volume.labels.get(round(value), "")
+    if volume.is_labels:
+        found["label"] = name_of(volume, round(value))
     return found
 
 
