@@ -40,8 +40,8 @@ def table(source: str | os.PathLike[str] | Mapping[int, LabelRow]) -> LabelTable
     source : path-like or mapping
         A file, of which the rows say what it is: a color table of FreeSurfer (``FreeSurferColorLUT.txt``, rows of ``number
         name R G B T``, T the transparency) or 3D Slicer (``.ctbl``, ``number name R G B A``, A the opacity; they begin with
-        ``# Color table file``, or have 255 there for half of the labels), or label descriptions of ITK-SNAP (``number R G B A VIS MSH
-        "name"``; what is not visible has the opacity 0). Or rows, as of `LabelTable`.
+        ``# Color table file``, or have 255 there for half of the labels), or label descriptions of ITK-SNAP (``number R G B A
+        VIS MSH "name"``; what is not visible has the opacity 0). Or rows, as of `LabelTable`.
 
     Returns
     -------

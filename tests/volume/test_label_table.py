@@ -22,7 +22,12 @@ FREESURFER = """#$Id: FreeSurferColorLUT.txt $
 17  Left-Hippocampus                        220 216 20  0   1
 1035 ctx-lh-insula                          255 192 32  51
 """
-SLICER = "# Color table file organs.ctbl\n# 3 values\n0 Background 0 0 0 0\n17 Left-Hippocampus 220 216 20 255\n1035 insula 255 192 32 204\n"
+SLICER = """# Color table file organs.ctbl
+# 3 values
+0 Background 0 0 0 0
+17 Left-Hippocampus 220 216 20 255
+1035 insula 255 192 32 204
+"""
 ITK_SNAP = """################################################
 # ITK-SnAP Label Description File
 # IDX   -R-  -G-  -B-  -A--  VIS MSH  LABEL
@@ -121,9 +126,9 @@ def test_labels_are_chosen_by_their_names() -> None:
     assert labels.only(volume, ["liver", 7]).data.tolist() == [[[0, 0, 1, 0, 7]]]
     assert labels.without(volume, "liver").data.tolist() == [[[0, 0, 0, 2, 7]]]
     assert not labels.only(volume, ["none"]).data.any()
-    with pytest.raises(OptionError, match=r"no label has this name; did you mean 'liver'\?; got 'livre'"):
+    with pytest.raises(OptionError, match=r"no label has this name \(did you mean liver\?\); got 'livre'"):
         labels.only(volume, ["livre"])
-    with pytest.raises(OptionError, match="a name must be that of one label.* 'twin' is of 2, 7"):
+    with pytest.raises(OptionError, match=r"a name must be that of one label.* 'twin' is of 2, 7"):
         labels.without(volume, ["twin"])
 
 
