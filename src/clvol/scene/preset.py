@@ -189,7 +189,8 @@ def shades(color: Sequence[float]) -> tuple[Color, ...]:
 def of_labels(volume: Volume) -> tuple[Colors, Opacities]:
     """Each label in the colour and opacity of its row, up to halfway to the next integer; the background is transparent.
 
-    Without a row it has the colour of `label_color` and is opaque; a warning says so, if other labels have colours.
+    Without a row it has the colour of `label_color` and is opaque. A warning says so, if the table has more colours than half of
+    the labels that occur: fewer are of some that are to stand out.
     """
     background, numbers = label_numbers(volume)
     own = table_of(volume)
@@ -205,7 +206,7 @@ def of_labels(volume: Volume) -> tuple[Colors, Opacities]:
         for end in (label - 0.5, label + 0.5):
             colors.append((end, color if opacity else BLACK))
             opacities.append((end, opacity))
-    if missing:
+    if missing and 2 * len(shades) > len(numbers):
         some = ", ".join(map(str, missing[:_NAMED])) + (", ..." if len(missing) > _NAMED else "")
         warn(f"the table of labels has no color for {len(missing)} of those that occur: {some}; they have colors for their numbers")
     return tuple(colors), tuple(opacities)

@@ -130,7 +130,9 @@ class Control:
     def _accepted(self, new: State, *, whole: bool) -> State:
         """The state, unless only the volume can refuse it; where another volume is shown the camera stays as it was fitted."""
         state, resident = self.state, self._resident
-        required = [(one.index, one.labels, one.media, one.furniture) for one in (new, state)]  # all that `require` depends on
+        required = [
+            (one.index, one.labels, one.label_rows, one.media, one.furniture) for one in (new, state)
+        ]  # all that `require` depends on
         if required[0] != required[1]:
             resident.catalog.require(new)
         if replace(new, index=state.index, labels=state.labels) != state:

@@ -113,7 +113,8 @@ class Resident:
         A state keeps what only another mode or filter would show; a picture does not take it. `bare` leaves out what stands around.
         """
         given: dict[str, Any] = {"camera": camera_of(state), "mode": state.mode, "step": state.step, **self.beside}
-        words: dict[str, Any] = state.words if state.transfer is None else {"transfer": state.transfer}
+        given_by_words = state.transfer is None and self.catalog.labelled(state) is self.catalog.volume_of(state)
+        words: dict[str, Any] = state.words if given_by_words else {"transfer": self.transfer(state)}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
         if state.cuts:
             words["clip"] = [*([state.clip] if state.clip else []), *state.cuts]
@@ -161,7 +162,7 @@ class Resident:
 
     def transfer(self, state: State) -> TransferFunction:
         """The transfer function of the volume's picture."""
-        return state.transfer or look(self.catalog.volume_of(state), self.mode(state), **state.words)
+        return state.transfer or look(self.catalog.labelled(state), self.mode(state), **state.words)
 
     def placed(self, state: State, aspect: float) -> Camera:
         """The camera with its target, as a picture of this aspect ratio has it."""
