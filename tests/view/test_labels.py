@@ -186,6 +186,16 @@ def test_the_edited_function_covers_all_labels(view: View, client: Client) -> No
     assert np.array_equal(drawn, view.resident.transfer(State())([0, 2]))
 
 
+def test_regions_are_picked_by_their_names(client: Client) -> None:
+    """On their smooth boundary, where the B-spline of the labels themselves is between them."""
+    client.set(mode="regions")
+    client.still()
+    at = {"what": "pick", "x": 0.62 * SIZE[0], "y": SIZE[1] / 2}
+    client.session.receive({"type": "do", "id": 1, **at})
+    found, _ = client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
+    assert (found["value"], found["label"], found["gradient"]) == (2, "right ball", None)
+
+
 def test_hidden_labels_cannot_be_picked(client: Client) -> None:
     at = {"what": "pick", "x": 0.62 * SIZE[0], "y": SIZE[1] / 2}
     client.session.receive({"type": "do", "id": 1, **at})

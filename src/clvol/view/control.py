@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,7 @@ from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
 from clvol.scene.mode import as_mode
 from clvol.spline.field import Field
+from clvol.spline.regions import Regions
 from clvol.view import events
 from clvol.view.events import Context, Inputs
 from clvol.view.panes import Pane3D, PaneSize, SlicePane, triple
@@ -30,10 +33,19 @@ from clvol.view.state import History, State
 from clvol.volume.histogram import label_numbers
 from clvol.volume.volume import Volume
 
+if TYPE_CHECKING:
+    from clvol.device import Device
+    from clvol.filter.boundary import Boundary
+    from clvol.filter.filter import Filter
+
 __all__ = ["Control"]
+
+_Values: TypeAlias = Callable[[NDArray[np.float64]], NDArray[Any]]
+"""What is shown at points of the world, shape (n, 3)."""
 
 _PAUSE = 0.1  # seconds after which a pointer that is down counts as resting
 _WHEEL_REST = 0.12  # likewise after a wheel's or a slider's last step
+_AROUND = 4  # samples around a place, on which the region of a label there depends, and one more
 _PROBES = 17  # of a label, along a step of a ray
 _GESTURE = 1.0  # seconds between steps of a wheel or a key that still are one step of undo
 
@@ -213,22 +225,39 @@ def _picked(resident: Resident, context: Context, state: State, name: str, x: fl
         raise OptionError("nothing can be picked before the coefficients are computed")
     with resident.renderers.renderer(*key) as renderer:
         volume, arguments = renderer.volume, resident.arguments(state, bare=True)
+        field, regions = renderer.field, False
+        values: _Values = field
         if isinstance(pane, SlicePane):
             point: NDArray[np.float64] | None = pane.point(x, y)
-            field = renderer.field
         else:
             point = _hit(renderer, pane, x, y, arguments)
-            field = renderer._source.function(as_mode(arguments["mode"]))
+            mode = as_mode(arguments["mode"])
+            values = field = renderer._source.function(mode)
+            if regions := mode.regions:
+                values = partial(_regions_at, volume, (field.filter, field.boundary, field.device))
             if point is not None and volume.is_labels:
-                point = _in_label(volume, field, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
+                point = _in_label(volume, values, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
         found: dict[str, Any] = {"pane": name, "x": x, "y": y, "units": volume.units, "position": None}
-        return found if point is None or not _within(volume, point) else found | _values(volume, field, point)
+        if point is None or not _within(volume, point):
+            return found
+        return found | _found(volume, values, None if regions else field, point)
 
 
-def _values(volume: Volume, field: Field | BrickedField, point: NDArray[np.float64]) -> dict[str, Any]:
-    value = float(field(point[None])[0])
+def _regions_at(volume: Volume, how: tuple[Filter, Boundary, Device], points: NDArray[np.float64]) -> NDArray[Any]:
+    """The labels of the regions that some neighbouring points are in, from the samples around them."""
+    index = volume.world_to_index(points)
+    low = np.clip(np.floor(index.min(0)) - _AROUND, 0, np.array(volume.size) - 1).astype(int)
+    high = np.clip(np.ceil(index.max(0)) + _AROUND + 1, low + 1, volume.size).astype(int)
+    part = volume.crop(low.tolist(), high.tolist())
+    with Regions(part, *how) as regions:
+        return regions.at(part.world_to_index(points)[:, ::-1].T)
+
+
+def _found(volume: Volume, values: _Values, field: Field | BrickedField | None, point: NDArray[np.float64]) -> dict[str, Any]:
+    """What is at a point; with the gradient of a field, if there is one."""
+    value = float(values(point[None])[0])
     found = {"position": point.tolist(), "index": volume.world_to_index(point).tolist(), "value": value, "gradient": None}
-    if field.filter.has_gradient:
+    if field is not None and field.filter.has_gradient:
         slope = np.asarray(field.gradient(point[None])[0], np.float64)
         found |= {"gradient": slope.tolist(), "steepness": float(np.linalg.norm(slope))}
     if volume.is_labels:
@@ -256,7 +285,7 @@ def _hit(renderer: Renderer, pane: Pane3D, x: float, y: float, arguments: dict[s
 
 
 def _in_label(
-    volume: Volume, field: Field | BrickedField, point: NDArray[np.float64], way: NDArray[np.float64], step: float
+    volume: Volume, values: _Values, point: NDArray[np.float64], way: NDArray[np.float64], step: float
 ) -> NDArray[np.float64]:
     """The point itself, or the first behind it that is in a label: what a sample shows begins up to a step before it.
 
@@ -264,7 +293,7 @@ def _in_label(
     """
     ahead = point + np.linspace(0, 1, _PROBES)[:, None] * step * way / np.linalg.norm(way)
     background, _ = label_numbers(volume)
-    solid = np.flatnonzero(np.round(field(ahead)) != background)
+    solid = np.flatnonzero(np.round(values(ahead)) != background)
     return np.asarray(ahead[solid[0]] if solid.size else point)
 
 

@@ -27,7 +27,7 @@ _OF_ITK_SNAP = re.compile(r'(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d*\.?\d+|\d+\.)\s+
 
 
 class LabelTable(Mapping[int, str]):
-    """Names of labels by their numbers, and the colours and opacities that they have.
+    """Names of labels by their numbers, in ascending order, and the colours and opacities that they have.
 
     It may have rows for labels that a volume has not, and a volume labels without a row. See `Volume` and `clvol.labels.table`.
 
@@ -53,7 +53,8 @@ class LabelTable(Mapping[int, str]):
     def __init__(self, rows: Mapping[int, LabelRow]) -> None:
         if not isinstance(rows, Mapping):
             raise OptionError(f"labels must be a mapping from whole numbers to {_RULE}; got {rows!r:.200}")
-        self._rows = {whole("each label", label): _row(label, row) for label, row in rows.items()}
+        known = {whole("each label", label): _row(label, row) for label, row in rows.items()}
+        self._rows = dict(sorted(known.items()))
 
     def __getitem__(self, label: int) -> str:
         return self._rows[label][0] or ""
