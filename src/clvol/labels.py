@@ -33,7 +33,7 @@ def name_of(volume: Volume, number: int) -> str:
 
 
 def table(source: str | os.PathLike[str] | Mapping[int, LabelRow]) -> LabelTable:
-    r"""The table of labels in a text file of FreeSurfer, 3D Slicer or ITK-SNAP, or of rows.
+    """The table of labels in a text file of FreeSurfer, 3D Slicer or ITK-SNAP, or of rows.
 
     Parameters
     ----------
@@ -57,10 +57,9 @@ def table(source: str | os.PathLike[str] | Mapping[int, LabelRow]) -> LabelTable
 
     Examples
     --------
-    >>> import pathlib, clvol
-    >>> _ = pathlib.Path("organs.ctbl").write_text("# Color table file\n1 liver 220 80 60 255\n2 skin 255 228 196 64\n")
-    >>> clvol.labels.table("organs.ctbl")[1]
-    'liver'
+    >>> import clvol
+    >>> table = clvol.labels.table("organs.ctbl")
+    >>> volume = clvol.read("organs.nii.gz", labels=table)
     """
     if isinstance(source, Mapping):
         return source if isinstance(source, LabelTable) else LabelTable(source)
