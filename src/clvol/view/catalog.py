@@ -19,7 +19,7 @@ from clvol.view.state import LabelState, State
 from clvol.volume.volume import Volume, table_of
 from clvol.volume.volumes import Volumes
 
-__all__ = ["Catalog", "Which"]
+__all__ = ["Catalog", "Which", "labelled"]
 
 _KEPT = 64  # volumes that were shown and are remembered
 _LISTED = 200  # labels that a client is sent at once
@@ -164,11 +164,6 @@ class Catalog:
         """The volume that a state shows, with the labels that are seen."""
         return self.volume_at(self.which(state))
 
-    def labelled(self, state: State) -> Volume:
-        """The same, with the colours and opacities of labels that the state changes."""
-        volume, rows = self.volume_of(state), state.label_rows
-        return labels.with_table(volume, rows) if rows and volume.is_labels else volume
-
     def volume_at(self, which: Which) -> Volume:
         """A volume with the labels that are seen."""
         viewed = self._viewed(which)
@@ -228,3 +223,9 @@ class Catalog:
     def mark_known(self, which: Which) -> None:
         """Remember that it was."""
         self._viewed(which).known = True
+
+
+def labelled(volume: Volume, state: State) -> Volume:
+    """The volume of a state, with the colours and opacities of labels that the state changes."""
+    rows = state.label_rows
+    return labels.with_table(volume, rows) if rows and volume.is_labels else volume

@@ -20,6 +20,7 @@ from clvol.march.renderer import Renderer
 from clvol.march.slices import plane_points, shaded
 from clvol.show.picture import Picture, heat, to_bytes
 from clvol.view.background import started
+from clvol.view.catalog import labelled
 from clvol.view.events import Context
 from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane
@@ -27,7 +28,6 @@ from clvol.view.resident import Resident
 from clvol.view.sketch import Sketch
 from clvol.view.state import State
 from clvol.view.wiper import joined
-from clvol.volume.volume import Volume
 
 __all__ = ["WHOLE", "Drawer", "Order", "Shot", "has_sketch", "jpeg", "opaque", "png", "share_visited"]
 
@@ -218,7 +218,7 @@ class Drawer:
             if name != "3d":
                 shape = self._slice_size(size, order.budget) if coarse else size
                 began = time.perf_counter()
-                pixels = to_bytes(_slice(renderer, order, shape, self._resident.catalog.labelled(state)))
+                pixels = to_bytes(_slice(renderer, order, shape))
                 self._slice_rate = (time.perf_counter() - began) / (shape[0] * shape[1])
                 yield Shot(pixels, not coarse)
             elif state.heat:
@@ -244,11 +244,11 @@ def has_sketch(state: State) -> bool:
     return state.wiper is None and not state.heat
 
 
-def _slice(renderer: Renderer, order: Order, size: tuple[int, int], volume: Volume) -> NDArray[Any]:
+def _slice(renderer: Renderer, order: Order, size: tuple[int, int]) -> NDArray[Any]:
     state, pane = order.state, order.context.pane(order.state, order.name)
     assert isinstance(pane, SlicePane)  # by its name
     values = renderer.field(plane_points(pane.middle, pane.right, pane.down, pane.pixel(size), size), fill=np.nan)
-    return shaded(values, volume, state.window, state.cmap, state.background)
+    return shaded(values, labelled(renderer.volume, state), state.window, state.cmap, state.background)
 
 
 def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generator[Shot, None, None]:
