@@ -339,7 +339,8 @@ def slices(world: World, random: Random) -> Any:
 def meshes(world: World, random: Random) -> Any:
     found = clvol.mesh(_volume(world, random), "1sigma", closed=bool(random.integers(2)), curvature=True)
     labels = clvol.Volume(random.integers(0, 4, (5, 6, 7)).astype(np.uint8), labels=True)
-    between = clvol.mesh(labels, only=[0, 3], filter="linear")
+    labels = clvol.labels.with_table(labels, {3: ("three", "red", 0.5)})
+    between = clvol.mesh(labels, only=[0, "three"], filter="linear")
     one = between.of(3)
     return [found.vertices, found.faces, found.normals, found.curvature, between.vertices, between.labels, one.faces, one.normals]
 

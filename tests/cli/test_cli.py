@@ -24,6 +24,7 @@ import zarr
 import clvol
 from clvol import cli
 from clvol.base import checks
+from clvol.cli.options import Input
 from clvol.cli.root import app
 from clvol.device import Device
 from clvol.scene.look import look
@@ -981,6 +982,24 @@ def test_resample_omits_results_that_missing_samples_touch(clvol_command: Comman
     clvol_command("resample", "gap.npz", "-o", "a.npz", "--magnify", "2").fails(1, "samples must be finite")
     assert clvol_command("resample", "gap.npz", "-o", "a.npz", "--magnify", "2", "--nan", "local").code == 0
     assert np.isnan(clvol.read("a.npz").data).sum() == 7**3  # a cubic reaches less than two samples on each side
+
+
+def test_labels_have_a_table_and_are_chosen_by_their_names(clvol_command: Command) -> None:
+    data = np.array([[[0, 1, 2, 7]]], np.uint8).repeat(3, 1)
+    clvol.write(clvol.Volume(data, labels={7: "spleen"}), "labels.npz")
+    Path("table.txt").write_text("1 liver 255 0 0 0\n2 skin 0 0 255 51\n", encoding="utf-8")
+    words = ("labels.npz", "--labels", "table.txt", "-o", "some.npz", "--only-labels")
+    assert clvol_command("convert", *words, "skin", "7", "1", "--without-labels", "liver").code == 0
+    some = clvol.read("some.npz")
+    assert some.data[0, 0].tolist() == [0, 0, 2, 7]
+    assert some.labels == clvol.labels.LabelTable({1: ("liver", "red", 1), 2: ("skin", "blue", 0.8), 7: "spleen"})
+    clvol_command("convert", *words, "skim").fails(1, "did you mean skin?")
+    clvol_command("info", "labels.npz", "--labels", "labels.npz").fails(1, "labels.npz must be a table of labels")
+    assert "\nlabels: 1 liver, 2 skin, 7 spleen\n" in clvol_command("info", "some.npz").out
+    assert (
+        Input(labels=Path("t.txt"), only_labels=("skin", "7")).python("a.nrrd")
+        == "clvol.labels.only(clvol.read('a.nrrd', labels='t.txt'), ['skin', 7])"
+    )
 
 
 def test_resample_keeps_labels_with_smooth_boundaries(clvol_command: Command) -> None:

@@ -105,6 +105,33 @@ def test_hidden_labels_are_background(
     assert not client.of("status")
 
 
+@pytest.mark.parametrize("pane", ["3d", "z"])
+def test_other_colours_and_opacities_are_those_of_the_table(client: Client, volume: Volume, device: Device, pane: str) -> None:
+    """In pictures, slices and copied programs; hidden labels stay hidden."""
+    if pane != "3d":
+        client.set(layout="slice", active=pane)
+        client.still(pane)
+        client.forget()
+    client.set(label_colors={"1": [0, 0, 1]}, label_opacities={"1": 0.25}, labels={"hidden": [2]})
+    _, shown = client.still(pane)
+    state = client.session.state
+    given = View(clvol.labels.with_table(volume, {1: (None, "blue", 0.25)}), device=device)
+    given.state = State.from_json(state.json() | {"label_colors": {}, "label_opacities": {}})
+    other = Client(given)
+    other.resize(*SIZE)
+    _, expected = other.still(pane)
+    other.close()
+    given.close()
+    assert np.array_equal(shown, expected)
+    assert shown[..., 2].max() > 2 * shown[..., 0].max()
+    assert np.array_equal(shown[..., :3], copied(client, volume))
+    assert from_url(client.session.url()) == from_toml(client.session.toml()) == state
+    assert "colours and opacities of labels" in client.session.toml()
+    client.set(label_colors={"9": [0, 0, 1]})
+    told, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
+    assert "labels must be some of the volume's; got 9" in told["text"]
+
+
 def test_the_other_ball_stays_in_place(client: Client, volume: Volume, device: Device) -> None:
     """By pixel colours and by the centres of both balls."""
     pictures = {}
@@ -175,6 +202,16 @@ def test_slices_beside_regions_have_their_boundaries(client: Client, volume: Vol
         client.session.receive({"type": "do", "what": "pick", "id": number, "pane": "z", "x": x + 0.5, "y": y + 0.5})
         reply, _ = client.wait(lambda m, number=number: m["type"] == "reply" and m["id"] == number)  # type: ignore[misc]
         assert colors[reply["value"]] == tuple(shown[y, x, :3].tolist())
+
+
+def test_regions_are_picked_by_their_names(client: Client) -> None:
+    """On their smooth boundary, where the B-spline of the labels themselves is between them."""
+    client.set(mode="regions")
+    client.still()
+    at = {"what": "pick", "x": 0.62 * SIZE[0], "y": SIZE[1] / 2}
+    client.session.receive({"type": "do", "id": 1, **at})
+    found, _ = client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
+    assert (found["value"], found["label"], found["gradient"]) == (2, "right ball", None)
 
 
 def test_hidden_labels_cannot_be_picked(client: Client) -> None:
@@ -254,7 +291,7 @@ def test_of_thousands_of_labels_some_are_listed_and_all_are_found(device: Device
     info, _ = client.wait(lambda m: m["type"] == "info")
     assert info["labels"]["count"] == 4999
     assert [row[0] for row in info["labels"]["rows"]] == list(range(1, 201))
-    assert info["labels"]["rows"][16] == [17, "right hippocampus", list(label_color(17))]
+    assert info["labels"]["rows"][16] == [17, "right hippocampus", list(label_color(17)), 1.0]
 
     def found(words: Any) -> dict[str, Any]:
         client.session.receive({"type": "do", "what": "labels", "id": str(words)[:9], "words": words})

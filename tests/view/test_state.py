@@ -24,6 +24,8 @@ def test_any_state_round_trips_through_its_text(seed: int) -> None:
     which = {
         "cuts": chance.choice([[], [{"normal": [1, -2, 0.3], "point": [5, 6, 7]}, {"low": [1, None, 3], "high": [None, None, 4]}]]),
         "labels": chance.choice([None, {"hidden": chance.sample(range(-9, 99), 3)}, {"shown": chance.sample(range(99), 2)}]),
+        "label_colors": chance.choice([{}, {"7": [0, 0.5, 1], "-3": [1, 1, 1]}]),
+        "label_opacities": chance.choice([{}, {"12": 0.25}]),
         "furniture": chance.choice([{}, {"color_bar": True, "title": "µ"}, {"time_stamp": 0.0, "axes": True}]),
         "index": chance.choice([{}, {"time": chance.randrange(9), "channel": chance.choice([1, "luminance"])}]),
     }
@@ -74,6 +76,9 @@ def test_any_state_round_trips_through_its_text(seed: int) -> None:
         ({"furniture.theme": "print"}, "furniture.theme must be left out"),
         ({"furniture.title": "a" * 999}, "furniture.title must have at most 200 characters; got 999"),
         ({"furniture.legend": True}, "furniture.legend is no field"),
+        ({"label_colors": {"x": [0, 0, 1]}}, "each of the labels of label_colors must be a whole number"),
+        ({"label_colors": {"1": [0, 0, 2]}}, "label_colors.1 must be three numbers in 0..1"),
+        ({"label_opacities.1": 2}, "label_opacities.1 must be"),
         ({"labels": {}}, "labels must have one of hidden and shown; got neither"),
         ({"labels": {"hidden": [1], "shown": [2]}}, "hidden and shown; got both"),
         ({"labels": {"hiden": [1]}}, "labels.hiden is no field"),

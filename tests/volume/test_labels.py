@@ -103,7 +103,7 @@ def test_recognised_labels_stay_labels() -> None:
 def test_rejects_other_volumes_and_invalid_labels() -> None:
     with pytest.raises(OptionError, match="the volume must be a label map"):
         labels.only(Volume(np.random.default_rng(0).normal(size=(4, 4, 4))), [1])
-    with pytest.raises(OptionError, match=r"each label must be a whole number; got 1\.5"):
+    with pytest.raises(OptionError, match=r"a label must be a whole number; got 1\.5"):
         labels.without(Volume(np.zeros((2, 2, 2), np.uint8), labels=True), [1.5])  # type: ignore[list-item]
-    with pytest.raises(OptionError, match=r"labels must be a sequence of whole numbers; got 7"):
+    with pytest.raises(OptionError, match=r"labels must be a sequence of whole numbers and names; got 7"):
         labels.without(Volume(np.zeros((2, 2, 2), np.uint8), labels=True), 7)  # type: ignore[arg-type]

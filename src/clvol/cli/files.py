@@ -30,6 +30,7 @@ from clvol.cli.options import (
     Whole,
     bytes_of,
     is_address,
+    label_of,
     whole_numbers,
 )
 from clvol.cli.root import DATA, command
@@ -44,6 +45,7 @@ from clvol.volume.volumes import Leading
 __all__ = ["convert", "info", "mesh", "pyramid", "resample"]
 
 _LONGEST = 40  # characters of a header's entry that is shown
+_LISTED = 100  # labels that are named
 
 
 @command(DATA)
@@ -188,7 +190,8 @@ def _labels(volume: clvol.Volume) -> Any:
 def _labels_text(volume: clvol.Volume) -> str:
     if not isinstance(volume.labels, Mapping):
         return "yes: regions, which are never blended" if volume.is_labels else ""
-    return ", ".join(f"{number} {name}" for number, name in volume.labels.items())
+    rows = [f"{number} {name}".strip() for number, name in volume.labels.items()]
+    return ", ".join(rows[:_LISTED]) + (f", and {len(rows) - _LISTED} more" if len(rows) > _LISTED else "")
 
 
 def _plain(value: Any) -> Any:
@@ -370,7 +373,7 @@ def mesh(
         Of coordinates, for a volume of a patient.
     """
     given = dict(vars(meshing or Meshing()))
-    given["only"] = [int(label) if label.lstrip("-").isdecimal() else label for label in given["only"]] or None
+    given["only"] = list(map(label_of, given["only"])) or None
     require_writable(output, MESHES, "meshes")
     if given["curvature"] and output.suffix.lower() != ".ply":
         raise OptionError(f"--curvature is kept by .ply alone; got {output.name}")

@@ -90,8 +90,8 @@ class Others:
         how = {name: own.pop(name) for name in ("filter", "boundary") if name in own}
         if str(source).startswith("phantom:"):
             raise OptionError(f"--all-channels is for files; {source} has one")
-        if reader.fill_nan is not None:
-            raise OptionError("--all-channels takes no --fill-nan: samples that are NaN are left out")
+        if reader.is_changed:
+            raise OptionError("--all-channels takes no --fill-nan, for samples that are NaN are left out, and no choice of labels")
         if reader.channel is not None or self.colors is not None or own:
             raise OptionError("--all-channels have colours of their own: leave out --channel, --colors, --preset and the like")
         volumes = reader.read_all(source)

@@ -18,6 +18,7 @@ from clvol.bricks.continued import holed
 from clvol.device import as_device
 from clvol.filter import boundary as rules
 from clvol.formats.opening import WholeOnlyError, opened_if
+from clvol.interfaces.again import parted
 from clvol.interfaces.movie import series_of
 from clvol.march.options import unheard
 from clvol.scene.fit import usual_camera
@@ -51,6 +52,7 @@ __all__ = [
     "bytes_of",
     "bytes_text",
     "is_address",
+    "label_of",
     "own_options",
     "whole_numbers",
 ]
@@ -65,6 +67,11 @@ def whole_numbers(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
         except ValueError:
             raise CoercionError(token=token, target_type=int) from None
     return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
+
+def label_of(text: str) -> int | str:
+    """The number or the name of a label."""
+    return int(text) if re.fullmatch(r"-?\d+", text) else text
 
 
 def bytes_of(text: str) -> int:
@@ -129,6 +136,8 @@ def _figure_names() -> Iterable[str]:
 # -- how INPUT is read ---------------------------------------------------------------------------------------
 
 _INPUT = Group("Which volume of SOURCE, and how to read it", sort_key=2)
+_LABELS: dict[str, Any] = {"negative": "", "consume_multiple": True}
+_AFTER = ("fill_nan", "only_labels", "without_labels")  # changes of samples that were read
 _LOOK = Group("What to show, and how", sort_key=3)
 _OWN = Group("Options of the mode", sort_key=4)
 
@@ -164,6 +173,17 @@ class Input:
         Parameter(help="Value that replaces NaN and infinite samples, or 'smoothly'; by default pictures leave them out."),
     ] = None
 
+    labels: Annotated[
+        Path | None,
+        Parameter(help="Table of names, colours and opacities of labels: a text file of FreeSurfer, 3D Slicer or ITK-SNAP."),
+    ] = None
+    only_labels: Annotated[
+        tuple[str, ...], Parameter(help="Labels, by number or name, that are kept.", show_default=False, **_LABELS)
+    ] = ()
+    without_labels: Annotated[
+        tuple[str, ...], Parameter(help="Labels, by number or name, that become background.", show_default=False, **_LABELS)
+    ] = ()
+
     def read(self, source: str | Path) -> clvol.Volume:
         """The volume, or the chosen one of several."""
         volume = self.intact(source)
@@ -177,10 +197,10 @@ class Input:
         if (phantom := self._phantom(source)) is not None:
             return phantom
         try:
-            return self._filled(clvol.read(source, **self._given()))
+            return self._changed(clvol.read(source, **self._given()))
         except ChunkError:
-            if isinstance(self.fill_nan, str):
-                return self._filled(holed(clvol.open(source, **self._given())).whole())
+            if self._takes_all:
+                return self._changed(holed(clvol.open(source, **self._given())).whole())
             return self._opened(source)
 
     def open(self, source: str | Path) -> clvol.LazyVolume | clvol.Volume:
@@ -190,7 +210,7 @@ class Input:
             return self._remote(source)
         if (phantom := self._phantom(source)) is not None:
             return phantom
-        if isinstance(self.fill_nan, str):
+        if self._takes_all:
             return self.read(source)
         try:
             return self._opened(source)
@@ -205,7 +225,7 @@ class Input:
         self._require_one()
         if is_address(source):
             return self._remote(source)
-        if str(source).startswith("phantom:") or isinstance(self.fill_nan, str):
+        if str(source).startswith("phantom:") or self._takes_all:
             return None
         return opened_if(source, wanted, **self._given(), missing=self.fill_nan)
 
@@ -217,6 +237,8 @@ class Input:
         """The volume at an address."""
         if isinstance(self.fill_nan, str):
             raise OptionError("--fill-nan smoothly is for files; give a value for an address")
+        if self.only_labels or self.without_labels:
+            raise OptionError("--only-labels and --without-labels are for files, which are read whole; got an address")
         return self._opened(source)
 
     def _require_one(self) -> None:
@@ -225,8 +247,8 @@ class Input:
 
     def read_all(self, source: str | Path) -> clvol.Volumes:
         """All volumes; along axes for which an index was given, only that one."""
-        if self.volume not in (None, "all") or self.fill_nan is not None:
-            raise OptionError("--volume all takes neither the number of a volume nor --fill-nan")
+        if self.volume not in (None, "all") or self.is_changed:
+            raise OptionError("--volume all takes neither the number of a volume nor --fill-nan, --only-labels or --without-labels")
         if (phantom := self._phantom(source)) is not None:
             return clvol.Volumes([phantom])
         given = self._given()
@@ -236,11 +258,11 @@ class Input:
     def playing(self, source: str | Path, limits: Mapping[str, Any]) -> list[clvol.Volume | clvol.LazyVolume]:
         """The volumes along the times of a file, or else its volumes; the chosen one, if one was chosen."""
         self._require_one()
-        if self.fill_nan is None:
+        if not self.is_changed:
             return series_of(source, limits, **self._given())
-        if isinstance(self.fill_nan, str) or self.volume is not None or self.time is not None:
+        if self._takes_all or self.volume is not None or self.time is not None:
             return [self.intact(source)]
-        return [self._filled(one) if isinstance(one, clvol.Volume) else one for one in series_of(source, limits, **self._given())]
+        return [self._changed(one) if isinstance(one, clvol.Volume) else one for one in series_of(source, limits, **self._given())]
 
     def python(self, source: str | Path) -> str | None:
         """The call in Python that reads the volume; None if there is no short one."""
@@ -250,7 +272,10 @@ class Input:
         if is_address(source):
             return f"{self.python_opened(source)}.whole()"
         filled = "" if self.fill_nan is None else f".filled({'' if self.fill_nan == 'smoothly' else self.fill_nan})"
-        return _call("clvol.read", source, given) + filled
+        text = _call("clvol.read", source, given) + filled
+        for what, labels in self._chosen_labels.items():
+            text = f"clvol.labels.{what.removesuffix('_labels')}({text}, {labels!r})"
+        return text
 
     def python_opened(self, source: str | Path) -> str:
         """The call in Python that opens the volume."""
@@ -268,14 +293,31 @@ class Input:
         given: dict[str, Any] = {}
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is not None and value is not False and (field.name, value) != ("volume", "all") and field.name != "fill_nan":
+            if value is not None and value is not False and (field.name, value) != ("volume", "all") and field.name not in _AFTER:
+                value = str(value) if isinstance(value, Path) else value
                 number = isinstance(value, str) and field.name in ("channel", "series") and value.isdecimal() and len(value) < 10
                 given[field.name] = int(value) if number else value
         return given
 
     def noted(self) -> dict[str, Any]:
         """How the volume is read, as a picture's file says it."""
-        return self._given() | ({} if self.fill_nan is None else {"fill_nan": self.fill_nan})
+        return self._given() | ({} if self.fill_nan is None else {"fill_nan": self.fill_nan}) | self._chosen_labels
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether samples are changed after they were read."""
+        return self.fill_nan is not None or bool(self._chosen_labels)
+
+    @property
+    def _takes_all(self) -> bool:
+        """Whether this needs all samples."""
+        return isinstance(self.fill_nan, str) or bool(self._chosen_labels)
+
+    @property
+    def _chosen_labels(self) -> dict[str, list[int | str]]:
+        """Labels that are kept, and those that are removed, if some are given."""
+        given = {"only_labels": self.only_labels, "without_labels": self.without_labels}
+        return {what: [label_of(text) for text in texts] for what, texts in given.items() if texts}
 
     def _phantom(self, source: str | Path) -> clvol.Volume | None:
         if not str(source).startswith("phantom:"):
@@ -286,10 +328,10 @@ class Input:
         volume = clvol.phantoms.by_name(str(source).removeprefix("phantom:"))
         return volume if self.spacing is None else replace(volume, spacing=self.spacing)
 
-    def _filled(self, volume: clvol.Volume) -> clvol.Volume:
-        if self.fill_nan is None:
-            return volume
-        return volume.filled(None if self.fill_nan == "smoothly" else self.fill_nan)
+    def _changed(self, volume: clvol.Volume) -> clvol.Volume:
+        if self.fill_nan is not None:
+            volume = volume.filled(None if self.fill_nan == "smoothly" else self.fill_nan)
+        return parted(volume, self._chosen_labels)
 
 
 def _call(function: str, source: str | Path, given: Mapping[str, Any]) -> str:

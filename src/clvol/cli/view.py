@@ -242,7 +242,7 @@ def _read(reader: Input, name: str, device: str | None = None) -> tuple[Volume |
 
 def _all(reader: Input, name: str) -> tuple[Volume | Volumes, str | None]:
     """All volumes of a small file on one grid; along axes for which an index was given, only that one."""
-    if name.startswith("phantom:") or reader.volume is not None or reader.fill_nan is not None or reader.leading(name).total == 1:
+    if name.startswith("phantom:") or reader.volume is not None or reader.is_changed or reader.leading(name).total == 1:
         return reader.read(name), reader.python(name)
     found = reader.read_all(name)
     if len(found) == 1:  # an index was given for each axis

@@ -22,6 +22,7 @@ from clvol.formats._files import require_bytes, require_default, require_members
 from clvol.formats._layout import lay_out, unnamed
 from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
+from clvol.volume.label_table import LabelTable
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
@@ -78,7 +79,7 @@ def read_archive(path: Path, choose: Choice) -> Content:
             said = json.loads(str(array("about", "U")))
             geometry |= {name: said[name] for name in _ABOUT if name in said}
             if isinstance(named := geometry.get("labels"), dict):  # the keys of JSON are strings
-                geometry["labels"] = {int(label): name for label, name in named.items()}
+                geometry["labels"] = {int(label): row for label, row in named.items()}
         leading = None
         if "leading" in members:
             said = json.loads(str(array("leading", "U")))
@@ -98,7 +99,9 @@ def write_archive(what: Volume | Volumes, path: Path) -> None:
 
 
 def _plain(value: object) -> object:
-    """An object of a header, as JSON can hold it."""
+    """An object of a header, or a table of labels, as JSON can hold it."""
+    if isinstance(value, LabelTable):
+        return value.rows
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else str(value)
 
 

@@ -132,10 +132,9 @@ def _segments(name: str, fields: dict[str, str]) -> list[_Segment]:
 
 def _described(segments: list[_Segment]) -> dict[str, Any]:
     """Arguments of `Volume` for labels."""
-    colors = {str(one.label): one.color for one in segments if one.color is not None}
     return {
-        "labels": {one.label: one.name for one in segments},
-        "header": {"segments": [asdict(one) for one in segments], "label_colors": colors},
+        "labels": {one.label: (one.name, one.color) for one in segments},
+        "header": {"segments": [asdict(one) for one in segments]},
     }
 
 

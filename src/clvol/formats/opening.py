@@ -19,7 +19,7 @@ from clvol.bricks.source import LazyVolume
 from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, options_of, zarr
 from clvol.formats._choice import Choice, Pick
 from clvol.formats._errors import foreign_errors
-from clvol.formats.reading import misplaced, sorted_out
+from clvol.formats.reading import LabelSource, misplaced, replacing, sorted_out
 from clvol.formats.zarr.addresses import said, shown
 from clvol.interop.kinds import Content
 from clvol.volume.provenance import note
@@ -47,6 +47,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     spacing: Sequence[float] | None = None,
     origin: Sequence[float] | None = None,
     direction: ArrayLike | None = None,
+    labels: LabelSource | None = None,
     byte_order: str | None = None,
     offset: int = 0,
     missing: float | None = None,
@@ -69,6 +70,8 @@ def open(  # noqa: A001  # as files are opened: clvol.open
         The first of the stored levels, by default 0, the largest. The coarser ones become `LazyVolume.levels`.
     spacing, origin, direction : optional
         Replace the file's geometry of the largest level; the others move with it.
+    labels : bool, path-like or mapping, optional
+        As of `clvol.read`.
     missing : float, optional
         Replaces samples that are NaN or infinite, which otherwise are an error when they are read.
     storage_options : mapping, optional
@@ -114,6 +117,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     """
     arguments = {name: value for name, value in locals().items() if name != "path"}
     choices, given, replaced = sorted_out(arguments)
+    again = arguments | {"labels": replaced.get("labels")}  # not the path of a table, which may be relative
     choice = Choice(choices)
     held_to = allowed(trusted, limits)
     if isinstance(path, str) and "://" in path:
@@ -124,7 +128,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
             raise FormatError(f"{name} must be a Zarr store, for these alone are read by their address; download the file first")
         with foreign_errors(f"open {name}", partial(said, address=path, options=storage_options)):
             contents = zarr.lazily(path, _Once(choice.given), **options, storage_options=storage_options)
-        lazy = opened(name, contents, replaced, missing).reopened_by(partial(open, path, **arguments))
+        lazy = opened(name, contents, replaced, missing).reopened_by(partial(open, path, **again))
         note(lazy, name, arguments)
         return lazy
     if storage_options is not None:
@@ -141,7 +145,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
         contents = lazily(file, _Once(choice.given), **options)
     if not contents:
         raise _whole_only(file, chosen)
-    lazy = opened(str(file), contents, replaced, missing).reopened_by(partial(open, file.absolute(), **arguments))
+    lazy = opened(str(file), contents, replaced, missing).reopened_by(partial(open, file.absolute(), **again))
     note(lazy, file, arguments)
     return lazy
 
@@ -217,8 +221,9 @@ def opened(name: str, contents: Sequence[Content], replaced: dict[str, Any], mis
                 )
             own = replaced
             if number and own:
-                own = _moved(contents[0][1], known, volumes[0].grid)
-            coarser = LazyVolume(data, **(known | own), missing=missing, **beside)
+                moved = own.keys() - {"labels"}
+                own = {**own, **(_moved(contents[0][1], known, volumes[0].grid) if moved else {})}
+            coarser = LazyVolume(data, **replacing(own, known), missing=missing, **beside)
             if volumes:
                 _require_one_place(name, number, volumes[0], coarser)
             volumes.append(coarser)

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 from numpy.typing import ArrayLike, DTypeLike
 
@@ -19,11 +19,27 @@ from clvol.formats._files import Reader
 from clvol.formats.guarded.limits import Budget, Limits, limited, size_of
 from clvol.formats.guarded.worker import call, prepare
 from clvol.formats.table import format_of, options_of
+from clvol.labels import LabelTable, table
+from clvol.volume.label_table import LabelRow
 from clvol.volume.provenance import note
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
-__all__ = ["allowed", "begin_to_read", "called", "leading_of", "misplaced", "read", "read_all", "series_of", "sorted_out"]
+__all__ = [
+    "allowed",
+    "begin_to_read",
+    "called",
+    "leading_of",
+    "misplaced",
+    "read",
+    "read_all",
+    "replacing",
+    "series_of",
+    "sorted_out",
+]
+
+LabelSource: TypeAlias = bool | str | os.PathLike[str] | Mapping[int, LabelRow]
+"""Whether samples are labels, or their table."""
 
 _CHOICES = ("volume", "time", "position", "channel")
 _GEOMETRY = ("spacing", "origin", "direction")
@@ -44,6 +60,7 @@ def read(
     spacing: Sequence[float] | None = None,
     origin: Sequence[float] | None = None,
     direction: ArrayLike | None = None,
+    labels: LabelSource | None = None,
     byte_order: str | None = None,
     offset: int = 0,
     trusted: bool = False,
@@ -78,6 +95,9 @@ def read(
         Raw files only, and required there: type of the samples.
     spacing, origin, direction : optional
         As of `Volume`, replacing what the file says; any format.
+    labels : bool, path-like or mapping, optional
+        Whether samples are labels, or a table of their names, colours and opacities, as of `clvol.labels.table`: a text file of
+        FreeSurfer, 3D Slicer or ITK-SNAP, or rows. What it leaves open is as the file says.
     byte_order : {"little", "big"}, optional
         Raw files only: overrides the byte order of `dtype`.
     offset : int, optional
@@ -124,6 +144,7 @@ def read(
     >>> volume = clvol.read("head.nii.gz")
     >>> frame = clvol.read("bold.nii.gz", volume=12)
     >>> nuclei = clvol.read("cells.ome.tif", channel="DAPI", time=3)
+    >>> brain = clvol.read("aseg.mgz", labels="FreeSurferColorLUT.txt")
     >>> volume = clvol.read("engine.raw", shape=(128, 256, 256), dtype="uint8", spacing=(1, 1, 2))
     """
     arguments = locals()
@@ -145,6 +166,7 @@ def read_all(
     spacing: Sequence[float] | None = None,
     origin: Sequence[float] | None = None,
     direction: ArrayLike | None = None,
+    labels: LabelSource | None = None,
     trusted: bool = False,
     limits: Limits | None = None,
 ) -> Volumes:
@@ -156,7 +178,7 @@ def read_all(
         As of `read`.
     time, channel, position : optional
         Restrict an axis, as in `read`.
-    series, level, spacing, origin, direction, trusted, limits : optional
+    series, level, spacing, origin, direction, labels, trusted, limits : optional
         As of `read`.
 
     Returns
@@ -256,11 +278,21 @@ def called(
 
 
 def sorted_out(arguments: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """Of the arguments of `read`: the choices of volumes, the options of a format, and the geometry that replaces the file's."""
+    """Of the arguments of `read`: the choices of volumes, the options of a format, and what replaces the file's."""
     given = {name: value for name, value in arguments.items() if value is not None}
     options = {name: given.get(name) for name in ("series", "level", "shape", "dtype", "byte_order")}
     choices, replaced = ({name: given[name] for name in names if name in given} for names in (_CHOICES, _GEOMETRY))
+    if "labels" in given:
+        replaced["labels"] = given["labels"] if isinstance(given["labels"], bool) else table(given["labels"])
     return choices, options | {"offset": given.get("offset") or None}, replaced
+
+
+def replacing(replaced: Mapping[str, Any], about: Mapping[str, Any]) -> dict[str, Any]:
+    """What is known of a volume, and what replaces it: a table of labels goes over that of the file."""
+    made = {**about, **replaced}
+    if isinstance(made.get("labels"), LabelTable) and isinstance(own := about.get("labels"), Mapping):
+        made["labels"] = made["labels"].over(own)
+    return made
 
 
 def misplaced(source: object, error: GeometryError, unplaced: str) -> GeometryError:
@@ -282,7 +314,7 @@ def _read(arguments: Mapping[str, Any], whole: bool = False) -> Volume | Volumes
             pick = choice(path.name, Leading())  # refuses a choice among one
             geometry = geometry | pick.about
         unplaced = geometry.pop("unplaced", "")
-        geometry |= replaced
+        geometry = replacing(replaced, geometry)
         try:
             return Volumes(data, **geometry) if "leading" in geometry else Volume(data, **geometry)
         except DataError as error:

@@ -18,6 +18,7 @@ from clvol.bricks.source import LazyVolume
 from clvol.device import Device, as_device
 from clvol.formats import read
 from clvol.formats.opening import open as opened
+from clvol.labels import only, without
 from clvol.march.recipe import Recipe
 from clvol.march.renderer import Renderer
 from clvol.phantoms import by_name
@@ -26,7 +27,7 @@ from clvol.show.picture import Picture, read_recipe, stored
 from clvol.volume.provenance import facts_of, provenance_of
 from clvol.volume.volume import Volume
 
-__all__ = ["render_again"]
+__all__ = ["parted", "render_again"]
 
 
 def render_again(
@@ -190,12 +191,22 @@ def _from(path: Path, known: dict[str, Any], *, by_bricks: bool) -> Volume | Laz
             f"{path} shows {source}, which is not there any more (seen from the folder of the picture): give the volume"
         )
     filled = known.pop("fill_nan", None)
+    chosen: dict[str, list[int | str]] = {what: known.pop(what) for what in ("only_labels", "without_labels") if what in known}
+    if isinstance(known.get("labels"), str):
+        known["labels"] = path.absolute().parent / known["labels"]
     try:
-        if by_bricks and known.get("missing") is None and filled is None:
+        if by_bricks and known.get("missing") is None and filled is None and not chosen:
             return opened(place, **known)
-        return _filled(read(place, **known), filled)
+        return parted(_filled(read(place, **known), filled), chosen)
     except TypeError as error:
         raise FormatError(f"{path} says how {source} was read in a way that this version does not know: {error}") from error
+
+
+def parted(volume: Volume, chosen: Mapping[str, list[int | str]]) -> Volume:
+    """A volume with its "only_labels", and without its "without_labels", which in the shell are options of how it is read."""
+    if "only_labels" in chosen:
+        volume = only(volume, chosen["only_labels"])
+    return without(volume, chosen["without_labels"]) if "without_labels" in chosen else volume
 
 
 def _filled(volume: Volume, fill: object) -> Volume:

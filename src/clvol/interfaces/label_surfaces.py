@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base import memory
-from clvol.base.checks import did_you_mean, whole
 from clvol.base.errors import MissingDependencyError, OptionError
 from clvol.base.progress import Progress, part_of
 from clvol.interfaces.triangles import normals_of
 from clvol.spline.grids import Target
 from clvol.spline.regions import Regions
+from clvol.volume.label_table import LabelTable
 
 if TYPE_CHECKING:
     from clvol.device import Device
@@ -51,15 +51,8 @@ class LabelSurfaces(NamedTuple):
 
 
 def as_number(label: object, names: Mapping[int, str]) -> int:
-    """The number of a label that is given by its number or its name, among these."""
-    if isinstance(label, str):
-        for number, name in names.items():
-            if label and name == label:
-                return number
-        known = sorted(name for name in names.values() if name)
-        listed = ", ".join(known) or "none"
-        raise OptionError(f"no label has this name{did_you_mean(label, known)}; got {label!r}, and names are: {listed}")
-    number = whole("a label", label)
+    """The number of a label that is given by its number or its name, and is one of these."""
+    number = LabelTable(names).number_of(label)
     if number not in names:
         some = ", ".join(map(str, list(names)[:_LISTED])) + (", ..." if len(names) > _LISTED else "")
         raise OptionError(f"the label must be one that occurs: {some or 'none does'}; got {number}")

@@ -22,8 +22,9 @@ from clvol.scene.fit import box_around
 from clvol.scene.mode import BY_LABEL, colored_by
 from clvol.show.furniture import Bar, Furnished, Furniture, Stage, furnished, on
 from clvol.show.picture import as_pictures
+from clvol.volume.histogram import label_numbers
 from clvol.volume.provenance import facts_of, provenance_of, recognise
-from clvol.volume.volume import Volume
+from clvol.volume.volume import Volume, table_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +38,6 @@ __all__ = ["CLASSES", "Recipe", "Staged", "grid_of", "staged"]
 VERSION = 1
 """Of the text; another is refused."""
 
-_MOST_LABELS = 256
 _FORCED = ("evaluator", "fetch")  # limits of a device that change roundings
 
 
@@ -158,18 +158,22 @@ def grid_of(facts: Mapping[str, Any]) -> Volume:
 
 
 def _relative(known: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
-    """A path of a file as seen from a folder, and that of its mask; absolute for no folder."""
+    """A path of a file as seen from a folder, and those of its mask and table of labels; absolute for no folder."""
     if "mask" in known:
         known = {**known, "mask": _relative(known["mask"], folder)}
+    if isinstance(known.get("labels"), str):
+        known = {**known, "labels": _seen_from(folder, known["labels"])}
     path = str(known["path"])
-    if "://" in path or path.startswith("phantom:"):
-        return dict(known)
+    return dict(known) if "://" in path or path.startswith("phantom:") else {**known, "path": _seen_from(folder, path)}
+
+
+def _seen_from(folder: Path | None, path: str) -> str:
     absolute = os.path.abspath(path)  # noqa: PTH100  # links stay as they were given
     try:
         seen = absolute if folder is None else os.path.relpath(absolute, folder)
     except ValueError:  # another drive
         seen = absolute
-    return {**known, "path": Path(seen).as_posix()}
+    return Path(seen).as_posix()
 
 
 # -- making it ------------------------------------------------------------------------------------------------------------------
@@ -282,9 +286,7 @@ def _bar(look: ResolvedLook) -> Bar:
         volume = other.volume
     labels: Mapping[int, str] | None = None
     if volume.is_labels:
-        labels = volume.labels if isinstance(volume.labels, Mapping) else None
-        if labels is None:
-            labels = {int(value): str(int(value)) for value in np.unique(volume.data)[:_MOST_LABELS]}
+        labels = {label: table_of(volume).get(label, "") for label in map(int, label_numbers(volume)[1].tolist())}
     if other is not None and other.transfer is not None:
         return Bar(other.transfer, False, volume.name, labels)
     return Bar(look.transfer, look.mode.shows == "matter", colored_by(look.mode).replace(BY_LABEL, "") or volume.name, labels)

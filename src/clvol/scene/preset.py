@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import one_of, warn
-from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.shown import Named
 from clvol.volume.histogram import Matter, label_numbers, matter_of, may_be_hounsfield
-from clvol.volume.volume import Volume
+from clvol.volume.volume import Volume, table_of
 
 __all__ = [
     "Color",
@@ -60,6 +59,7 @@ _BOTH = (-1, _COLD), (1, _WARM)
 _ACROSS = 110  # smallest diagonal in units of length, as in a cube of 64 samples along each axis
 _GOLDEN = 0.6180339887498949  # fraction of the hue circle per label: neighbouring numbers get distant hues, and no two the same
 _TONES = ((0.62, 0.98), (0.85, 0.85), (0.42, 0.92))  # saturation and value, in turn
+_NAMED = 8  # labels in a message
 _GREEN = (0.25, 0.95, 0.40)
 _THIN_STACK = 0.25  # of its narrower side, up to which a stack is thin
 _LIT = 0.5  # of the samples, what glows in the dark
@@ -187,22 +187,35 @@ def shades(color: Sequence[float]) -> tuple[Color, ...]:
 
 
 def of_labels(volume: Volume) -> tuple[Colors, Opacities]:
-    """Each label in its colour, opaque, up to halfway to the next integer; the background is transparent."""
+    """Each label in the colour and opacity of its row, up to halfway to the next integer; the background is transparent.
+
+    Without a row it has the colour of `label_color` and is opaque. A warning says so, if the table has more colours than half of
+    the labels that occur: fewer are of some that are to stand out.
+    """
     background, numbers = label_numbers(volume)
+    own = table_of(volume)
+    shades, seen = own.colors, own.opacities
     colors: list[tuple[float, Color]] = []
     opacities: list[tuple[float, float]] = []
-    for number in numbers.tolist():
-        opacity = float(number != background)
-        for end in (number - 0.5, number + 0.5):
-            colors.append((end, label_color(int(number), volume) if opacity else BLACK))
+    missing: list[int] = []
+    for label in map(int, numbers.tolist()):
+        opacity = 0.0 if label == background else seen.get(label, 1.0)
+        if opacity and shades and label not in shades:
+            missing.append(label)
+        color = shades.get(label) or label_color(label)
+        for end in (label - 0.5, label + 0.5):
+            colors.append((end, color if opacity else BLACK))
             opacities.append((end, opacity))
+    if missing and 2 * len(shades) > len(numbers):
+        some = ", ".join(map(str, missing[:_NAMED])) + (", ..." if len(missing) > _NAMED else "")
+        warn(f"the table of labels has no color for {len(missing)} of those that occur: {some}; they have colors for their numbers")
     return tuple(colors), tuple(opacities)
 
 
 def label_color(number: int, volume: Volume | None = None) -> Color:
-    """The colour of a label: that of the volume's file, else one for its number; neighbouring numbers have distinct colours."""
-    if volume is not None and str(number) in (given := volume.header.get("label_colors", {})):
-        return color_of("a label's color", given[str(number)])
+    """The colour of a label: that of the volume's table, else one for its number; neighbouring numbers have distinct colours."""
+    if volume is not None and number in (given := table_of(volume).colors):
+        return given[number]
     return colorsys.hsv_to_rgb((0.02 + _GOLDEN * (number - 1)) % 1, *_TONES[number % len(_TONES)])
 
 

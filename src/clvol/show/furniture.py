@@ -341,10 +341,9 @@ def _color_bar(stage: Stage, bar: Bar, right: float) -> tuple[list[Mark], float]
 def _legend(stage: Stage, labels: Mapping[int, str], transfer: TransferFunction, right: float) -> tuple[list[Mark], float]:
     """The colours of labels with their names."""
     font = stage.font
-    shown = [(label, name) for label, name in sorted(labels.items()) if transfer(float(label))[3] > 0]
-    rows: list[tuple[Points | None, str]] = [
-        (transfer(float(label))[:3], name or str(label)) for label, name in shown[:_MOST_LABELS]
-    ]
+    numbers = sorted(labels)
+    shown = [(look[:3], labels[label] or str(label)) for label, look in zip(numbers, transfer(numbers), strict=True) if look[3] > 0]
+    rows: list[tuple[Points | None, str]] = [*shown[:_MOST_LABELS]]
     if len(shown) > _MOST_LABELS:
         rows.append((None, f"and {len(shown) - _MOST_LABELS} more"))
     across = 0.62 * font * max((len(name) for _, name in rows), default=0)

@@ -16,10 +16,10 @@ from clvol.scene.preset import label_color
 from clvol.scene.scene import Medium
 from clvol.view import media
 from clvol.view.state import LabelState, State
-from clvol.volume.volume import Volume
+from clvol.volume.volume import Volume, table_of
 from clvol.volume.volumes import Volumes
 
-__all__ = ["Catalog", "Which"]
+__all__ = ["Catalog", "Which", "labelled"]
 
 _KEPT = 64  # volumes that were shown and are remembered
 _LISTED = 200  # labels that a client is sent at once
@@ -38,8 +38,7 @@ class _Listing:
 
     def __init__(self, volume: Volume) -> None:
         self.numbers = labels.numbers_of(volume)
-        names = volume.labels if isinstance(volume.labels, dict) else {}
-        self._names = {number: name.casefold() for number, name in names.items()}
+        self._names = {number: name.casefold() for number, name in table_of(volume).items()}
 
     @cached_property
     def _texts(self) -> list[str]:
@@ -116,10 +115,11 @@ class Catalog:
         place, seen = self.which(state)
         media.require(self.media, state)
         state.furniture.require_shown(self.volume.space)
-        if state.labels is not None and self.volumes is None:  # else another of them may have such labels
-            if seen is None:
-                raise OptionError(f"labels must be left out, for the volume is no label map; got {state.labels!r:.200}")
-            chosen = np.array(state.labels.hidden or state.labels.shown or (), np.float64)
+        rows = state.label_rows
+        if (state.labels is not None or rows) and self.volumes is None:  # else another of them may have such labels
+            if not self.volume.is_labels:
+                raise OptionError(f"labels must be left out, for the volume is no label map; got {state.labels or rows!r:.200}")
+            chosen = np.array([*rows, *((seen and (seen.hidden or seen.shown)) or ())], np.float64)
             numbers = self._listing(Which(place)).numbers
             if unknown := [int(n) for n in chosen[~labels.among(numbers, chosen)]]:
                 raise OptionError(f"labels must be some of the volume's; got {', '.join(map(str, unknown[:8]))}, which it has not")
@@ -200,7 +200,7 @@ class Catalog:
     def labels(self, state: State, words: str = "") -> tuple[list[list[Any]], int]:
         """Labels whose name or number contains the words, and how many there are.
 
-        The first of them, each as its number, its name or "", and its colour.
+        The first of them, each as its number, its name or "", and its colour and opacity, where the state changes neither.
         """
         if not isinstance(words, str) or len(words) > _LONGEST:
             raise OptionError(f"labels are searched by a text of up to {_LONGEST} characters; got {words!r:.60}")
@@ -211,7 +211,8 @@ class Catalog:
         listing, words = self._listing(which), words.strip().casefold()
         found = listing.search(words) if words else range(listing.numbers.size)
         numbers = [int(listing.numbers[i]) for i in found[:_LISTED]]
-        return [[n, labels.name_of(volume, n), list(label_color(n, volume))] for n in numbers], len(found)
+        seen = table_of(volume).opacities
+        return [[n, labels.name_of(volume, n), list(label_color(n, volume)), seen.get(n, 1.0)] for n in numbers], len(found)
 
     def known(self, which: Which) -> bool:
         """Whether what takes long to compute of a volume was computed once: see `mark_known`."""
@@ -222,3 +223,9 @@ class Catalog:
     def mark_known(self, which: Which) -> None:
         """Remember that it was."""
         self._viewed(which).known = True
+
+
+def labelled(volume: Volume, state: State) -> Volume:
+    """The volume of a state, with the colours and opacities of labels that the state changes."""
+    rows = state.label_rows
+    return labels.with_table(volume, rows) if rows and volume.is_labels else volume

@@ -87,6 +87,8 @@ def _volume(resident: Resident, state: State) -> list[str]:
         what = "only" if which.labels.hidden is None else "without"
         chosen = which.labels.shown if which.labels.hidden is None else which.labels.hidden
         lines += [f"volume = clvol.labels.{what}(volume, {list(chosen or ())!r})"]
+    if state.label_rows:
+        lines += [f"volume = clvol.labels.with_table(volume, {state.label_rows!r})"]
     return lines
 
 
@@ -110,7 +112,7 @@ def _source(resident: Resident, state: State) -> str | None:
 
 def _drawn(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int], result: str) -> list[str]:
     finer = resident.finer_picture(state, shown, name, size)
-    given = resident.arguments(state, bare=state.heat) if finer is None else dict(finer.given)
+    given = resident.arguments(_as_labelled(state), bare=state.heat) if finer is None else dict(finer.given)
     camera, mode = given.pop("camera"), given.pop("mode")
     given.pop("media", None)
     words = _reconstruction(state) | {"size": size} | given
@@ -137,6 +139,11 @@ def _others(resident: Resident, state: State) -> str:
     said = [{key: _text(value) for key, value in media.changes(medium, shown).items()} for medium, shown in each]
     own = [", ".join(f"{key}={text}" for key, text in words.items()) for words in said]
     return "".join(f", replace(others[{k}], {words})" if words else f", others[{k}]" for k, words in enumerate(own))
+
+
+def _as_labelled(state: State) -> State:
+    """A state for a volume that has the colours and opacities of labels already."""
+    return replace(state, label_colors={}, label_opacities={})
 
 
 def _cut(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int], result: str) -> list[str]:
@@ -281,7 +288,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
              for flag, value in resident.beside.items() if flag != "skipping"}  # fmt: skip
     flags |= {flag: value for flag, value in resident.limits.items() if flag in ("evaluator", "fetch")}
     flags |= dict(state.options)
-    heard = resident.arguments(state)
+    heard = resident.arguments(_as_labelled(state))
     flags = {flag: value for flag, value in flags.items() if flag.replace("-", "_") in heard or flag not in _UNHEARD}
     inexpressible = {
         "where the camera was moved to": camera.target is not None or camera.distance is not None or camera.radius is not None,
@@ -289,6 +296,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "its field of view": camera.fov != Camera().fov,
         "the transfer function": "transfer" in heard,
         "which labels are seen": resident.catalog.which(state).labels is not None,
+        "colours and opacities of labels": bool(state.label_rows),
         "lights": "lights" in heard,
         "the material": heard.get("material") not in (None, Material()),
         "the other filter of the wiper": state.wiper is not None,

@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
 from clvol.bricks.field import BrickedField
+from clvol.labels import name_of
 from clvol.march.renderer import Renderer
 from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
@@ -30,6 +31,9 @@ from clvol.view.resident import Resident
 from clvol.view.state import History, State
 from clvol.volume.histogram import label_numbers
 from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    pass
 
 __all__ = ["Control"]
 
@@ -131,7 +135,9 @@ class Control:
     def _accepted(self, new: State, *, whole: bool) -> State:
         """The state, unless only the volume can refuse it; where another volume is shown the camera stays as it was fitted."""
         state, resident = self.state, self._resident
-        required = [(one.index, one.labels, one.media, one.furniture) for one in (new, state)]  # all that `require` depends on
+        required = [
+            (one.index, one.labels, one.label_rows, one.media, one.furniture) for one in (new, state)
+        ]  # all that `require` depends on
         if required[0] != required[1]:
             resident.catalog.require(new)
         if replace(new, index=state.index, labels=state.labels) != state:
@@ -223,17 +229,18 @@ def _picked(resident: Resident, context: Context, state: State, name: str, x: fl
             if point is not None and volume.is_labels:
                 point = _in_label(volume, field, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
         found: dict[str, Any] = {"pane": name, "x": x, "y": y, "units": volume.units, "position": None}
-        return found if point is None or not _within(volume, point) else found | _values(volume, field, point)
+        return found if point is None or not _within(volume, point) else found | _found(volume, field, point)
 
 
-def _values(volume: Volume, field: Field | BrickedField | Regions, point: NDArray[np.float64]) -> dict[str, Any]:
+def _found(volume: Volume, field: Field | BrickedField | Regions, point: NDArray[np.float64]) -> dict[str, Any]:
+    """What is at a point; with the gradient of a function that has one."""
     value = float(field(point[None])[0])
     found = {"position": point.tolist(), "index": volume.world_to_index(point).tolist(), "value": value, "gradient": None}
     if not isinstance(field, Regions) and field.filter.has_gradient:
         slope = np.asarray(field.gradient(point[None])[0], np.float64)
         found |= {"gradient": slope.tolist(), "steepness": float(np.linalg.norm(slope))}
-    if isinstance(volume.labels, dict):
-        found["label"] = volume.labels.get(round(value), "")
+    if volume.is_labels:
+        found["label"] = name_of(volume, round(value))
     return found
 
 

@@ -21,6 +21,7 @@ from clvol.march.slices import plane_points, shaded
 from clvol.scene.mode import as_mode
 from clvol.show.picture import Picture, heat, to_bytes
 from clvol.view.background import started
+from clvol.view.catalog import labelled
 from clvol.view.events import Context
 from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane
@@ -251,7 +252,7 @@ def _slice(renderer: Renderer, order: Order, size: tuple[int, int]) -> NDArray[A
     points = plane_points(pane.middle, pane.right, pane.down, pane.pixel(size), size)
     values = on_slices(renderer, state.mode)(points, fill=np.nan)
     transfer = state.transfer if as_mode(state.mode).regions and state.window is None and state.cmap is None else None
-    return shaded(values, renderer.volume, state.window, state.cmap, state.background, transfer)
+    return shaded(values, labelled(renderer.volume, state), state.window, state.cmap, state.background, transfer)
 
 
 def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generator[Shot, None, None]:

@@ -25,7 +25,7 @@ from clvol.scene.preset import presets
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.view import media
-from clvol.view.catalog import Catalog, Which
+from clvol.view.catalog import Catalog, Which, labelled
 from clvol.view.events import KEYS
 from clvol.view.finer import Finer, Wanted
 from clvol.view.opening import Viewable, first_state, opened
@@ -113,7 +113,9 @@ class Resident:
         A state keeps what only another mode or filter would show; a picture does not take it. `bare` leaves out what stands around.
         """
         given: dict[str, Any] = {"camera": camera_of(state), "mode": state.mode, "step": state.step, **self.beside}
-        words: dict[str, Any] = state.words if state.transfer is None else {"transfer": state.transfer}
+        volume = self.catalog.volume_of(state)
+        given_by_words = state.transfer is None and labelled(volume, state) is volume
+        words: dict[str, Any] = state.words if given_by_words else {"transfer": self.transfer(state)}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
         if state.cuts:
             words["clip"] = [*([state.clip] if state.clip else []), *state.cuts]
@@ -161,7 +163,7 @@ class Resident:
 
     def transfer(self, state: State) -> TransferFunction:
         """The transfer function of the volume's picture."""
-        return state.transfer or look(self.catalog.volume_of(state), self.mode(state), **state.words)
+        return state.transfer or look(labelled(self.catalog.volume_of(state), state), self.mode(state), **state.words)
 
     def placed(self, state: State, aspect: float) -> Camera:
         """The camera with its target, as a picture of this aspect ratio has it."""

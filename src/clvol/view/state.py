@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
@@ -62,6 +63,7 @@ LAYOUTS = ("3d", "slice", "linked")
 ZOOMS = 0.05, 1000.0
 MOST_POINTS = 512  # of a transfer function; they fit into one message
 MOST_LABELS = 2048  # that are hidden or shown; they fit into one message
+_WHOLE = re.compile(r"-?\d{1,16}")
 _TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair")
 _MOST_LABEL = 1 << 53  # the largest integer up to which float64 holds all
 _LONGEST_TITLE = 200  # characters
@@ -148,6 +150,15 @@ def _numbers(what: str, value: object) -> tuple[int, ...]:
     if len(value) > MOST_LABELS:
         raise OptionError(f"{what} must be {rule}; got {len(value)} of them")
     return tuple(sorted({whole(f"each of {what}", part, -_MOST_LABEL, _MOST_LABEL) for part in value}))
+
+
+def _by_label(what: str, value: object, each: Callable[..., Any]) -> dict[int, Any]:
+    """Something of each of some labels, by their numbers, which in JSON are texts."""
+    if not isinstance(value, Mapping) or len(value) > MOST_LABELS:
+        raise OptionError(f"{what} must be an object of JSON, of up to {MOST_LABELS} labels; got {value!r:.200}")
+    numbers = {int(key) if isinstance(key, str) and _WHOLE.fullmatch(key) else key: part for key, part in value.items()}
+    labels = _numbers(f"the labels of {what}", tuple(numbers))
+    return {label: each(f"{what}.{label}", numbers[label]) for label in labels}
 
 
 def _index(what: str, value: object) -> dict[str, int | str]:
@@ -508,6 +519,8 @@ class State(_Checked):
         What else is cut away: see `clip` of `clvol.render`.
     labels : LabelState, optional
         Which labels of a label map are seen; others are background.
+    label_colors, label_opacities : mapping of int to three numbers in 0..1, and to a number in 0..1
+        What is changed of the table of labels (`clvol.labels.with_table`), for up to `MOST_LABELS` of them.
     media : tuple of MediumState
         Of a scene of several, what is changed of each; of the first only whether it is seen, for its look is the state's.
     furniture : Furniture
@@ -541,6 +554,8 @@ class State(_Checked):
     clip: tuple[Triple, Triple] | None = _of(_box, None, _clip_of, lambda clip: {"low": list(clip[0]), "high": list(clip[1])})
     cuts: tuple[Plane | Corner, ...] = _of(_cuts, (), _cuts_of, lambda cuts: [_cut_json(cut) for cut in cuts])
     labels: LabelState | None = _part(LabelState, write=LabelState.json)
+    label_colors: Mapping[int, Triple] = _of(_by_label, {}, each=_color)
+    label_opacities: Mapping[int, float] = _of(_by_label, {}, each=partial(number, minimum=0, maximum=1))
     media: tuple[MediumState, ...] = _of(_media, (), _media_of)
     furniture: Furniture = _of(_furniture, Furniture(), partial(_dataclass_of, kind=Furniture), _furniture_json)
     crosshair: Triple | None = _of(_triple, None)
@@ -561,6 +576,12 @@ class State(_Checked):
     def words(self) -> dict[str, Any]:
         """The values of `WORDS`, by name: arguments of `clvol.scene.look`."""
         return {name: getattr(self, name) for name in WORDS}
+
+    @property
+    def label_rows(self) -> dict[int, tuple[None, Triple | None, float | None]]:
+        """Rows of `clvol.labels.LabelTable` that it changes."""
+        changed = sorted({*self.label_colors, *self.label_opacities})
+        return {label: (None, self.label_colors.get(label), self.label_opacities.get(label)) for label in changed}
 
     # -- in JSON -----------------------------------------------------------------------------------------------
 

@@ -31,6 +31,7 @@ __all__ = [
     "matter_of",
     "may_be_hounsfield",
     "remember",
+    "share",
     "spread_in",
     "spread_of",
 ]
@@ -137,6 +138,11 @@ def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike]
 
 
 _KNOWN: WeakKeyDictionary[Volume, dict[str, Any]] = WeakKeyDictionary()
+
+
+def share(volume: Volume, other: Volume) -> None:
+    """Use for a volume of the same samples what is known of another one, and what will be."""
+    _KNOWN[other] = _KNOWN.setdefault(volume, {})
 
 
 def remember(volume: Volume, **found: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zlib
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -22,9 +23,10 @@ _NOT_NOTED = ("trusted", "limits", "storage_options")  # whoever reads it again 
 def note(volume: Any, path: object, options: Mapping[str, Any]) -> None:
     """Note from where a Volume or LazyVolume was read. A part or a changed copy is another volume, of which nothing is known."""
     given = {
-        name: str(np.dtype(value)) if name == "dtype" else value
+        name: str(np.dtype(value)) if name == "dtype" else str(value) if isinstance(value, os.PathLike) else value
         for name, value in options.items()
         if value is not None and name not in _NOT_NOTED and name != "path" and (name, value) != ("offset", 0)
+        if not isinstance(value, Mapping)  # a table of labels, whose colours a picture has
     }
     vars(volume)["_provenance"] = {"path": str(path), **given}
 

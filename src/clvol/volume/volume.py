@@ -23,6 +23,7 @@ from clvol.interop.nibabel import to_nibabel
 from clvol.interop.xarray_images import to_xarray
 from clvol.noise import Noise, estimate
 from clvol.volume.gridded import Gridded
+from clvol.volume.label_table import LabelRow, LabelTable
 from clvol.volume.missing import Missing, filled_smoothly
 from clvol.volume.samples import (
     array_of,
@@ -37,7 +38,7 @@ from clvol.volume.samples import (
     require_finite,
 )
 
-__all__ = ["Volume", "as_volume", "clim_of", "masked"]
+__all__ = ["Volume", "as_volume", "clim_of", "labels_of", "masked", "table_of"]
 
 _ABOUT = ("spacing", "origin", "direction", "units", "space", "name", "color", "clim", "labels", "header")
 _TINY_DETERMINANT = 1e-12
@@ -82,9 +83,9 @@ class Volume(Gridded):
         In which the source shows it, as microscopes give one to each channel.
     clim : (float, float), optional
         The values that the source shows as black and as white (NIfTI's cal_min and cal_max, DICOM's window).
-    labels : bool or mapping of int to str, optional
-        Whether samples are labels, which are never blended, or a name per label. None: detect it
-        (`is_labels`).
+    labels : bool or mapping of int to str or (name, color, opacity), optional
+        Whether samples are labels, which are never blended, or a row per label: its name, or also its colour and opacity
+        (`clvol.labels.LabelTable`, as which it is kept). None: detect it (`is_labels`).
     header : mapping, optional
         Other metadata of its file, for writing the same format.
 
@@ -96,7 +97,7 @@ class Volume(Gridded):
         Spacing is not finite and positive, origin is not finite, or direction is singular.
     OptionError
         `space` is none of these, `color` is no colour, `clim` no pair of finite numbers in ascending order, `labels` no
-        mapping from whole numbers to names, `header` no mapping.
+        mapping from whole numbers to such rows, `header` no mapping.
 
     Notes
     -----
@@ -115,7 +116,7 @@ class Volume(Gridded):
     name: str = ""
     color: tuple[float, float, float] | None = None
     clim: tuple[float, float] | None = None
-    labels: bool | Mapping[int, str] | None = None
+    labels: bool | Mapping[int, LabelRow] | None = None
     header: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     # shared with LazyVolume; here all samples are in memory, at one level
@@ -340,6 +341,11 @@ class Volume(Gridded):
         return replace(self, data=data, **changes)
 
 
+def table_of(volume: Volume) -> LabelTable:
+    """The table of a volume's labels; without rows if it has none."""
+    return volume.labels if isinstance(volume.labels, LabelTable) else LabelTable({})
+
+
 def as_volume(data: Volume | ArrayLike) -> Volume:
     """`data` itself if it is a `Volume`, else a `Volume` of it."""
     return data if isinstance(data, Volume) else Volume(data)  # type: ignore[arg-type]  # __post_init__ converts
@@ -417,7 +423,7 @@ def _checked(about: Mapping[str, Any], d: int) -> dict[str, Any]:
         raise one_of("space", space, map(repr, SPACES))
     color = None if color is None else color_of("color", color)
     clim = None if clim is None else clim_of("clim", clim)
-    labels = None if labels is None else _labels(labels)
+    labels = None if labels is None else labels_of(labels)
     if not isinstance(header, Mapping):
         raise OptionError(f"header must be a mapping; got {header!r}")
     if min(spacing) <= 0:
@@ -444,12 +450,13 @@ def clim_of(name: str, value: Any) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
-def _labels(value: Any) -> bool | Mapping[int, str]:
+def labels_of(value: Any) -> bool | LabelTable:
+    """Whether samples are labels, or the table of these, of what `Volume` takes for it; `OptionError` where it takes none."""
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
-    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value.values()):
+    if not isinstance(value, Mapping):
         raise OptionError(f"labels must be True, False, or a mapping from whole numbers to names; got {value!r}")
-    return {whole("each label", number): name for number, name in value.items()}
+    return value if isinstance(value, LabelTable) else LabelTable(value)
 
 
 def _whole(what: str, value: Sequence[int], d: int) -> tuple[int, ...]:

@@ -89,7 +89,7 @@ def picture(browser: Browser) -> np.ndarray:
 
 def test_labels_are_hidden_and_shown_again(browser: Browser, organs: Watched) -> None:
     assert browser.js(f"return {ROWS}.map((row) => row.querySelector('label').textContent)") == ["liver", "left kidney", "7"]
-    colors = browser.js(f"return {ROWS}.map((row) => getComputedStyle(row.querySelector('.clvol-swatch')).backgroundColor)")
+    colors = browser.js(f"return {ROWS}.map((row) => row.querySelector('.clvol-swatch').value)")
     assert len(set(colors)) == 3
     all_of_them = picture(browser)
     click(browser, f"{ROWS}[1].querySelector('input')")
@@ -114,15 +114,37 @@ def test_labels_are_hidden_and_shown_again(browser: Browser, organs: Watched) ->
     assert not browser.console()
 
 
+def test_labels_get_other_colours_and_opacities(browser: Browser, organs: Watched) -> None:
+    as_given = picture(browser)
+
+    def put(control: str, value: str) -> None:
+        events = "for (const e of ['input', 'change']) c.dispatchEvent(new Event(e, { bubbles: true }))"
+        browser.js(f"const c = {ROWS}[0].querySelector('{control}'); c.value = '{value}'; {events}")
+
+    put(".clvol-swatch", "#0000ff")
+    put("input[type=range]", "0.25")
+    changed = ("label_colors", {"1": [0, 0, 1]}), ("label_opacities", {"1": 0.25})
+    browser.wait(lambda: all(organs.last.state.json()[word] == value for word, value in changed))
+    browser.wait(lambda: browser.js(f"return {FINAL}") and (picture(browser) != as_given).any())
+    click(browser, "[...document.querySelectorAll('button')].find((b) => b.textContent === 'Undo')")
+    browser.wait(lambda: organs.last.state.label_rows == {1: (None, (0, 0, 1), None)})
+    browser.wait(f"{ROWS}[0].querySelector('input[type=range]').value === '1'")
+    click(browser, "[...document.querySelectorAll('button')].find((b) => b.textContent === 'Reset')")
+    browser.wait(lambda: not organs.last.state.label_rows)
+    browser.wait(lambda: (picture(browser) == as_given).all(), 30)
+    assert not browser.console()
+
+
 def test_labels_are_reached_by_keys(browser: Browser, organs: Watched) -> None:
     """The whole section by Tab; Space hides or isolates a label."""
     browser.js("[...document.querySelectorAll('summary')].find((s) => s.textContent === 'Labels').focus()")
     name = "e.getAttribute('aria-label') || e.closest('label')?.textContent || e.textContent"
     met = []
-    for _ in range(8):
+    for _ in range(15):
         browser.key("Tab", windowsVirtualKeyCode=9)
         met.append(browser.js(f"const e = document.activeElement; return {name}"))
-    assert met == ["All", "None", "liver", "show only liver", "left kidney", "show only left kidney", "7", "show only 7"]
+    rows = ((name, f"colour of {name}", f"opacity of {name}", f"show only {name}") for name in ("liver", "left kidney", "7"))
+    assert met == ["All", "None", "Reset", *(control for row in rows for control in row)]
     browser.key(" ", windowsVirtualKeyCode=32, code="Space")
     browser.wait(lambda: labels_of(organs) == {"shown": [7]})
     browser.js(f"{ROWS}[0].querySelector('input').focus()")

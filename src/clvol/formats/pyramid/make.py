@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
@@ -33,9 +33,10 @@ from clvol.formats.pyramid.reduce import Reduction
 from clvol.formats.zarr.addresses import shown
 from clvol.noise import estimate
 from clvol.spline.levels import FIXED, METHODS, Level, Method, filter_at, levels_of, require_reducible, sums_for
+from clvol.volume.label_table import LabelTable
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.statistics import Statistics
-from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volume import Volume, as_volume, table_of
 
 __all__ = ["COMPRESSORS", "VERSIONS", "pyramid"]
 
@@ -618,12 +619,18 @@ def _range_of(array: Any) -> tuple[float, float]:
 
 def _label(grid: Volume, version: str) -> dict[str, Any]:
     """OME-Zarr's metadata of labels."""
-    names: Mapping[int, str] = grid.labels if isinstance(grid.labels, Mapping) else {}
+    table = table_of(grid)
     about: dict[str, Any] = {"version": version} if version == "0.4" else {}
-    if names:
-        about["properties"] = [{"label-value": int(value), "name": name} for value, name in names.items()]
-        about["colors"] = [{"label-value": int(value)} for value in names]
+    if table:
+        about["properties"] = [{"label-value": label, "name": name} for label, name in table.items()]
+        about["colors"] = [{"label-value": label, **_rgba(table, label)} for label in table]
     return about
+
+
+def _rgba(table: LabelTable, label: int) -> dict[str, list[int]]:
+    """The colour of a label with its opacity, in eight bits; nothing without a colour."""
+    color = table.colors.get(label)
+    return {} if color is None else {"rgba": [round(255 * part) for part in (*color, table.opacities.get(label, 1.0))]}
 
 
 def _omero(grid: Volume, value_range: tuple[float, float] | None, dtype: np.dtype[Any]) -> dict[str, Any]:

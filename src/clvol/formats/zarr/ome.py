@@ -77,14 +77,24 @@ def placed(source: str, multiscales: Mapping[str, Any], level: int, ndim: int) -
     return [float(factor) for factor in factors], [float(shift) for shift in shifts]
 
 
-def labels_of(attributes: Mapping[str, Any]) -> dict[int, str]:
-    """Names of label values, where their properties have one."""
-    names = {}
-    for one in metadata_of(attributes).get("image-label", {}).get("properties", ()):
+def labels_of(attributes: Mapping[str, Any]) -> dict[int, Any]:
+    """Rows of label values: names, where their properties have one, and colours with opacities."""
+    about = metadata_of(attributes).get("image-label", {})
+    rows: dict[int, Any] = {}
+    for one in about.get("colors", ()):
+        if "label-value" in one and _is_rgba(one.get("rgba")):
+            *color, opacity = (part / 255 for part in one["rgba"])
+            rows[int(one["label-value"])] = None, color, opacity
+    for one in about.get("properties", ()):
         name = next((one[key] for key in ("name", "class", "label") if isinstance(one.get(key), str)), None)
         if name is not None and "label-value" in one:
-            names[int(one["label-value"])] = name
-    return names
+            label = int(one["label-value"])
+            rows[label] = name, *rows.get(label, (None,))[1:]
+    return rows
+
+
+def _is_rgba(value: object) -> bool:
+    return isinstance(value, (list, tuple)) and len(value) == 4 and all(isinstance(v, int) and 0 <= v <= 255 for v in value)
 
 
 def _of_pyramid(given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:

@@ -969,7 +969,7 @@ class Labels {
   constructor(viewer) {
     this.viewer = viewer;
     this.listed = null; // labels of the volume that the session sent first
-    this.boxes = new Map(); // by number
+    this.boxes = new Map(); // the controls of a row, by number
     this.filter = make("input", { type: "search", placeholder: "name or number", "aria-label": "filter the labels", maxlength: 200 });
     this.filter.addEventListener("input", () => {
       clearTimeout(this.typing);
@@ -977,7 +977,8 @@ class Labels {
     });
     const all = button("All", () => viewer.set({ labels: null }), { title: "show all labels" });
     const none = button("None", () => viewer.set({ labels: { shown: [] } }), { title: "hide all labels" });
-    const head = make("div", { class: "clvol-buttons", role: "toolbar", "aria-label": "all labels" }, all, none, this.filter);
+    const given = button("Reset", () => viewer.set({ label_colors: {}, label_opacities: {} }), { title: "colours and opacities as given" });
+    const head = make("div", { class: "clvol-buttons", role: "toolbar", "aria-label": "all labels" }, all, none, given, this.filter);
     this.list = make("ul", { class: "clvol-labels", "aria-label": "labels" });
     this.note = make("p", { class: "clvol-note", "aria-live": "polite" });
     this.element = section("Labels", true, head, this.list, this.note);
@@ -1012,15 +1013,25 @@ class Labels {
     this.list.replaceChildren(...rows.map((label) => this.rowOf(label)));
   }
 
-  rowOf([number, name, color]) {
+  rowOf([number, name, color, opacity]) {
     const box = make("input", { type: "checkbox", onchange: () => this.put(number, box.checked) });
-    this.boxes.set(number, box);
     const words = name || String(number);
-    const swatch = make("span", { class: "clvol-swatch" });
-    swatch.style.background = hex(color);
+    const swatch = make("input", { type: "color", class: "clvol-swatch", "aria-label": `colour of ${words}` });
+    const seen = make("input", { type: "range", min: 0, max: 1, step: 0.01, "aria-label": `opacity of ${words}`, title: "opacity" });
+    for (const [event, live] of [["input", true], ["change", false]]) {
+      swatch.addEventListener(event, () => this.look("label_colors", number, rgb(swatch.value), live));
+      seen.addEventListener(event, () => this.look("label_opacities", number, Number(seen.value), live));
+    }
+    this.boxes.set(number, { box, swatch, seen, color, opacity });
     const text = make("span", { title: name ? `${name}: label ${number}` : null }, words);
     const only = button("Only", () => this.viewer.set({ labels: { shown: [number] } }), { label: `show only ${words}` });
-    return make("li", {}, make("label", { class: "clvol-check" }, box, swatch, text), only);
+    return make("li", {}, make("label", { class: "clvol-check" }, box, text), swatch, seen, only);
+  }
+
+  /** Changes the colour or the opacity of a label; what else gives labels their colours goes. */
+  look(word, number, value, live) {
+    const changed = { ...this.viewer.state[word], [number]: value };
+    this.viewer.set({ transfer: null, preset: null, window: null, cmap: null, [word]: changed }, live);
   }
 
   /** Shows or hides one label. */
@@ -1032,10 +1043,14 @@ class Labels {
     this.viewer.set({ labels: what === "hidden" && !made.length ? null : { [what]: made } });
   }
 
-  show({ labels }) {
+  show({ labels, label_colors: colors, label_opacities: opacities }) {
     if (!this.listed) return;
     const chosen = new Set(labels?.shown ?? labels?.hidden ?? []);
-    for (const [number, box] of this.boxes) box.checked = chosen.has(number) === Boolean(labels?.shown);
+    for (const [number, { box, swatch, seen, color, opacity }] of this.boxes) {
+      box.checked = chosen.has(number) === Boolean(labels?.shown);
+      swatch.value = hex(colors[number] ?? color);
+      if (!seen.matches(":active")) seen.value = opacities[number] ?? opacity; // not while it is held
+    }
     const { count } = this.listed;
     const seen = labels?.shown ? chosen.size : Math.max(count - chosen.size, 0);
     const [listed, some] = [this.boxes.size, this.filter.value ? "of these" : "of them"];
