@@ -138,26 +138,33 @@ INLINE scalar core_weight(const scalar *w)
     return sum;
 }
 
-// By how much the weight of one label exceeds that of another, and the gradient of this per sample.
+// By how much the weight of one label exceeds that of another, and the gradient of this per sample. Weights along x come last.
 INLINE scalar lead_between(const region_taps_t *taps, const cell_t c, const int one, const int other, scalar gradient[3])
 {
     scalar slopes_y[WEIGHTS], slopes_z[WEIGHTS];
     row_t lead = (row_t)(0.0f), along = lead, across = lead, deep = lead;
     unpack_slopes(c.ty, slopes_y);
     unpack_slopes(c.tz, slopes_z);
-    for (int k = 0; k < TAP_SLICES; ++k)
-        for (int j = 0; j < TAPS; ++j) {
-            global const LABEL *row = taps->first + k * taps->area + j * taps->pitch;
-            for (int i = 0; i < CHUNKS; ++i) {
+    for (int i = 0; i < CHUNKS; ++i) {
+        row_t sum = (row_t)(0.0f), sum_across = sum, sum_deep = sum;
+        for (int k = 0; k < TAP_SLICES; ++k) {
+            row_t slice = (row_t)(0.0f), slice_across = slice;
+            for (int j = 0; j < TAPS; ++j) {
+                global const LABEL *row = taps->first + k * taps->area + j * taps->pitch;
                 const label_row_t labels = CONVERT(*(global const label_row_at *)(row + i * ROW), label_row_t);
                 const row_t side = CONVERT((labels == other) - (labels == one), row_t);
-                const row_t slope = side * tap_slopes(c.tx, i), share = side * taps->x[i];
-                lead = madd((row_t)(taps->y[j] * taps->z[k]), share, lead);
-                along = madd((row_t)(taps->y[j] * taps->z[k]), slope, along);
-                across = madd((row_t)(slopes_y[j] * taps->z[k]), share, across);
-                deep = madd((row_t)(taps->y[j] * slopes_z[k]), share, deep);
+                slice = madd((row_t)(taps->y[j]), side, slice);
+                slice_across = madd((row_t)(slopes_y[j]), side, slice_across);
             }
+            sum = madd((row_t)(taps->z[k]), slice, sum);
+            sum_across = madd((row_t)(taps->z[k]), slice_across, sum_across);
+            sum_deep = madd((row_t)(slopes_z[k]), slice, sum_deep);
         }
+        lead = madd(taps->x[i], sum, lead);
+        along = madd(tap_slopes(c.tx, i), sum, along);
+        across = madd(taps->x[i], sum_across, across);
+        deep = madd(taps->x[i], sum_deep, deep);
+    }
     gradient[0] = row_sum(along);
     gradient[1] = row_sum(across);
     gradient[2] = row_sum(deep);
