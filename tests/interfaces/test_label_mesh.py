@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 import clvol
 from clvol import cli
-from clvol.base.errors import ClvolWarning, DataError, OptionError
+from clvol.base.errors import ClvolWarning, DataError, OptionError, OutOfMemoryError
 from clvol.bricks.field import as_lazy
+from clvol.interfaces import triangles
 from clvol.interfaces.mesh import MESHES
 from clvol.reference import labels_between
 
@@ -158,6 +159,24 @@ def test_what_is_no_mesh_of_labels_is_refused() -> None:
     with pytest.warns(ClvolWarning, match="no surface of 1: too small"):
         assert not clvol.mesh(clvol.Volume(alone, labels=True)).names
     assert clvol.mesh(clvol.Volume(alone, labels=True), filter="linear").is_closed
+
+
+def test_how_many_triangles_there_will_be_is_told_or_refused_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways: list[tuple[Any, ...]] = [(touching(),), (clvol.phantoms.sphere(12), 0.5)]
+    monkeypatch.setattr(triangles, "_MANY", 10)
+    for given in ways:
+        with pytest.warns(ClvolWarning, match=r"the mesh has about \d+ triangles, and takes up to"):
+            clvol.mesh(*given)
+    monkeypatch.setattr(triangles.memory, "require", refuse)
+    for given in ways:
+        with pytest.raises(OutOfMemoryError, match=r"a mesh of about \d+ triangles"):
+            clvol.mesh(*given)
+
+
+def refuse(nbytes: int, what: str) -> None:
+    """As `clvol.base.memory.require` where no mesh fits."""
+    if "triangles" in what:
+        raise OutOfMemoryError(f"{what} of {nbytes} bytes")
 
 
 def test_the_shell_writes_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base import memory
 from clvol.base.checks import did_you_mean, whole
 from clvol.base.errors import OptionError
 from clvol.base.progress import Progress, part_of
-from clvol.interfaces.triangles import PART
+from clvol.interfaces.triangles import PART, require_room
 from clvol.spline.grids import Target
 from clvol.spline.regions import Regions
 
@@ -98,7 +97,7 @@ def label_surfaces(
             raise OptionError(f"a mesh takes labels between -2**53 and 2**53; got {low} to {high}")
         numbers, codes = _coded(regions.on(Target(np.eye(3), np.zeros(3), volume.shape), part_of(progress, 0, 0.3)))
         crossings = sum(int(np.count_nonzero(part)) for plane in _crossed(codes) for part in plane)
-        memory.require(crossings * _PER_QUAD, f"a mesh of about {2 * crossings} triangles")
+        require_room(crossings, _PER_QUAD)
         cells, around, quads, pairs = _joined(codes, np.append(False, np.isin(numbers, chosen)))
         if not closed:
             inner = (pairs != 0).all(1)

@@ -27,7 +27,7 @@ from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interfaces.label_surfaces import as_number, label_surfaces
-from clvol.interfaces.triangles import is_closed, normals_of, parted
+from clvol.interfaces.triangles import is_closed, normals_of, parted, require_room
 from clvol.interop.dispatch import is_in_parts
 from clvol.labels import name_of
 from clvol.march.choose import without_masked
@@ -340,7 +340,8 @@ def mesh(
     MissingDependencyError
         VTK is missing, for a volume without labels: ``pip install clvol[mesh]``.
     OutOfMemoryError
-        The samples or the triangles do not fit; how many they are is known before they are made.
+        The samples or the triangles do not fit; how many they are is known before they are made, and told by a `ClvolWarning` if
+        they are 100 million or more.
 
     Examples
     --------
@@ -441,7 +442,7 @@ class _Surface:
         values = self._values(part_of(progress, 0, 0.4))
         inside = values >= self.level  # not where it is NaN
         crossings = sum(int(np.count_nonzero(part)) for plane in _pairs(inside) for part in plane)
-        memory.require(crossings * _PER_VERTEX, f"a mesh of about {2 * crossings} triangles")
+        require_room(crossings, _PER_VERTEX)
         edges, faces = _joined(flying_edges, inside)
         if not len(faces):
             known = values[np.isfinite(values)]

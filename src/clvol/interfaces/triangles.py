@@ -1,4 +1,4 @@
-"""Triangles alone: their normals, whether they are closed, and sheets that touch."""
+"""Triangles alone: how many fit, their normals, whether they are closed, and sheets that touch."""
 
 from __future__ import annotations
 
@@ -7,12 +7,23 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["PART", "is_closed", "normals_of", "parted"]
+from clvol.base import memory
+from clvol.base.checks import warn
+
+__all__ = ["PART", "is_closed", "normals_of", "parted", "require_room"]
 
 Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 PART = 1 << 15  # triangles at a time, whose corners stay in a processor's cache
+_MANY = 100_000_000  # triangles, of which one is told before they are made
+
+
+def require_room(pairs: int, each: int) -> None:
+    """Refuse a mesh that does not fit, of two triangles for each pair, which takes `each` bytes; say that one is very large."""
+    memory.require(pairs * each, f"a mesh of about {2 * pairs} triangles")
+    if 2 * pairs >= _MANY:
+        warn(f"the mesh has about {2 * pairs} triangles, and takes up to {pairs * each / 2**30:.1f} GiB while it is made")
 
 
 def normals_of(points: Points, faces: Indices) -> Points:
@@ -23,8 +34,10 @@ def normals_of(points: Points, faces: Indices) -> Points:
         (ax, ay, az), (bx, by, bz) = (b - a).T, (c - a).T
         areas[first : first + PART] = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
     starts = np.arange(0, 3 * len(faces) + 1, 3)
-    sums: Points = csc_array((np.ones(3 * len(faces)), faces.ravel(), starts), shape=(len(points), len(faces))) @ areas
-    return sums / np.maximum(np.linalg.norm(sums, axis=1), np.finfo(float).tiny)[:, None]
+    around = csc_array((np.ones(3 * len(faces)), faces.ravel(), starts), shape=(len(points), len(faces)))
+    sums: Points = np.asarray(around @ areas)
+    sums /= np.maximum(np.linalg.norm(sums, axis=1), np.finfo(float).tiny)[:, None]
+    return sums
 
 
 def is_closed(faces: Indices, of: Indices | None = None) -> bool:
