@@ -35,9 +35,9 @@ def resample_scores(
 ) -> Volume:
     """The label whose score is largest at each point of another grid, from scores of each class: a network's logits.
 
-    The scores are resampled class by class and compared as they come, so memory holds the largest ones and those of one class on the
-    new grid, not those of all; of an array that is mapped from a file it holds one class at a time, too. Boundaries are smooth, since
-    they lie where continuous functions are equal.
+    The scores are resampled class by class and compared as they come, so memory holds the largest ones and those of one class on
+    the new grid, not those of all; an array that is mapped from a file is read class by class, too. Boundaries are smooth, as they
+    lie where continuous functions are equal.
 
     Parameters
     ----------
