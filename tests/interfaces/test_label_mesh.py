@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import clvol
 from clvol import cli
+from clvol.base import memory
 from clvol.base.errors import ClvolWarning, DataError, OptionError, OutOfMemoryError
 from clvol.bricks.field import as_lazy
 from clvol.interfaces import triangles
@@ -86,6 +87,7 @@ def test_balls_that_touch_are_nearer_the_truth_than_samples() -> None:
     away = outwards[:, 0] < 3  # from where they touch
     cosines = (left.normals * outwards).sum(1) / np.linalg.norm(outwards, axis=1)
     assert np.sqrt((np.degrees(np.arccos(cosines[away].clip(-1, 1))) ** 2).mean()) < 8
+    assert made.labels is not None
     assert set(map(tuple, np.unique(made.labels, axis=0).tolist())) == {(3, 0), (3, 7), (7, 0)}
     right = made.of("right")
     assert right.labels is not None
@@ -167,7 +169,7 @@ def test_how_many_triangles_there_will_be_is_told_or_refused_before(monkeypatch:
     for given in ways:
         with pytest.warns(ClvolWarning, match=r"the mesh has about \d+ triangles, and takes up to"):
             clvol.mesh(*given)
-    monkeypatch.setattr(triangles.memory, "require", refuse)
+    monkeypatch.setattr(memory, "require", refuse)
     for given in ways:
         with pytest.raises(OutOfMemoryError, match=r"a mesh of about \d+ triangles"):
             clvol.mesh(*given)
