@@ -90,7 +90,6 @@ def mesh_of(made: Any) -> clvol.Mesh:
     )
     corners = faces.reshape(-1, 3).astype(np.int64)
     normals = normals_of(points.astype(np.float64), corners)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
     names = dict.fromkeys(np.unique(labels[labels > 0]).tolist(), "")
     return clvol.Mesh(points.astype(np.float64), corners, normals.astype(np.float32), labels=labels.astype(np.int64), names=names)
 

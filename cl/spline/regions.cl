@@ -127,26 +127,5 @@ kernel void regions_at_points(global const LABEL *restrict labels, const int4 ex
         results[source.first + n] = region_at(labels, extent, given_point(source, n), size, period, given);
 }
 
-#if DIMENSIONS == 3
-
-// By how much the weight of one label exceeds that of another, and the derivatives of this along x, y and z.
-//
-// points: as above, in the domain. pairs: the two labels at each.
-kernel void regions_between(global const LABEL *restrict labels, const int4 extent, global const POINT *points, const ulong planes,
-                            global const int2 *restrict pairs, global scalar4 *restrict results)
-{
-    const source_t source = { points, get_global_id(0) * RUN, planes };
-    for (int n = 0; n < RUN && source.first + n < planes; ++n) {
-        const position_t at = given_point(source, n);
-        const cell_t c = locate_inner(at.x, at.y, at.z, extent.w);
-        const int2 pair = pairs[source.first + n];
-        const region_taps_t taps = taps_around(labels, extent, c);
-        scalar slope[3], both;
-        const scalar lead = lead_between(&taps, c, pair.x, pair.y, slope, &both);
-        results[source.first + n] = (scalar4)(lead, slope[0], slope[1], slope[2]);
-    }
-}
-
-#endif
 #endif
 #endif

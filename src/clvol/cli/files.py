@@ -383,6 +383,8 @@ def mesh(
         made = clvol.mesh(volume, progress=report, **given)
     made.save(output, frame=frame)
     found = {"output": str(output), "triangles": len(made.faces), "vertices": len(made.vertices), "area": made.area}
+    if output.suffix.lower() == ".stl":
+        found["normals"] = "of triangles alone: .stl has no others"
     if made.labels is not None:
         found["labels"] = len(made.names)
     if made.is_closed:

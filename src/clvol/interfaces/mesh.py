@@ -11,7 +11,6 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
@@ -27,7 +26,7 @@ from clvol.base.progress import Progress, part_of, require_callback
 from clvol.device import as_device
 from clvol.filter.table import PICTURE_FILTER
 from clvol.interfaces.label_surfaces import as_number, label_surfaces
-from clvol.interfaces.triangles import is_closed, normals_of, parted
+from clvol.interfaces.triangles import is_closed, normals_of, parted, require_room
 from clvol.interop.dispatch import is_in_parts
 from clvol.labels import name_of
 from clvol.march.choose import without_masked
@@ -77,8 +76,8 @@ class Mesh:
     faces : ndarray of int64, shape (m, 3)
         The vertices of each triangle, counterclockwise as seen from where values are lower, or from the label in front.
     normals : ndarray of float32, shape (n, 3)
-        Unit vectors towards lower values, or the label in front. Those of labels are exact where two regions meet; where several
-        do, and at the rims of the domain's faces, they are means of those of the triangles.
+        Unit vectors towards lower values, exactly the function's. Those of labels are means of those of the triangles around, which
+        point to the label in front: the slopes of indicators follow the samples' steps more.
     curvature : ndarray of float32, shape (n, 2), or None
         Principal curvatures κ₁ ≥ κ₂ per world unit; positive where the surface bends away from its normal, as a sphere around
         high values does: 1 / radius. NaN on the faces that close a mesh.
@@ -138,13 +137,8 @@ class Mesh:
         faces, pairs, turned = self.faces[mine], self.labels[mine], front[mine]
         faces[turned], pairs[turned] = faces[turned, ::-1], pairs[turned, ::-1]
         split, sources = parted(faces)
-        vertices, normals = self.vertices[sources], self.normals[sources].copy()
-        facing_back = np.zeros(len(self.vertices), bool)
-        facing_back[self.faces[front]] = True
-        normals[facing_back[sources]] *= -1
-        several = self._where_several_meet[sources]
-        mean = normals_of(vertices, split)[several]
-        normals[several] = mean / np.maximum(np.linalg.norm(mean, axis=1), np.finfo(float).tiny)[:, None]
+        vertices = self.vertices[sources]
+        normals = normals_of(vertices, split).astype(np.float32)
         one = {"labels": pairs, "names": {number: self.names[number]}, "colors": {number: self.colors[number]}}
         return replace(self, vertices=vertices, faces=split, normals=normals, **one)
 
@@ -171,15 +165,6 @@ class Mesh:
         behind, front = self.labels.T
         both = np.isin(front, list(self.names))  # also the surface of the label in front
         return is_closed(np.concatenate([self.faces, self.faces[both, ::-1]]), np.concatenate([behind, front[both]]))
-
-    @cached_property
-    def _where_several_meet(self) -> Flags:
-        """Vertices of triangles between more than two labels."""
-        assert self.labels is not None
-        one, several = np.zeros(len(self.vertices), np.int64), np.zeros(len(self.vertices), bool)
-        one[self.faces] = np.arange(len(self.faces))[:, None]
-        several[self.faces[(self.labels[one[self.faces]] != self.labels[:, None]).any(-1)]] = True
-        return several
 
     @property
     def _outer(self) -> NDArray[np.int64]:
@@ -352,9 +337,10 @@ def mesh(
     DataError
         Samples are missing, and `nan` does not say what to do; labels are no whole numbers.
     MissingDependencyError
-        VTK is missing: ``pip install clvol[mesh]``.
+        VTK is missing, for a volume without labels: ``pip install clvol[mesh]``.
     OutOfMemoryError
-        The samples or the triangles do not fit; how many they are is known before they are made.
+        The samples or the triangles do not fit; how many they are is known before they are made, and told by a `ClvolWarning` if
+        they are 100 million or more.
 
     Examples
     --------
@@ -369,7 +355,6 @@ def mesh(
     require_callback("progress", progress)
     if faces is not None:
         whole("faces", faces, 4)
-    flying_edges = _vtk()
     given: Any = volume if isinstance(volume, ContinuousFunction) or is_in_parts(volume) else as_volume(volume)
     given, nan = without_masked(given, options.get("mask")), "error" if options.get("mask") is None else "local"
     known: Volume = getattr(given, "volume", given).preview()
@@ -386,6 +371,7 @@ def mesh(
         if not isinstance(given, Volume):
             raise OptionError(f"a mesh of labels takes them in memory: a LazyVolume's whole(), a Field's volume; got {volume!r}")
         return _of_labels(given, closed, options)
+    flying_edges = _vtk()
     if options.get("only") is not None:
         raise OptionError(f"only is for labels: set Volume(..., labels=True) if the volume has some; got {options['only']!r}")
     level = Isosurface(isovalue).settled(known).isovalue
@@ -417,7 +403,7 @@ def _of_labels(volume: Volume, closed: bool, options: MeshOptions) -> Mesh:
     return Mesh(
         made.vertices,
         made.faces,
-        made.normals.astype(np.float32),
+        normals_of(made.vertices, made.faces).astype(np.float32),
         units=volume.units,
         space=volume.space,
         labels=made.labels,
@@ -451,7 +437,7 @@ class _Surface:
         values = self._values(part_of(progress, 0, 0.4))
         inside = values >= self.level  # not where it is NaN
         crossings = sum(int(np.count_nonzero(part)) for plane in _pairs(inside) for part in plane)
-        memory.require(crossings * _PER_VERTEX, f"a mesh of about {2 * crossings} triangles")
+        require_room(crossings, _PER_VERTEX)
         edges, faces = _joined(flying_edges, inside)
         if not len(faces):
             known = values[np.isfinite(values)]

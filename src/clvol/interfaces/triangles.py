@@ -1,23 +1,43 @@
-"""Triangles alone: their normals, whether they are closed, and sheets that touch."""
+"""Triangles alone: how many fit, their normals, whether they are closed, and sheets that touch."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csc_array
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["is_closed", "normals_of", "parted"]
+from clvol.base import memory
+from clvol.base.checks import warn
+
+__all__ = ["PART", "is_closed", "normals_of", "parted", "require_room"]
 
 Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+PART = 1 << 15  # triangles at a time, whose corners stay in a processor's cache
+_MANY = 100_000_000  # triangles, of which one is told before they are made
+
+
+def require_room(pairs: int, each: int) -> None:
+    """Refuse a mesh that does not fit, of two triangles for each pair, which takes `each` bytes; say that one is very large."""
+    memory.require(pairs * each, f"a mesh of about {2 * pairs} triangles")
+    if 2 * pairs >= _MANY:
+        warn(f"the mesh has about {2 * pairs} triangles, and takes up to {pairs * each / 2**30:.1f} GiB while it is made")
+
 
 def normals_of(points: Points, faces: Indices) -> Points:
-    """Normals of vertices from the triangles around them, weighted by area; not of unit length."""
-    a, b, c = np.moveaxis(points[faces], 1, 0)
-    areas = np.cross(b - a, c - a)
-    return np.stack([np.bincount(faces.T.ravel(), np.tile(along, 3), len(points)) for along in areas.T], axis=-1)
+    """Normals of vertices: the means of those of the triangles around them, weighted by area; zero where there is none."""
+    areas = np.empty((len(faces), 3))
+    for first in range(0, len(faces), PART):
+        a, b, c = (np.take(points, corner, 0) for corner in faces[first : first + PART].T)
+        (ax, ay, az), (bx, by, bz) = (b - a).T, (c - a).T
+        areas[first : first + PART] = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+    starts = np.arange(0, 3 * len(faces) + 1, 3)
+    around = csc_array((np.ones(3 * len(faces)), faces.ravel(), starts), shape=(len(points), len(faces)))
+    sums: Points = np.asarray(around @ areas)
+    sums /= np.maximum(np.linalg.norm(sums, axis=1), np.finfo(float).tiny)[:, None]
+    return sums
 
 
 def is_closed(faces: Indices, of: Indices | None = None) -> bool:

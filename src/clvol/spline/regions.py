@@ -52,6 +52,7 @@ __all__ = [
 
 _RUN = 512  # points for each work-item of a CPU
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
+_EVALUATIONS = 8  # of weights for a place in a cell, about
 _MOST = np.iinfo(np.int32).max  # stands for no label in kernels
 _PART = 1 << 22  # samples checked or converted at a time
 _ABOVE = 1e-6  # by which the weight of samples that decide alone exceeds a half; that of kernels errs by less
@@ -295,21 +296,39 @@ class Regions:
         self._at_points("regions_at_points", points, result, one, progress)
         return self._codes.back(result, self.dtype)
 
-    def between(self, points: NDArray[Any], pairs: NDArray[Any]) -> NDArray[np.float32]:
-        """By how much the first label of a pair outweighs the second, and the derivatives of this per index: (N, 4), x first.
+    def in_cells(
+        self, cells: NDArray[np.int32], around: NDArray[Any], numbers: NDArray[Any], spacing: Sequence[float]
+    ) -> NDArray[np.float32]:
+        """Places in cells of the samples' grid where the labels at their corners weigh the same: offsets (N, 3), in samples.
 
-        `points` (3, N) are indices as of `at`, in the domain; `pairs` (N, 2).
+        Those of more labels than two lie where they weigh most nearly the same.
+
+        Parameters
+        ----------
+        cells : shape (N, 3)
+            First corners (x, y, z), from -1 on: places in cells at the rim lie in the faces of the domain.
+        around : shape (N, 8)
+            The labels at the corners, along x first, as their places in `numbers`, from 1 on; 0 outside the grid.
+        numbers : shape (m,)
+            Labels.
+        spacing
+            Along x, y, z.
         """
-        result, codes = np.empty((points.shape[1], 4), np.float32), self._codes.of_labels(pairs.astype(self.dtype))
-
-        def one(kernel: Any, items: int, lent: Any, own: slice, buffer: Any) -> None:
-            some = np.ascontiguousarray(codes[own], np.int32)
-            with self.device.buffers.lent(some, write=False) as labels:
-                where = (lent, np.uint64(len(some)), labels, buffer)
-                kernel(self.device.queue, (items,), None, self._buffer, self.extent, *where)
-                self.device.finish()
-
-        self._at_points("regions_between", points, result, one, None)
+        device, edge, count = self.device, self.boundary.edge, len(cells)
+        run = _RUN if device.kind == "cpu" else 1
+        kernel = device.build("spline/nets.cl", {**self._defines, "COORD_DOUBLE": 0, "RUN": run}).kernel("nets_place")
+        known = self._codes.of_labels(numbers.astype(self.dtype))
+        corners = np.array([_MOST, *known.tolist()], np.int32)[around]
+        result, about = np.empty((count, 3), np.float32), np.array([*spacing, edge], np.float32)
+        some = max(run, device.limits.launch_taps // (_EVALUATIONS * self.filter.support**3))
+        lent = device.buffers.lent
+        with lent(cells, write=False) as first_corners, lent(corners, write=False) as labels, lent(result, write=True) as offsets:
+            for first in range(0, count, some):
+                last = min(first + some, count)
+                where = first_corners, labels, self.size, about, np.uint64(first), np.uint64(last), offsets
+                with device.errors:
+                    kernel(device.queue, (-(-(last - first) // run),), None, self._buffer, self.extent, *where)
+                device.finish()
         return result
 
     def _at_points(

@@ -35,8 +35,9 @@ def resample_scores(
 ) -> Volume:
     """The label whose score is largest at each point of another grid, from scores of each class: a network's logits.
 
-    The scores are resampled class by class and compared as they come, so memory holds those of one class on the new grid, not of
-    all. Boundaries are smooth, since they lie where continuous functions are equal.
+    The scores are resampled class by class and compared as they come, so memory holds the largest ones and those of one class on
+    the new grid, not those of all; an array that is mapped from a file is read class by class, too. Boundaries are smooth, as they
+    lie where continuous functions are equal.
 
     Parameters
     ----------
@@ -76,17 +77,24 @@ def resample_scores(
     for number, volume in enumerate(classes):
         part = part_of(progress, number / len(classes), (number + 1) / len(classes))
         made = resample(volume, shape, progress=part, **options)
+        where, space = (made.spacing, made.origin, made.direction, made.units), made.space
         if labels is None or most is None:
             most, kind = np.array(made.data), np.uint8 if len(classes) <= 256 else np.uint16
             labels = memory.empty(made.shape, kind, f"labels of {made.data.size} points")
             labels[...] = 0
-            continue
-        for values, highest, label in zip(made.data, most, labels, strict=True):  # by slices, since each needs a mask
-            higher = values > highest
-            np.copyto(highest, values, where=higher, casting="same_kind")
-            label[higher] = number
+        else:
+            _compare(made.data, number, most, labels)
+        del made  # before the next class needs as much memory
     assert labels is not None
-    return Volume(labels, made.spacing, made.origin, made.direction, made.units, labels=True, space=made.space)
+    return Volume(labels, *where, labels=True, space=space)
+
+
+def _compare(scores: NDArray[Any], number: int, most: NDArray[Any], labels: NDArray[Any]) -> None:
+    """Put scores into the largest ones, and the class's number into labels, where they exceed these."""
+    for values, highest, label in zip(scores, most, labels, strict=True):  # by slices, since each needs a mask
+        higher = values > highest
+        np.copyto(highest, values, where=higher, casting="same_kind")
+        label[higher] = number
 
 
 def _classes(scores: ArrayLike | Volumes | Sequence[Volume]) -> Sequence[Volume]:
