@@ -30,6 +30,11 @@ if not os.environ.get("POCL_CACHE_DIR"):
         kernels.mkdir(parents=True, exist_ok=True)
         os.environ["POCL_CACHE_DIR"] = str(kernels)
 
+# Optimising a kernel takes longer than drawing a small picture without, and changes no bit (device/test_program.py). PoCL reads
+# this at each build, also in subprocesses. `POCL_EXTRA_BUILD_FLAGS= pytest` tests what users build.
+if not os.environ.get("CLVOL_TEST_THOROUGH"):
+    os.environ.setdefault("POCL_EXTRA_BUILD_FLAGS", "-cl-opt-disable")
+
 # the same examples in every run of the continuous integration; new ones on a developer's machine
 settings.register_profile("ci", derandomize=True, deadline=None)
 if os.environ.get("CI"):

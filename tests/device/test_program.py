@@ -166,6 +166,17 @@ def test_programs_are_built_once_and_kernels_are_per_thread(device: Device) -> N
         first.kernel("twice")
 
 
+def test_kernels_that_are_not_optimised_give_the_same_bits(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The suite's own are built so (conftest.py), and users' are not."""
+    pictures = []
+    for flags in ("", "-cl-opt-disable"):
+        monkeypatch.setenv("POCL_EXTRA_BUILD_FLAGS", flags)
+        with clvol.Renderer(clvol.phantoms.marschner_lobb(16), device=Device(device.handle)) as renderer:  # of no program yet
+            pictures.append(renderer.render(clvol.Camera.orbit(25, 35, fit="volume"), "composite", size=(40, 32)))
+    assert np.ptp(pictures[0]) > 0.5
+    np.testing.assert_array_equal(*pictures)
+
+
 def test_floating_literals() -> None:
     assert [program.literal(v) for v in (1.0, 0.5, -2.0)] == ["1.0f", "0.5f", "-2.0f"]
     assert [program.literal(v) for v in (1e-9, 1e30)] == ["9.99999972e-10f", "1.00000002e+30f"]

@@ -727,7 +727,7 @@ cli.main(sys.argv[1:])
 """
 LONG = {
     "movie": ["movie", "phantom:marschner-lobb:24", "-o", "a.mp4", "--frames", "5000", "--size", "64", "64"],
-    "render": ["render", "phantom:marschner-lobb:64", "-o", "a.png", "--size", "1500", "1500", "--rays", "2048"],
+    "render": ["render", "phantom:marschner-lobb:64", "-o", "a.png", "--size", "600", "600", "--rays", "2048"],
     "batch": ["batch", "phantom:marschner-lobb:24", "-o", "{frame}.png", "--turn", "5000", "--size", "64", "64"],
 }
 

@@ -21,8 +21,8 @@ from clvol.spline.field import Field
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
 
-DATA = np.random.default_rng(5).random((128, 128, 128), np.float32)  # of more than 4 MiB, which go back to the system at once
-POINTS = np.random.default_rng(6).uniform(0, 127, (1 << 20, 3)).astype(np.float32)
+DATA = np.random.default_rng(5).random((104, 104, 104), np.float32)  # of more than 4 MiB, which go back to the system at once
+POINTS = np.random.default_rng(6).uniform(0, 103, (1 << 18, 3)).astype(np.float32)
 VIEW: dict[str, Any] = {"mode": "mip", "size": (64, 48), "rays": 4}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import linecache
+import os
 import re
 import threading
 import warnings
@@ -189,7 +190,8 @@ def build(device: Any, context: Any, text: str, kernels: KernelCache | None, not
     `note` is called before launches for which the runtime may have to compile a kernel. Without a `KernelCache` nothing is kept.
     Raises `DeviceError` if PoCL would have to build the program, and has no room to.
     """
-    key = hashlib.sha256("\0".join((identity(device), *_OPTIONS, text)).encode()).hexdigest()
+    flags = os.environ.get("POCL_EXTRA_BUILD_FLAGS", "")  # PoCL adds them to the options
+    key = hashlib.sha256("\0".join((identity(device), *_OPTIONS, flags, text)).encode()).hexdigest()
     with _building, warnings.catch_warnings():
         # Intel's runtime always warns; faults are errors
         warnings.simplefilter("ignore", opencl().CompilerWarning)
