@@ -54,6 +54,7 @@ __all__ = [
     "is_address",
     "label_of",
     "own_options",
+    "rule_of",
     "whole_numbers",
 ]
 
@@ -456,11 +457,6 @@ class Look:
         corners = [clvol.Corner(corner[:3], corner[3:]) for corner in self.clip_corner]
         return [*([] if self.clip is None else [(self.clip[:3], self.clip[3:])]), *planes, *corners]
 
-    @property
-    def rule(self) -> rules.Boundary:
-        """The boundary rule."""
-        return rules.UNSAID_BOUNDARY if self.boundary is None else rules.as_boundary(self.boundary)
-
     def words(self) -> dict[str, Any]:
         """The transfer function in words, as `clvol.render` takes it."""
         given = {"preset": self.preset, "window": self.window, "cmap": self.cmap, "opacity": self.opacity_points()}
@@ -621,6 +617,11 @@ else:
     ModeOptions = Parameter(name="*", group=_OWN)(
         make_dataclass("ModeOptions", map(_flag, sorted(every_option())), bases=(Given,), namespace={"__module__": __name__})
     )
+
+
+def rule_of(look: Look) -> rules.Boundary:
+    """The boundary rule of pictures."""
+    return rules.UNSAID_BOUNDARY if look.boundary is None else rules.as_boundary(look.boundary)
 
 
 def own_options(

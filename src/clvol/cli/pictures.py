@@ -48,6 +48,7 @@ from clvol.cli.options import (
     bytes_of,
     is_address,
     own_options,
+    rule_of,
     whole_numbers,
 )
 from clvol.cli.root import PICTURES, command
@@ -179,7 +180,7 @@ def render(
         begun = time.perf_counter()
         wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
         transfer = options.get("transfer")
-        options |= {"filter": wanted, "boundary": look.rule}
+        options |= {"filter": wanted, "boundary": rule_of(look)}
         (drawn,) = others.drawn([volume], options, source, reader, partial(_volume, Input(), memory=most, whole=whole))
         held = {name: options.pop(name) for name in ("filter", "boundary") if name in options}
         with clvol.Renderer(drawn, **held, device=device, memory=most, cluster=cluster) as renderer:
@@ -304,7 +305,7 @@ def batch(
     around = furniture.options() if furniture else {}
     options = own_options(look, own, around=around, colored=others is not None and others.colors is not None) | around
     reader = input or Input()
-    held: dict[str, Any] = {"filter": filter, "boundary": look.rule}
+    held: dict[str, Any] = {"filter": filter, "boundary": rule_of(look)}
     whole = needs_whole(look.limits())
     reading: Any = partial(_volume, reader, whole=whole)
     if others is not None:
@@ -413,7 +414,7 @@ def movie(
         some = pooled(volumes)
         options = keys.beside(options | look.named(some), look, several=others != Others()) | {
             "filter": filter,
-            "boundary": look.rule,
+            "boundary": rule_of(look),
         }
         read = partial(_volume, Input(), whole=needs_whole(limits))
         made = clvol.movie(
@@ -589,7 +590,7 @@ def orthogonal(
     whole = labels.smooth or needs_whole(look.limits())
     volume = _volume(others.first(reader), source, whole=whole)
     with speech.progress("drawing", json) as progress, look.limited(device):
-        options |= solid.options(volume.preview()) | {"filter": filter, "boundary": look.rule}
+        options |= solid.options(volume.preview()) | {"filter": filter, "boundary": rule_of(look)}
         (drawn,) = others.drawn([volume], options, source, reader, partial(_volume, Input(), whole=whole))
         picture = clvol.orthogonal(
             drawn,
@@ -699,7 +700,7 @@ def compare(
     if output is not None:
         with speech.progress("drawing", json) as progress, look.limited(device):
             _, sheet = figures.compare(
-                volume, names, pixels, look.rule, device=device, progress=progress, **look.options(volume), **options
+                volume, names, pixels, rule_of(look), device=device, progress=progress, **look.options(volume), **options
             )
         result["output"] = str(clvol.save(sheet, output))
     result |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
@@ -708,16 +709,16 @@ def compare(
             errors: analysis.Table[Any]
             if kind == "table":
                 errors = analysis.compare(
-                    volume, names, boundary=look.rule, points=_COMPARED, timing_device=device, progress=progress
+                    volume, names, boundary=rule_of(look), points=_COMPARED, timing_device=device, progress=progress
                 )
                 result["against"] = errors.against
             elif kind == "expected":
                 errors = analysis.predict(volume, names)
                 result["noise"] = errors.sigma
             elif kind == "left_out":
-                errors = analysis.leave_out(volume, names, look.rule, progress=progress)
+                errors = analysis.leave_out(volume, names, rule_of(look), progress=progress)
             else:
-                errors = analysis.rotations(volume, names, boundary=look.rule, progress=progress)
+                errors = analysis.rotations(volume, names, boundary=rule_of(look), progress=progress)
         result[kind] = str(errors.write(path))
         if json:
             result["errors" if kind == "table" else f"{kind}_errors"] = errors.records()
@@ -820,7 +821,7 @@ def report(
             Path(source).name,
             filters or reports.REPORTED,
             pixels,
-            look.rule,
+            rule_of(look),
             device=device,
             progress=progress,
             **look.options(volume),

@@ -322,7 +322,7 @@ def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
 def launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any, long: bool = False) -> None:
     """Launch over the pixels of an area (x, y, width, height) that begins at a tile, and wait; `long` if it may take long."""
     (x, y, w, h), tile, device = area, frame.tile, frame.device
-    shape = (1, 1) if tile.shared else (_GROUP, _GROUP)
+    shape = (1, 1) if tile.shared or device.kind == "cpu" else (_GROUP, _GROUP)  # PoCL builds loops over a group for long
     tiles = (-(-w // tile.width), -(-h // tile.height))
     items = tuple(-(-n // m) * m for n, m in zip(tiles, shape, strict=True))
     with device.errors:
