@@ -43,8 +43,8 @@ INLINE void enter_region(state_t *s, COEFFICIENTS coefficients, const sample_t *
     if (!any_lane(active))
         return;
     if (SHADED && !face) {
-        const real3 gradient = gradient_at(coefficients, sample, choose(active, t, sample->ray->enter), active);
-        color = shade(sample->frame, color, gradient, label, sample->ray->world);
+        const real at = choose(active, t, sample->ray->enter);
+        color = shade(sample, color, gradient_at(coefficients, sample, at, active), label, at, active);
     }
     const real share = choose(active, s->light * color.opacity, (real)(0.0f)), left = s->light * color.clear;
     s->red = madd(share, color.red, s->red);

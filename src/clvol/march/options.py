@@ -100,6 +100,9 @@ class LookOptions(TypedDict, total=False):
         no opacity.
     lights, background, clip
         In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or cuts, None for none.
+    shadow, occlusion
+        How dark shadows are, and places that matter surrounds, 0 to 1, in place of the scene's: see `Scene`.
+        They are of one volume in memory.
     media
         In place of the scene's media, in their order: the same volumes, filters and boundaries (`Renderer.scene` has them), with
         other looks, as ``replace(medium, visible=False)`` gives.
@@ -118,6 +121,8 @@ class LookOptions(TypedDict, total=False):
     lights: Light | Sequence[Light] | None
     background: Sequence[float] | str | EllipsisType | None
     clip: Clip | EllipsisType | None
+    shadow: float | None
+    occlusion: float | None
     media: Sequence[Medium] | None
     gradient: Literal["analytic", "central"]
 
@@ -448,6 +453,8 @@ class ResolvedLook:
             scene = scene.of_media([medium := replace(medium, color_by=_settled_colors(medium.color_by))])
         words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
         scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
+        if scene.shadow and mode.shaded:
+            scene = _with_still_lights(scene, preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)
         shown = Surfaces(medium.surfaces, mode.shaded) if medium.surfaces else mode
         return cls(camera, shown.settled(preview), scene, transfer, gradient == "central", bool(skipping), preview)
@@ -461,6 +468,8 @@ class ResolvedLook:
             raise OptionError(f"{' and '.join(own)} must be left to the media of a scene of several: Medium(..., {own[0]}=...)")
         if mode.shows in ("matter", "surface") and scene.mix != "add":
             raise OptionError(f'mix="{scene.mix}" changes nothing in {mode.name}: it is for projections')
+        if dark := [name for name in ("shadow", "occlusion") if options.get(name, getattr(scene, name))]:
+            raise OptionError(f"{' and '.join(dark)} must be left out of a scene of several media: light is stopped by one")
         media = [medium for medium in scene.media if medium.visible]
         if not media:
             raise OptionError(f"a picture must show a medium; none of the scene's {len(scene.media)} is visible")
@@ -536,6 +545,14 @@ def transfer_of(preview: Volume, mode: Mode, options: Mapping[str, Any]) -> Tran
     return look(preview, mode, **words) if given else transfer
 
 
+def _with_still_lights(scene: Scene, preview: Volume) -> Scene:
+    """The scene with lights of the world, for those that move with the camera as in the usual view, so that shadows stay."""
+    if all(light.direction is None for light in scene.lights):
+        raise OptionError("shadow changes nothing where no light has a direction: headlights cast none; leave it out")
+    view = usual_camera(preview).view(preview, 1.0)
+    return replace(scene, lights=tuple(light.placed(view) for light in scene.lights))
+
+
 def _settled_colors(medium: Medium) -> Medium:
     """What colours a medium with all that was left open decided: its filter, and its transfer function.
 
@@ -565,8 +582,7 @@ def _changed(scene: Scene, transfer: TransferFunction | None, options: RefineOpt
     """The scene with what is given in place of its own."""
     (medium,) = scene.media
     changes: dict[str, Any] = {name: value for name in ("background", "clip") if (value := options.get(name, ...)) is not ...}
-    if (lights := options.get("lights")) is not None:
-        changes["lights"] = lights
+    changes |= {name: value for name in ("lights", "shadow", "occlusion") if (value := options.get(name)) is not None}
     if (material := options.get("material")) is not None:
         medium = replace(medium, material=material)
     if transfer is not None:

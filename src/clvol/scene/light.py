@@ -50,6 +50,8 @@ class Light:
             length = math.hypot(*map(float, vector)) if vector.shape == (3,) else 0.0
             if not (math.isfinite(length) and length > 0):
                 raise GeometryError(f"{what} must be {rule}; got {self.direction!r}")
+            if abs(length - 1) < 1e-15:  # normalized again it might differ in the last bit
+                length = 1.0
             object.__setattr__(self, "direction", tuple(float(v) / length for v in vector))
         object.__setattr__(self, "color", color_of("a light's color", self.color))
         if not isinstance(self.frame, str) or self.frame not in _FRAMES:

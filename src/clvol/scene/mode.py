@@ -145,9 +145,15 @@ class Mode:
         return ()
 
     @property
+    def opacities(self) -> tuple[float, ...]:
+        """The share of light that each of its isovalues' surfaces stops."""
+        return (1.0,) * len(self.isovalues)
+
+    @property
     def unheard(self) -> Mapping[str, str]:
         """Options, of pictures and its own, that change no colour of its pictures, each with the reason."""
-        return {} if self.shaded else dict.fromkeys(("material", "lights", "gradient"), "nothing is shaded")
+        of_light = ("material", "lights", "shadow", "occlusion", "gradient")
+        return {} if self.shaded else dict.fromkeys(of_light, "nothing is shaded")
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002  # most cannot decide
         """Whether values from `low` to `high`, in units of the data, can affect a picture; if not, bricks are skipped."""
@@ -440,6 +446,10 @@ class Surfaces(_OfSurfaces):
         return numbers if len(numbers) == len(values) else ()
 
     @property
+    def opacities(self) -> tuple[float, ...]:
+        return tuple(float(surface[2]) for surface in self.surfaces or ())
+
+    @property
     def unheard(self) -> Mapping[str, str]:
         return {**super().unheard, **_uncolored(self.cap, self.color_by)}
 
@@ -516,7 +526,8 @@ class Regions(Mode):
 
     @property
     def unheard(self) -> Mapping[str, str]:
-        return {"gradient": "boundaries have the gradient of their filter", **super().unheard}
+        dark = dict.fromkeys(("shadow", "occlusion"), "regions of labels let all light through")
+        return {"gradient": "boundaries have the gradient of their filter", **dark, **super().unheard}
 
     def unmergeable(self, *, guides: bool, smooth: bool) -> str:  # noqa: ARG002
         return "the depth and normals of regions, which depend on transmittance" if guides else ""

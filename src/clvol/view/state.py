@@ -278,13 +278,9 @@ def _light_of(what: str, value: object) -> Light:
     direction = given.get("direction")
     direction = None if direction is None else _triple(f"{what}.direction", direction)
     try:
-        light = Light(direction, _color(f"{what}.color", given.get("color", (1.0, 1.0, 1.0))), given.get("frame", "world"))
+        return Light(direction, _color(f"{what}.color", given.get("color", (1.0, 1.0, 1.0))), given.get("frame", "world"))
     except ClvolError as error:
         raise OptionError(f"{what}: {error}") from None
-    if direction is not None and abs(math.hypot(*direction) - 1) < 1e-15:
-        # normalized again it might differ in the last bit; states must survive a round trip unchanged
-        object.__setattr__(light, "direction", direction)
-    return light
 
 
 def _lights_of(what: str, value: object) -> tuple[Light, ...]:
