@@ -86,12 +86,14 @@ kernel void extinction(global const float *values, const int4 many, global const
 // Extinctions and results have rows of LANES zeros at both ends, and such rows around each plane; `strides` are from row to row, from
 // plane to plane in the way of the light, and to the first number. A plane shifts lines by `shift` rows and numbers of a row.
 
+#define BUNDLE 8   // vectors of a row that are computed at once
+
 typedef struct { int whole; float rest; } shift_t;
 
 INLINE shift_t shift_of(const float by)
 {
-    const float whole = floor(by);
-    const shift_t shift = { (int)whole, by - whole };
+    const int toward_zero = (int)by, whole = toward_zero - (by < (float)toward_zero);   // without a call of floor
+    const shift_t shift = { whole, by - (float)whole };
     return shift;
 }
 
@@ -103,25 +105,43 @@ INLINE real blend(global const float *at, const size_t row, const float across, 
     return madd((real)(down), lower - upper, upper);
 }
 
+// Keeps the planes between `from` and `to` at which lines that start at `first` are from low to high, or almost.
+INLINE void narrow(const float first, const float shift, const float low, const float high, float *from, float *to)
+{
+    if (shift * shift < 1e-12f)
+        return;
+    const float a = (low - 1.0f - first) / shift, b = (high + 1.0f - first) / shift;
+    *from = MAX(*from, MIN(a, b));
+    *to = MIN(*to, MAX(a, b));
+}
+
 // What is left on lines at each plane. `many` are nodes of a row, rows and planes; `lines` the first line of a row, the first row of
 // lines, and the strides of `left`. Of what lies behind a plane the next counts `faded`. `scale` is of the extinctions' exponents.
 kernel void along_lines(global const float *extinctions, const int4 many, const int4 strides, const int4 lines, const float2 shift,
                         const float scale, const float faded, global float *left)
 {
-    const int number = LANES * (int)get_global_id(0), row = get_global_id(1);
-    real exponent = (real)(0.0f), before = (real)(0.0f);
-    for (int n = 0; n < many.z; ++n) {
+    const int number = BUNDLE * LANES * (int)get_global_id(0), row = get_global_id(1);
+    real exponents[BUNDLE], before[BUNDLE];
+    for (int i = 0; i < BUNDLE; ++i)
+        exponents[i] = before[i] = (real)(0.0f);
+    float from = 0.0f, to = (float)(many.z - 1);
+    narrow((float)(lines.x + number), shift.x, (float)(-BUNDLE * LANES), (float)many.x, &from, &to);
+    narrow((float)(lines.y + row), shift.y, -1.0f, (float)(many.y - 1), &from, &to);
+    for (int n = (int)from; n < many.z && (float)n <= to; ++n) {
         const shift_t u = shift_of(n * shift.x), v = shift_of(n * shift.y);
         const int x = lines.x + number + u.whole, y = lines.y + row + v.whole;
-        if (x > many.x || x + LANES < 0 || y < -1 || y >= many.y) {
-            before = (real)(0.0f);
-            continue;   // nothing is read of it
+        if (y < -1 || y >= many.y)
+            continue;
+        global const float *here_on = extinctions + strides.z + (long)n * strides.y + (long)y * strides.x + x;
+        global float *left_on = left + (size_t)n * lines.w + (size_t)row * lines.z + number;
+        const int past = MIN(BUNDLE, (many.x - x + LANES) / LANES);
+        for (int i = x < 0 ? -x / LANES : 0; i < past; ++i) {   // of the others nothing is read
+            const real here = blend(here_on + i * LANES, strides.x, u.rest, v.rest);
+            const real delayed = exponents[i];
+            exponents[i] = madd((real)(scale), before[i] + here, faded * delayed);
+            before[i] = here;
+            *(global real_at *)(left_on + i * LANES) = exp_2(-delayed);
         }
-        const real here = blend(extinctions + strides.z + (long)n * strides.y + (long)y * strides.x + x, strides.x, u.rest, v.rest);
-        const real delayed = DELAY ? exponent : madd((real)(scale), before + here, faded * exponent);
-        exponent = madd((real)(scale), before + here, faded * exponent);
-        before = here;
-        *(global real_at *)(left + (size_t)n * lines.w + (size_t)row * lines.z + number) = exp_2(-delayed);
     }
 }
 

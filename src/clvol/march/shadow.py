@@ -59,9 +59,10 @@ DELAY = int(os.environ.get('DELAY', 0))
 GAIN = float(os.environ.get('GAIN', 2))
 """Base-2 exponent of the light behind a cell of opaque matter, or behind an opaque surface."""
 _MOST_CELLS = 86**3  # of a third of 256 samples
-_DIRECTIONS = 64
+_DIRECTIONS = 48
 _NODES = 4096  # of the integral of extinction over values
 _KEPT = 4  # fields
+_BUNDLE = 8  # vectors of shadow.cl
 _PARTS = 2  # of a cell along an axis
 
 
@@ -120,7 +121,7 @@ def everywhere() -> NDArray[np.float64]:
 
 
 class Lit(Behind):
-    """What is left of lights at nodes: `light`, float32 of shape (z, y, x, channels), of a multiple of four channels."""
+    """What is left of lights at nodes: `light`, float32 of shape (rows, z, y, x, 4), of four channels in a row."""
 
     def __init__(self, cells: Cells, light: NDArray[np.float32]) -> None:
         super().__init__([light])
@@ -128,8 +129,8 @@ class Lit(Behind):
 
     @property
     def rows(self) -> int:
-        """Numbers of a node, in fours."""
-        return self.light.shape[-1] // 4
+        """Rows of numbers of a node."""
+        return self.light.shape[0]
 
     def block(self, scene: Scene, at: int) -> Values:
         """The block for kernels; the numbers begin with number `at` of their table, a multiple of four."""
@@ -139,7 +140,7 @@ class Lit(Behind):
         pad = [0] * (MAX_LIGHTS - len(cast))
         return LIT(
             at=at // 4,
-            nodes=self.light.shape[2::-1],
+            nodes=self.light.shape[3:0:-1],
             scale=1 / self.cells.sizes,
             shift=0.5 / self.cells.sizes - 0.5,
             above=(ABOVE * self.cells.edge * self.cells.to_nodes).ravel(),
@@ -232,10 +233,10 @@ class Shadows:
             if occlusion:
                 far = FAR * float(np.linalg.norm(np.asarray(volume.size) * np.asarray(volume.spacing)))
                 channels.append(np.minimum(GAIN * sweeps.light(cells.to_nodes @ everywhere().T, far), 1))
-        light = np.ones((*found.shape, -(-len(channels) // ROW) * ROW), np.float32)
+        light = np.ones((-(-len(channels) // ROW), *found.shape, ROW), np.float32)
         for k, channel in enumerate(channels):
-            light[..., k] = channel
-        return np.pad(light, [(0, int(n == 1)) for n in found.shape] + [(0, 0)], mode="edge")
+            light[k // ROW, ..., k % ROW] = channel
+        return np.pad(light, [(0, 0), *((0, int(n == 1)) for n in found.shape), (0, 0)], mode="edge")
 
     def release(self) -> None:
         """Free the device's memory."""
@@ -301,7 +302,7 @@ class _Layout:
         nu, nv, nw = self._sizes[0], self._sizes[v], self._sizes[w]
         begin = [-1 - math.ceil(max(by, 0) * (nw - 1)) for by in shift]
         ends = [n + math.ceil(max(-by, 0) * (nw - 1)) for n, by in zip((nu, nv), shift, strict=True)]
-        pitch, rows = LANES * (-(-(ends[0] - begin[0] + 2) // LANES) + 2), ends[1] - begin[1] + 2
+        pitch, rows = _BUNDLE * LANES * -(-(ends[0] - begin[0] + 2 * LANES + 2) // (_BUNDLE * LANES)), ends[1] - begin[1] + 2
         down = direction[w] > 0  # light enters at the last plane
         step = -self._strides[w] if down else self._strides[w]
         strides = self._strides[v], step, self._first - (nw - 1) * step * down, 0
@@ -314,7 +315,7 @@ class _Layout:
             alone = device.alone(2)
             half = np.float32(length / 2)
             built.kernel("along_lines")(
-                device.queue, (pitch // LANES, rows), alone, self._extinction, *common, half, np.float32(faded), self._left
+                device.queue, (pitch // (_BUNDLE * LANES), rows), alone, self._extinction, *common, half, np.float32(faded), self._left
             )
             built.kernel("add_light")(device.queue, (nv, nw), alone, self._left, *common, np.float32(weight), self._sums)
 
