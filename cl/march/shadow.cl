@@ -137,10 +137,10 @@ kernel void along_lines(global const float *extinctions, const int4 many, const 
         const int past = MIN(BUNDLE, (many.x - x + LANES) / LANES);
         for (int i = x < 0 ? -x / LANES : 0; i < past; ++i) {   // of the others nothing is read
             const real here = blend(here_on + i * LANES, strides.x, u.rest, v.rest);
-            const real delayed = exponents[i];
-            exponents[i] = madd((real)(scale), before[i] + here, faded * delayed);
+            const real until = exponents[i];   // the plane before: matter would else lie in its own shadow
+            exponents[i] = madd((real)(scale), before[i] + here, faded * until);
             before[i] = here;
-            *(global real_at *)(left_on + i * LANES) = exp_2(-delayed);
+            *(global real_at *)(left_on + i * LANES) = exp_2(-until);
         }
     }
 }

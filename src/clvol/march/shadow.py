@@ -9,7 +9,6 @@ term. No number depends on the camera, so neither do the shadows.
 from __future__ import annotations
 
 import math
-import os
 import threading
 from collections.abc import Sequence
 from functools import lru_cache
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from clvol.spline.coefficients import Coefficients
     from clvol.volume.volume import Volume
 
-__all__ = ["ABOVE", "FAR", "LIT", "OPAQUE", "Cells", "Lit", "Matter", "Shadows", "everywhere"]
+__all__ = ["ABOVE", "BEYOND", "FAR", "LIT", "OPAQUE", "OPEN", "Cells", "Lit", "Matter", "Shadows", "everywhere"]
 
 LIT = Block(
     "lit_block",
@@ -49,16 +48,18 @@ LIT = Block(
     weight=(FLOAT, 1 + MAX_LIGHTS),
 )
 
-ABOVE = float(os.environ.get('ABOVE', 1.5))
+ABOVE = 2.0
 """Cells, how far above matter its light is read: closer it would lie in the blur of its own shadow."""
 FAR = 1 / 8
 """Share of the volume's diagonal after which matter counts for 1/e of its extinction to the light from everywhere, so that the
 inside of a room is not black."""
-OPAQUE = float(os.environ.get('OPAQUE', 6))
-DELAY = int(os.environ.get('DELAY', 0))
-GAIN = float(os.environ.get('GAIN', 2))
+OPAQUE = 6.0
 """Base-2 exponent of the light behind a cell of opaque matter, or behind an opaque surface."""
-_MOST_CELLS = 86**3  # of a third of 256 samples
+OPEN = 0.4
+"""Share of directions from which all ambient light comes: a little less than above a flat surface."""
+BEYOND = 3
+"""Nodes beyond the volume on each side, for what is read above matter at its faces."""
+_MOST_CELLS = 80**3  # of about a third of 256 samples
 _DIRECTIONS = 48
 _NODES = 4096  # of the integral of extinction over values
 _KEPT = 4  # fields
@@ -130,7 +131,7 @@ class Lit(Behind):
     @property
     def rows(self) -> int:
         """Rows of numbers of a node."""
-        return self.light.shape[0]
+        return int(self.light.shape[0])
 
     def block(self, scene: Scene, at: int) -> Values:
         """The block for kernels; the numbers begin with number `at` of their table, a multiple of four."""
@@ -142,7 +143,7 @@ class Lit(Behind):
             at=at // 4,
             nodes=self.light.shape[3:0:-1],
             scale=1 / self.cells.sizes,
-            shift=0.5 / self.cells.sizes - 0.5,
+            shift=0.5 / self.cells.sizes - 0.5 + BEYOND,
             above=(ABOVE * self.cells.edge * self.cells.to_nodes).ravel(),
             channel=[every * (scene.occlusion > 0), *(n if own else every for n, own in zip(channels, cast, strict=True)), *pad],
             weight=[scene.occlusion, *(scene.shadow if own else scene.occlusion for own in cast), *pad],
@@ -188,7 +189,6 @@ class Shadows:
             "SHEETS": int(bool(matter.surfaces)),
             "NAMES": int(coefficients.volume.is_labels),
             "COORD_DOUBLE": 0,
-            "DELAY": DELAY,
         }
         found = np.empty((nz, ny, nx), np.float32)
         with device.buffers.lent(found, write=True) as result, device.errors:
@@ -227,16 +227,17 @@ class Shadows:
 
     def _light(self, matter: Matter, directions: Sequence[tuple[float, ...]], occlusion: bool) -> NDArray[np.float32]:
         """The channels of all nodes: what is left of light from each direction, then that from everywhere."""
-        cells, volume, found = self.cells, self._coefficients.volume, self.extinction(matter)
+        cells, volume = self.cells, self._coefficients.volume
+        found = np.pad(self.extinction(matter), BEYOND)
         with _Sweeps(self._coefficients.device, found) as sweeps:
             channels = [sweeps.light(cells.to_nodes @ np.array([direction]).T, math.inf) for direction in directions]
             if occlusion:
                 far = FAR * float(np.linalg.norm(np.asarray(volume.size) * np.asarray(volume.spacing)))
-                channels.append(np.minimum(GAIN * sweeps.light(cells.to_nodes @ everywhere().T, far), 1))
+                channels.append(np.minimum(sweeps.light(cells.to_nodes @ everywhere().T, far) / OPEN, 1))
         light = np.ones((-(-len(channels) // ROW), *found.shape, ROW), np.float32)
         for k, channel in enumerate(channels):
             light[k // ROW, ..., k % ROW] = channel
-        return np.pad(light, [(0, 0), *((0, int(n == 1)) for n in found.shape), (0, 0)], mode="edge")
+        return light
 
     def release(self) -> None:
         """Free the device's memory."""
@@ -309,13 +310,20 @@ class _Layout:
         self._make_room(4 * nw * rows * pitch)
         device, many = self._device, np.array([nu, nv, nw, 0], np.int32)
         common = many, np.array(strides, np.int32), np.array([*begin, pitch, pitch * rows], np.int32), np.array(shift, np.float32)
-        built = device.build("march/shadow.cl", {"LANES": LANES, "SHEETS": 0, "NAMES": 0, "COORD_DOUBLE": 0, "DELAY": DELAY})
+        built = device.build("march/shadow.cl", {"LANES": LANES, "SHEETS": 0, "NAMES": 0, "COORD_DOUBLE": 0})
         faded = math.exp(-length / far)
         with device.errors:
             alone = device.alone(2)
             half = np.float32(length / 2)
             built.kernel("along_lines")(
-                device.queue, (pitch // (_BUNDLE * LANES), rows), alone, self._extinction, *common, half, np.float32(faded), self._left
+                device.queue,
+                (pitch // (_BUNDLE * LANES), rows),
+                alone,
+                self._extinction,
+                *common,
+                half,
+                np.float32(faded),
+                self._left,
             )
             built.kernel("add_light")(device.queue, (nv, nw), alone, self._left, *common, np.float32(weight), self._sums)
 
