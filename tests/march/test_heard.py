@@ -27,6 +27,8 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "opacity": (0.2, ((0.2, 0.0), (0.9, 0.9))),
     "material": (clvol.Material(0.9, 0.1, 0.0),),
     "lights": (clvol.Light((1, 0, 0)),),
+    "shadow": (1.0,),
+    "occlusion": (1.0,),
     "background": ("red",),
     "clip": (((-9.0, -9.0, -9.0), (6.0, 6.0, 6.0)),),
     "gradient": ("central",),

@@ -31,7 +31,7 @@ class Behind:
         return count + -count % ROW
 
     def table(self, first: NDArray[np.float32], between: tuple[Behind, ...], device: Device) -> Any:
-        """A buffer of a table, what else follows it, and these; the last one is kept, since a camera that moves changes no table."""
+        """A buffer of a table, what else follows it, and these; the last is kept, since a camera that moves changes no table."""
         key = first.tobytes()
         if self._uploaded[:2] != (key, between):
             parts = [(first,), *(one.numbers for one in (*between, self))]

@@ -17,6 +17,7 @@ from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.scene.camera import Camera
 from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted, usual_camera
+from clvol.scene.light import casts
 from clvol.scene.look import look
 from clvol.scene.mode import BY_LABEL, Surfaces, as_mode, colored_by, require_heard
 from clvol.scene.preset import as_preset
@@ -316,6 +317,8 @@ def unheard(
             found["preset"] = "window gives the values of black and white"
         elif mode.shows == "mean" and row.unit == "matter":
             found["preset"] = f"means do not reach the values of {row.name!r}"
+    if "shadow" in given and "lights" in given and not casts(given["lights"]):
+        found["shadow"] = "headlights cast none"
     if "pixel_filter" in given and not _of_several_rays(mode, given.get("rays", "auto")):
         found["pixel_filter"] = "there is one ray a pixel"
     if "rgba" not in outputs:
@@ -547,7 +550,7 @@ def transfer_of(preview: Volume, mode: Mode, options: Mapping[str, Any]) -> Tran
 
 def _with_still_lights(scene: Scene, preview: Volume) -> Scene:
     """The scene with lights of the world, for those that move with the camera as in the usual view, so that shadows stay."""
-    if all(light.direction is None for light in scene.lights):
+    if not casts(scene.lights):
         raise OptionError("shadow changes nothing where no light has a direction: headlights cast none; leave it out")
     view = usual_camera(preview).view(preview, 1.0)
     return replace(scene, lights=tuple(light.placed(view) for light in scene.lights))

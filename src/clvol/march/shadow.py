@@ -22,6 +22,7 @@ from clvol.device.program import LANES
 from clvol.march.behind import ROW, Behind
 from clvol.scene.clip import Cuts, cuts_of
 from clvol.scene.light import MAX_LIGHTS
+from clvol.scene.mode import opacities_of
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.lease import release
 from clvol.spline.resample import resample_coefficients
@@ -80,7 +81,7 @@ class Matter(NamedTuple):
         """That of a look of one medium."""
         mode, transfer = look.mode, look.transfer
         if mode.isovalues:
-            return cls((), 1.0, tuple(zip(mode.isovalues, mode.opacities, strict=True)), cuts_of(look.clip))
+            return cls((), 1.0, tuple(zip(mode.isovalues, opacities_of(mode), strict=True)), cuts_of(look.clip))
         unit = transfer.unit_distance or look.scene.media[0].volume.mean_spacing
         return cls(transfer.opacities, unit, (), cuts_of(look.clip))
 

@@ -16,7 +16,7 @@ from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.scene.camera import Viewpoint
 
-__all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_lights", "lights_block"]
+__all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_lights", "casts", "lights_block"]
 
 MAX_LIGHTS = 4
 _FRAMES = ("world", "camera")
@@ -113,6 +113,11 @@ def as_lights(choice: Light | Sequence[Light]) -> tuple[Light, ...]:
     if len(lights) > MAX_LIGHTS:
         raise OptionError(f"there may be up to {MAX_LIGHTS} lights; got {len(lights)}")
     return tuple(lights)
+
+
+def casts(lights: Light | Sequence[Light]) -> bool:
+    """Whether some light casts shadows: a headlight stands where they are seen from."""
+    return any(light.direction is not None for light in as_lights(lights))
 
 
 def lights_block(lights: Sequence[Light], view: Viewpoint) -> Values:

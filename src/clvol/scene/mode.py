@@ -50,6 +50,7 @@ __all__ = [
     "heard_options",
     "mode_options",
     "modes",
+    "opacities_of",
     "outlined",
     "require_heard",
 ]
@@ -143,11 +144,6 @@ class Mode:
     def isovalues(self) -> tuple[float, ...]:
         """Those of a settled mode's surfaces, in ascending order; none for modes that show no surface."""
         return ()
-
-    @property
-    def opacities(self) -> tuple[float, ...]:
-        """The share of light that each of its isovalues' surfaces stops."""
-        return (1.0,) * len(self.isovalues)
 
     @property
     def unheard(self) -> Mapping[str, str]:
@@ -446,10 +442,6 @@ class Surfaces(_OfSurfaces):
         return numbers if len(numbers) == len(values) else ()
 
     @property
-    def opacities(self) -> tuple[float, ...]:
-        return tuple(float(surface[2]) for surface in self.surfaces or ())
-
-    @property
     def unheard(self) -> Mapping[str, str]:
         return {**super().unheard, **_uncolored(self.cap, self.color_by)}
 
@@ -639,6 +631,12 @@ def colored_by(mode: Mode) -> str:
 def outlined(mode: Mode) -> bool:
     """Whether the surfaces of a mode have outlines."""
     return getattr(mode, "outline", 0.0) > 0
+
+
+def opacities_of(mode: Mode) -> tuple[float, ...]:
+    """The share of light that each surface of a settled mode stops, in the order of its isovalues."""
+    surfaces = getattr(mode, "surfaces", None)
+    return tuple(float(surface[2]) for surface in surfaces) if surfaces else (1.0,) * len(mode.isovalues)
 
 
 def every_option() -> set[str]:

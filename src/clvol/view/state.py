@@ -496,6 +496,8 @@ class State(_Checked):
     preset, window, cmap, opacity
         As for `clvol.render`; slices take `window` and `cmap`.
     lights : tuple of Light, optional
+    shadow, occlusion : float
+        How dark shadows are, and places that matter surrounds, 0 to 1: of the picture of a single volume.
     material : Material, optional
     background : three numbers in 0..1, or None
     clip : (low, high), optional
@@ -532,6 +534,8 @@ class State(_Checked):
     cmap: str | None = _of(_named, None, known=partial(TransferFunction.from_cmap, value_range=(0.0, 1.0)))
     opacity: float | None = _of(number, None, minimum=0, maximum=1e6)
     lights: tuple[Light, ...] | None = _of(_lights, None, _lights_of)
+    shadow: float = _of(number, 0.0, minimum=0, maximum=1)
+    occlusion: float = _of(number, 0.0, minimum=0, maximum=1)
     material: Material | None = _part(Material)
     background: Triple | None = _of(_color, (0.0, 0.0, 0.0), optional=True)
     clip: tuple[Triple, Triple] | None = _of(_box, None, _clip_of, lambda clip: {"low": list(clip[0]), "high": list(clip[1])})
