@@ -135,7 +135,7 @@ kernel void along_lines(global const float *extinctions, const int4 many, const 
         global const float *here_on = extinctions + strides.z + (long)n * strides.y + (long)y * strides.x + x;
         global float *left_on = left + (size_t)n * lines.w + (size_t)row * lines.z + number;
         const int past = MIN(BUNDLE, (many.x - x + LANES) / LANES);
-        for (int i = x < 0 ? -x / LANES : 0; i < past; ++i) {   // of the others nothing is read
+        for (int i = x < 0 ? (-x - 1) / LANES : 0; i < past; ++i) {   // of the others nothing is read
             const real here = blend(here_on + i * LANES, strides.x, u.rest, v.rest);
             const real until = exponents[i];   // the plane before: matter would else lie in its own shadow
             exponents[i] = madd((real)(scale), before[i] + here, faded * until);

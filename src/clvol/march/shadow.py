@@ -170,7 +170,7 @@ class Shadows:
             if key not in self._kept:
                 if len(self._kept) >= _KEPT:
                     self._kept.pop(next(iter(self._kept)))
-                self._kept[key] = Lit(self.cells, self._light(*key))
+                self._kept[key] = Lit(self.cells, self.light(*key))
             return self._kept[key]
 
     def extinction(self, matter: Matter) -> NDArray[np.float32]:
@@ -226,7 +226,7 @@ class Shadows:
         points = volume.index_to_world(np.stack([x, y, z], -1).reshape(-1, 3)).reshape(*x.shape, 3)
         return (share * cuts.kept_share(points, cells.edge)).astype(np.float32)  # type: ignore[no-any-return]
 
-    def _light(self, matter: Matter, directions: Sequence[tuple[float, ...]], occlusion: bool) -> NDArray[np.float32]:
+    def light(self, matter: Matter, directions: Sequence[tuple[float, ...]], occlusion: bool) -> NDArray[np.float32]:
         """The channels of all nodes: what is left of light from each direction, then that from everywhere."""
         cells, volume = self.cells, self._coefficients.volume
         found = np.pad(self.extinction(matter), BEYOND)
