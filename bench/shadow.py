@@ -60,9 +60,8 @@ def main() -> None:
         matter = Matter(((0.2, 0.0), (0.5, 0.3)), 1.0, (), Cuts())
         for what, rounds_of in (("first", 1), ("again", _ROUNDS)):
             sweeps = [taken(partial(shadows.light, matter, ways, True)) for _ in range(rounds_of)]
-            print(
-                f"{what:12} {statistics.median(s for s, _ in sweeps):8.3f} s {statistics.median(p for _, p in sweeps):8.3f} processor s"
-            )
+            wall, processor = map(statistics.median, zip(*sweeps, strict=True))
+            print(f"{what:12} {wall:8.3f} s {processor:8.3f} processor s")
         shadows.release()
 
 
