@@ -11,12 +11,13 @@ INLINE color_t surface_color(COEFFICIENTS coefficients, const sample_t *sample, 
     constant float *surface = sample->frame->mode.color;
     const mask hit = hit_t < NOWHERE;
     color_t color = { (real)(surface[0]), (real)(surface[1]), (real)(surface[2]), choose(hit, (real)(1.0f), (real)(0.0f)), (real)(0.0f) };
-    color_by(&color, coefficients, sample, choose(hit, hit_t, sample->ray->enter), hit);
+    const real at = choose(hit, hit_t, sample->ray->enter);
+    color_by(&color, coefficients, sample, at, hit);
     if (SHADED && any_lane(hit)) {
-        const real3 gradient = gradient_at(coefficients, sample, choose(hit, hit_t, sample->ray->enter), hit);
-        color = shade(sample->frame, color, gradient, (real)(sample->frame->mode.isovalue), sample->ray->world);
+        const real3 gradient = gradient_at(coefficients, sample, at, hit);
+        color = shade(sample, color, gradient, (real)(sample->frame->mode.isovalue), at, hit);
     }
-    outline(&color, coefficients, sample, choose(hit, hit_t, sample->ray->enter), hit);
+    outline(&color, coefficients, sample, at, hit);
     if (any_lane(capped)) {
         const color_t cap = cap_color(sample, value_at(coefficients, sample, choose(capped, hit_t, sample->ray->enter), capped));
         color.red = choose(capped, cap.red, color.red);

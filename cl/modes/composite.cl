@@ -79,7 +79,7 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
         return NONE;
     color_by(&color, coefficients, sample, t, seen);
     if (SHADED)
-        color = shade(frame, color, gradient_here(coefficients, sample, t, seen), value, sample->ray->world);
+        color = shade(sample, color, gradient_here(coefficients, sample, t, seen), value, t, seen);
     real before, behind;
     stretch_of(sample->ray, sample->number, t, seen, &before, &behind);
 #if MISSING

@@ -51,7 +51,7 @@ INLINE void enter_region(state_t *s, const sample_t *sample, const real label, c
     if (!any_lane(active))
         return;
     if (SHADED && gradient)
-        color = shade(sample->frame, color, *gradient, label, sample->ray->world);
+        color = shade(sample, color, *gradient, label, choose(active, t, sample->ray->enter), active);
 #if ADDED
     // faces, like those of matter, in front of all samples; a boundary to the sample behind it
     const real number = gradient ? (real)(sample->number) : sample->ray->begin - 1.0f;

@@ -72,10 +72,11 @@ INLINE void pass_hit(state_t *s, COEFFICIENTS coefficients, const sample_t *samp
     constant frame_t *frame = sample->frame;
     real value;
     color_t color = layer_of(frame, s->which, &value);
-    color_by(&color, coefficients, sample, choose(active, s->hit, sample->ray->enter), active);
+    const real hit = choose(active, s->hit, sample->ray->enter);
+    color_by(&color, coefficients, sample, hit, active);
     if (SHADED)
-        color = shade(frame, color, gradient_at(coefficients, sample, choose(active, s->hit, sample->ray->enter), active), value, sample->ray->world);
-    outline(&color, coefficients, sample, choose(active, s->hit, sample->ray->enter), active);
+        color = shade(sample, color, gradient_at(coefficients, sample, hit, active), value, hit, active);
+    outline(&color, coefficients, sample, hit, active);
     pass_surface(s, sample, color, s->hit, active);
     s->hit = choose(active, NOWHERE, s->hit);
 }

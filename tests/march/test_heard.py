@@ -27,6 +27,7 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "opacity": (0.2, ((0.2, 0.0), (0.9, 0.9))),
     "material": (clvol.Material(0.9, 0.1, 0.0),),
     "lights": (clvol.Light((1, 0, 0)),),
+    "shadow": (1.0,),
     "background": ("red",),
     "clip": (((-9.0, -9.0, -9.0), (6.0, 6.0, 6.0)),),
     "gradient": ("central",),
@@ -56,7 +57,7 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "cap": (True, False),
 }
 CHANGES_NO_BIT = {"skipping"}  # as it says
-OF_A_SCENE = {"media"}  # in tests/view/test_media.py
+OF_A_SCENE = {"media", "occlusion"}  # in tests/view/test_media.py; of more matter than is here, in test_shadow.py
 OWN: tuple[dict[str, Any], ...] = ({}, {"shading": False}, {"method": "stepped"}, {"preset": "mr-default", "window": (0.4, 0.3)})
 BESIDE: dict[str, dict[str, Any]] = {"pixel_filter": {"rays": 4}, "cap": {"clip": VALUES["clip"][0]}}
 SIZE = (24, 18)

@@ -90,6 +90,8 @@ LOOKS: dict[str, dict[str, Any]] = {
             {"direction": None, "color": [0.2, 0.2, 0.2]},
         ],
         "material": {"ambient": 0.1, "diffuse": 0.8, "specular": 0.4, "shininess": 12.5},
+        "shadow": 0.7,
+        "occlusion": 0.5,
         "background": None,
     },
     "transfer": {"transfer.points": [[100, [0.1, 0, 0], 0], [400, [1, 0.5, 0], 0.3], [400, [0, 0.5, 1], 0.6], [950, [1, 1, 1], 1]]},

@@ -345,6 +345,7 @@ _MODES = f"{', '.join(clvol.modes())}."
 BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}; with a value, constant(5) or grid-constant(5)."
 Boundary = Annotated[str, Parameter(help=BOUNDARIES, completer=_any_of(clvol.boundaries))]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
+_PLAIN = ("rays", "pixel_filter", "shadow", "occlusion", "gradient")  # of a look, by the names of `clvol.render`
 _Six = tuple[float, float, float, float, float, float]
 Background = Annotated[
     str | None, Parameter(help="A name, a hex code, or 'none'. [default: black; white in theme print]", show_default=False)
@@ -418,6 +419,10 @@ class Look:
         ),
     ] = None
     background: Background = None
+    shadow: Annotated[
+        float | None, Parameter(help="How dark shadows are, 0 to 1; the lights then stand still.", show_default=False)
+    ] = None
+    occlusion: Annotated[float | None, Parameter(help="How dark it is where matter is around, 0 to 1.", show_default=False)] = None
     gradient: Annotated[
         Literal["analytic", "central"] | None,
         Parameter(help="The gradient that lighting uses. [default: analytic, where the filter has slopes]", show_default=False),
@@ -441,7 +446,7 @@ class Look:
 
     def of_scene(self, volume: clvol.Volume) -> dict[str, Any]:
         """The same for a scene, whose first medium has the transfer function."""
-        given: dict[str, Any] = {name: getattr(self, name) for name in ("rays", "pixel_filter", "gradient")}
+        given: dict[str, Any] = {name: getattr(self, name) for name in _PLAIN}
         given |= {"clip": self.cuts() or None}
         given |= {"camera": self.camera(volume), "mode": self.mode, "step": self.step, "background": self.background}
         given = {name: value for name, value in given.items() if value is not None}
@@ -464,7 +469,7 @@ class Look:
 
     def require_heard(self, mode: Mode, outputs: Sequence[str]) -> None:
         """Raise `OptionError` if an option changes nothing in a mode and in these outputs."""
-        given = self.words() | {name: getattr(self, name) for name in ("rays", "pixel_filter", "gradient")}
+        given = self.words() | {name: getattr(self, name) for name in _PLAIN}
         reasons = unheard(mode, given, outputs)
         if mode.stretches and self.step != Look.step:
             reasons["step"] = "surfaces are exact, and take no samples"

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from clvol.base.errors import OutOfMemoryError
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.filter.table import as_filter
+from clvol.march.behind import ROW, Behind
 from clvol.scene.transfer import TransferFunction
 
 if TYPE_CHECKING:
     from clvol.base.uniform import Values
-    from clvol.device import Device
     from clvol.filter.filter import Filter
     from clvol.scene.scene import Medium
     from clvol.spline.field import Field
@@ -44,12 +44,12 @@ COLORED = Block(
 )
 
 
-class Other:
+class Other(Behind):
     """A function that colours another: its values as stored, and it and where its samples are missing in the kernels' layout."""
 
     def __init__(self, stored: Stored, layouts: tuple[_Layout, ...]) -> None:
+        super().__init__([layout.numbers for layout in layouts])
         self.stored, self.layouts = stored, layouts
-        self._uploaded: tuple[bytes, Any] = b"", None
 
     @classmethod
     def of(cls, field: Field) -> Other:
@@ -62,17 +62,6 @@ class Other:
         absent = np.pad(field.gaps.volume.data.astype(np.float32), 1, mode="edge")
         between = as_filter("nearest" if made.filter.support == 1 else "linear")
         return cls(made.stored, (function, _laid_out(between, absent, 1)))
-
-    def behind(self, table: NDArray[np.float32], device: Device) -> Any:
-        """A buffer of a table and these numbers; the last one is kept, since a camera that moves changes no table."""
-        key, (known, buffer) = table.tobytes(), self._uploaded
-        if known != key:
-            buffer = device.buffers.upload(np.concatenate([table, *(layout.numbers for layout in self.layouts)]))
-            self._uploaded = key, buffer
-        return buffer
-
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_uploaded": (b"", None)}
 
 
 class _Layout(NamedTuple):
@@ -103,8 +92,8 @@ def colors_of(medium: Medium, other: Other, table: NDArray[np.float32]) -> tuple
     by = medium.color_by
     assert by is not None
     assert by.transfer is not None  # settled
-    pad = -table.size % 4
-    both = np.concatenate([table, np.zeros(pad, np.float32), by.transfer.table(other.stored)])
+    pad, own = -table.size % ROW, by.transfer.table(other.stored)
+    both = np.concatenate([table, np.zeros(pad, np.float32), own, np.zeros(-own.size % ROW, np.float32)])
     blocks, begin = [], both.size
     for layout in other.layouts:
         blocks.append(FUNCTION(**layout.block | {"polynomials": begin, "coefficients": begin + layout.block["coefficients"]}))
@@ -116,7 +105,7 @@ def colors_of(medium: Medium, other: Other, table: NDArray[np.float32]) -> tuple
     low, high = by.domain
     values = COLORED(
         transfer=by.transfer.block(1.0, other.stored),
-        table=(table.size + pad) // 4,
+        table=(table.size + pad) // ROW,
         to=[*(grid.world_to_index_matrix @ medium.volume.index_to_world_matrix).ravel(), *start],
         low=low,
         high=high,

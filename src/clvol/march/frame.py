@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device import Tile
 from clvol.filter.filter import MAX_TAPS
+from clvol.march.behind import ROW
 from clvol.march.colored import COLORED, colors_of
 from clvol.march.gaps import GAPS, gaps_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.march.rails import RAILS, Rails
+from clvol.march.shadow import LIT
 from clvol.scene.camera import Viewpoint
 from clvol.scene.clip import CLIP, clip_block
 from clvol.scene.light import LIGHTS, Material, lights_block
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from clvol.march.colored import Other
     from clvol.march.gaps import Gaps
     from clvol.march.options import ResolvedLook
+    from clvol.march.shadow import Lit
     from clvol.scene.mode import Mode
     from clvol.spline.coefficients import Coefficients, Whole
     from clvol.spline.evaluator import Evaluator
@@ -90,6 +93,7 @@ def frame_block(mode: Block) -> tuple[Block, str]:
         material=Material.BLOCK,
         lights=LIGHTS,
         colored=COLORED,
+        lit=LIT,
         mode=mode,
         minmax=MINMAX,
         window=WINDOW,
@@ -118,6 +122,7 @@ class Frame:
     values: Values  # the parameter block
     table: NDArray[np.float32]  # the transfer function's nodes or pieces, and those of what else has colours
     other: Other | None = None  # another function, whose numbers follow
+    lit: Lit | None = None  # what is left of lights, whose numbers follow
     media: tuple[Frame, ...] = ()  # of several media in one picture, of which this is the first, but all of their domain
     several: bool = False  # whether samples lie on planes that several media share
     margin: float = 0.0  # the rounding error of positions in samples, at most ...
@@ -129,7 +134,8 @@ class Frame:
 
     def uploaded_table(self) -> Any:
         """The table on the device, and behind it the numbers of what else has colours."""
-        return self.device.buffers.upload(self.table) if self.other is None else self.other.behind(self.table, self.device)
+        *between, last = [one for one in (self.other, self.lit) if one is not None] or (None,)
+        return self.device.buffers.upload(self.table) if last is None else last.table(self.table, tuple(between), self.device)
 
     @property
     def sought(self) -> tuple[float, ...] | None:
@@ -218,6 +224,7 @@ class Frame:
             "BY_DISTANCE": int(colored == BY_DISTANCE),
             "COLORED": int(self.other is not None),
             **({} if self.other is None else {"MOST_TAPS": MAX_TAPS}),
+            **({} if self.lit is None else {"SHADOWED": self.lit.rows}),
             "COORD_DOUBLE": 0,
             **({"SPARED": spared_taps(self.coefficients.filter)} if mode.regions else {}),
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
@@ -234,6 +241,7 @@ class Subject:
     evaluator: Evaluator
     gaps: Gaps | None = None
     other: Other | None = None  # what colours it
+    lit: Lit | None = None  # what is left of its lights, if it casts shadows
     others: tuple[Subject, ...] = ()  # media of the same picture; the grid of the first one leads
 
     @property
@@ -302,6 +310,9 @@ class Subject:
         if medium.color_by is not None:
             assert self.other is not None
             colored, table = colors_of(medium, self.other, table)
+        lit = np.zeros((), LIT.dtype)
+        if self.lit is not None:
+            lit = self.lit.block(scene, table.size + -table.size % ROW + (self.other.size if self.other is not None else 0))
         values = block(
             camera=view.block(volume, width, height, aspect, rails=rails.volume),
             geometry=medium.block(stored, unit),
@@ -310,6 +321,7 @@ class Subject:
             rails=rails.block(volume, view, width, height, aspect),
             transfer=transfer.block(unit, shown),
             colored=colored,
+            lit=lit,
             material=medium.material.block(),
             lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
@@ -345,6 +357,7 @@ class Subject:
             values,
             table,
             other=self.other if medium.color_by is not None else None,
+            lit=self.lit,
             several=rails.several,
             margin=margin,
             stride=rails.stride(volume),

@@ -17,6 +17,7 @@ from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.scene.camera import Camera
 from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted, usual_camera
+from clvol.scene.light import casts
 from clvol.scene.look import look
 from clvol.scene.mode import BY_LABEL, as_mode, colored_by, require_heard
 from clvol.scene.preset import as_preset
@@ -100,6 +101,9 @@ class LookOptions(TypedDict, total=False):
         no opacity.
     lights, background, clip
         In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or cuts, None for none.
+    shadow, occlusion
+        How dark shadows are, and places that matter surrounds, 0 to 1, in place of the scene's: see `Scene`.
+        They are of one volume in memory.
     media
         In place of the scene's media, in their order: the same volumes, filters and boundaries (`Renderer.scene` has them), with
         other looks, as ``replace(medium, visible=False)`` gives.
@@ -118,6 +122,8 @@ class LookOptions(TypedDict, total=False):
     lights: Light | Sequence[Light] | None
     background: Sequence[float] | str | EllipsisType | None
     clip: Clip | EllipsisType | None
+    shadow: float | None
+    occlusion: float | None
     media: Sequence[Medium] | None
     gradient: Literal["analytic", "central"]
 
@@ -311,6 +317,8 @@ def unheard(
             found["preset"] = "window gives the values of black and white"
         elif mode.shows == "mean" and row.unit == "matter":
             found["preset"] = f"means do not reach the values of {row.name!r}"
+    if "shadow" in given and "lights" in given and not casts(given["lights"]):
+        found["shadow"] = "headlights cast none"
     if "pixel_filter" in given and not _of_several_rays(mode, given.get("rays", "auto")):
         found["pixel_filter"] = "there is one ray a pixel"
     if "rgba" not in outputs:
@@ -447,6 +455,8 @@ class ResolvedLook:
             scene = scene.of_media([medium := replace(medium, color_by=_settled_colors(medium.color_by))])
         words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
         scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
+        if scene.shadow and mode.shaded:
+            scene = _with_still_lights(scene, preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)
         given = None if shown is mode else mode
         seen = shown.settled(preview), scene, transfer
@@ -461,6 +471,8 @@ class ResolvedLook:
             raise OptionError(f"{' and '.join(own)} must be left to the media of a scene of several: Medium(..., {own[0]}=...)")
         if mode.shows in ("matter", "surface") and scene.mix != "add":
             raise OptionError(f'mix="{scene.mix}" changes nothing in {mode.name}: it is for projections')
+        if dark := [name for name in ("shadow", "occlusion") if options.get(name, getattr(scene, name))]:
+            raise OptionError(f"{' and '.join(dark)} must be left out of a scene of several media: light is stopped by one")
         media = [medium for medium in scene.media if medium.visible]
         if not media:
             raise OptionError(f"a picture must show a medium; none of the scene's {len(scene.media)} is visible")
@@ -536,6 +548,14 @@ def transfer_of(preview: Volume, mode: Mode, options: Mapping[str, Any]) -> Tran
     return look(preview, mode, **words) if given else transfer
 
 
+def _with_still_lights(scene: Scene, preview: Volume) -> Scene:
+    """The scene with lights of the world, for those that move with the camera as in the usual view, so that shadows stay."""
+    if not casts(scene.lights):
+        raise OptionError("shadow changes nothing where no light has a direction: headlights cast none; leave it out")
+    view = usual_camera(preview).view(preview, 1.0)
+    return replace(scene, lights=tuple(light.placed(view) for light in scene.lights))
+
+
 def _settled_colors(medium: Medium) -> Medium:
     """What colours a medium with all that was left open decided: its filter, and its transfer function.
 
@@ -565,8 +585,7 @@ def _changed(scene: Scene, transfer: TransferFunction | None, options: RefineOpt
     """The scene with what is given in place of its own."""
     (medium,) = scene.media
     changes: dict[str, Any] = {name: value for name in ("background", "clip") if (value := options.get(name, ...)) is not ...}
-    if (lights := options.get("lights")) is not None:
-        changes["lights"] = lights
+    changes |= {name: value for name in ("lights", "shadow", "occlusion") if (value := options.get(name)) is not None}
     if (material := options.get("material")) is not None:
         medium = replace(medium, material=material)
     if transfer is not None:

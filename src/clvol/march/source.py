@@ -27,6 +27,7 @@ from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
+from clvol.march.shadow import Shadows
 from clvol.march.uncertainty import Uncertainty
 from clvol.scene.mode import CURVATURES, colored_by, outlined
 from clvol.scene.scene import Medium, Scene
@@ -45,6 +46,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.march.cluster import Workers
     from clvol.march.options import Fineness, RefineOptions, ResolvedLook
     from clvol.march.refine import Asked, Refined
+    from clvol.march.shadow import Lit
     from clvol.scene.camera import Viewpoint
     from clvol.scene.mode import Mode
     from clvol.spline.evaluator import Evaluator
@@ -228,6 +230,7 @@ class InMemory(OneMedium):
             self.lease.frees(self._gaps.release)
         self._uncertainty: Uncertainty | None = None
         self._regions: Regions | None = None
+        self._shadows: dict[Filter, Shadows] = {}
         self._rates: dict[tuple[Any, ...], Rate] = {}
 
     def function(self, mode: Mode, level: int = 0) -> Field:
@@ -274,7 +277,18 @@ class InMemory(OneMedium):
         evaluator = DIRECT if names else choose_evaluator(field.device, field.filter, bits=_BITS)
         pyramid = self._pyramid(field, evaluator, names) if look.skipping and look.mode.skips else None
         own = look.of_values(field.coefficients.volume)
-        return Seen(Subject(own, field.coefficients, pyramid, evaluator, self._gaps, self._other(look)), field, None)
+        parts = field.coefficients, pyramid, evaluator, self._gaps, self._other(look), self._lit(own, field)
+        return Seen(Subject(own, *parts), field, None)
+
+    def _lit(self, look: ResolvedLook, field: Field) -> Lit | None:
+        """What is left of the lights of a look, if it has shadows or occlusion."""
+        if not (look.mode.shaded and (look.scene.shadow or look.scene.occlusion)):
+            return None
+        with self._lock:
+            if field.filter not in self._shadows:
+                self._shadows[field.filter] = made = Shadows(field.coefficients, self._gaps)
+                self.lease.frees(made.release)
+            return self._shadows[field.filter].of(look)
 
     def _pyramid(self, field: Field, evaluator: Evaluator, names: bool) -> MinMax:
         with self._lock:
@@ -389,6 +403,10 @@ class ByBricks(OneMedium):
 
     def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool) -> Seen:
         require_direct(self.field.device, "bricks are")
+        if dark := [name for name in ("shadow", "occlusion") if getattr(look.scene, name)]:
+            raise OptionError(
+                f"{' and '.join(dark)} must be left out for a volume that is read by bricks: LazyVolume.whole() has them"
+            )
         field = self.function(look.mode, level)
         between = look.mode.between_samples(guides=guides)
         if between and fine.step > STEPPED_AT_MOST:

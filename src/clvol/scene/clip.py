@@ -158,6 +158,21 @@ class Cuts:
             kept &= ~_within(at, corner.low, corner.high)
         return kept
 
+    def kept_share(self, points: ArrayLike, width: float) -> NDArray[np.float64]:
+        """The share that is kept of cubes of this width around world points, shape (..., 3), as if cuts were along their faces."""
+        at = np.asarray(points, np.float64)
+
+        def inside(low: ArrayLike, high: ArrayLike) -> NDArray[np.float64]:
+            lengths = np.minimum(at + width / 2, high) - np.maximum(at - width / 2, low)
+            return np.asarray(np.prod(np.clip(lengths / width, 0, 1), -1))
+
+        share = np.ones(at.shape[:-1]) if self.box is None else inside(*self.box)
+        for plane in self.planes:
+            share *= np.clip(0.5 - (at - plane.point) @ np.array(plane.normal) / width, 0, 1)
+        for corner in self.corners:
+            share *= 1 - inside(corner.low, corner.high)
+        return share
+
 
 def as_clip(clip: Clip) -> Clip | None:
     """What is cut away, checked: a box alone as two read-only arrays, else the one cut or a tuple of all; None if there is none.

@@ -16,7 +16,7 @@ from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.scene.camera import Viewpoint
 
-__all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_lights", "lights_block"]
+__all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_lights", "casts", "lights_block"]
 
 MAX_LIGHTS = 4
 _FRAMES = ("world", "camera")
@@ -50,6 +50,8 @@ class Light:
             length = math.hypot(*map(float, vector)) if vector.shape == (3,) else 0.0
             if not (math.isfinite(length) and length > 0):
                 raise GeometryError(f"{what} must be {rule}; got {self.direction!r}")
+            if abs(length - 1) < 1e-15:  # normalized again it might differ in the last bit
+                length = 1.0
             object.__setattr__(self, "direction", tuple(float(v) / length for v in vector))
         object.__setattr__(self, "color", color_of("a light's color", self.color))
         if not isinstance(self.frame, str) or self.frame not in _FRAMES:
@@ -111,6 +113,11 @@ def as_lights(choice: Light | Sequence[Light]) -> tuple[Light, ...]:
     if len(lights) > MAX_LIGHTS:
         raise OptionError(f"there may be up to {MAX_LIGHTS} lights; got {len(lights)}")
     return tuple(lights)
+
+
+def casts(lights: Light | Sequence[Light]) -> bool:
+    """Whether some light casts shadows: a headlight stands where they are seen from."""
+    return any(light.direction is not None for light in as_lights(lights))
 
 
 def lights_block(lights: Sequence[Light], view: Viewpoint) -> Values:

@@ -50,6 +50,7 @@ __all__ = [
     "heard_options",
     "mode_options",
     "modes",
+    "opacities_of",
     "outlined",
     "require_heard",
 ]
@@ -147,7 +148,8 @@ class Mode:
     @property
     def unheard(self) -> Mapping[str, str]:
         """Options, of pictures and its own, that change no colour of its pictures, each with the reason."""
-        return {} if self.shaded else dict.fromkeys(("material", "lights", "gradient"), "nothing is shaded")
+        of_light = ("material", "lights", "shadow", "occlusion", "gradient")
+        return {} if self.shaded else dict.fromkeys(of_light, "nothing is shaded")
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002  # most cannot decide
         """Whether values from `low` to `high`, in units of the data, can affect a picture; if not, bricks are skipped."""
@@ -517,7 +519,8 @@ class Regions(Mode):
 
     @property
     def unheard(self) -> Mapping[str, str]:
-        return {"gradient": "boundaries have the gradient of their filter", **super().unheard}
+        dark = dict.fromkeys(("shadow", "occlusion"), "regions of labels let all light through")
+        return {"gradient": "boundaries have the gradient of their filter", **dark, **super().unheard}
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:
         return transfer.opacity_within(low, high) > 0
@@ -636,6 +639,12 @@ def colored_by(mode: Mode) -> str:
 def outlined(mode: Mode) -> bool:
     """Whether the surfaces of a mode have outlines."""
     return getattr(mode, "outline", 0.0) > 0
+
+
+def opacities_of(mode: Mode) -> tuple[float, ...]:
+    """The share of light that each surface of a settled mode stops, in the order of its isovalues."""
+    surfaces = getattr(mode, "surfaces", None)
+    return tuple(float(surface[2]) for surface in surfaces) if surfaces else (1.0,) * len(mode.isovalues)
 
 
 def every_option() -> set[str]:

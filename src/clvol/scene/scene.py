@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.arrays import reals
-from clvol.base.checks import if_image, instance, one_of, suggests_options, warn
+from clvol.base.checks import if_image, instance, number, one_of, suggests_options, warn
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.base.uniform import FLOAT, REACH, Block, Values
@@ -264,6 +264,13 @@ class Scene:
         `Corner`; of a list, all that any of them cuts away. The camera is fitted to what is in the box; planes and corners do
         not move it, and change no pixel whose ray misses what they cut away. Matter that is lit shows its slice on the faces of
         a cut, unlit, and surfaces may have caps there: `cap` of the modes "composite" and "isosurface".
+    shadow : float
+        How dark shadows are, 0 to 1: how much of the light that matter stops on its way from each light is missing in
+        "composite", "isosurface" and "surfaces". The shadows of lights that move with the camera would move too, so with shadows
+        these stand where they are in the volume's usual view; a headlight casts none.
+    occlusion : float
+        How dark ambient light and headlights are where matter is around, 0 to 1: how much of the light from all directions that
+        matter stops is missing. Half of them are open above a flat surface, where nothing is missing.
     mix : {"add", "over"}
         How the projections of several media go together. "add": their colours add up, as those of a microscope's channels do.
         "over": each covers those after it in the list as far as it is bright.
@@ -304,6 +311,8 @@ class Scene:
     lights: tuple[Light, ...] = KIT
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
     clip: Clip | None = None
+    shadow: float = 0.0
+    occlusion: float = 0.0
     mix: Literal["add", "over"] = "add"
 
     def __post_init__(self) -> None:
@@ -322,6 +331,8 @@ class Scene:
             raise one_of("mix", self.mix, _MIXES)
         object.__setattr__(self, "media", media)
         object.__setattr__(self, "lights", as_lights(self.lights))
+        for name in ("shadow", "occlusion"):
+            object.__setattr__(self, name, number(name, getattr(self, name), minimum=0, maximum=1))
         if self.background is not None:
             object.__setattr__(self, "background", color_of("background", self.background))
         if self.clip is not None:

@@ -35,7 +35,7 @@ from clvol.volume.volumes import Volumes
 __all__ = ["Opened", "Viewable", "first_state", "opened"]
 
 Viewable: TypeAlias = Scene | Medium | Volume | LazyVolume | Volumes | Field | ArrayLike
-_STATED = ("step", "transfer", *WORDS, "material", "lights", "background", "clip")
+_STATED = ("step", "transfer", *WORDS, "material", "lights", "shadow", "occlusion", "background", "clip")
 
 
 class Opened(NamedTuple):
@@ -85,8 +85,9 @@ def opened(
     if isinstance(scene, Scene):
         if any(is_in_parts(medium.volume) for medium in scene.media):
             scene, source = replace(scene, media=tuple(map(_resident, scene.media))), None
+        options = {name: getattr(scene, name) for name in ("lights", "background", "clip", "shadow", "occlusion")} | options
+        scene = replace(scene, shadow=0.0, occlusion=0.0)  # the state has them
         several = scene if len(scene.media) > 1 or scene.media[0].beyond_words else None
-        options = {name: getattr(scene, name) for name in ("lights", "background", "clip")} | options
         scene = scene.media[0]
     if isinstance(scene, Medium):
         options = _of_medium(scene, options)
@@ -144,6 +145,9 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
         except GeometryError as error:
             raise OptionError(str(error)) from None
         values |= {"clip": cuts.box, "cuts": (*cuts.planes, *cuts.corners)}
+    for name in ("shadow", "occlusion"):
+        if values.get(name) is None:
+            values.pop(name, None)
     lights = values.get("lights")
     if lights is not None and not isinstance(lights, (list, tuple)):
         values["lights"] = (lights,)

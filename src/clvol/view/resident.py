@@ -117,6 +117,7 @@ class Resident:
         given_by_words = state.transfer is None and labelled(volume, state) is volume
         words: dict[str, Any] = state.words if given_by_words else {"transfer": self.transfer(state)}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
+        words |= {name: getattr(state, name) or None for name in ("shadow", "occlusion")}
         if state.cuts:
             words["clip"] = [*([state.clip] if state.clip else []), *state.cuts]
         given |= {name: value for name, value in words.items() if value is not None}
@@ -144,6 +145,8 @@ class Resident:
         row = filter_for(self.catalog.volume_of(state), state.filter, mode.picture_filter)
         if not row.has_gradient:
             left_out |= {"gradient"}
+        if len(self.catalog.media) > 1:
+            left_out |= {"shadow", "occlusion"}
         if state.clip is None and not state.cuts:
             left_out |= {"cap"}
         return {name: value for name, value in given.items() if name not in left_out}
@@ -153,7 +156,8 @@ class Resident:
         if self.finer is None:
             return None
         if name == "3d":
-            return self.finer.wanted(state, size, self.settled_arguments(state, size[0] / size[1]))
+            given = self.settled_arguments(state, size[0] / size[1])
+            return None if {"shadow", "occlusion"} & given.keys() else self.finer.wanted(state, size, given)
         pane = SlicePane.of(state, self.volume, "xyz".index(name), shown)
         return self.finer.wanted_slice(state, pane, size, state.window or window_of_slices(self.volume))
 

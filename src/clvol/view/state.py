@@ -289,13 +289,9 @@ def _light_of(what: str, value: object) -> Light:
     direction = given.get("direction")
     direction = None if direction is None else _triple(f"{what}.direction", direction)
     try:
-        light = Light(direction, _color(f"{what}.color", given.get("color", (1.0, 1.0, 1.0))), given.get("frame", "world"))
+        return Light(direction, _color(f"{what}.color", given.get("color", (1.0, 1.0, 1.0))), given.get("frame", "world"))
     except ClvolError as error:
         raise OptionError(f"{what}: {error}") from None
-    if direction is not None and abs(math.hypot(*direction) - 1) < 1e-15:
-        # normalized again it might differ in the last bit; states must survive a round trip unchanged
-        object.__setattr__(light, "direction", direction)
-    return light
 
 
 def _lights_of(what: str, value: object) -> tuple[Light, ...]:
@@ -511,6 +507,8 @@ class State(_Checked):
     preset, window, cmap, opacity
         As for `clvol.render`; slices take `window` and `cmap`.
     lights : tuple of Light, optional
+    shadow, occlusion : float
+        How dark shadows are, and places that matter surrounds, 0 to 1: of the picture of a single volume.
     material : Material, optional
     background : three numbers in 0..1, or None
     clip : (low, high), optional
@@ -549,6 +547,8 @@ class State(_Checked):
     cmap: str | None = _of(_named, None, known=partial(TransferFunction.from_cmap, value_range=(0.0, 1.0)))
     opacity: float | None = _of(number, None, minimum=0, maximum=1e6)
     lights: tuple[Light, ...] | None = _of(_lights, None, _lights_of)
+    shadow: float = _of(number, 0.0, minimum=0, maximum=1)
+    occlusion: float = _of(number, 0.0, minimum=0, maximum=1)
     material: Material | None = _part(Material)
     background: Triple | None = _of(_color, (0.0, 0.0, 0.0), optional=True)
     clip: tuple[Triple, Triple] | None = _of(_box, None, _clip_of, lambda clip: {"low": list(clip[0]), "high": list(clip[1])})

@@ -958,6 +958,11 @@ const AROUND = {
   cube: ["Cube", "is turned like the world"],
 };
 const MATERIAL = { ambient: [0, 1, 0.25], diffuse: [0, 1.5, 0.75], specular: [0, 1, 0.2], shininess: [1, 120, 30] };
+/** How dark it is where matter stops light, by its word: the label and a hint. */
+const DARK = {
+  shadow: ["Shadow", "of lights, which then stand still while the camera moves"],
+  occlusion: ["Occlusion", "of light from all around"],
+};
 const TOOL_HINT = "what the first button drags";
 const EDITED = "\u0000edited";
 const LOOKED_FOR = 12; // labels from which there is a search field
@@ -1238,8 +1243,9 @@ class Panel {
     this.light = choice("Lights", (name) => this.viewer.set({ lights: LIGHTS[name] ?? null }));
     this.light.fill(Object.keys(LIGHTS));
     this.material = Object.entries(MATERIAL).map(([name, [low, high]]) => [name, slider(name, { low, high }, this.setter(`material.${name}`))]);
+    this.dark = Object.entries(DARK).map(([name, [label, hint]]) => [name, slider(label, { low: 0, high: 1 }, this.setter(name), hint)]);
     this.background = colorBox("Background", this.setter("background"));
-    return make("div", {}, this.light.element, ...this.material.map(([, c]) => c.element), this.background.element);
+    return make("div", {}, this.light.element, ...this.dark.map(([, c]) => c.element), ...this.material.map(([, c]) => c.element), this.background.element);
   }
 
   cropControls() {
@@ -1351,6 +1357,10 @@ class Panel {
     this.zoom.show(Math.log2(state.camera.zoom ?? 1));
     this.light.show(this.lightName(state.lights));
     for (const [name, control] of this.material) control.show(state.material?.[name] ?? MATERIAL[name][2]);
+    for (const [name, control] of this.dark) {
+      control.show(state[name]);
+      control.element.hidden = this.media.about.length > 1;
+    }
     this.background.show(state.background ?? [0, 0, 0]);
     this.cropping.show(state.clip);
     const { low, high } = state.clip ?? this.box();

@@ -1,0 +1,159 @@
+"""Shadow and occlusion: the reference's light, still while the camera moves, and only of what is there and not cut away."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from clvol import Camera, Light, Material, Medium, Plane, Renderer, Scene, TransferFunction, Volume
+from clvol.base.errors import OptionError
+from clvol.device import Device
+from clvol.march.shadow import BEYOND, OPAQUE, Cells, Matter, Shadows
+from clvol.reference.march import shadow as reference
+from clvol.scene.clip import Cuts, cuts_of
+from tests.march.test_march import block
+
+SUN = Light((0.0, 0.0, 1.0))
+SUNNY: dict[str, Any] = {
+    "lights": SUN,
+    "material": Material(0.2, 0.8, 0),
+    "mode": "isosurface",
+    "isovalue": 0.5,
+    "color": "white",
+    "rays": 1,
+}
+HAZE = ((0.25, 0.0), (0.5, 0.4), (0.8, 0.1))
+
+
+def canopy() -> Volume:
+    """A floor, and a roof over its middle."""
+    data = np.zeros((24, 24, 24), np.float32)
+    data[:5], data[9:12, 7:17, 7:17] = 1, 1
+    return Volume(data)
+
+
+@pytest.fixture(scope="module")
+def renderer(device: Device) -> Iterator[Renderer]:
+    with Renderer(canopy(), "linear", device=device) as made:
+        yield made
+
+
+def floor(renderer: Renderer, camera: Camera, **options: Any) -> tuple[float, float]:
+    """How bright the floor is under the middle of the roof, and far from it."""
+    found = renderer.render(camera, size=(64, 64), outputs=["rgba", "position"], **{**SUNNY, **options})
+    at, red = found["position"], found["rgba"][..., 0]
+    flat = np.abs(at[..., 2] - 4.5) < 0.01
+    x, y = np.abs(at[..., 0] - 11.5), np.abs(at[..., 1] - 11.5)
+    return float(np.median(red[flat & (x < 2) & (y < 2)])), float(np.median(red[flat & ((x > 8) | (y > 8))]))
+
+
+@pytest.mark.parametrize("way", [(0.3, -0.2, 0.9), (-0.8, 0.3, 0.1)])
+def test_light_is_the_references(device: Device, way: tuple[float, float, float]) -> None:
+    """Of a translucent block in an oblique frame, through cells of other edges than its samples'."""
+    volume, row = block(oblique=True), clvol.filters()["bspline3"]
+    transfer, unit = TransferFunction([(0, "white")], HAZE), 1.5 * volume.mean_spacing
+    with clvol.Field(volume, row, device=device) as field:
+        made = Shadows(field.coefficients, None)
+        matter = Matter(HAZE, unit, (), Cuts())
+        got, light = made.extinction(matter), made.light(matter, (way,), False)[0, ..., 0]
+        made.release()
+    want = reference.extinction(volume, row, made.cells.counts, lambda v: -np.log2(1 - transfer(v)[..., 3]) / unit)
+    np.testing.assert_allclose(got, want, atol=0.01 * want.max())
+    found = reference.light_through_cells(np.pad(got.astype(np.float64), BEYOND), made.cells.to_nodes @ np.array(way))
+    np.testing.assert_allclose(light, found, atol=1e-5)
+
+
+def test_light_is_that_of_the_function(device: Device) -> None:
+    """Of soft matter, in places anywhere, though cells are coarse."""
+    x, y, z = np.mgrid[-1:1:20j, -1:1:20j, -1:1:20j]
+    volume, row, way = Volume(np.exp(-3 * (x**2 + y**2 + z**2))), clvol.filters()["bspline3"], np.array([0.48, -0.6, 0.64])
+    transfer = TransferFunction([(0, "white")], [(0.2, 0.0), (1, 0.15)])
+    with clvol.Field(volume, row, device=device) as field:
+        made = Shadows(field.coefficients, None)
+        light = made.light(Matter(transfer.opacities, 1.0, (), Cuts()), (tuple(way),), False)[0, ..., 0]
+        made.release()
+    counts = made.cells.counts
+    nodes = np.random.default_rng(1).integers(0, counts[0], (200, 3))
+    points = volume.index_to_world((nodes + 0.5) * made.cells.sizes - 0.5) + way / np.abs(way).max()  # the plane before
+    want = reference.light_to(volume, row, lambda v: -np.log2(1 - transfer(v)[..., 3]), points, way, 0.1)
+    apart = light[tuple((nodes + BEYOND).T[::-1])] - want
+    assert np.sqrt((apart**2).mean()) < 0.005
+    assert want.min() < 0.4
+
+
+def test_a_shadow_lies_under_what_stops_light_and_stays_there(renderer: Renderer) -> None:
+    for camera in (Camera.orbit(30, 25), Camera.orbit(-110, 12)):
+        under, apart = floor(renderer, camera, shadow=1)
+        assert apart == pytest.approx(1.0, abs=0.01)
+        assert under == pytest.approx(0.2 + 0.8 * 2**-OPAQUE, abs=0.02)  # of both sides of the roof, less would be left
+        assert floor(renderer, camera, shadow=0.5)[0] == pytest.approx(0.6, abs=0.02)
+    cut = Plane((0, 0, 1), (0, 0, 7))
+    assert floor(renderer, camera, shadow=1, clip=cut) == pytest.approx((1, 1), abs=0.01)
+    under, apart = floor(renderer, camera, occlusion=1)
+    assert under < 0.95 < 0.999 < apart + 0.001
+
+
+def test_lights_share_rows_of_numbers(renderer: Renderer) -> None:
+    """Four lights and the light from everywhere are more than one row has."""
+    camera = Camera.orbit(30, 25)
+    one = renderer.render(camera, size=(32, 32), **SUNNY, shadow=1, occlusion=1)
+    four = {**SUNNY, "lights": [replace(SUN, color=(0.25,) * 3)] * 4}
+    np.testing.assert_allclose(renderer.render(camera, size=(32, 32), **four, shadow=1, occlusion=1), one, atol=2e-6)
+
+
+def test_pictures_are_the_same_again_and_without_shadow_as_ever(device: Device) -> None:
+    """Also of matter that another volume could colour, whose numbers lie between."""
+    volume = block()
+    clear = Medium(volume, TransferFunction([(0, "red")], [(0, 0)]))
+    scenes = [Medium(volume, filter="bspline3"), Medium(volume, filter="bspline3", color_by=clear)]
+    pictures = [clvol.render(one, size=(32, 24), shadow=0.8, occlusion=0.6, device=device) for one in (scenes[0], *scenes)]
+    np.testing.assert_array_equal(*pictures[:2])
+    np.testing.assert_allclose(pictures[2], pictures[0], atol=2e-6)
+    with Renderer(scenes[0], device=device) as renderer:
+        plain = renderer.render(size=(32, 24))
+        np.testing.assert_array_equal(renderer.render(size=(32, 24), shadow=0, occlusion=0), plain)
+        assert np.abs(plain - pictures[0]).max() > 0.02
+        made = clvol.render(Scene(scenes[0], shadow=0.8, occlusion=0.6), size=(32, 24), device=device)
+        np.testing.assert_array_equal(made, pictures[0])
+        assert made.recipe is not None
+        np.testing.assert_array_equal(renderer.render(made.recipe.camera, size=(32, 24), **kept(made.recipe.scene)), made)
+
+
+def kept(scene: Scene) -> dict[str, Any]:
+    return {name: getattr(scene, name) for name in ("lights", "shadow", "occlusion")} | {"transfer": scene.media[0].transfer}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"shadow": 1, "mode": "mip"}, "shadow changes nothing in mip: nothing is shaded"),
+        ({"occlusion": 1, "shading": False}, "occlusion changes nothing in composite: nothing is shaded"),
+        ({"shadow": 1, "lights": Light()}, "shadow changes nothing in composite: headlights cast none"),
+        ({"shadow": 1.5}, "shadow must be .* 0 .* 1"),
+    ],
+)
+def test_what_changes_nothing_is_refused(renderer: Renderer, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        renderer.render(size=(8, 8), **options)
+
+
+def test_several_media_and_bricks_have_none(device: Device) -> None:
+    media = Scene([Medium(block()), Medium(block())])
+    with pytest.raises(OptionError, match="shadow must be left out of a scene of several media"):
+        clvol.render(media, size=(8, 8), shadow=1, device=device)
+    with pytest.raises(OptionError, match="occlusion must be left out for a volume that is read by bricks"):
+        clvol.render(clvol.LazyVolume(block().data), size=(8, 8), occlusion=1, device=device)
+
+
+def test_cells_are_a_third_of_large_volumes_and_cuts_take_shares_of_them() -> None:
+    assert Cells.of(Volume(np.broadcast_to(np.float32(0), (256,) * 3))).counts == (80, 80, 80)
+    thin = Cells.of(Volume(np.broadcast_to(np.float32(0), (9, 512, 512)), (1, 1, 8)))
+    assert thin.counts[2] == 9
+    assert np.ptp(thin.sizes * (1, 1, 8)) < 5
+    share = cuts_of([Plane((1, 0, 0), (0.25, 0, 0)), ((-9, -9, -9), (9, 9, 0))]).kept_share([[0, 0, 0], [1, 0, 0], [0, 0, -1]], 1.0)
+    np.testing.assert_allclose(share, [0.375, 0, 0.75])
