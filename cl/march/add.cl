@@ -7,7 +7,7 @@
 
 #if WINDOWED
 #define CARRIED_STATES global float *states   // a copy of those of mix.cl, with which rays go on from brick to brick, front to back
-#define SIDE_FIELD 0
+#define CARRIED_FIELD 0   // and the next ones: what a mode carries from brick to brick
 #else
 #define CARRIED_STATES global const float *states
 #endif
@@ -24,16 +24,17 @@ kernel void add_medium(COEFFICIENTS coefficients, const int4 extent, global cons
     const size_t number = number_of_tile(frame, left, top), tiles = number_of_tiles(frame);
     for (int g = 0; g < PACKETS; ++g) {
         const int x = PACKET_X(left, g), y = PACKET_Y(top, g);
-        lanes_u opacity = { (real)(0.0f) }, rest = opacity, side = opacity;
+        lanes_u opacity = { (real)(0.0f) }, rest = opacity, carried[CARRIED] = { opacity };
         EACH_PIXEL(x, y) {
             opacity.each[i] = STATE_AT(OPACITY_FIELD);
             rest.each[i] = STATE_AT(OPACITY_FIELD + 1);
 #if WINDOWED
-            side.each[i] = STATE_AT(SIDE_FIELD);
+            for (int n = 0; n < CARRIED; ++n)
+                carried[n].each[i] = STATE_AT(CARRIED_FIELD + n);
 #endif
         }
         state_t *state = tile.states + g;
-        set_light(state, opacity.all, rest.all, side.all);
+        set_light(state, opacity.all, rest.all, carried);
         state->slots = slots_of(sums, touched, number, tiles, g, PACKETS, from);
         tile.going[g] &= !finished(state, frame);
     }
@@ -52,12 +53,13 @@ kernel void add_medium(COEFFICIENTS coefficients, const int4 extent, global cons
 #if WINDOWED
     for (int g = 0; g < PACKETS; ++g) {
         const int x = PACKET_X(left, g), y = PACKET_Y(top, g);
-        lanes_u opacity, rest, side = { (real)(0.0f) };
-        light_of(tile.states + g, &opacity.all, &rest.all, &side.all);
+        lanes_u opacity, rest, carried[CARRIED] = { { (real)(0.0f) } };
+        light_of(tile.states + g, &opacity.all, &rest.all, carried);
         EACH_PIXEL(x, y) {
             STATE_AT(OPACITY_FIELD) = opacity.each[i];
             STATE_AT(OPACITY_FIELD + 1) = rest.each[i];
-            STATE_AT(SIDE_FIELD) = side.each[i];
+            for (int n = 0; n < CARRIED; ++n)
+                STATE_AT(CARRIED_FIELD + n) = carried[n].each[i];
         }
     }
 #endif

@@ -29,13 +29,13 @@ INLINE real transmittance(const state_t *s) { return (1.0f - s->opacity) - s->re
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return transmittance(s) <= frame->mode.termination; }
 
 #if ADDED
-INLINE void set_light(state_t *s, const real opacity, const real rest, const real side)
+INLINE void set_light(state_t *s, const real opacity, const real rest, const lanes_u carried[CARRIED])
 {
     s->opacity = opacity;
     s->rest = rest;
 }
 
-INLINE void light_of(const state_t *s, real *opacity, real *rest, real *side)
+INLINE void light_of(const state_t *s, real *opacity, real *rest, lanes_u carried[CARRIED])
 {
     *opacity = s->opacity;
     *rest = s->rest;

@@ -33,17 +33,17 @@ INLINE void begin(state_t *s)
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->light < FAINT; }
 
 #if ADDED
-INLINE void set_light(state_t *s, const real opacity, const real rest, const real side)
+INLINE void set_light(state_t *s, const real opacity, const real rest, const lanes_u carried[CARRIED])
 {
     s->light = (1.0f - opacity) - rest;
-    s->side = side;
+    s->side = carried[0].all;
 }
 
-INLINE void light_of(const state_t *s, real *opacity, real *rest, real *side)
+INLINE void light_of(const state_t *s, real *opacity, real *rest, lanes_u carried[CARRIED])
 {
     *opacity = (real)(1.0f);
     *rest = -s->light;   // which is exact
-    *side = s->side;
+    carried[0].all = s->side;
 }
 #endif
 

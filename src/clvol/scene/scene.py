@@ -85,10 +85,10 @@ class Medium:
         colours, and so have caps. An array has the medium's grid. A function gives the values at points (n, 3) of the world, and is
         taken at the medium's samples, slice by slice.
     smooth : bool
-        Of labels in memory: their regions with smooth boundaries instead of their samples, as of `clvol.Regions`, in and among the
+        Of labels: their regions with smooth boundaries instead of their samples, as of `clvol.Regions`, in and among the
         other media of a "composite". Each has the colour of the transfer function, and stops the share of light that is its opacity
         where a ray enters it, or on the face of a cut; within a step it mixes with matter. `filter` is that of the boundaries, by
-        default "bspline5-approx". Slices show the samples.
+        default "bspline5-approx".
 
     Raises
     ------
