@@ -605,6 +605,7 @@ def filters_of_ones_own(world: World, random: Random) -> Any:
         (lambda: clvol.lanczos(int(random.integers(2, 5)), normalized=True)),
         (lambda: clvol.sinc(int(random.integers(2, 5)))),
         (lambda: clvol.quasi(3)),
+        (lambda: clvol.wide(int(random.integers(1, 4)))),
         (lambda: clvol.bspline(int(random.integers(1, 6)))),
         (lambda: clvol.from_pieces("hat", [(1, -1)])),
         (lambda: clvol.from_callable("bell", lambda x: np.cos(np.pi * x / 4) ** 2 * np.exp(-w * x * x), 2, prefilter=True)),

@@ -7,8 +7,8 @@ vertex from the surface of the cubic spline, to first order, in voxels. scikit-i
 linear interpolation. Those that are not installed are left out.
 
 Then labels: the shapes of `bench.labels`, whose distance functions are known, with how far vertices and normals are from the truth,
-and by how much volume and area are; and 50 Voronoi regions of random points in 256³. VTK smooths its surface nets by its defaults,
-and leaves them open at the faces of the volume.
+and by how much volume and area are, beside PyVista's surface nets, smoothed (`contour_labels`) or not; and 50 Voronoi regions of
+random points in 256³. VTK smooths its surface nets by its defaults, and leaves them open at the faces of the volume.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import clvol
-from bench.labels import SHAPES, Distances, regions
+from bench.labels import SHAPES, SPACINGS, Distances, regions, sampled
 from clvol.interfaces.triangles import normals_of
 
 _EDGE, _ROUNDS, _LEVEL = 256, 5, 0.0
+_ROWS = ("linear", "bspline3-approx", "bspline5-approx", "wide(2)")
 
 
 def samples() -> NDArray[np.float32]:
@@ -76,17 +78,13 @@ def surface_nets(data: NDArray[Any]) -> Any:
     return found.GetOutput()
 
 
-def mesh_of(made: Any) -> clvol.Mesh:
+def mesh_of(made: Any, name: str) -> clvol.Mesh:
     """That output as a mesh with the normals of its triangles."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     points, faces, labels = (
         np.asarray(vtk_to_numpy(array))  # type: ignore[no-untyped-call]
-        for array in (
-            made.GetPoints().GetData(),
-            made.GetPolys().GetConnectivityArray(),
-            made.GetCellData().GetArray("BoundaryLabels"),
-        )
+        for array in (made.GetPoints().GetData(), made.GetPolys().GetConnectivityArray(), made.GetCellData().GetArray(name))
     )
     corners = faces.reshape(-1, 3).astype(np.int64)
     normals = normals_of(points.astype(np.float64), corners)
@@ -94,29 +92,54 @@ def mesh_of(made: Any) -> clvol.Mesh:
     return clvol.Mesh(points.astype(np.float64), corners, normals.astype(np.float32), labels=labels.astype(np.int64), names=names)
 
 
-def of_labels() -> None:
-    """Measure labels, and print the tables."""
-    grid = clvol.Volume(np.broadcast_to(np.float32(0), (40, 40, 40)))
-    places = grid.index_to_world(np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), -1)[..., ::-1])
-    truths = {
+def contour_labels(volume: clvol.Volume, smoothing: bool) -> clvol.Mesh:
+    """PyVista's, of surface nets."""
+    import pyvista
+
+    grid = pyvista.ImageData(dimensions=volume.size, spacing=volume.spacing, origin=volume.origin)
+    grid.point_data["labels"] = volume.data.ravel()
+    how: dict[str, Any] = {"boundary_style": "all", "pad_background": False, "output_mesh_type": "triangles"}
+    made = grid.contour_labels(scalars="labels", smoothing=smoothing, **how)
+    return mesh_of(made, "boundary_labels")
+
+
+def of_shapes(spacing: tuple[float, float, float]) -> None:
+    """Measure the shapes of `bench.labels` with one spacing."""
+    closed_forms = {
         "ball of radius 9.4": (4 / 3 * np.pi * 9.4**3, 4 * np.pi * 9.4**2),
         "ball of radius 14": (4 / 3 * np.pi * 14**3, 4 * np.pi * 14**2),
         "torus, 11.2 and 4.7": (2 * np.pi**2 * 11.2 * 4.7**2, 4 * np.pi**2 * 11.2 * 4.7),
         "two balls that touch": (8 / 3 * np.pi * 8**3, 8 * np.pi * 8**2),
     }
-    for shape, (volume, area) in truths.items():
-        data = np.zeros(grid.shape, np.uint8)
-        for label, distance in enumerate(SHAPES[shape](places), 1):
-            data[distance < 0] = label
-        labels = clvol.Volume(data, labels=True)
-        made = {row: clvol.mesh(labels, filter=row) for row in ("linear", "bspline3-approx", "bspline5-approx")}
-        for name, one in (made | {"VTK, smoothed": mesh_of(surface_nets(data))}).items():
-            off, slopes = _nearest(SHAPES[shape], one.vertices)
-            angles = np.degrees(np.arccos((one.normals * slopes).sum(1).clip(-1, 1)))
-            print(
-                f"{shape:21} {name:16} off {np.sqrt((off**2).mean()):.3f}, normals {np.sqrt((angles**2).mean()):5.1f}° (RMS)  "
-                f"volume {one.volume / volume - 1:+.2%}  area {one.area / area - 1:+.2%}"
-            )
+    print(f"\nspacing {spacing}: off, RMS in the smallest spacing, largest in voxels; normals, RMS; volume and area")
+    for shape, distances_at in SHAPES.items():
+        volume = sampled(distances_at, spacing)
+        made = {row: clvol.mesh(volume, filter=row, closed=False) for row in _ROWS}
+        if find_spec("pyvista"):
+            made |= {"surface nets": contour_labels(volume, False), "contour_labels": contour_labels(volume, True)}
+        print(f"  {shape}")
+        for name, one in made.items():
+            index = volume.world_to_index(one.vertices)
+            rim = 0 if shape in closed_forms else 1  # samples
+            inner = ((index >= rim) & (index <= np.array(volume.size) - 1 - rim)).all(1)
+            off, slopes = _nearest(distances_at, one.vertices[inner])
+            angles = np.degrees(np.arccos(np.abs((one.normals[inner] * slopes).sum(1)).clip(0, 1)))
+            voxels = off / np.linalg.norm(slopes * spacing, axis=1)
+            cells = f"{_rms(off) / min(spacing):.3f} {voxels.max():5.2f} {_rms(angles):5.1f}°"
+            if shape in closed_forms and one.is_closed:
+                held, area = closed_forms[shape]
+                cells += f"  {one.volume / held - 1:+.2%} {one.area / area - 1:+.2%}"
+            print(f"    {name:16} {cells}")
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def of_labels() -> None:
+    """Measure labels, and print the tables."""
+    for spacing in SPACINGS:
+        of_shapes(spacing)
     data = regions(_EDGE, 50)
     regions_of_points = clvol.Volume(data, labels=True)
     ways: dict[str, Callable[[], Any]] = {

@@ -47,6 +47,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.filter.make import moms3 as moms3
     from clvol.filter.make import quasi as quasi
     from clvol.filter.make import sinc as sinc
+    from clvol.filter.make import wide as wide
     from clvol.filter.response import frequency_response as frequency_response
     from clvol.filter.response import prefilter_response as prefilter_response
     from clvol.filter.table import filters as filters
@@ -118,7 +119,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "device": "Device devices",
     "filter.boundary": "Boundary boundaries",
     "filter.filter": "Filter",
-    "filter.make": "bc bspline from_callable from_pieces lanczos moms3 quasi sinc",
+    "filter.make": "bc bspline from_callable from_pieces lanczos moms3 quasi sinc wide",
     "filter.response": "frequency_response prefilter_response",
     "filter.table": "filters register_filter",
     "formats": "read read_all write",

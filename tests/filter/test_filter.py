@@ -15,7 +15,7 @@ from numpy.polynomial import legendre
 from clvol import reference
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
-from clvol.filter.make import bc, bspline, from_callable, from_pieces, lanczos, moms3, omoms3, quasi, sinc
+from clvol.filter.make import bc, bspline, from_callable, from_pieces, lanczos, moms3, omoms3, quasi, sinc, wide
 from clvol.filter.table import as_filter, filters, register_filter, unregister_filter
 from clvol.reference.spline import filter as reference_filter
 from clvol.reference.spline.prefilter import kernel_samples
@@ -29,6 +29,8 @@ ROWS = {
         *filters().values(),
         bspline(7),
         bspline(9, prefilter=False),
+        wide(2),
+        wide(3),
         bc(1, 0),
         bc(0, 0),
         bc(0.2, 0.3),
@@ -437,6 +439,8 @@ def test_families() -> None:
     assert as_filter("lanczosn(2)").name == "lanczosn(2)"
     assert as_filter("moms3(0.02)") is moms3(Fraction(1, 50))
     assert as_filter(bspline(7)).support == 8
+    assert as_filter("wide(1)").taps == bspline(3, prefilter=False).taps
+    assert as_filter("wide(4)").sums_to_one
 
 
 @pytest.mark.parametrize("degree", range(2, 10))
@@ -464,6 +468,7 @@ def test_a_degree_without_smoothing_can_be_named(degree: int) -> None:
         "moms3(1/12)",
         "moms3(a)",
         "moms3(1, 2)",
+        "wide(5)",
         "bspline3(1)(2)",
         3,
         None,

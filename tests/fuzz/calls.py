@@ -214,6 +214,7 @@ def _bases(folder: Path) -> Mapping[str, tuple[Callable[..., Any], dict[str, Any
         "sinc": (clvol.sinc, {"radius": 4, "normalized": False}),
         "quasi": (clvol.quasi, {"degree": 3}),
         "moms3": (clvol.moms3, {"weight": Fraction(1, 56)}),
+        "wide": (clvol.wide, {"width": 2}),
         "from_pieces": (clvol.from_pieces, {"name": "p", "pieces": [[1, -1]], "prefilter": False}),
         "from_callable": (clvol.from_callable, {"name": "c", "kernel": lambda x: np.maximum(0, 1 - np.abs(x)), "radius": 1}),
         "frequency_response": (clvol.frequency_response, {"filter": "bspline3", "omega": np.zeros(3)}),

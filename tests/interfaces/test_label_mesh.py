@@ -43,6 +43,17 @@ def between_two(made: clvol.Mesh) -> NDArray[np.bool_]:
     return np.asarray((some.sum(1) == 2) & ~outer)
 
 
+def test_the_outer_surface_has_its_own_normals_where_a_boundary_meets_it() -> None:
+    data = np.zeros((8, 8, 12), np.uint8)
+    data[:4, :, :6], data[:4, :, 6:] = 1, 2  # side by side under a plane
+    made = clvol.mesh(clvol.Volume(data, labels=True), closed=False)
+    for one in (made, made.of(1), made.of(2)):
+        assert one.labels is not None
+        top = np.unique(one.faces[one.labels[:, 1] == 0])
+        assert one.normals[top, 2].min() > 0.96  # where three labels meet the surface has a shallow groove
+    assert_allclose(np.abs(made.normals[:, 0]).max(), 1)  # the boundary itself
+
+
 def test_every_label_is_closed_and_its_vertices_lie_where_two_are_equal() -> None:
     random = np.random.default_rng(5)
     for n in range(24):

@@ -48,15 +48,19 @@ def part_of(progress: Progress | None, start: float, end: float) -> Progress | N
 
 
 def watched(what: str, progress: Progress | None = None) -> Progress:
-    """A callback that passes the fraction on, and warns once if work that took ten seconds will take a minute more."""
-    began, told = time.monotonic(), False
+    """A callback that passes the fraction on, and warns once if work that took ten seconds will take a minute more.
+
+    The first part of the work says nothing about the rest: kernels are compiled, and volumes read, before it.
+    """
+    began, told, first = time.monotonic(), False, None
 
     def report(done: float) -> None:
-        nonlocal told
+        nonlocal told, first
         if progress is not None:
             progress(done)
-        spent = time.monotonic() - began
-        if not told and done > 0 and spent > _PATIENCE and (left := spent * (1 - done) / done) > _LONG:
+        now = time.monotonic()
+        spent, (since, before) = now - began, (first := first or (now, done))
+        if not told and done > before and spent > _PATIENCE and (left := (now - since) * (1 - done) / (done - before)) > _LONG:
             told = True
             warn(f"{what} will take about {_in_words(left)} more, at this rate: {100 * done:.2g} % is done after {spent:.0f} s")
 

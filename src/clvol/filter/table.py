@@ -12,7 +12,7 @@ from clvol.base.checks import did_you_mean, one_of, several
 from clvol.base.errors import OptionError
 from clvol.base.shown import Named
 from clvol.filter.filter import ALIASES, Filter, also_called
-from clvol.filter.make import bc, bspline, lanczos, moms3, omoms3, quasi, sinc
+from clvol.filter.make import bc, bspline, lanczos, moms3, omoms3, quasi, sinc, wide
 
 __all__ = [
     "DEFAULT_FILTER",
@@ -39,6 +39,7 @@ _FAMILIES: dict[str, tuple[str, Callable[..., Filter]]] = {
     "sincn": ("radius", lambda radius: sinc(_whole(radius), normalized=True)),
     "lanczos": ("radius", lambda radius: lanczos(_whole(radius))),
     "lanczosn": ("radius", lambda radius: lanczos(_whole(radius), normalized=True)),
+    "wide": ("width", lambda width: wide(_whole(width))),
 }
 _SMOOTHED = "bspline3(0.1), bspline3(auto), bspline3(length=0.5)"
 

@@ -77,7 +77,8 @@ class Mesh:
         The vertices of each triangle, counterclockwise as seen from where values are lower, or from the label in front.
     normals : ndarray of float32, shape (n, 3)
         Unit vectors towards lower values, exactly the function's. Those of labels are means of those of the triangles around, which
-        point to the label in front: the slopes of indicators follow the samples' steps more.
+        point to the label in front: the slopes of indicators follow the samples' steps more. Where a boundary between two of them
+        meets the outer surface they are that one's, which has no dark lines there.
     curvature : ndarray of float32, shape (n, 2), or None
         Principal curvatures κ₁ ≥ κ₂ per world unit; positive where the surface bends away from its normal, as a sphere around
         high values does: 1 / radius. NaN on the faces that close a mesh.
@@ -138,7 +139,7 @@ class Mesh:
         faces[turned], pairs[turned] = faces[turned, ::-1], pairs[turned, ::-1]
         split, sources = parted(faces)
         vertices = self.vertices[sources]
-        normals = normals_of(vertices, split).astype(np.float32)
+        normals = normals_of(vertices, split, np.isin(pairs[:, 1], list(self.names))).astype(np.float32)
         one = {"labels": pairs, "names": {number: self.names[number]}, "colors": {number: self.colors[number]}}
         return replace(self, vertices=vertices, faces=split, normals=normals, **one)
 
@@ -403,7 +404,7 @@ def _of_labels(volume: Volume, closed: bool, options: MeshOptions) -> Mesh:
     return Mesh(
         made.vertices,
         made.faces,
-        normals_of(made.vertices, made.faces).astype(np.float32),
+        normals_of(made.vertices, made.faces, np.isin(made.labels[:, 1], kept)).astype(np.float32),
         units=volume.units,
         space=volume.space,
         labels=made.labels,

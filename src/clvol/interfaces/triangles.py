@@ -16,6 +16,7 @@ Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 PART = 1 << 15  # triangles at a time, whose corners stay in a processor's cache
+_INNER = 1e-9  # weight of triangles beside others that are seen
 _MANY = 100_000_000  # triangles, of which one is told before they are made
 
 
@@ -26,13 +27,18 @@ def require_room(pairs: int, each: int) -> None:
         warn(f"the mesh has about {2 * pairs} triangles, and takes up to {pairs * each / 2**30:.1f} GiB while it is made")
 
 
-def normals_of(points: Points, faces: Indices) -> Points:
-    """Normals of vertices: the means of those of the triangles around them, weighted by area; zero where there is none."""
+def normals_of(points: Points, faces: Indices, inner: NDArray[np.bool_] | None = None) -> Points:
+    """Normals of vertices: the means of those of the triangles around them, weighted by area; zero where there is none.
+
+    Triangles that are `inner` count where all around a vertex are.
+    """
     areas = np.empty((len(faces), 3))
     for first in range(0, len(faces), PART):
         a, b, c = (np.take(points, corner, 0) for corner in faces[first : first + PART].T)
         (ax, ay, az), (bx, by, bz) = (b - a).T, (c - a).T
         areas[first : first + PART] = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+    if inner is not None:
+        areas[inner] *= _INNER
     starts = np.arange(0, 3 * len(faces) + 1, 3)
     around = csc_array((np.ones(3 * len(faces)), faces.ravel(), starts), shape=(len(points), len(faces)))
     sums: Points = np.asarray(around @ areas)

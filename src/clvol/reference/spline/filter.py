@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from clvol.base.arrays import Array
 from clvol.base.errors import OptionError
 from clvol.filter.filter import Filter
-from clvol.filter.make import bc, bspline, lanczos, moms3, sinc
+from clvol.filter.make import bc, bspline, lanczos, moms3, sinc, wide
 from clvol.filter.table import as_filter
 
 __all__ = ["kernel"]
@@ -64,6 +64,8 @@ def _closed_form(filter: Filter) -> Closed | None:
         value = match[2] or {"omoms3": "1/42", "moms3": "1/56"}[match[1]]
         weight = Fraction(value) if "/" in value else Fraction(float(value))
         made, closed = moms3(weight), _moms3(float(weight))
+    elif match := re.fullmatch(r"wide\(([1-4])\)", name):
+        made, closed = wide(int(match[1])), _stretched(int(match[1]))
     elif match := re.fullmatch(r"(sinc|lanczos)(\d*)(n?)(?:\((\d+)\))?", name):
         radius = int(match[2] or match[4] or 4)
         if not 1 <= radius <= 8:
@@ -92,6 +94,11 @@ def _bspline(degree: int) -> Closed:
         return np.where((x >= -(k + 1) / 2) & (x < (k + 1) / 2), total / math.factorial(left), 0.0)
 
     return closed
+
+
+def _stretched(width: int) -> Closed:
+    narrow = _bspline(3)
+    return lambda x, derivative: narrow(x / width, derivative) / width ** (derivative + 1)
 
 
 def _bc(b: float, c: float) -> Closed:
