@@ -7,7 +7,6 @@
 
 #if WINDOWED
 #define CARRIED_STATES global float *states   // a copy of those of mix.cl, with which rays go on from brick to brick, front to back
-#define SIDE_FIELD 0
 #else
 #define CARRIED_STATES global const float *states
 #endif
@@ -24,16 +23,23 @@ kernel void add_medium(COEFFICIENTS coefficients, const int4 extent, global cons
     const size_t number = number_of_tile(frame, left, top), tiles = number_of_tiles(frame);
     for (int g = 0; g < PACKETS; ++g) {
         const int x = PACKET_X(left, g), y = PACKET_Y(top, g);
-        lanes_u opacity = { (real)(0.0f) }, rest = opacity, side = opacity;
+        lanes_u opacity = { (real)(0.0f) }, rest = opacity;
         EACH_PIXEL(x, y) {
             opacity.each[i] = STATE_AT(OPACITY_FIELD);
             rest.each[i] = STATE_AT(OPACITY_FIELD + 1);
-#if WINDOWED
-            side.each[i] = STATE_AT(SIDE_FIELD);
-#endif
         }
         state_t *state = tile.states + g;
-        set_light(state, opacity.all, rest.all, side.all);
+        set_light(state, opacity.all, rest.all);
+#if WINDOWED && CARRIED
+        real carried[CARRIED];
+        for (int field = 0; field < CARRIED; ++field) {
+            lanes_u each = { (real)(0.0f) };
+            EACH_PIXEL(x, y)
+                each.each[i] = STATE_AT(field);
+            carried[field] = each.all;
+        }
+        set_carried(state, carried);
+#endif
         state->slots = slots_of(sums, touched, number, tiles, g, PACKETS, from);
         tile.going[g] &= !finished(state, frame);
     }
@@ -52,13 +58,21 @@ kernel void add_medium(COEFFICIENTS coefficients, const int4 extent, global cons
 #if WINDOWED
     for (int g = 0; g < PACKETS; ++g) {
         const int x = PACKET_X(left, g), y = PACKET_Y(top, g);
-        lanes_u opacity, rest, side = { (real)(0.0f) };
-        light_of(tile.states + g, &opacity.all, &rest.all, &side.all);
+        lanes_u opacity, rest;
+        light_of(tile.states + g, &opacity.all, &rest.all);
         EACH_PIXEL(x, y) {
             STATE_AT(OPACITY_FIELD) = opacity.each[i];
             STATE_AT(OPACITY_FIELD + 1) = rest.each[i];
-            STATE_AT(SIDE_FIELD) = side.each[i];
         }
+#if CARRIED
+        real carried[CARRIED];
+        carried_of(tile.states + g, carried);
+        for (int field = 0; field < CARRIED; ++field) {
+            const lanes_u each = { carried[field] };
+            EACH_PIXEL(x, y)
+                STATE_AT(field) = each.each[i];
+        }
+#endif
     }
 #endif
 }

@@ -85,7 +85,7 @@ kernel void draw_together(EACH(MEDIUM) constant frame_t *frame, global const flo
             global const uchar *missing = gaps[m];
             (void)missing;
             for (int g = 0; g < PACKETS; ++g) {
-                set_light(tile->states + g, mixed.states[g].opacity, mixed.states[g].rest, (real)(0.0f));
+                set_light(tile->states + g, mixed.states[g].opacity, mixed.states[g].rest);
                 tile->states[g].slots = slots_of(sums, touched, 0, 1, g, PACKETS, from);
                 tile->going[g] = media[m].going[g] & !finished(tile->states + g, own);
             }

@@ -29,13 +29,15 @@ INLINE real transmittance(const state_t *s) { return (1.0f - s->opacity) - s->re
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return transmittance(s) <= frame->mode.termination; }
 
 #if ADDED
-INLINE void set_light(state_t *s, const real opacity, const real rest, const real side)
+#define CARRIED 0
+
+INLINE void set_light(state_t *s, const real opacity, const real rest)
 {
     s->opacity = opacity;
     s->rest = rest;
 }
 
-INLINE void light_of(const state_t *s, real *opacity, real *rest, real *side)
+INLINE void light_of(const state_t *s, real *opacity, real *rest)
 {
     *opacity = s->opacity;
     *rest = s->rest;

@@ -33,7 +33,29 @@ INLINE void begin(state_t *s)
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->light < FAINT; }
 
 #if ADDED
-INLINE void set_light(state_t *s, const real opacity, const real rest, const real side) { s->light = (1.0f - opacity) - rest; }
+#define CARRIED 3
+
+INLINE void set_light(state_t *s, const real opacity, const real rest) { s->light = (1.0f - opacity) - rest; }
+
+INLINE void light_of(const state_t *s, real *opacity, real *rest)
+{
+    *opacity = (real)(1.0f);
+    *rest = -s->light;   // which is exact
+}
+
+INLINE void set_carried(state_t *s, const real *carried)
+{
+    s->started = carried[0] != 0.0f;
+    s->label = carried[1];
+    s->before = carried[2];
+}
+
+INLINE void carried_of(const state_t *s, real *carried)
+{
+    carried[0] = choose(s->started, (real)(1.0f), (real)(0.0f));
+    carried[1] = s->label;
+    carried[2] = s->before;
+}
 #endif
 
 // Inside a single region nothing changes; but rays may begin there.

@@ -33,18 +33,22 @@ INLINE void begin(state_t *s)
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->light < FAINT; }
 
 #if ADDED
-INLINE void set_light(state_t *s, const real opacity, const real rest, const real side)
+#define CARRIED 1
+
+INLINE void set_light(state_t *s, const real opacity, const real rest)
 {
     s->light = (1.0f - opacity) - rest;
-    s->side = side;
+    s->side = (real)(0.0f);   // not known
 }
 
-INLINE void light_of(const state_t *s, real *opacity, real *rest, real *side)
+INLINE void light_of(const state_t *s, real *opacity, real *rest)
 {
     *opacity = (real)(1.0f);
     *rest = -s->light;   // which is exact
-    *side = s->side;
 }
+
+INLINE void set_carried(state_t *s, const real *carried) { s->side = carried[0]; }
+INLINE void carried_of(const state_t *s, real *carried) { carried[0] = s->side; }
 #endif
 
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)

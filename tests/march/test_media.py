@@ -397,7 +397,7 @@ def test_refined_pictures_end_with_the_whole_one(device: Device) -> None:
 def lazy(medium: Medium, **changes: Any) -> Medium:
     """A medium that is read by bricks."""
     volume: Any = LazyVolume(
-        medium.volume.data, **{name: getattr(medium.volume, name) for name in ("spacing", "origin", "direction")}
+        medium.volume.data, **{name: getattr(medium.volume, name) for name in ("spacing", "origin", "direction", "labels")}
     )
     return replace(medium, volume=volume, **changes)
 
@@ -415,6 +415,7 @@ BRICKED: dict[str, tuple[Medium, ...]] = {
         replace(FIRST, filter="linear", clip=Corner((8, 8, 8), (40, 40, 40))),
         replace(MEDIA["turned"], volume=replace(MEDIA["turned"].volume, data=HOLED)),
     ),
+    "smooth regions": (replace(FIRST, filter="linear"), replace(SMOOTH, clip=Corner((8, 8, 8), (40, 40, 40)))),
 }
 
 
@@ -506,7 +507,6 @@ REFUSED: dict[str, tuple[Any, str]] = {
         lambda: clvol.render(Scene([FIRST, SMOOTH]), gradient="central"),
         "gradient changes nothing with smooth",
     ),
-    "smooth by bricks": (lambda: clvol.render(Scene([FIRST, lazy(SMOOTH)])), "smooth=True draws one label map that is in memory"),
     "regions of several": (lambda: clvol.render(Scene([FIRST, SMOOTH]), mode="regions"), r"Medium\(labels, smooth=True\)"),
     "less smooth": (
         lambda: clvol.render(Scene([FIRST, SMOOTH]), media=[FIRST, replace(SMOOTH, smooth=False)]),

@@ -266,7 +266,7 @@ class _ByBricks:
             bricks = wanted(first, count, going)
             if bricks:
                 own.copy(rays.states, states, size * rays.fields)
-                own.clear(states, 0, size // 4)  # the sides are not known
+                own.clear(states, 0, size // 4)  # what comes before is not known
             for number, (brick, tiles) in enumerate(bricks):
                 with store.resident(brick) as part:
                     if number + 1 < len(bricks):
