@@ -1003,7 +1003,8 @@ def test_labels_have_a_table_and_are_chosen_by_their_names(clvol_command: Comman
 
 
 def test_resample_keeps_labels_with_smooth_boundaries(clvol_command: Command) -> None:
-    labels = clvol.Volume(np.repeat(np.array([[[0, 300]]], np.int16), 4, 2).repeat(6, 0).repeat(5, 1), labels=True)
+    samples = np.repeat(np.array([[[0, 300]]], np.int16), [7, 1], 2).repeat(6, 0).repeat(5, 1)  # mirrored it is lost
+    labels = clvol.Volume(samples, labels=True)
     clvol.write(labels, "labels.npz")
     options = ("labels.npz", "-o", "a.npz", "--smooth")
     assert clvol_command("resample", *options, "--to-shape", "7", "8", "9").code == 0

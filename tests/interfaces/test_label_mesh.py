@@ -158,6 +158,7 @@ def test_what_is_no_mesh_of_labels_is_refused() -> None:
         (as_lazy(volume), {}, OptionError, r"whole\(\)"),
         (clvol.Volume(volume.data + 0.5, labels=True), {}, DataError, "whole numbers"),
         (clvol.Volume(volume.data.astype(np.int64) << 52, labels=True), {}, OptionError, r"2\*\*53"),
+        (clvol.Volume(volume.data.astype(np.uint64) << 61, labels=True), {}, OptionError, r"2\*\*53"),
     ]
     for given, options, error, words in cases:
         with pytest.raises(error, match=words):

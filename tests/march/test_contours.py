@@ -152,6 +152,7 @@ def test_refusals(tmp_path: Path) -> None:
         (labels, {"smooth": True, "filter": "bspline3"}, "without a prefilter"),
         (labels, {"transfer": clvol.TransferFunction([(0, "red")]), "cmap": "viridis"}, "transfer must be left out"),
         (clvol.LazyVolume(labels.data, labels=True), {"smooth": True}, "labels in memory"),
+        (clvol.Medium(scan, smooth=True), {}, "samples look like none"),
     )
     for volume, options, says in cases:
         with pytest.raises(OptionError, match=says):
@@ -160,6 +161,12 @@ def test_refusals(tmp_path: Path) -> None:
         clvol.slice(scan, smooth=True)
     with pytest.raises(OptionError, match="contour is for labels"):
         clvol.orthogonal(scan, size=(20, 20), contour=2)
+    over = clvol.Scene([scan, clvol.Medium(labels, smooth=True)])
+    for more in ({"contour": 17}, {"contour": 2, "thickness": 1, "slab": "mip"}):
+        with pytest.raises(OptionError, match=r"contour (must be|is of a plane)"):
+            clvol.orthogonal(over, size=(20, 20), **more)
+    with pytest.raises(OptionError, match="smooth=False shows its samples"):
+        clvol.orthogonal(clvol.LazyVolume(labels.data, labels=True), size=(20, 20), mode="regions")
     path = tmp_path / "labels.nrrd"
     clvol.write(labels, path)
     with pytest.raises(SystemExit) as end:

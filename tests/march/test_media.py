@@ -153,6 +153,8 @@ def test_smooth_regions_alone_are_those_of_the_mode(device: Device) -> None:
         got = clvol.render(SMOOTH, camera("perspective"), mode, **look)
         np.testing.assert_array_equal(got, want)
         assert got.recipe.mode.name == mode
+    mirrored = replace(SMOOTH, boundary="mirror", visible=False)  # another function of the same samples
+    np.testing.assert_array_equal(clvol.render(Scene([SMOOTH, mirrored]), camera("perspective"), **look), want)
     opaque = replace(SMOOTH, transfer=TransferFunction.preset("labels", ORGANS).with_opacity([(4, 0), (5, 1)]))
     alone, among = (clvol.render(Scene(media), camera("perspective"), **look) for media in (opaque, [opaque, MEDIA["turned"]]))
     hidden = (np.abs(alone - among).max(-1) < 1e-3) & (alone[..., :3].max(-1) > 0)
@@ -411,11 +413,11 @@ OPAQUE = {"surfaces": [(0.4, "red", 0.4), (0.55, "white", 1.0)], "transfer": Non
 BRICKED: dict[str, tuple[Medium, ...]] = {
     "matter": (replace(FIRST, filter="catmull-rom"), MEDIA["one grid"], MEDIA["turned"]),
     "surfaces": (replace(FIRST, filter="bspline3-approx", **OPAQUE), replace(MEDIA["turned"], filter="nearest", **OPAQUE)),
-    "smooth labels": (FIRST, SMOOTH),
     "cut, and some missing": (
         replace(FIRST, filter="linear", clip=Corner((8, 8, 8), (40, 40, 40))),
         replace(MEDIA["turned"], volume=replace(MEDIA["turned"].volume, data=HOLED)),
     ),
+    "smooth regions": (replace(FIRST, filter="linear"), replace(SMOOTH, clip=Corner((8, 8, 8), (40, 40, 40)))),
 }
 
 
@@ -508,6 +510,12 @@ REFUSED: dict[str, tuple[Any, str]] = {
         "gradient changes nothing with smooth",
     ),
     "regions of several": (lambda: clvol.render(Scene([FIRST, SMOOTH]), mode="regions"), r"Medium\(labels, smooth=True\)"),
+    "shadows of smooth labels": (lambda: clvol.render(SMOOTH, shadow=0.5), "shadow changes nothing in regions"),
+    "caps of smooth labels alone": (lambda: clvol.render(replace(SMOOTH, clip=CUTS["plane"]), cap=False), "cap changes nothing"),
+    "a boundary that was none": (
+        lambda: clvol.Renderer(SMOOTH).render(media=[replace(SMOOTH, boundary="mirror")]),
+        "media must be the scene's",
+    ),
     "less smooth": (
         lambda: clvol.render(Scene([FIRST, SMOOTH]), media=[FIRST, replace(SMOOTH, smooth=False)]),
         "media must be the scene's",

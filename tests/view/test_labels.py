@@ -196,6 +196,7 @@ def test_slices_beside_regions_have_their_boundaries(client: Client, volume: Vol
     assert 0.005 < (shown != nearest).any(-1).mean() < 0.1
     program = client.session.python()
     assert "smooth=True" in program
+    assert "\nboundary =" not in client.session.toml()  # else flags would draw others than the viewer
     assert np.array_equal(shown[..., :3], copied(client, volume))
     colors = {0: (0, 0, 0), **{n: tuple(to_bytes(np.float32([[label_color(n)]]))[0, 0].tolist()) for n in (1, 2)}}
     for number, (y, x) in enumerate(np.argwhere((shown != nearest).any(-1))[::40]):

@@ -26,11 +26,13 @@ from clvol.cli.options import (
     Input,
     Json,
     Output,
+    Rule,
     Source,
     Whole,
     bytes_of,
     is_address,
     label_of,
+    rule_of,
     whole_numbers,
 )
 from clvol.cli.root import DATA, command
@@ -221,7 +223,7 @@ def resample(
     anchor: Literal["center", "origin"] = "center",
     to_dtype: str | None = None,
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
-    boundary: Boundary = "mirror",
+    boundary: Rule = None,
     fill: float | None = None,
     nan: Literal["error", "propagate", "local"] = "error",
     smooth: Annotated[bool, Parameter(negative="")] = False,
@@ -271,7 +273,7 @@ def resample(
 
     def one(volume: clvol.Volume, report: Progress | None) -> clvol.Volume:
         if magnify is not None:
-            return clvol.magnify(volume, magnify, filter, boundary, device=device, nan=nan, progress=report)
+            return clvol.magnify(volume, magnify, filter, rule_of(boundary), device=device, nan=nan, progress=report)
         dtype = volume.data.dtype if to_dtype == "same" else to_dtype
         return clvol.resample(
             volume,
@@ -279,7 +281,7 @@ def resample(
             spacing,
             grid,
             filter,
-            boundary,
+            rule_of(boundary),
             anchor=anchor,
             smooth=smooth,
             dtype=dtype,
@@ -345,7 +347,7 @@ class Meshing:
     filter: Annotated[
         FilterName | None, Parameter(help="As of 'clvol render'; of labels, as of 'clvol resample --smooth'.", show_default=False)
     ] = None
-    boundary: Boundary = "mirror"
+    boundary: Rule = None
     nan: Annotated[
         Literal["error", "local"], Parameter(help="NaN and infinite samples: error, or local, where the surface ends at them.")
     ] = "error"
@@ -373,7 +375,7 @@ def mesh(
         Of coordinates, for a volume of a patient.
     """
     given = dict(vars(meshing or Meshing()))
-    given["only"] = list(map(label_of, given["only"])) or None
+    given |= {"only": list(map(label_of, given["only"])) or None, "boundary": rule_of(given["boundary"])}
     require_writable(output, MESHES, "meshes")
     if given["curvature"] and output.suffix.lower() != ".ply":
         raise OptionError(f"--curvature is kept by .ply alone; got {output.name}")

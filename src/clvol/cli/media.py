@@ -111,7 +111,7 @@ def _medium(text: str, read: Callable[[str], Any], *, whole: bool = False) -> cl
     if cuts := look.cuts():
         given["clip"] = cuts
     volume = read(source)
-    return clvol.Medium(_whole(volume) if whole else volume, boundary=rule_of(look), **look.words(), **given)
+    return clvol.Medium(_whole(volume) if whole else volume, boundary=rule_of(look.boundary), **look.words(), **given)
 
 
 def _whole(volume: Any) -> Any:

@@ -43,6 +43,7 @@ __all__ = [
     "Output",
     "PageOutput",
     "ReportLook",
+    "Rule",
     "Size",
     "SlicedLabels",
     "Source",
@@ -344,6 +345,14 @@ def _call(function: str, source: str | Path, given: Mapping[str, Any]) -> str:
 _MODES = f"{', '.join(clvol.modes())}."
 BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}; with a value, constant(5) or grid-constant(5)."
 Boundary = Annotated[str, Parameter(help=BOUNDARIES, completer=_any_of(clvol.boundaries))]
+Rule = Annotated[
+    str | None,
+    Parameter(
+        help=f"{BOUNDARIES} By default mirror; of labels with smooth boundaries, nearest.",
+        completer=_any_of(clvol.boundaries),
+        show_default=False,
+    ),
+]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
 _PLAIN = ("rays", "pixel_filter", "shadow", "occlusion", "gradient")  # of a look, by the names of `clvol.render`
 _Six = tuple[float, float, float, float, float, float]
@@ -395,14 +404,7 @@ class Look:
             show_default=False,
         ),
     ] = ()
-    boundary: Annotated[
-        str | None,
-        Parameter(
-            help=f"{BOUNDARIES} By default mirror; of mode regions, nearest.",
-            completer=_any_of(clvol.boundaries),
-            show_default=False,
-        ),
-    ] = None
+    boundary: Rule = None
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = (
         0.5
     )
@@ -624,9 +626,9 @@ else:
     )
 
 
-def rule_of(look: Look) -> rules.Boundary:
-    """The boundary rule of pictures."""
-    return rules.UNSAID_BOUNDARY if look.boundary is None else rules.as_boundary(look.boundary)
+def rule_of(boundary: str | None) -> rules.Boundary:
+    """A boundary rule by name, or the default, in place of which labels with smooth boundaries have theirs."""
+    return rules.UNSAID_BOUNDARY if boundary is None else rules.as_boundary(boundary)
 
 
 def own_options(

@@ -24,7 +24,6 @@ from clvol.cli.keys import Keys
 from clvol.cli.media import Others
 from clvol.cli.options import (
     Background,
-    Boundary,
     ColorMap,
     Compared,
     DeviceName,
@@ -39,6 +38,7 @@ from clvol.cli.options import (
     Output,
     PageOutput,
     ReportLook,
+    Rule,
     Size,
     SlicedLabels,
     Source,
@@ -180,7 +180,7 @@ def render(
         begun = time.perf_counter()
         wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
         transfer = options.get("transfer")
-        options |= {"filter": wanted, "boundary": rule_of(look)}
+        options |= {"filter": wanted, "boundary": rule_of(look.boundary)}
         (drawn,) = others.drawn([volume], options, source, reader, partial(_volume, Input(), memory=most, whole=whole))
         held = {name: options.pop(name) for name in ("filter", "boundary") if name in options}
         with clvol.Renderer(drawn, **held, device=device, memory=most, cluster=cluster) as renderer:
@@ -305,7 +305,7 @@ def batch(
     around = furniture.options() if furniture else {}
     options = own_options(look, own, around=around, colored=others is not None and others.colors is not None) | around
     reader = input or Input()
-    held: dict[str, Any] = {"filter": filter, "boundary": rule_of(look)}
+    held: dict[str, Any] = {"filter": filter, "boundary": rule_of(look.boundary)}
     whole = needs_whole(look.limits())
     reading: Any = partial(_volume, reader, whole=whole)
     if others is not None:
@@ -414,7 +414,7 @@ def movie(
         some = pooled(volumes)
         options = keys.beside(options | look.named(some), look, several=others != Others()) | {
             "filter": filter,
-            "boundary": rule_of(look),
+            "boundary": rule_of(look.boundary),
         }
         read = partial(_volume, Input(), whole=needs_whole(limits))
         made = clvol.movie(
@@ -467,7 +467,7 @@ def slice(  # noqa: A001  # its name in the shell
     cmap: ColorMap | None = None,
     background: Background = "black",
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
-    boundary: Boundary = "mirror",
+    boundary: Rule = None,
     device: DeviceName = None,
     labels: SlicedLabels | None = None,
     input: Input | None = None,
@@ -530,7 +530,7 @@ def slice(  # noqa: A001  # its name in the shell
             cmap=cmap,
             background=None if background == "none" else background,
             filter=filter,
-            boundary=boundary,
+            boundary=rule_of(boundary),
             device=device,
             progress=progress,
         )
@@ -590,7 +590,7 @@ def orthogonal(
     whole = labels.smooth or needs_whole(look.limits())
     volume = _volume(others.first(reader), source, whole=whole)
     with speech.progress("drawing", json) as progress, look.limited(device):
-        options |= solid.options(volume.preview()) | {"filter": filter, "boundary": rule_of(look)}
+        options |= solid.options(volume.preview()) | {"filter": filter, "boundary": rule_of(look.boundary)}
         (drawn,) = others.drawn([volume], options, source, reader, partial(_volume, Input(), whole=whole))
         picture = clvol.orthogonal(
             drawn,
@@ -700,7 +700,7 @@ def compare(
     if output is not None:
         with speech.progress("drawing", json) as progress, look.limited(device):
             _, sheet = figures.compare(
-                volume, names, pixels, rule_of(look), device=device, progress=progress, **look.options(volume), **options
+                volume, names, pixels, rule_of(look.boundary), device=device, progress=progress, **look.options(volume), **options
             )
         result["output"] = str(clvol.save(sheet, output))
     result |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
@@ -709,16 +709,16 @@ def compare(
             errors: analysis.Table[Any]
             if kind == "table":
                 errors = analysis.compare(
-                    volume, names, boundary=rule_of(look), points=_COMPARED, timing_device=device, progress=progress
+                    volume, names, boundary=rule_of(look.boundary), points=_COMPARED, timing_device=device, progress=progress
                 )
                 result["against"] = errors.against
             elif kind == "expected":
                 errors = analysis.predict(volume, names)
                 result["noise"] = errors.sigma
             elif kind == "left_out":
-                errors = analysis.leave_out(volume, names, rule_of(look), progress=progress)
+                errors = analysis.leave_out(volume, names, rule_of(look.boundary), progress=progress)
             else:
-                errors = analysis.rotations(volume, names, boundary=rule_of(look), progress=progress)
+                errors = analysis.rotations(volume, names, boundary=rule_of(look.boundary), progress=progress)
         result[kind] = str(errors.write(path))
         if json:
             result["errors" if kind == "table" else f"{kind}_errors"] = errors.records()
@@ -821,7 +821,7 @@ def report(
             Path(source).name,
             filters or reports.REPORTED,
             pixels,
-            rule_of(look),
+            rule_of(look.boundary),
             device=device,
             progress=progress,
             **look.options(volume),

@@ -30,6 +30,7 @@ _PHRASES = (
     (r"window=\(center, width\)", "--window CENTER WIDTH"),
     (r"clvol\.images resamples, zooms and rotates images", "'clvol resample' and 'clvol convert' take images"),
     (r"size=\(width, height\)", "--size WIDTH HEIGHT"),
+    (r"Volume\(\.\.\., labels=True\) says", "a table of them, --labels FILE, says"),
 )
 """Advice in Python, and the same for the shell."""
 

@@ -7,7 +7,7 @@ nets", 1998). Where in its cell a vertex lies is asked of the indicators.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -77,17 +77,17 @@ def as_number(label: object, names: Mapping[int, str]) -> int:
 
 
 def label_surfaces(
-    volume: Volume, chosen: Indices, how: tuple[Filter, Boundary, Device], closed: bool, progress: Progress | None
+    volume: Volume, chosen: Sequence[int], how: tuple[Filter, Boundary, Device], closed: bool, progress: Progress | None
 ) -> LabelSurfaces:
     """The surfaces of some labels of a volume, which ascend.
 
     Of two labels that were both chosen the smaller one is behind a triangle, else the one that was. In front of triangles in the
     faces of the domain is a number below all labels, and below zero.
     """
+    low, high = volume.limits
+    if max(abs(float(low)), abs(float(high))) >= _MOST:
+        raise OptionError(f"a mesh takes labels between -2**53 and 2**53; got {low} to {high}")
     with Regions(volume, *how) as regions:
-        low, high = (int(end) for end in volume.limits)
-        if not -_MOST < low <= high < _MOST:
-            raise OptionError(f"a mesh takes labels between -2**53 and 2**53; got {low} to {high}")
         numbers, codes = _coded(regions.on(Target(np.eye(3), np.zeros(3), volume.shape), part_of(progress, 0, 0.3)))
         crossings = sum(int(np.count_nonzero(part)) for plane in _crossed(codes) for part in plane)
         require_room(crossings, _PER_QUAD)
@@ -108,7 +108,7 @@ def label_surfaces(
     if np.linalg.det(volume.index_to_world_matrix) < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
     vertices = volume.index_to_world(cells + offsets.astype(np.float64))
-    labels = np.append(min(0, low) - 1, numbers)[pairs].repeat(2, 0)
+    labels = np.append(min(0, int(low)) - 1, numbers)[pairs].repeat(2, 0)
     if progress:
         progress(1.0)
     return LabelSurfaces(vertices, faces, labels, np.setdiff1d(chosen, numbers).tolist())

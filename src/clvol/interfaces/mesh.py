@@ -391,7 +391,7 @@ def _of_labels(volume: Volume, closed: bool, options: MeshOptions) -> Mesh:
         only = several("only", [only] if isinstance(only, (str, int, np.integer)) else only, "labels, by number or name")
     chosen = sorted(set(names) - {int(background)} if only is None else {as_number(label, names) for label in only})
     how = (region_filter(options.get("filter")), region_boundary(options.get("boundary")), as_device(options.get("device")))
-    made = label_surfaces(volume, np.array(chosen, np.int64), how, closed, options.get("progress"))
+    made = label_surfaces(volume, chosen, how, closed, options.get("progress"))
     if made.lost:
         some = ", ".join(map(str, made.lost[:8])) + (", ..." if len(made.lost) > 8 else "")
         warn(

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.arrays import reals
-from clvol.base.checks import if_image, one_of
+from clvol.base.checks import if_image, number, one_of
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.progress import Progress, part_of
 from clvol.march.bricks import level_within
 from clvol.march.choose import as_drawn, source_of
+from clvol.march.contours import contour_width
 from clvol.march.options import FieldOptions, PanelOptions, PictureOptions, as_size, chosen_mode, covering, transfer_of
 from clvol.march.renderer import Renderer
 from clvol.march.slices import AXES, Sheet, axis_directions, has_smooth_labels, lay_over, section, window_of_slices
@@ -129,7 +130,8 @@ def orthogonal(
     given: dict[str, Any] = {**options}
     slices: dict[str, Any] = {name: given.pop(name) for name in ("window", "cmap", "thickness") if name in given}
     slab, progress = given.pop("slab", None), given.pop("progress", None)
-    smooth, contour = given.pop("smooth", None), given.pop("contour", 0.0)
+    thickness = number("thickness", slices.get("thickness", 0.0), minimum=0)
+    smooth, contour = given.pop("smooth", None), contour_width(given.pop("contour", 0.0), thickness)
     slices |= {"mode": slab, "background": given.get("background", (0.0, 0.0, 0.0))}
     held = {name: given.pop(name) for name in FieldOptions.__annotations__ if name in given}
     camera, mode, step = given.pop("camera", None), given.pop("mode", DEFAULT_MODE), given.pop("step", 0.5)

@@ -31,11 +31,13 @@ class Shown(Protocol):
     def __call__(self, points: NDArray[np.float64], *, fill: float, progress: Progress | None = None) -> NDArray[Any]: ...
 
 
-def contour_width(value: float) -> float:
-    """The width of contours in pixels, checked; 0 is none."""
+def contour_width(value: float, thickness: float) -> float:
+    """The width of contours in pixels, checked; 0 is none. They are of slices, which have no thickness."""
     width = number("contour", value, minimum=0, maximum=_WIDEST)
     if 0 < width < 1:
         raise OptionError(f"contour must be 0, where areas are filled, or from 1 to {_WIDEST} pixels; got {value!r}")
+    if width and thickness:
+        raise OptionError(f"contour is of a plane; leave out the thickness of a slab; got {thickness:g}")
     return width
 
 

@@ -426,8 +426,11 @@ class ResolvedLook:
             scene = scene.with_looks(media)
         clip = options.get("clip", ...)
         cut = (scene.clip if clip is ... else clip) is not None or any(one.visible and one.clip is not None for one in scene.media)
-        if not cut and getattr(mode, "cap", None) is not getattr(type(mode), "cap", None):
-            require_heard(mode, ("cap",), {"cap": "nothing is cut away by clip"})
+        if getattr(mode, "cap", None) is not getattr(type(mode), "cap", None):
+            if not cut:
+                require_heard(mode, ("cap",), {"cap": "nothing is cut away by clip"})
+            if not any(one.shown_in(mode) is mode for one in scene.media):
+                require_heard(mode, ("cap",), {"cap": "faces are as surfaces and smooth boundaries of media have them"})
         if len(scene.media) > 1:
             return cls._of_several(scene, part_of, camera, mode, options)
         return cls._of_one(scene, part_of, camera, mode, options)
@@ -455,6 +458,8 @@ class ResolvedLook:
             scene = scene.of_media([medium := replace(medium, color_by=_settled_colors(medium.color_by))])
         words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
         scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
+        if shown.regions:
+            require_heard(shown, [name for name in ("shadow", "occlusion") if getattr(scene, name)])
         if scene.shadow and mode.shaded:
             scene = _with_still_lights(scene, preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)

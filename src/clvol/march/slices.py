@@ -240,9 +240,7 @@ def section(
         raise one_of("mode of a slice", mode, SLABS)
     if mode is not None and not thickness:
         raise OptionError("mode changes nothing in a slice without a thickness; leave it out, or give the thickness of a slab")
-    contour = contour_width(options.get("contour", 0.0))
-    if contour and thickness:
-        raise OptionError(f"contour is of a plane; leave out the thickness of a slab; got {thickness:g}")
+    contour = contour_width(options.get("contour", 0.0), thickness)
     window, cmap, transfer = options.get("window"), options.get("cmap"), options.get("transfer")
     if transfer is not None:
         instance("transfer", transfer, TransferFunction)
@@ -309,7 +307,10 @@ def _of_medium(given: Medium | Scene, options: SliceOptions) -> tuple[Volume, Sl
 
 def has_smooth_labels(medium: Medium, smooth: bool | None, usual: bool = False) -> bool:
     """Whether slices show smooth boundaries of a medium: if it is of labels, as asked for or as usual."""
-    return (usual or medium.smooth if smooth is None else flag("smooth", smooth)) and medium.volume.preview().is_labels
+    known = medium.volume.preview()
+    if medium.smooth:
+        as_mode("regions").settled(known)  # which refuses values
+    return (usual or medium.smooth if smooth is None else flag("smooth", smooth)) and known.is_labels
 
 
 def _given(volume: Any, options: SliceOptions) -> Any:

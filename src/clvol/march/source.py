@@ -184,7 +184,10 @@ class OneMedium(Source):
 
     def regions(self) -> Regions:
         """The smooth regions of its labels, which slices show; they are freed with the source."""
-        raise OptionError(f"smooth boundaries of labels on slices are those of a volume in memory; got {self._no_regions()}")
+        raise OptionError(
+            "smooth boundaries of labels on slices are of a volume in memory: a LazyVolume gives it by whole(), and smooth=False "
+            "shows its samples; got one that is read by bricks"
+        )
 
     def level(self, fine: Fineness, view: Viewpoint) -> int:  # noqa: ARG002  # volumes in memory have one
         """The level whose voxels are about as fine as the picture's pixels."""

@@ -67,8 +67,9 @@ class Medium:
     where : label or sequence of labels, optional
         The labels of `mask` in which the medium is shown.
     boundary : str or Boundary
-        Boundary rule outside its samples, by default "mirror", and "nearest" for mode "regions". The domain ends half a voxel
-        outside the outer samples, or at the outer samples for "constant" and "overlap", where the function changes there.
+        Boundary rule outside its samples, by default "mirror", and "nearest" for regions of labels: with `smooth`, and in mode
+        "regions". The domain ends half a voxel outside the outer samples, or at the outer samples for "constant" and "overlap",
+        where the function changes there.
     clip : (low, high), Plane, Corner, or a list of these, optional
         What is cut away of this medium alone, beside what `Scene.clip` cuts away of all, and in the same terms. A face shows the
         slice of what is cut there; media that go on in front of it or behind it stay as they are.
@@ -85,10 +86,10 @@ class Medium:
         colours, and so have caps. An array has the medium's grid. A function gives the values at points (n, 3) of the world, and is
         taken at the medium's samples, slice by slice.
     smooth : bool
-        Of labels: their regions with smooth boundaries instead of their samples, as of `clvol.Regions`, in and among the
-        other media of a "composite". Each has the colour of the transfer function, and stops the share of light that is its opacity
+        Of labels: their regions with smooth boundaries instead of their samples, as of `clvol.Regions`, in and among the other
+        media of a "composite". Each has the colour of the transfer function, and stops the share of light that is its opacity
         where a ray enters it, or on the face of a cut; within a step it mixes with matter. `filter` is that of the boundaries, by
-        default "bspline5-approx".
+        default "bspline5-approx". Slices show the same boundaries, of labels in memory.
 
     Raises
     ------
@@ -208,9 +209,9 @@ class Medium:
         return other if given is self else replace(other, volume=self.volume, filter=self.filter, boundary=self.boundary)
 
     @property
-    def reconstruction(self) -> tuple[Filter | None, Boundary, bool]:
-        """How its function is made of samples."""
-        return self.filter, self.boundary, self.smooth
+    def reconstruction(self) -> tuple[Filter | None, Boundary, bool, bool]:
+        """How its functions are made of samples."""
+        return self.filter, self.boundary, self.boundary.given, self.smooth  # in place of a default, regions have a rule of theirs
 
     @property
     def domain(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -23,6 +23,7 @@ from clvol.show.picture import Picture, to_png
 from clvol.view import code
 from clvol.view.code import from_toml, from_url
 from clvol.view.panes import PaneSize
+from clvol.view.renderers import rule_of
 from clvol.view.resident import Resident
 from clvol.view.session import Session
 from clvol.view.sketch import without_prefilter
@@ -178,7 +179,7 @@ class View:
         """
         resident, state = self.resident, self.state
         row = as_filter(state.filter or resident.mode(state).picture_filter)
-        plain = Renderer(self.volume, without_prefilter(row), state.boundary, resident.device)
+        plain = Renderer(self.volume, without_prefilter(row), rule_of(state.boundary), resident.device)
         with plain as renderer, renderer.device.limited(**resident.limits):
             renderer.render(size=(_SMALL, _SMALL), **resident.arguments(replace(state, media=())))
 

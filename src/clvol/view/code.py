@@ -266,7 +266,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "mode": state.mode,
         "size": list(size),
         "filter": state.filter,
-        "boundary": state.boundary,
+        "boundary": _reconstruction(state).get("boundary"),
         "step": state.step,
         "azimuth": round(math.degrees(math.atan2(-x, y)), 9),
         "elevation": round(math.degrees(math.asin(max(-1.0, min(1.0, -z)))), 9),

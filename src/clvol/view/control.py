@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +31,6 @@ from clvol.view.resident import Resident
 from clvol.view.state import History, State
 from clvol.volume.histogram import label_numbers
 from clvol.volume.volume import Volume
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["Control"]
 

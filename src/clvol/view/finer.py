@@ -1,8 +1,8 @@
 """Pictures of a volume that does not fit into memory: by bricks of stored samples, where pixels are finer than resident voxels.
 
 A level of the volume that fits is resident, and is what is turned, dragged and picked. At rest, once a picture's pixels are finer
-than its voxels, the picture is drawn again by bricks, of the level that `clvol.render` would take; but no regions of labels, which
-bricks do not draw.
+than its voxels, the picture is drawn again by bricks, of the level that `clvol.render` would take. Regions of labels stay those of
+the resident level.
 """
 
 from __future__ import annotations

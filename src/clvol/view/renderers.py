@@ -13,7 +13,7 @@ from clvol.base import memory
 from clvol.base.errors import OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.device import Device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, UNSAID_BOUNDARY, as_boundary
+from clvol.filter.boundary import DEFAULT_BOUNDARY, UNSAID_BOUNDARY, Boundary, as_boundary
 from clvol.march.renderer import Renderer
 from clvol.scene.mode import as_mode
 from clvol.scene.scene import Scene
@@ -22,7 +22,7 @@ from clvol.spline.field import Field
 from clvol.spline.regions import Regions
 from clvol.view.catalog import Catalog, Which
 
-__all__ = ["Renderers", "on_slices"]
+__all__ = ["Renderers", "on_slices", "rule_of"]
 
 _LARGE = 1 << 22  # samples of a volume whose coefficients take longer than a picture
 _LARGE_LABELS = 1 << 25  # likewise where some labels are hidden, and nothing is prefiltered
@@ -62,6 +62,11 @@ class _OfScene(Renderer):
 def on_slices(renderer: Renderer, mode: str) -> Field | BrickedField | Regions:
     """The function that slices show beside a picture in a mode: smooth regions beside those."""
     return renderer._source.part(renderer.scene.media[0]).regions() if as_mode(mode).regions else renderer.field
+
+
+def rule_of(boundary: str) -> Boundary:
+    """The boundary rule of a state, where the default is not told from one that was given: regions of labels have theirs then."""
+    return UNSAID_BOUNDARY if boundary == DEFAULT_BOUNDARY else as_boundary(boundary)
 
 
 class Renderers:
@@ -166,7 +171,7 @@ class Renderers:
         if given is not None and key == (given.filter.name, given.boundary.name, self._catalog.first):
             return Renderer(given)
         row, name, which = key
-        boundary = UNSAID_BOUNDARY if name == DEFAULT_BOUNDARY else as_boundary(name)
+        boundary = rule_of(name)
         volume = self._catalog.volume_at(which)
 
         def made() -> Renderer:

@@ -145,9 +145,10 @@ class Resident:
         row = filter_for(self.catalog.volume_of(state), state.filter, mode.picture_filter)
         if not row.has_gradient:
             left_out |= {"gradient"}
-        if len(self.catalog.media) > 1:
+        several = len(self.catalog.media) > 1
+        if several or "smooth" in self.beyond:
             left_out |= {"shadow", "occlusion"}
-        if state.clip is None and not state.cuts:
+        if (state.clip is None and not state.cuts) or (not several and {"surfaces", "smooth"} & set(self.beyond)):
             left_out |= {"cap"}
         return {name: value for name, value in given.items() if name not in left_out}
 

@@ -11,6 +11,7 @@ from clvol.scene.preset import unit_of
 from clvol.show.picture import Picture
 from clvol.view.catalog import Which
 from clvol.view.panes import camera_of
+from clvol.view.renderers import rule_of
 from clvol.view.resident import Resident, targeted
 from clvol.view.state import WORDS, State
 from clvol.volume.evenly import evenly
@@ -65,7 +66,7 @@ class Sketch:
         key = state.filter, state.boundary, state.mode
         if self._renderer is None or self._key != key:
             row = filter_for(self._few.volume, state.filter, self._few.mode(state).picture_filter)
-            self._renderer = Renderer(self._few.volume, without_prefilter(row), state.boundary, self._few.device)
+            self._renderer = Renderer(self._few.volume, without_prefilter(row), rule_of(state.boundary), self._few.device)
             self._key = key
         return self._renderer
 
