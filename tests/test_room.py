@@ -151,7 +151,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, fl
         encoding="utf-8",
         timeout=600,
         check=False,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        env={**os.environ, "POCL_EXTRA_BUILD_FLAGS": "", "PYTHONPATH": os.pathsep.join(sys.path)},
     )
     assert done.returncode == 0, done.stderr[-3000:]
     found: dict[str, tuple[str, float, float]] = json.loads(done.stdout.splitlines()[-1])
