@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ def head(n: int, device: Device, kind: str = "float32") -> NDArray[Any]:
     for first in range(0, n, slices):
         part = data[first : first + slices]
         scale, low, high = (np.float32(v) for v in (SCALE[kind], least, most))
-        kernel(device.queue, (n, n, part.shape[0]), None, buffer, np.int32(n), np.int32(first), scale, low, high)
+        kernel(device.queue, (n, n, part.shape[0]), (math.gcd(n, 64), 1, 1), buffer, np.int32(n), np.int32(first), scale, low, high)
         device.buffers.download(buffer, part)
     buffer.release()
     return data

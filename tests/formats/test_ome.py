@@ -83,5 +83,5 @@ def test_a_pyramid_of_clvol_has_a_direction() -> None:
 def test_labels_are_named_by_their_properties() -> None:
     properties = [{"label-value": 1, "name": "nucleus"}, {"label-value": 2, "class": "membrane"}, {"label-value": 3}, {"name": "x"}]
     for about in ({"image-label": {"properties": properties}}, {"ome": {"image-label": {"properties": properties}}}):
-        assert ome.labels_of(about) == {1: "nucleus", 2: "membrane"}
+        assert ome.labels_of(about) == {1: ("nucleus",), 2: ("membrane",)}
     assert ome.labels_of({}) == {}

@@ -827,7 +827,7 @@ def test_a_worker_without_opencl(monkeypatch: pytest.MonkeyPatch, volume: clvol.
 
     monkeypatch.setattr(parts, "worker_device", none)
     recipe = parts._Recipe(
-        "t", volume, (0, 1), False, clvol.filters()["linear"], clvol.boundaries()["mirror"], None, 1 << 28, 16, {}
+        "t", BrickedField, volume, (0, 1), False, clvol.filters()["linear"], clvol.boundaries()["mirror"], None, 1 << 28, 16, {}
     )
     with pytest.raises(ClusterError, match=r"workers must have an OpenCL device; .* has none: no OpenCL device"):
         parts._field_of(recipe)
