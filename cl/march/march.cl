@@ -325,7 +325,7 @@ INLINE void enter_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
         here &= in_window(frame, ray, ray->enter);
 #endif
         if (part)
-            restart(tile->states + g, (ADDED && !WINDOWED) ? tile->going[g] : here);   // of a slab no state is carried on
+            restart(tile->states + g, (ADDED & !WINDOWED) ? tile->going[g] : here);   // of a slab no state is carried on
         if (!any_lane(here))
             continue;
         here &= ray->cut;
