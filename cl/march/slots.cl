@@ -10,7 +10,7 @@
 #endif
 #define SLOT 4   // numbers of each ray
 #define OPACITY_FIELD 3   // of the states that mix.cl keeps, which are those of composite.cl; followed by the rest
-#define CARRIED 3   // numbers of a mode that go from brick to brick with its rays, 0 at first
+#define CARRIED 3   // numbers of a mode that go from brick to brick with its rays: where the first is 0, the others are not known
 #define OPAQUE ((real)(-1e9f))   // of opaque matter: finite, so that its colour has a weight
 
 typedef struct {

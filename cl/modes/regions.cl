@@ -36,18 +36,18 @@ INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->ligh
 INLINE void set_light(state_t *s, const real opacity, const real rest, const lanes_u carried[CARRIED])
 {
     s->light = (1.0f - opacity) - rest;
-    s->label = carried[0].all;
-    s->before = carried[1].all;
-    s->started = carried[2].all > 0.0f;
+    s->started = carried[0].all > 0.0f;
+    s->label = carried[1].all;
+    s->before = carried[2].all;
 }
 
 INLINE void light_of(const state_t *s, real *opacity, real *rest, lanes_u carried[CARRIED])
 {
     *opacity = (real)(1.0f);
     *rest = -s->light;   // which is exact
-    carried[0].all = s->label;
-    carried[1].all = s->before;
-    carried[2].all = choose(s->started, (real)(1.0f), (real)(0.0f));
+    carried[0].all = choose(s->started, (real)(1.0f), (real)(0.0f));
+    carried[1].all = s->label;
+    carried[2].all = s->before;
 }
 #endif
 

@@ -6,7 +6,8 @@
 // of them is kept. Nearly equal weights are equal: then the smaller label wins, on whichever side of a boundary rounding falls.
 //
 // Set by the host: SPARED, the outer taps on each side without which the others still hold over half of the weight, wherever the
-// position: where these, the core, are equal, they decide. LABEL, the type of stored labels, of at most 32 bits, or float; LABEL_BYTES, its size. No label is INT_MAX.
+// position: where these, the core, are equal, they decide. LABEL, the type of stored labels, of at most 32 bits, or float; LABEL_BYTES,
+// its size. No label is INT_MAX.
 
 #include "spline/filter.cl"
 #include "spline/cell.cl"

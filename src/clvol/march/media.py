@@ -240,9 +240,6 @@ class _Resident:
         yield add
 
 
-_CARRIED = 3  # fields, as slots.cl has it
-
-
 class _ByBricks:
     """A medium of which bricks are resident, one at a time."""
 
@@ -269,7 +266,7 @@ class _ByBricks:
             bricks = wanted(first, count, going)
             if bricks:
                 own.copy(rays.states, states, size * rays.fields)
-                own.clear(states, 0, _CARRIED * size // 4)  # nothing is known of what lies before
+                own.clear(states, 0, size // 4)  # nothing is known of what lies before
             for number, (brick, tiles) in enumerate(bricks):
                 with store.resident(brick) as part:
                     if number + 1 < len(bricks):
