@@ -32,12 +32,12 @@ from clvol.cli.options import (
     bytes_of,
     is_address,
     label_of,
-    rule_of,
     whole_numbers,
 )
 from clvol.cli.root import DATA, command
 from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
 from clvol.cli.words import in_the_shell
+from clvol.filter.boundary import chosen_boundary
 from clvol.formats import WRITTEN, series_of
 from clvol.interfaces.mesh import MESHES
 from clvol.volume.histogram import isovalue_of
@@ -273,7 +273,7 @@ def resample(
 
     def one(volume: clvol.Volume, report: Progress | None) -> clvol.Volume:
         if magnify is not None:
-            return clvol.magnify(volume, magnify, filter, rule_of(boundary), device=device, nan=nan, progress=report)
+            return clvol.magnify(volume, magnify, filter, chosen_boundary(boundary), device=device, nan=nan, progress=report)
         dtype = volume.data.dtype if to_dtype == "same" else to_dtype
         return clvol.resample(
             volume,
@@ -281,7 +281,7 @@ def resample(
             spacing,
             grid,
             filter,
-            rule_of(boundary),
+            chosen_boundary(boundary),
             anchor=anchor,
             smooth=smooth,
             dtype=dtype,
@@ -375,7 +375,7 @@ def mesh(
         Of coordinates, for a volume of a patient.
     """
     given = dict(vars(meshing or Meshing()))
-    given |= {"only": list(map(label_of, given["only"])) or None, "boundary": rule_of(given["boundary"])}
+    given |= {"only": list(map(label_of, given["only"])) or None, "boundary": chosen_boundary(given["boundary"])}
     require_writable(output, MESHES, "meshes")
     if given["curvature"] and output.suffix.lower() != ".ply":
         raise OptionError(f"--curvature is kept by .ply alone; got {output.name}")

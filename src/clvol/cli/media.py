@@ -12,7 +12,8 @@ from cyclopts import Group, Parameter
 import clvol
 from clvol.base.errors import OptionError
 from clvol.cli.inline import inline_options, parts_of
-from clvol.cli.options import Input, Look, rule_of
+from clvol.cli.options import Input, Look
+from clvol.filter.boundary import chosen_boundary
 from clvol.interfaces.movie import places_of
 from clvol.interop.dispatch import is_in_parts
 from clvol.scene.scene import channels
@@ -111,7 +112,7 @@ def _medium(text: str, read: Callable[[str], Any], *, whole: bool = False) -> cl
     if cuts := look.cuts():
         given["clip"] = cuts
     volume = read(source)
-    return clvol.Medium(_whole(volume) if whole else volume, boundary=rule_of(look.boundary), **look.words(), **given)
+    return clvol.Medium(_whole(volume) if whole else volume, boundary=chosen_boundary(look.boundary), **look.words(), **given)
 
 
 def _whole(volume: Any) -> Any:

@@ -16,7 +16,6 @@ import clvol
 from clvol.base.errors import ChunkError, OptionError
 from clvol.bricks.continued import holed
 from clvol.device import as_device
-from clvol.filter import boundary as rules
 from clvol.formats.opening import WholeOnlyError, opened_if
 from clvol.interfaces.again import parted
 from clvol.interfaces.movie import series_of
@@ -55,7 +54,6 @@ __all__ = [
     "is_address",
     "label_of",
     "own_options",
-    "rule_of",
     "whole_numbers",
 ]
 
@@ -624,11 +622,6 @@ else:
     ModeOptions = Parameter(name="*", group=_OWN)(
         make_dataclass("ModeOptions", map(_flag, sorted(every_option())), bases=(Given,), namespace={"__module__": __name__})
     )
-
-
-def rule_of(boundary: str | None) -> rules.Boundary:
-    """A boundary rule by name, or the default, in place of which labels with smooth boundaries have theirs."""
-    return rules.UNSAID_BOUNDARY if boundary is None else rules.as_boundary(boundary)
 
 
 def own_options(

@@ -48,10 +48,10 @@ from clvol.cli.options import (
     bytes_of,
     is_address,
     own_options,
-    rule_of,
     whole_numbers,
 )
 from clvol.cli.root import PICTURES, command
+from clvol.filter.boundary import chosen_boundary
 from clvol.interfaces.again import render_again
 from clvol.interfaces.batches import needs_whole
 from clvol.interfaces.movie import pooled
@@ -180,7 +180,7 @@ def render(
         begun = time.perf_counter()
         wanted = row_for(volume, filter, as_mode(look.mode).picture_filter)
         transfer = options.get("transfer")
-        options |= {"filter": wanted, "boundary": rule_of(look.boundary)}
+        options |= {"filter": wanted, "boundary": chosen_boundary(look.boundary)}
         (drawn,) = others.drawn([volume], options, source, reader, partial(_volume, Input(), memory=most, whole=whole))
         held = {name: options.pop(name) for name in ("filter", "boundary") if name in options}
         with clvol.Renderer(drawn, **held, device=device, memory=most, cluster=cluster) as renderer:
@@ -305,7 +305,7 @@ def batch(
     around = furniture.options() if furniture else {}
     options = own_options(look, own, around=around, colored=others is not None and others.colors is not None) | around
     reader = input or Input()
-    held: dict[str, Any] = {"filter": filter, "boundary": rule_of(look.boundary)}
+    held: dict[str, Any] = {"filter": filter, "boundary": chosen_boundary(look.boundary)}
     whole = needs_whole(look.limits())
     reading: Any = partial(_volume, reader, whole=whole)
     if others is not None:
@@ -414,7 +414,7 @@ def movie(
         some = pooled(volumes)
         options = keys.beside(options | look.named(some), look, several=others != Others()) | {
             "filter": filter,
-            "boundary": rule_of(look.boundary),
+            "boundary": chosen_boundary(look.boundary),
         }
         read = partial(_volume, Input(), whole=needs_whole(limits))
         made = clvol.movie(
@@ -530,7 +530,7 @@ def slice(  # noqa: A001  # its name in the shell
             cmap=cmap,
             background=None if background == "none" else background,
             filter=filter,
-            boundary=rule_of(boundary),
+            boundary=chosen_boundary(boundary),
             device=device,
             progress=progress,
         )
@@ -590,7 +590,7 @@ def orthogonal(
     whole = labels.smooth or needs_whole(look.limits())
     volume = _volume(others.first(reader), source, whole=whole)
     with speech.progress("drawing", json) as progress, look.limited(device):
-        options |= solid.options(volume.preview()) | {"filter": filter, "boundary": rule_of(look.boundary)}
+        options |= solid.options(volume.preview()) | {"filter": filter, "boundary": chosen_boundary(look.boundary)}
         (drawn,) = others.drawn([volume], options, source, reader, partial(_volume, Input(), whole=whole))
         picture = clvol.orthogonal(
             drawn,
@@ -693,14 +693,14 @@ def compare(
     if output is None:
         _require_of_tables(look, own)
     look = look or SurfaceLook()
-    options = own_options(look, own)
+    options, rule = own_options(look, own), chosen_boundary(look.boundary)
     volume = (input or Input()).read(source)
     names = filters or figures.SIX
     result: dict[str, Any] = {}
     if output is not None:
         with speech.progress("drawing", json) as progress, look.limited(device):
             _, sheet = figures.compare(
-                volume, names, pixels, rule_of(look.boundary), device=device, progress=progress, **look.options(volume), **options
+                volume, names, pixels, rule, device=device, progress=progress, **look.options(volume), **options
             )
         result["output"] = str(clvol.save(sheet, output))
     result |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
@@ -708,17 +708,15 @@ def compare(
         with speech.progress("measuring", json) as progress:
             errors: analysis.Table[Any]
             if kind == "table":
-                errors = analysis.compare(
-                    volume, names, boundary=rule_of(look.boundary), points=_COMPARED, timing_device=device, progress=progress
-                )
+                errors = analysis.compare(volume, names, boundary=rule, points=_COMPARED, timing_device=device, progress=progress)
                 result["against"] = errors.against
             elif kind == "expected":
                 errors = analysis.predict(volume, names)
                 result["noise"] = errors.sigma
             elif kind == "left_out":
-                errors = analysis.leave_out(volume, names, rule_of(look.boundary), progress=progress)
+                errors = analysis.leave_out(volume, names, rule, progress=progress)
             else:
-                errors = analysis.rotations(volume, names, boundary=rule_of(look.boundary), progress=progress)
+                errors = analysis.rotations(volume, names, boundary=rule, progress=progress)
         result[kind] = str(errors.write(path))
         if json:
             result["errors" if kind == "table" else f"{kind}_errors"] = errors.records()
@@ -821,7 +819,7 @@ def report(
             Path(source).name,
             filters or reports.REPORTED,
             pixels,
-            rule_of(look.boundary),
+            chosen_boundary(look.boundary),
             device=device,
             progress=progress,
             **look.options(volume),

@@ -34,10 +34,10 @@ from clvol.cli.options import (
     bytes_text,
     is_address,
     own_options,
-    rule_of,
 )
 from clvol.cli.root import PICTURES, command
 from clvol.cli.words import in_the_shell
+from clvol.filter.boundary import chosen_boundary
 from clvol.formats.guarded.limits import size_of
 
 if TYPE_CHECKING:
@@ -275,7 +275,7 @@ def _made(
     scene, source, finer = found
     volume = scene.first if isinstance(scene, Volumes) else scene
     shown = (volume.name if scene is volume else "") or Path(name).name
-    options = look.named(volume) | own | {"filter": filter, "boundary": rule_of(look.boundary)}
+    options = look.named(volume) | own | {"filter": filter, "boundary": chosen_boundary(look.boundary)}
     return View(scene, device=device, source=source, name=shown, finer=finer, limits=look.limits(), **options)
 
 
@@ -288,7 +288,7 @@ def _wanted(
     if others is None:
         return _made(_read(reader, name, device), name, filter, device, look, own)
     volume = others.first(reader).open(name)
-    options = look.named(volume.preview()) | own | {"filter": filter, "boundary": rule_of(look.boundary)}
+    options = look.named(volume.preview()) | own | {"filter": filter, "boundary": chosen_boundary(look.boundary)}
     (scene,) = others.drawn([volume], options, name, reader, Input().open)
     return View(scene, device=device, name=Path(name).name, limits=look.limits(), **options)
 

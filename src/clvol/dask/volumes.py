@@ -36,7 +36,7 @@ from clvol.dask.blocks import (
 )
 from clvol.dask.reduced import axis_by_axis, gaussian_radius
 from clvol.device import as_device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.boundary import Boundary, as_boundary, chosen_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.margin import reach, require_settled
 from clvol.filter.table import DEFAULT_FILTER, as_filter
@@ -196,7 +196,7 @@ class _Work:
         chosen: Precision = "double" if more else precision or "single"
         return cls(
             row,
-            region_boundary(boundary) if smooth else as_boundary(DEFAULT_BOUNDARY if boundary is None else boundary),
+            region_boundary(boundary) if smooth else chosen_boundary(boundary),
             chosen,
             more,
             made if kind is None else kind,

@@ -27,6 +27,7 @@ __all__ = [
     "Outside",
     "as_boundary",
     "boundaries",
+    "chosen_boundary",
     "is_given",
 ]
 
@@ -265,3 +266,8 @@ def is_given(choice: str | Boundary | None) -> bool:
 
 
 UNSAID_BOUNDARY = replace(as_boundary(DEFAULT_BOUNDARY), given=False)
+
+
+def chosen_boundary(choice: str | Boundary | None) -> Boundary:
+    """The rule of a choice, or for None the default, in place of which labels with smooth boundaries have theirs."""
+    return UNSAID_BOUNDARY if choice is None else as_boundary(choice)

@@ -20,7 +20,7 @@ from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.base.progress import Progress, part_of
 from clvol.base.rounding import as_kind, wide
 from clvol.device import as_device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
+from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary, chosen_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop.dispatch import is_in_parts, require_lazy, with_dask
 from clvol.interop.images import read_array
@@ -495,12 +495,7 @@ def require_both(
 ) -> None:
     """Raise `OutOfMemoryError` unless the coefficients of `size` samples and results of shape `results` fit together."""
     kind = precision_kind(precision or "single")
-    made = bytes_of(
-        size,
-        as_filter(DEFAULT_FILTER if filter is None else filter),
-        as_boundary(DEFAULT_BOUNDARY if boundary is None else boundary),
-        kind,
-    )
+    made = bytes_of(size, as_filter(DEFAULT_FILTER if filter is None else filter), chosen_boundary(boundary), kind)
     result_bytes = np.dtype(kind).itemsize * math.prod(results)
     shared = as_device(device).kind == "cpu"  # else coefficients are in the device's memory
     memory.require(result_bytes + made * shared, f"{described(results)}{' and the coefficients' * shared}")

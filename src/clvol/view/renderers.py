@@ -13,7 +13,7 @@ from clvol.base import memory
 from clvol.base.errors import OutOfMemoryError
 from clvol.bricks.field import BrickedField
 from clvol.device import Device
-from clvol.filter.boundary import DEFAULT_BOUNDARY, UNSAID_BOUNDARY, Boundary, as_boundary
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, chosen_boundary
 from clvol.march.renderer import Renderer
 from clvol.scene.mode import as_mode
 from clvol.scene.scene import Scene
@@ -66,7 +66,7 @@ def on_slices(renderer: Renderer, mode: str) -> Field | BrickedField | Regions:
 
 def rule_of(boundary: str) -> Boundary:
     """The boundary rule of a state, where the default is not told from one that was given: regions of labels have theirs then."""
-    return UNSAID_BOUNDARY if boundary == DEFAULT_BOUNDARY else as_boundary(boundary)
+    return chosen_boundary(None if boundary == DEFAULT_BOUNDARY else boundary)
 
 
 class Renderers:
