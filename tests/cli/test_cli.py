@@ -1070,6 +1070,7 @@ def test_doctor_approves_this_machine(clvol_command: Command, device: Device) ->
     assert told["usable"] is True
     assert [c["ok"] for c in told["checks"][:3]] == [True] * 3
     assert device.name in told["checks"][0]["detail"]
+    assert device.compiled_for in told["checks"][2]["detail"]
     done = clvol_command("doctor")
     assert done.code == 0
     assert "ok  it computes right values: " in done.out

@@ -121,7 +121,7 @@ def _used() -> str:
 def _builds() -> str:
     device = as_device()
     device.require_usable()
-    return device.name
+    return " ".join(filter(None, (device.name, device.compiled_for)))
 
 
 def _parity() -> str:

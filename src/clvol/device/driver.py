@@ -8,7 +8,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, TypeVar
 
 from clvol.base.errors import DeviceError, OutOfMemoryError
@@ -24,7 +24,6 @@ _LINKER = (
     "; install 'binutils' and 'gcc' (Debian, Ubuntu: apt install binutils gcc), or another OpenCL runtime: "
     "'pip install clvol[intel]' brings one that needs neither"
 )
-_name_processor = lru_cache(processor.name_processor)
 
 
 class Once(cached_property[T]):
@@ -159,6 +158,11 @@ class Driver(Identity, ABC):
             return f"PoCL cannot build kernels here: a trial of it in another process {why}"
         return f"{self.name} ({self.platform}) cannot be used: a trial of it in another process {why}. 'clvol doctor' tries again"
 
+    @Once
+    def compiled_for(self) -> str:
+        """Which processor PoCL 3.0 compiles for, in words, and whether clvol had to name it; "" for other runtimes."""
+        return processor.name_processor(self.handle)
+
     def require_usable(self) -> None:
         """Raise `DeviceError` if using the device would hang or abort the process.
 
@@ -172,7 +176,7 @@ class Driver(Identity, ABC):
             linker = "linker" in self.fault or "build kernels here" in self.fault
             raise DeviceError(self.fault + (_LINKER if linker else ""))
         if self.is_pocl and self.kind == "cpu":
-            _name_processor(self.handle.int_ptr)
+            self.compiled_for  # noqa: B018  # before the first kernel is built
 
     @property
     @contextmanager

@@ -69,8 +69,7 @@ for i, d in enumerate(found[first:] if first >= 0 else []):
         continue
     say("trying", first + i)
     try:
-        if d.platform.name == "Portable Computing Language":
-            kept["name_processor"](d.int_ptr)
+        kept["name_processor"](d)
         c = cl.Context([d]); q = cl.CommandQueue(c)
         k = cl.Program(c, "kernel void probe(global int *a) { a[0] = 1; }").build()
         cl.Kernel(k, "probe")(q, (1,), None, cl.Buffer(c, cl.mem_flags.READ_WRITE, 4)); q.finish()
