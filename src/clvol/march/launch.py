@@ -377,13 +377,13 @@ class _Budget:
         chunks = row_reach(drawn) // row_width(drawn)
         together = frame.tile.shared and not frame.planes.oblique
         rows = drawn.support * chunks / 2 + 2 if together else drawn.support**2 * chunks + 8
+        rows *= _CENTRAL if frame.central else _SHADED if frame.mode.shaded else 1
         count: float = frame.planes.count
-        if frame.mode.stretches:
+        if frame.mode.stretches:  # gradients are of hits alone
             order = drawn.degree + 1
             rows = drawn.support**2 * order * (drawn.support + order) / 32 + 40  # a polynomial, and traversal
             count = float(frame.coefficients.size.sum()) * drawn.scale / _CELLS
         rows *= max(1, len(frame.media))
-        rows *= _CENTRAL if frame.central else _SHADED if frame.mode.shaded else 1
         count = max(_SET_UP, share * count)
         if frame.evaluator.image and device.kind == "cpu":
             rows *= _SOFTWARE
