@@ -12,15 +12,30 @@
 #define BEFORE_MATTER(k, light) (light)
 #endif
 
-// The unit normal of a gradient, towards the viewer, that is against the ray. Returns the lanes whose gradient is no longer than
-// the rounding error of the function's values, of the size of `value`: it has no direction, and `normal` is meaningless.
-INLINE mask flat_or_normal(constant frame_t *frame, real3 gradient, real value, real3 world, real3 *normal)
+// The unit normal of a gradient, towards the viewer, that is against the ray, and its cosine to the viewer. Returns the lanes whose
+// gradient is no longer than the rounding error of the function's values, of the size of `value`: it has no direction, and both are 0.
+INLINE mask flat_or_normal(constant frame_t *frame, real3 gradient, real value, real3 world, real3 *normal, real *facing)
 {
     const real squared = dot3(gradient, gradient), rounding = value * frame->geometry.rounding;
     const mask flat = squared <= rounding * rounding;
-    const real facing = dot3(gradient, world);
-    *normal = scale3(gradient, choose(facing > 0.0f, (real)(-1.0f), (real)(1.0f)) / square_root(choose(flat, (real)(1.0f), squared)));
+    const real per_length = choose(flat, (real)(0.0f), inverse_root(MIN(MAX(squared, (real)(1e-37f)), (real)(1e37f))));
+    const real along = dot3(gradient, world);
+    *normal = scale3(gradient, along > 0.0f ? -per_length : per_length);
+    *facing = magnitude(along) * per_length;
     return flat;
+}
+
+typedef struct { real3 diffuse, shine; } reflected_t;
+
+// Adds the light of this colour, of which so much is `left`, given the cosines of the normal to it and to the direction half-way between
+// it and the viewer. `least`: the smallest cosine that counts as one.
+INLINE void reflect(reflected_t *sum, constant material_block *material, constant float *color, const real left, const real lambert,
+                    const real half_angle, const real least)
+{
+    const real3 tint = real3_of((real)(color[0]), (real)(color[1]), (real)(color[2]));
+    const real highlight = power(half_angle, material->shininess, material->whole_shininess, material->min_shine);
+    sum->diffuse = at3(sum->diffuse, tint, left * (material->diffuse * MAX(lambert, least)));
+    sum->shine = at3(sum->shine, tint, choose(lambert > 0.0f, left * (material->specular * highlight), (real)(0.0f)));
 }
 
 // color: of the matter at t; gradient: in world directions; value: the function's there.
@@ -30,31 +45,26 @@ INLINE color_t shade(const sample_t *sample, color_t color, real3 gradient, real
     constant material_block *material = &frame->material;
     const real3 world = sample->ray->world;
     real3 normal;
-    const mask flat = flat_or_normal(frame, gradient, value, world, &normal);
+    real facing;
+    const mask flat = flat_or_normal(frame, gradient, value, world, &normal, &facing);
+    const real least = choose(flat, (real)(1.0f), (real)(0.0f)), whole = (real)(1.0f);
 #if SHADOWED
     real left[1 + MOST_LIGHTS];
     light_left(left, sample, normal, flat, t, active);
 #endif
-    real red = BEFORE_MATTER(0, (real)(material->ambient)), green = red, blue = red, shine_red = (real)(0.0f), shine_green = shine_red, shine_blue = shine_red;
-    for (int i = 0; i < frame->lights.count; ++i) {
-        constant float *light = frame->lights.each + 8 * i;   // direction, 1 for a headlight; colour
-        const int headlight = light[3] != 0.0f;
-        const real3 to = headlight ? scale3(world, (real)(-1.0f)) : real3_of((real)(light[0]), (real)(light[1]), (real)(light[2]));
-        const real lambert = choose(flat, (real)(1.0f), MAX(dot3(normal, to), (real)(0.0f)));
-        real half_angle = lambert;   // a headlight's half-way direction is the viewer's
-        if (!headlight) {
-            const real3 sum = add3(to, scale3(world, (real)(-1.0f)));
-            half_angle = MAX(dot3(normal, sum) / square_root(MAX(dot3(sum, sum), (real)(1e-20f))), (real)(0.0f));
-        }
-        half_angle = choose(flat, (real)(0.0f), half_angle);
-        const real diffuse = BEFORE_MATTER(1 + i, material->diffuse * lambert);
-        const real highlight = power(half_angle, material->shininess, material->whole_shininess, material->min_shine);
-        const real shine = choose(lambert > 0.0f, BEFORE_MATTER(1 + i, material->specular * highlight), (real)(0.0f));
-        red += diffuse * light[4]; green += diffuse * light[5]; blue += diffuse * light[6];
-        shine_red += shine * light[4]; shine_green += shine * light[5]; shine_blue += shine * light[6];
+    const real ambient = BEFORE_MATTER(0, (real)(material->ambient));
+    reflected_t sum = { { ambient, ambient, ambient }, { (real)(0.0f), (real)(0.0f), (real)(0.0f) } };
+    for (int i = 0; i < frame->lights.directed; ++i) {
+        constant float *light = frame->lights.each + 7 * i;   // direction, colour, number
+        const real3 to = real3_of((real)(light[0]), (real)(light[1]), (real)(light[2]));
+        const real3 between = add3(to, scale3(world, (real)(-1.0f)));
+        const real lambert = dot3(normal, to), per_length = inverse_root(MAX(dot3(between, between), (real)(1e-20f)));
+        reflect(&sum, material, light + 3, BEFORE_MATTER((int)light[6], whole), lambert, (lambert + facing) * per_length, least);
     }
-    color.red = madd(color.red, red, shine_red);
-    color.green = madd(color.green, green, shine_green);
-    color.blue = madd(color.blue, blue, shine_blue);
+    if (frame->lights.headlight)   // half-way to the viewer is where the viewer is
+        reflect(&sum, material, frame->lights.ahead, BEFORE_MATTER(frame->lights.headlight, whole), facing, facing, least);
+    color.red = madd(color.red, sum.diffuse.x, sum.shine.x);
+    color.green = madd(color.green, sum.diffuse.y, sum.shine.y);
+    color.blue = madd(color.blue, sum.diffuse.z, sum.shine.z);
     return color;
 }

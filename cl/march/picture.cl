@@ -93,12 +93,13 @@ INLINE real3 or_face_normals(constant frame_t *frame, const ray_t *ray, const re
 INLINE real3 normals_at(COEFFICIENTS coefficients, const sample_t *sample, const state_t *state, real t, mask active)
 {
     real3 normal = real3_of((real)(NAN), (real)(NAN), (real)(NAN)), facing;
+    real cosine;
     if (!any_lane(active))
         return normal;
     const ray_t *ray = sample->ray;
     const real at = choose(active, t, ray->enter);
     const real3 g = gradient_at(coefficients, sample, at, active);
-    const mask known = active & !flat_or_normal(sample->frame, g, value_at(coefficients, sample, at, active), ray->world, &facing);
+    const mask known = active & !flat_or_normal(sample->frame, g, value_at(coefficients, sample, at, active), ray->world, &facing, &cosine);
     normal = real3_of(choose(known, facing.x, normal.x), choose(known, facing.y, normal.y), choose(known, facing.z, normal.z));
     const mask met = active & ON_FACE(state);
     if ((LABELS == 3 || sample->frame->clip.clipped) && FACES(sample->frame) && any_lane(met))

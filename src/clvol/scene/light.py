@@ -20,7 +20,9 @@ __all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_
 
 MAX_LIGHTS = 4
 _FRAMES = ("world", "camera")
-LIGHTS = Block("lights_block", each=(FLOAT, 8 * MAX_LIGHTS), count=INT)  # direction, 1 for a headlight; colour, unused
+LIGHTS = Block(  # those with directions: direction, colour, number; the sum of the headlights, and the number of one
+    "lights_block", each=(FLOAT, 7 * MAX_LIGHTS), directed=INT, ahead=(FLOAT, 3), headlight=INT
+)
 
 
 @suggests_options
@@ -121,11 +123,17 @@ def casts(lights: Light | Sequence[Light]) -> bool:
 
 
 def lights_block(lights: Sequence[Light], view: Viewpoint) -> Values:
-    """What kernels read of the lights, up to `MAX_LIGHTS`, in a view."""
-    each = np.zeros((MAX_LIGHTS, 8))
-    for row, light in zip(each, lights, strict=False):
-        row[:7] = [*(light.placed(view).direction or (0, 0, 0)), float(light.direction is None), *light.color]
-    return LIGHTS(each=each.ravel(), count=len(lights))
+    """What kernels read of the lights, up to `MAX_LIGHTS`, in a view; they are numbered from 1."""
+    each, headlights = np.zeros((MAX_LIGHTS, 7)), [(n, light) for n, light in enumerate(lights, 1) if light.direction is None]
+    directed = [(n, light.placed(view)) for n, light in enumerate(lights, 1) if light.direction is not None]
+    for row, (n, light) in zip(each, directed, strict=False):
+        row[:] = [*(light.direction or ()), *light.color, n]
+    return LIGHTS(
+        each=each.ravel(),
+        directed=len(directed),
+        ahead=np.sum([light.color for _, light in headlights], axis=0) if headlights else 0.0,
+        headlight=headlights[0][0] if headlights else 0,
+    )
 
 
 HEADLIGHT = Light()
