@@ -20,7 +20,7 @@ INLINE mask flat_or_normal(constant frame_t *frame, real3 gradient, real value, 
     const mask flat = squared <= rounding * rounding;
     const real per_length = choose(flat, (real)(0.0f), inverse_root(MIN(MAX(squared, (real)(1e-37f)), (real)(1e37f))));
     const real along = dot3(gradient, world);
-    *normal = scale3(gradient, along > 0.0f ? -per_length : per_length);
+    *normal = scale3(gradient, choose(along > 0.0f, -per_length, per_length));
     *facing = magnitude(along) * per_length;
     return flat;
 }
