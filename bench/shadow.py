@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import clvol
-from clvol.march.shadow import Matter, Shadows
+from clvol.march.shadow import Body, Cells, Matter, Shadows
 from clvol.scene.clip import Cuts
 from clvol.scene.light import KIT
 
@@ -55,11 +55,11 @@ def main() -> None:
                 plain, shadowed = (statistics.median(one[dark][kind] for one in rounds) for dark in (0, 1))
                 print(f"{name:12} {plain:8.3f} {shadowed:8.3f} {what:12} {shadowed / plain:6.2f}")
     with clvol.Field(volume, "bspline3") as field:
-        shadows = Shadows(field.coefficients, None)
+        shadows, cells = Shadows(field.device), Cells.over([volume])
         ways = tuple(light.direction for light in KIT if light.direction is not None)
-        matter = Matter(((0.2, 0.0), (0.5, 0.3)), 1.0, (), Cuts())
+        body = Body.of(field.coefficients, Matter(((0.2, 0.0), (0.5, 0.3)), 1.0, (), Cuts()))
         for what, rounds_of in (("first", 1), ("again", _ROUNDS)):
-            sweeps = [taken(partial(shadows.light, matter, ways, True)) for _ in range(rounds_of)]
+            sweeps = [taken(partial(shadows.light, cells, [body], ways, occlusion=True)) for _ in range(rounds_of)]
             wall, processor = map(statistics.median, zip(*sweeps, strict=True))
             print(f"{what:12} {wall:8.3f} s {processor:8.3f} processor s")
         shadows.release()
