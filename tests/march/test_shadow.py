@@ -173,6 +173,23 @@ def test_bricks_cast_those_of_memory(device: Device) -> None:
         clvol.render(clvol.LazyVolume(lacking), size=(8, 8), occlusion=1, device=device)
 
 
+def test_what_is_cut_away_stops_no_light(device: Device) -> None:
+    """A homogeneous slab, cut through its middle: light passes the length that is kept, along each direction."""
+    slab, opacity = Volume(np.ones((24, 24, 24), np.float32)), 0.05
+    each = -float(np.log2(1 - opacity))
+    cut = cuts_of(Plane((0.0, 0.0, 1.0), (0.0, 0.0, 11.5)))
+    with clvol.Field(slab, "linear", device=device) as field:
+        made, cells = Shadows(field.device), Cells.over([slab])
+        for way in (0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, 0.0, -1.0):
+            body = Body.of(field.coefficients, Matter(((1.0, opacity),), 1.0, (), cut))
+            light = made.light(cells, [body], (way,), occlusion=False)[0, ..., 0]
+            column = light[BEYOND:-BEYOND, 11 + BEYOND, 5 + BEYOND]
+            before = np.arange(24) + np.sign(way[2])  # the plane before, from which light counts
+            length = np.clip(11.5 - before if way[2] > 0 else before + 0.5, 0, 12) / abs(way[2])
+            np.testing.assert_allclose(-np.log2(column) / each, length, atol=1e-3)
+        made.release()
+
+
 def test_cells_are_a_third_of_large_volumes_and_cuts_take_shares_of_them() -> None:
     assert Cells.over([Volume(np.broadcast_to(np.float32(0), (256,) * 3))]).nodes.size == (80, 80, 80)
     thin = Cells.over([Volume(np.broadcast_to(np.float32(0), (9, 512, 512)), (1, 1, 8))]).nodes
