@@ -15,7 +15,10 @@ from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.march.shadow import BEYOND, OPAQUE, Body, Cells, Matter, Shadows
 from clvol.reference.march import shadow as reference
+from clvol.march.tracking import tracked
 from clvol.scene.clip import Cuts, cuts_of
+from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.minmax import MinMax
 from tests.march.test_march import block
 
 SUN = Light((0.0, 0.0, 1.0))
@@ -84,6 +87,30 @@ def test_light_is_that_of_the_function(device: Device) -> None:
     apart = light[tuple((nodes + BEYOND).T[::-1])] - want
     assert np.sqrt((apart**2).mean()) < 0.005
     assert want.min() < 0.4
+
+
+def test_ratio_tracking_converges_to_the_closed_form(device: Device) -> None:
+    """Its mean is exp(-integral) within its standard error, and the same to the bit again; surfaces leave what crossings do."""
+    x, y, z = np.mgrid[-1:1:20j, -1:1:20j, -1:1:20j]
+    volume = Volume(np.exp(-3 * (x**2 + y**2 + z**2)), (1, 1.2, 0.8))
+    row, way = clvol.filters()["bspline3"], np.array([0.48, -0.6, 0.64])
+    points = volume.index_to_world(np.random.default_rng(0).uniform(3, 16, (40, 3)))
+    transfer = TransferFunction([(0, "white")], [(0.2, 0.0), (0.6, 0.3), (1, 0.1)])
+    with clvol.Field(volume, row, device=device) as field:
+        evaluator = choose_evaluator(device, row)
+        pyramid = MinMax(field.coefficients, evaluator)
+        haze, shells = Matter(transfer.opacities, 1.0, (), Cuts()), Matter((), 1.0, ((0.3, 0.2), (0.5, 0.5)), Cuts())
+        (mean, error), again = (tracked(pyramid, evaluator, haze, 2.0, points, way, paths=1024) for _ in range(2))
+        crossed, _ = tracked(pyramid, evaluator, shells, 2.0, points, way)
+        pyramid.release()
+    np.testing.assert_array_equal(mean, again[0])
+    want = reference.light_to(volume, row, lambda v: -np.log2(1 - transfer(v)[..., 3]), points, way, 0.05)
+    apart = (mean - want) / np.maximum(error, 1e-5)
+    assert want.min() < 0.2
+    assert np.abs(apart).max() < 4
+    assert np.sqrt((apart**2).mean()) < 1.3
+    left = [0.8**outer * 0.5**inner for outer in range(3) for inner in range(3)]
+    assert np.abs(crossed[:, None] - left).min(1).max() < 1e-6
 
 
 def test_a_shadow_lies_under_what_stops_light_and_stays_there(renderer: Renderer) -> None:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from clvol.volume.stored import Stored
     from clvol.volume.volume import Volume
 
-__all__ = ["ABOVE", "BEYOND", "FAR", "LIT", "OPAQUE", "OPEN", "Body", "Cells", "Lit", "Matter", "Shadows", "everywhere"]
+__all__ = ["ABOVE", "BEYOND", "FAR", "LIT", "OPAQUE", "OPEN", "Body", "Cells", "Lit", "Matter", "Shadows", "everywhere", "exponent"]
 
 LIT = Block(
     "lit_block",
@@ -323,18 +323,18 @@ def _integral(matter: Matter, stored: Stored, edge: float) -> tuple[NDArray[np.f
     their values and exponents, and how many there are.
     """
     if matter.surfaces:
-        pairs = [(float(stored(value)), min(_exponent(opacity), OPAQUE)) for value, opacity in matter.surfaces]
+        pairs = [(float(stored(value)), min(exponent(opacity), OPAQUE)) for value, opacity in matter.surfaces]
         return np.array(pairs, np.float32).ravel(), len(pairs), 0.0, 0.0
     at, opacities = (np.array(numbers) for numbers in zip(*matter.opacities, strict=True))
     width = (at[-1] - at[0]) / (_NODES - 3) or 1e-3 * (1 + abs(at[0]))
     values = at[0] + width * np.arange(-1, _NODES - 1)  # up to a node past each end
-    extinction = np.minimum(_exponent(np.interp(values, at, opacities)) / matter.unit, OPAQUE / edge)
+    extinction = np.minimum(exponent(np.interp(values, at, opacities)) / matter.unit, OPAQUE / edge)
     integral = np.append(0, np.cumsum((extinction[1:] + extinction[:-1]) / 2))
     first, last = float(stored(values[0])), float(stored(values[-1]))
     return integral.astype(np.float32), _NODES, first, (_NODES - 1) / (last - first)
 
 
-def _exponent(opacity: Any) -> Any:
+def exponent(opacity: Any) -> Any:
     """Base-2 exponents of what matter of an opacity leaves of light."""
     with np.errstate(divide="ignore"):
         return -np.log2(1 - opacity)
