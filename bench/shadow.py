@@ -98,15 +98,13 @@ def report(path: str, mode: str, light: str, swept: NDArray[Any], left: NDArray[
     """Print a row: what is lit in the mean, the RMS and median distance, and the RMS of the tracking's own error."""
     apart = swept - left
     rms, own = (float(np.sqrt((one**2).mean())) for one in (apart, error))
-    import os
-    if os.environ.get("DBG"): print("bias", (swept-left).mean(), "darker", (swept<left-.3).mean(), "lighter", (swept>left+.3).mean(), "hist left", np.histogram(left,[0,.1,.5,.9,1.1])[0], "swept", np.histogram(swept,[0,.1,.5,.9,1.1])[0])
     print(f"{path[-20:]:20} {mode:10} {light:10} {left.mean():6.2f} {rms:7.3f} {np.median(np.abs(apart)):7.3f} {own:7.4f}")
 
 
 def main() -> None:
     """Measure, and print tables."""
     for path in sys.argv[1:]:
-        for mode in ("isosurface","composite"):
+        for mode in ("composite", "isosurface"):
             errors(path, mode)
     if sys.argv[1:]:
         return

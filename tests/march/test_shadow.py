@@ -14,8 +14,8 @@ from clvol import Camera, Light, Material, Medium, Plane, Renderer, Scene, Trans
 from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.march.shadow import BEYOND, OPAQUE, Body, Cells, Matter, Shadows
-from clvol.reference.march import shadow as reference
 from clvol.march.tracking import tracked
+from clvol.reference.march import shadow as reference
 from clvol.scene.clip import Cuts, cuts_of
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import MinMax

@@ -1,4 +1,4 @@
-"""What matter leaves of light along rays through the function itself: the host side of tracking.cl, by which shadows are measured."""
+"""What matter leaves of light along rays through the function itself: the host side of tracking.cl, which measures shadows."""
 
 from __future__ import annotations
 
@@ -83,12 +83,12 @@ def _bounds(pyramid: MinMax, listed: NDArray[np.float32], matter: Matter, most: 
         low, high = ends.astype(np.float64).T
     nodes = [(low <= value) & (high >= value) for value in listed[:, 0]]
     if matter.surfaces:
-        return np.any(nodes, 0).astype(np.float32)
+        return np.asarray(np.any(nodes, 0), np.float32)
     at, opacities = listed.astype(np.float64).T
     largest = np.maximum(np.interp(low, at, opacities), np.interp(high, at, opacities))
     for within, opacity in zip(nodes, opacities, strict=True):
         np.maximum(largest, opacity, out=largest, where=within)
-    return np.minimum(exponent(largest) / matter.unit, most).astype(np.float32)
+    return np.asarray(np.minimum(exponent(largest) / matter.unit, most), np.float32)
 
 
 def _rays(coefficients: Coefficients, points: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float32]:
