@@ -4,8 +4,8 @@
 
 Frames of 512² of 256³ samples, medians over rounds that alternate, as a ratio (aimed at: 1.3); and once for each transfer function,
 lights and cuts the sweeps of all lights and of the light from everywhere (0.3 s on two cores). Processor seconds say the same on a
-machine that has other work. And for each scan the RMS distance of what pictures read to ratio tracking from the same places, for key,
-fill and the light from everywhere.
+machine that has other work. For scans instead the RMS distance of what pictures read to ratio tracking from the same places, for
+key, fill and the light from everywhere.
 """
 
 from __future__ import annotations
