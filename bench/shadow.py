@@ -78,9 +78,8 @@ def errors(path: str, mode: str) -> None:
         seen = np.random.default_rng(1).choice(seen, _POINTS, replace=False)
         normals = normals[seen].astype(np.float64)
         points = found["position"].reshape(-1, 3)[seen] + ABOVE * lit.cells.edge * normals
-        evaluator = choose_evaluator(field.device, row)
-        pyramid = MinMax(field.coefficients, evaluator)
-        follow = partial(tracked, pyramid, evaluator, body.matter, OPAQUE / lit.cells.edge)
+        pyramid = MinMax(field.coefficients, choose_evaluator(field.device, row))
+        follow = partial(tracked, pyramid, body.matter, OPAQUE / lit.cells.edge)
         ways = [np.array(light.direction) for light in look.scene.lights if light.direction is not None]
         for channel, (name, way) in enumerate(zip(("key", "fill"), ways, strict=True)):
             facing = normals @ way > 0

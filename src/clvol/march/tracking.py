@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.march.shadow import OPAQUE, exponent
+from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import BLOCK
 
 if TYPE_CHECKING:
     from clvol.march.shadow import Matter
     from clvol.spline.coefficients import Coefficients
-    from clvol.spline.evaluator import Evaluator
     from clvol.spline.minmax import MinMax
 
 __all__ = ["tracked"]
@@ -24,7 +24,6 @@ _FINE = 1 / 16  # samples, of steps towards surfaces
 
 def tracked(
     pyramid: MinMax,
-    evaluator: Evaluator,
     matter: Matter,
     most: float,
     points: NDArray[np.float64],
@@ -39,6 +38,7 @@ def tracked(
     most `most`, in base-2 exponents for each world unit; that of matter which is `far` away counts for 1/e. Nothing is cut away.
     """
     coefficients = pyramid.coefficients
+    evaluator = choose_evaluator(coefficients.device, coefficients.filter)
     device, stored, sheets = coefficients.device, coefficients.stored, bool(matter.surfaces)
     values, numbers = np.array(matter.surfaces or matter.opacities, np.float64).T
     if sheets:
