@@ -19,13 +19,13 @@ INLINE float8 between(global const float4 *near, global const float4 *far, const
 INLINE void light_left(real *left, const sample_t *sample, const real3 normal, const mask flat, const real t, const mask active)
 {
     constant lit_block *lit = &sample->frame->lit;
-    const real3 p = at3(sample->ray->origin, sample->ray->direction, t), above = matrix3(lit->above, normal);
+    const real3 p = matrix3(lit->to, at3(sample->ray->origin, sample->ray->direction, t)), above = matrix3(lit->above, normal);
     const real own[3] = { p.x, p.y, p.z }, aside[3] = { above.x, above.y, above.z };
     const size_t row = lit->nodes[0], plane = row * lit->nodes[1];
     lanes_u shares[3], numbers[4 * SHADOWED];
     lane_indices_u node = { NONE };
     for (int axis = 2; axis >= 0; --axis) {
-        const real place = madd(own[axis], lit->scale[axis], choose(flat, (real)(0.0f), aside[axis]) + lit->shift[axis]);
+        const real place = own[axis] + (choose(flat, (real)(0.0f), aside[axis]) + lit->shift[axis]);
         const real inside = MIN(MAX(place, (real)(0.0f)), (real)(lit->nodes[axis] - 1.0f));
         const mask before = MIN(to_mask(inside), (mask)(lit->nodes[axis] - 2));
         shares[axis].all = inside - to_real(before);

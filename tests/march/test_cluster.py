@@ -147,6 +147,12 @@ def test_several_media_go_together_in_each_worker(cluster: Cluster, volume: clvo
         assert len(pickle.dumps(many)) < 1 << 20
 
 
+def test_workers_know_what_is_left_of_light(cluster: Cluster, volume: clvol.LazyVolume) -> None:
+    """Of layers that are computed apart."""
+    one, many = both(cluster, "order", volume, "linear", size=(40, 30), rays=1, shadow=1, occlusion=1)
+    np.testing.assert_allclose(many, one, atol=1e-6)
+
+
 def test_regions_of_labels(cluster: Cluster) -> None:
     """In order the same bits, cut open or not; a tree would miss boundaries between two boxes."""
     blocks = np.random.default_rng(3).integers(0, 4, (6, 6, 6)).astype(np.int16)

@@ -13,9 +13,12 @@ import clvol
 from clvol import Camera, Light, Material, Medium, Plane, Renderer, Scene, TransferFunction, Volume
 from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.march.shadow import BEYOND, OPAQUE, Cells, Matter, Shadows
+from clvol.march.shadow import BEYOND, OPAQUE, Body, Cells, Matter, Shadows
+from clvol.march.tracking import tracked
 from clvol.reference.march import shadow as reference
 from clvol.scene.clip import Cuts, cuts_of
+from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.minmax import MinMax
 from tests.march.test_march import block
 
 SUN = Light((0.0, 0.0, 1.0))
@@ -58,13 +61,13 @@ def test_light_is_the_references(device: Device, way: tuple[float, float, float]
     volume, row = block(oblique=True), clvol.filters()["bspline3"]
     transfer, unit = TransferFunction([(0, "white")], HAZE), 1.5 * volume.mean_spacing
     with clvol.Field(volume, row, device=device) as field:
-        made = Shadows(field.coefficients, None)
-        matter = Matter(HAZE, unit, (), Cuts())
-        got, light = made.extinction(matter), made.light(matter, (way,), False)[0, ..., 0]
+        made, cells = Shadows(field.device), Cells.over([volume])
+        body = Body.of(field.coefficients, Matter(HAZE, unit, (), Cuts()))
+        got, light = made.extinction(cells, body), made.light(cells, [body], (way,), occlusion=False)[0, ..., 0]
         made.release()
-    want = reference.extinction(volume, row, made.cells.counts, lambda v: -np.log2(1 - transfer(v)[..., 3]) / unit)
+    want = reference.extinction(volume, row, cells.nodes.size, lambda v: -np.log2(1 - transfer(v)[..., 3]) / unit)
     np.testing.assert_allclose(got, want, atol=0.01 * want.max())
-    found = reference.light_through_cells(np.pad(got.astype(np.float64), BEYOND), made.cells.to_nodes @ np.array(way))
+    found = reference.light_through_cells(np.pad(got.astype(np.float64), BEYOND), cells.nodes.world_to_index_matrix @ np.array(way))
     np.testing.assert_allclose(light, found, atol=1e-5)
 
 
@@ -74,16 +77,39 @@ def test_light_is_that_of_the_function(device: Device) -> None:
     volume, row, way = Volume(np.exp(-3 * (x**2 + y**2 + z**2))), clvol.filters()["bspline3"], np.array([0.48, -0.6, 0.64])
     transfer = TransferFunction([(0, "white")], [(0.2, 0.0), (1, 0.15)])
     with clvol.Field(volume, row, device=device) as field:
-        made = Shadows(field.coefficients, None)
-        light = made.light(Matter(transfer.opacities, 1.0, (), Cuts()), (tuple(way),), False)[0, ..., 0]
+        made, cells = Shadows(field.device), Cells.over([volume])
+        body = Body.of(field.coefficients, Matter(transfer.opacities, 1.0, (), Cuts()))
+        light = made.light(cells, [body], (tuple(way),), occlusion=False)[0, ..., 0]
         made.release()
-    counts = made.cells.counts
-    nodes = np.random.default_rng(1).integers(0, counts[0], (200, 3))
-    points = volume.index_to_world((nodes + 0.5) * made.cells.sizes - 0.5) + way / np.abs(way).max()  # the plane before
+    nodes = np.random.default_rng(1).integers(0, cells.nodes.size[0], (200, 3))
+    points = cells.nodes.index_to_world(nodes) + way / np.abs(way).max()  # the plane before
     want = reference.light_to(volume, row, lambda v: -np.log2(1 - transfer(v)[..., 3]), points, way, 0.1)
     apart = light[tuple((nodes + BEYOND).T[::-1])] - want
     assert np.sqrt((apart**2).mean()) < 0.005
     assert want.min() < 0.4
+
+
+def test_ratio_tracking_converges_to_the_closed_form(device: Device) -> None:
+    """Its mean is exp(-integral) within its standard error, and the same to the bit again; surfaces leave what crossings do."""
+    x, y, z = np.mgrid[-1:1:20j, -1:1:20j, -1:1:20j]
+    volume = Volume(np.exp(-3 * (x**2 + y**2 + z**2)), (1, 1.2, 0.8))
+    row, way = clvol.filters()["bspline3"], np.array([0.48, -0.6, 0.64])
+    points = volume.index_to_world(np.random.default_rng(0).uniform(3, 16, (40, 3)))
+    transfer = TransferFunction([(0, "white")], [(0.2, 0.0), (0.6, 0.3), (1, 0.1)])
+    with clvol.Field(volume, row, device=device) as field:
+        pyramid = MinMax(field.coefficients, choose_evaluator(device, row))
+        haze, shells = Matter(transfer.opacities, 1.0, (), Cuts()), Matter((), 1.0, ((0.3, 0.2), (0.5, 0.5)), Cuts())
+        (mean, error), again = (tracked(pyramid, haze, 2.0, points, way, paths=1024) for _ in range(2))
+        crossed, _ = tracked(pyramid, shells, 2.0, points, way)
+        pyramid.release()
+    np.testing.assert_array_equal(mean, again[0])
+    want = reference.light_to(volume, row, lambda v: -np.log2(1 - transfer(v)[..., 3]), points, way, 0.05)
+    apart = (mean - want) / np.maximum(error, 1e-5)
+    assert want.min() < 0.2
+    assert np.abs(apart).max() < 4
+    assert np.sqrt((apart**2).mean()) < 1.3
+    left = [0.8**outer * 0.5**inner for outer in range(3) for inner in range(3)]
+    assert np.abs(crossed[:, None] - left).min(1).max() < 1e-6
 
 
 def test_a_shadow_lies_under_what_stops_light_and_stays_there(renderer: Renderer) -> None:
@@ -142,18 +168,58 @@ def test_what_changes_nothing_is_refused(renderer: Renderer, options: dict[str, 
         renderer.render(size=(8, 8), **options)
 
 
-def test_several_media_and_bricks_have_none(device: Device) -> None:
-    media = Scene([Medium(block()), Medium(block())])
-    with pytest.raises(OptionError, match="shadow must be left out of a scene of several media"):
-        clvol.render(media, size=(8, 8), shadow=1, device=device)
-    with pytest.raises(OptionError, match="occlusion must be left out for a volume that is read by bricks"):
-        clvol.render(clvol.LazyVolume(block().data), size=(8, 8), occlusion=1, device=device)
+def test_media_cast_shadows_on_each_other(device: Device) -> None:
+    """A roof of its own grid, turned by a right angle, over a floor: as those of one volume; in any order the same to the bit."""
+    data = canopy().data
+    floor_of, roof = Volume(np.where(np.arange(24)[:, None, None] < 7, data, 0)), data[7:14, 5:19, 5:19]
+    turned = Volume(np.rot90(roof, 1, (1, 2)).copy(), origin=(5, 18, 7), direction=[[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    look: dict[str, Any] = {"surfaces": "0.5:white", "material": SUNNY["material"], "filter": "linear"}
+    media = [Medium(floor_of, **look), Medium(turned, **look)]
+    camera, how = Camera.orbit(30, 25, target=(11.5, 11.5, 11.5), radius=20), {"shadow": 1, "occlusion": 0.5, "lights": SUN}
+    pictures = [
+        clvol.render(Scene(list(each)), camera, size=(64, 64), rays=1, device=device, **how)
+        for each in ([Medium(canopy(), **look)], media, media[::-1])
+    ]
+    np.testing.assert_array_equal(pictures[1], pictures[2])
+    apart = np.abs(pictures[0] - pictures[1])
+    assert np.sqrt((apart**2).mean()) < 0.02
+    without = clvol.render(Scene(media), camera, size=(64, 64), rays=1, device=device)
+    assert np.abs(without - pictures[1]).max() > 0.3
+
+
+def test_bricks_cast_those_of_memory(device: Device) -> None:
+    volume, how = block(), {"filter": "bspline3", "size": (32, 24), "rays": 1, "shadow": 0.8, "occlusion": 0.6, "device": device}
+    whole = clvol.render(volume, **how)
+    with clvol.BrickedField(volume, "bspline3", device=device, edge=8) as field, Renderer(field) as renderer:
+        parts = renderer.render(size=(32, 24), rays=1, shadow=0.8, occlusion=0.6)
+    np.testing.assert_allclose(parts, whole, atol=2e-5)
+    lacking = volume.data.copy()
+    lacking[:2] = np.nan
+    with pytest.raises(OptionError, match="shadow and occlusion must be left out for bricks that lack samples"):
+        clvol.render(clvol.LazyVolume(lacking), size=(8, 8), occlusion=1, device=device)
+
+
+def test_what_is_cut_away_stops_no_light(device: Device) -> None:
+    """A homogeneous slab, cut through its middle: light passes the length that is kept, along each direction."""
+    slab, opacity = Volume(np.ones((24, 24, 24), np.float32)), 0.05
+    each = -float(np.log2(1 - opacity))
+    cut = cuts_of(Plane((0.0, 0.0, 1.0), (0.0, 0.0, 11.5)))
+    with clvol.Field(slab, "linear", device=device) as field:
+        made, cells = Shadows(field.device), Cells.over([slab])
+        for way in (0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, 0.0, -1.0):
+            body = Body.of(field.coefficients, Matter(((1.0, opacity),), 1.0, (), cut))
+            light = made.light(cells, [body], (way,), occlusion=False)[0, ..., 0]
+            column = light[BEYOND:-BEYOND, 11 + BEYOND, 5 + BEYOND]
+            before = np.arange(24) + np.sign(way[2])  # the plane before, from which light counts
+            length = np.clip(11.5 - before if way[2] > 0 else before + 0.5, 0, 12) / abs(way[2])
+            np.testing.assert_allclose(-np.log2(column) / each, length, atol=1e-3)
+        made.release()
 
 
 def test_cells_are_a_third_of_large_volumes_and_cuts_take_shares_of_them() -> None:
-    assert Cells.of(Volume(np.broadcast_to(np.float32(0), (256,) * 3))).counts == (80, 80, 80)
-    thin = Cells.of(Volume(np.broadcast_to(np.float32(0), (9, 512, 512)), (1, 1, 8)))
-    assert thin.counts[2] == 9
-    assert np.ptp(thin.sizes * (1, 1, 8)) < 5
+    assert Cells.over([Volume(np.broadcast_to(np.float32(0), (256,) * 3))]).nodes.size == (80, 80, 80)
+    thin = Cells.over([Volume(np.broadcast_to(np.float32(0), (9, 512, 512)), (1, 1, 8))]).nodes
+    assert thin.size[2] == 9
+    assert np.ptp(thin.spacing) < 5
     share = cuts_of([Plane((1, 0, 0), (0.25, 0, 0)), ((-9, -9, -9), (9, 9, 0))]).kept_share([[0, 0, 0], [1, 0, 0], [0, 0, -1]], 1.0)
     np.testing.assert_allclose(share, [0.375, 0, 0.75])

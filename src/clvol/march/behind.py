@@ -15,6 +15,7 @@ __all__ = ["ROW", "Behind"]
 
 ROW = 4
 """Numbers in a row of a table: each of `Behind` begins with a row."""
+_KEPT = 4  # tables, each of a medium
 
 
 class Behind:
@@ -22,7 +23,7 @@ class Behind:
 
     def __init__(self, numbers: Sequence[NDArray[np.float32]]) -> None:
         self.numbers = tuple(numbers)
-        self._uploaded: tuple[bytes, tuple[Behind, ...], Any] = b"", (), None
+        self._uploaded: dict[tuple[bytes, tuple[Behind, ...]], Any] = {}
 
     @property
     def size(self) -> int:
@@ -31,15 +32,17 @@ class Behind:
         return count + -count % ROW
 
     def table(self, first: NDArray[np.float32], between: tuple[Behind, ...], device: Device) -> Any:
-        """A buffer of a table, what else follows it, and these; the last is kept, since a camera that moves changes no table."""
-        key = first.tobytes()
-        if self._uploaded[:2] != (key, between):
+        """A buffer of a table, what else follows it, and these; the last few are kept: a moving camera changes no table."""
+        key = first.tobytes(), between
+        if key not in self._uploaded:
             parts = [(first,), *(one.numbers for one in (*between, self))]
             rows = [
                 array.ravel() for part in parts for array in (*part, np.zeros(-sum(one.size for one in part) % ROW, np.float32))
             ]
-            self._uploaded = key, between, device.buffers.upload(np.concatenate(rows))
-        return self._uploaded[2]
+            if len(self._uploaded) >= _KEPT:
+                self._uploaded.pop(next(iter(self._uploaded)))
+            self._uploaded[key] = device.buffers.upload(np.concatenate(rows))
+        return self._uploaded[key]
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_uploaded": (b"", (), None)}
+        return vars(self) | {"_uploaded": {}}

@@ -46,6 +46,7 @@ from clvol.march.gaps import Gaps
 from clvol.march.launch import pictures_of
 from clvol.march.media import Bricked, MediaDrawing
 from clvol.march.window import boxes_of, front_to_back, pixels_of
+from clvol.scene.clip import triple
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from clvol.march.options import Merge
     from clvol.march.window import Area
     from clvol.scene.camera import Viewpoint
+    from clvol.volume.volume import Volume
 
 __all__ = ["ClusterDrawing", "ClusterMediaDrawing", "Group", "Shared", "Workers", "groups_of", "visible"]
 
@@ -532,6 +534,35 @@ class Workers:
                 found.share()
             return found
 
+    def on(self, field: BrickedField, grid: Volume) -> NDArray[np.float32]:
+        """A field's values on a grid, of which workers compute layers."""
+        shared, values = self.share(field), np.empty(grid.shape, np.float32)
+        corner, (nz, ny, nx) = replace(grid, data=np.zeros((1, 1, 1), np.float32)), grid.shape
+        layers = np.linspace(0, nz, min(nz, _GROUPS * max(1, len(self.cluster.workers))) + 1).astype(int)
+        spans = list(itertools.pairwise(layers.tolist()))
+
+        def gathered() -> None:
+            futures = [
+                self.cluster.submit(
+                    values_on, shared.recipe, replace(corner, origin=triple(grid.index_to_world([0, 0, low]))), (high - low, ny, nx)
+                )
+                for low, high in spans
+            ]
+            try:
+                for i, found in self.cluster.as_completed(futures):
+                    values[slice(*spans[i])] = found
+            except PoisonError as error:
+                raise ClusterError(f"each worker dies that samples this volume: {error}") from error
+            finally:
+                self.cluster.cancel(futures)
+
+        try:
+            gathered()
+        except LostError:  # other work may have killed workers
+            shared.share()
+            gathered()
+        return values
+
     def drawing(self, *arguments: Any, **options: Any) -> ClusterDrawing:
         """A picture in progress: the arguments are those of `BrickedDrawing`."""
         return ClusterDrawing(self, *arguments, **options)
@@ -632,6 +663,13 @@ def draw_area(recipes: Sequence[Any], job: _MediaJob, area: Area, places: NDArra
         whole, *frames = (_with_own(frame, fields) for frame in (job.whole, *job.frames))
         drawing = MediaDrawing(whole, job.rays, job.filter, bricked=Bricked(tuple(fields), job.view, job.skipping))
         return drawing.of_area(frames, area, places)
+
+
+def values_on(recipe: _Recipe, corner: Volume, shape: tuple[int, int, int]) -> NDArray[np.float32]:
+    """Values on a grid of this shape that begins at a grid of one sample."""
+    with _locked(recipe) as (field,):
+        grid = replace(corner, data=np.broadcast_to(corner.data, shape))
+        return field.resample(like=grid, dtype=np.float32).data
 
 
 def merge_groups(recipe: _Recipe, job: _Job, number: int, front: _Marched, back: _Marched) -> _Marched:

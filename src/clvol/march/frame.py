@@ -281,7 +281,8 @@ class Subject:
             rails = Rails.across([one.medium for one in media], view, aspect, step)
             frames = tuple(one._searched(one._frame(size, guides, aspect, view, rails), progress) for one in media)
             plain = look.scene.of_media([replace(self.medium, color_by=None)]) if self.other else look.scene
-            mixed = replace(self, look=replace(look, mode=self.mode, scene=plain))._frame(size, guides, aspect, view, rails)
+            unlit = replace(self, look=replace(look, mode=self.mode, scene=plain), lit=None)
+            mixed = unlit._frame(size, guides, aspect, view, rails)
             values = mixed.values.copy()
             values["geometry"]["low"], values["geometry"]["high"] = rails.low, rails.high
             values["clip"] = clip_block(look.scene.clip, volume, volume.mean_spacing)

@@ -437,8 +437,15 @@ class ResolvedLook:
 
     @classmethod
     def _of_one(
-        cls, scene: Scene, part_of: Callable[[Medium], Previewed], camera: Camera | None, mode: Mode, options: RefineOptions
+        cls,
+        scene: Scene,
+        part_of: Callable[[Medium], Previewed],
+        camera: Camera | None,
+        mode: Mode,
+        options: RefineOptions,
+        leading: Volume | None = None,
     ) -> ResolvedLook:
+        """The look of one medium; of several by the light around the `leading` one."""
         skipping, gradient = options.get("skipping", True), options.get("gradient", "analytic")
         instance("skipping", skipping, bool, np.bool_)
         if gradient not in ("analytic", "central"):
@@ -461,7 +468,7 @@ class ResolvedLook:
         if shown.regions:
             require_heard(shown, [name for name in ("shadow", "occlusion") if getattr(scene, name)])
         if scene.shadow and mode.shaded:
-            scene = _with_still_lights(scene, preview)
+            scene = _with_still_lights(scene, leading or preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)
         given = None if shown is mode else mode
         seen = shown.settled(preview), scene, transfer
@@ -476,12 +483,13 @@ class ResolvedLook:
             raise OptionError(f"{' and '.join(own)} must be left to the media of a scene of several: Medium(..., {own[0]}=...)")
         if mode.shows in ("matter", "surface") and scene.mix != "add":
             raise OptionError(f'mix="{scene.mix}" changes nothing in {mode.name}: it is for projections')
-        if dark := [name for name in ("shadow", "occlusion") if options.get(name, getattr(scene, name))]:
-            raise OptionError(f"{' and '.join(dark)} must be left out of a scene of several media: light is stopped by one")
         media = [medium for medium in scene.media if medium.visible]
         if not media:
             raise OptionError(f"a picture must show a medium; none of the scene's {len(scene.media)} is visible")
-        looks = [cls._of_one(replace(scene, media=(one,)), part_of, camera, mode, options) for one in media]
+        finest = min(
+            (part_of(one).preview for one in media), key=lambda volume: (volume.mean_spacing, *volume.size, *volume.origin)
+        )
+        looks = [cls._of_one(replace(scene, media=(one,)), part_of, camera, mode, options, finest) for one in media]
         if mode.shows == "matter":
             looks.sort(key=lambda look: _rank(look.scene.media[0], look.transfer, look.preview))
         return replace(looks[0], others=tuple(looks[1:]), unsettled=mode)

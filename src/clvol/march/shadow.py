@@ -1,16 +1,18 @@
 """Shadow and occlusion: what matter leaves of light at the nodes of a coarse grid; the host side of shadow.cl and lit.cl.
 
 Matter is what a picture shows: of a transfer function its extinction, with the opacity of each sample as the ray loop has it; of
-isosurfaces they themselves, each of which stops its share of light at a crossing. Lights of a direction are swept through it once
-(`Shadows`), for each of their directions; and light from everywhere, of which the mean over directions is kept, for the ambient
-term. No number depends on the camera, so neither do the shadows.
+isosurfaces they themselves, each of which stops its share of light at a crossing. That of all media of a picture adds up. Lights of
+a direction are swept through it once (`Shadows`), for each of their directions; and light from everywhere, of which the mean over
+directions is kept, for the ambient term. No number depends on the camera, so neither do the shadows.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -20,10 +22,11 @@ from numpy.typing import NDArray
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device.program import LANES
 from clvol.march.behind import ROW, Behind
-from clvol.scene.clip import Cuts, cuts_of
+from clvol.scene.clip import Cuts, cuts_of, triple
 from clvol.scene.light import MAX_LIGHTS
 from clvol.scene.mode import opacities_of
 from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.grids import between
 from clvol.spline.lease import release
 from clvol.spline.resample import resample_coefficients
 
@@ -33,16 +36,17 @@ if TYPE_CHECKING:
     from clvol.march.gaps import Gaps
     from clvol.march.options import ResolvedLook
     from clvol.scene.scene import Scene
-    from clvol.spline.coefficients import Coefficients
+    from clvol.spline.coefficients import Coefficients, Whole
+    from clvol.volume.stored import Stored
     from clvol.volume.volume import Volume
 
-__all__ = ["ABOVE", "BEYOND", "FAR", "LIT", "OPAQUE", "OPEN", "Cells", "Lit", "Matter", "Shadows", "everywhere"]
+__all__ = ["ABOVE", "BEYOND", "FAR", "LIT", "OPAQUE", "OPEN", "Body", "Cells", "Lit", "Matter", "Shadows", "everywhere", "exponent"]
 
 LIT = Block(
     "lit_block",
     at=INT,
     nodes=(INT, 3),
-    scale=(FLOAT, 3),  # from samples to nodes
+    to=(FLOAT, 9),  # from samples to nodes
     shift=(FLOAT, 3),
     above=(FLOAT, 9),  # from normals in the world to nodes
     channel=(INT, 1 + MAX_LIGHTS),  # of the ambient light and of each light
@@ -52,20 +56,21 @@ LIT = Block(
 ABOVE = 2.0
 """Cells, how far above matter its light is read: closer it would lie in the blur of its own shadow."""
 FAR = 1 / 8
-"""Share of the volume's diagonal after which matter counts for 1/e of its extinction to the light from everywhere, so that the
+"""Share of the box's diagonal after which matter counts for 1/e of its extinction to the light from everywhere, so that the
 inside of a room is not black."""
 OPAQUE = 6.0
 """Base-2 exponent of the light behind a cell of opaque matter, or behind an opaque surface."""
 OPEN = 0.4
 """Share of directions from which all ambient light comes: a little less than above a flat surface."""
 BEYOND = 3
-"""Nodes beyond the volume on each side, for what is read above matter at its faces."""
+"""Nodes beyond the box on each side, for what is read above matter at its faces."""
 _MOST_CELLS = 80**3  # of about a third of 256 samples
 _DIRECTIONS = 48
 _NODES = 4096  # of the integral of extinction over values
 _KEPT = 4  # fields
 _BUNDLE = 8  # vectors of shadow.cl
 _PARTS = 2  # of a cell along an axis
+_SLACK = 1e-3  # samples, by which cells that fill a domain may pass it
 
 
 class Matter(NamedTuple):
@@ -86,31 +91,64 @@ class Matter(NamedTuple):
         return cls(transfer.opacities, unit, (), cuts_of(look.clip))
 
 
-class Cells(NamedTuple):
-    """The coarse grid: equal cells, as good as cubes, that fill the volume's domain; nodes are in their middles."""
+class Body(NamedTuple):
+    """A function with what of it stops light."""
 
-    counts: tuple[int, ...]  # along x, y and z
-    sizes: NDArray[np.float64]  # in samples
-    to_nodes: NDArray[np.float64]  # from vectors in the world
-    edge: float  # in the world
+    matter: Matter
+    coefficients: Coefficients | Whole
+    on: Callable[[Volume, Any], object]  # writes its stored values on a grid to a buffer
+    gaps: Gaps | None = None
 
     @classmethod
-    def of(cls, volume: Volume) -> Cells:
-        """Those of a volume: of a third of the resolution for 256³ samples, and about as many for any larger volume."""
-        size = np.asarray(volume.size)
-        lengths = size * np.asarray(volume.spacing)
-        edge = max(volume.mean_spacing, float(np.prod(lengths) / _MOST_CELLS) ** (1 / 3))
-        counts = np.minimum(np.ceil(lengths / edge), size).astype(np.int64)
-        sizes = size / counts
-        to_nodes = volume.world_to_index_matrix / sizes[:, None]
-        return cls(tuple(counts.tolist()), sizes, to_nodes, float(np.prod(lengths / counts)) ** (1 / 3))
+    def of(cls, coefficients: Coefficients, matter: Matter, gaps: Gaps | None = None) -> Body:
+        """That of a function in memory."""
 
-    def in_samples(self, parts: int, first: float) -> list[NDArray[np.float64]]:
-        """Positions along x, y and z that divide cells in so many parts; `first` is the first of them, in parts."""
-        return [
-            (np.arange(n * parts + (first == 0)) + first) * size / parts - 0.5
-            for n, size in zip(self.counts, self.sizes, strict=True)
-        ]
+        def write(grid: Volume, buffer: Any) -> None:
+            how = choose_evaluator(coefficients.device, coefficients.filter)
+            resample_coefficients(coefficients, how, *between(coefficients.volume, grid), grid.shape, buffer)
+
+        return cls(matter, coefficients, write, gaps)
+
+
+class Cells(NamedTuple):
+    """The coarse grid: equal cells, as good as cubes, that fill a box; nodes are in their middles."""
+
+    nodes: Volume  # a grid without samples
+
+    @classmethod
+    def over(cls, volumes: Sequence[Volume]) -> Cells:
+        """Those of the box along the axes of the first volume that holds all: of a third of the resolution for 256³ samples, and
+        about as many for any larger box.
+        """
+        first = volumes[0]
+        corners = np.concatenate([first.world_to_index(volume.corners) for volume in volumes]).round(6)
+        low, high = corners.min(0), corners.max(0)
+        lengths = (high - low) * first.spacing
+        edge = max(first.mean_spacing, float(np.prod(lengths) / _MOST_CELLS) ** (1 / 3))
+        counts = np.minimum(np.ceil(lengths / edge), np.ceil(high - low)).astype(np.int64)
+        return cls(_grid(first, counts, low + (high - low) / (2 * counts), (high - low) / counts))
+
+    @property
+    def edge(self) -> float:
+        """The mean length of their edges in the world."""
+        return math.prod(self.nodes.spacing) ** (1 / 3)
+
+    @property
+    def diagonal(self) -> float:
+        """The length of the box's diagonal."""
+        return float(np.linalg.norm(np.multiply(self.nodes.size, self.nodes.spacing)))
+
+    def parts(self, first: float) -> Volume:
+        """A grid of positions that divide cells in parts; `first` is the first of them, in parts: corners, or middles."""
+        counts = np.array(self.nodes.size) * _PARTS + (first == 0)
+        return _grid(self.nodes, counts, np.full(3, first / _PARTS - 0.5), np.full(3, 1 / _PARTS))
+
+
+def _grid(volume: Volume, counts: NDArray[np.int64], first: NDArray[np.float64], step: NDArray[np.float64]) -> Volume:
+    """A grid along the axes of a volume; its first place and its steps are in samples of that."""
+    zeros = np.broadcast_to(np.float32(0), tuple(counts[::-1].tolist()))
+    spacing, origin = tuple(step * volume.spacing), tuple(volume.index_to_world(first))
+    return replace(volume.grid, data=zeros, spacing=spacing, origin=origin)
 
 
 @lru_cache
@@ -135,56 +173,60 @@ class Lit(Behind):
         return int(self.light.shape[0])
 
     def block(self, scene: Scene, at: int) -> Values:
-        """The block for kernels; the numbers begin with number `at` of their table, a multiple of four."""
+        """The block for kernels that draw a scene's medium; the numbers begin with number `at` of a table, a multiple of four."""
         cast = [light.direction is not None for light in scene.lights]
         channels = np.cumsum(cast) - 1 if scene.shadow else np.zeros(len(cast), np.int64)
         every = sum(cast) if scene.shadow else 0
         pad = [0] * (MAX_LIGHTS - len(cast))
+        nodes = self.cells.nodes
+        matrix, shift = between(nodes, scene.media[0].volume)
         return LIT(
             at=at // 4,
             nodes=self.light.shape[3:0:-1],
-            scale=1 / self.cells.sizes,
-            shift=0.5 / self.cells.sizes - 0.5 + BEYOND,
-            above=(ABOVE * self.cells.edge * self.cells.to_nodes).ravel(),
+            to=matrix.ravel(),
+            shift=shift + BEYOND,
+            above=(ABOVE * self.cells.edge * nodes.world_to_index_matrix).ravel(),
             channel=[every * (scene.occlusion > 0), *(n if own else every for n, own in zip(channels, cast, strict=True)), *pad],
             weight=[scene.occlusion, *(scene.shadow if own else scene.occlusion for own in cast), *pad],
         )
 
 
 class Shadows:
-    """The shadows of a function in memory: its values are kept on the device, and what is left of lights for the last looks."""
+    """The shadows of functions: their values are kept on the device, and what is left of lights for the last looks."""
 
-    def __init__(self, coefficients: Coefficients, gaps: Gaps | None) -> None:
-        self._coefficients, self._gaps = coefficients, gaps
-        self.cells = Cells.of(coefficients.volume)
+    def __init__(self, device: Device) -> None:
+        self._device = device
         self._kept: dict[tuple[Any, ...], Lit] = {}
-        self._values: Any = None
+        self._values: dict[tuple[Coefficients | Whole, Cells], Any] = {}
+        self._cells: tuple[tuple[Volume, ...], Cells] | None = None
         self._lock = threading.RLock()  # a signal handler may re-enter
 
-    def of(self, look: ResolvedLook) -> Lit:
-        """What is left of the lights of a look."""
-        scene = look.scene
-        directions = tuple(light.direction for light in scene.lights if light.direction is not None) if scene.shadow else ()
-        key = Matter.of(look), directions, scene.occlusion > 0
+    def of(self, scene: Scene, volumes: Sequence[Volume], among: Callable[[float], Sequence[Body]]) -> Lit:
+        """What is left of a scene's lights in the box that holds volumes; `among` has bodies for parts of cells of a length."""
+        ways = tuple(light.direction for light in scene.lights if light.direction is not None) if scene.shadow else ()
         with self._lock:
+            cells = self._over(tuple(volumes))
+            bodies = among(cells.edge / _PARTS)
+            key = cells, *((body.matter, body.coefficients) for body in bodies), ways, scene.occlusion > 0
             if key not in self._kept:
                 if len(self._kept) >= _KEPT:
                     self._kept.pop(next(iter(self._kept)))
-                self._kept[key] = Lit(self.cells, self.light(*key))
+                self._kept[key] = Lit(cells, self.light(cells, bodies, ways, occlusion=scene.occlusion > 0))
             return self._kept[key]
 
-    def extinction(self, matter: Matter) -> NDArray[np.float32]:
+    def _over(self, volumes: tuple[Volume, ...]) -> Cells:
+        """The cells over volumes; values at those of others are freed."""
+        if self._cells is None or any(one is not other for one, other in itertools.zip_longest(self._cells[0], volumes)):
+            self._free()
+            self._cells = volumes, Cells.over(volumes)
+        return self._cells[1]
+
+    def extinction(self, cells: Cells, body: Body) -> NDArray[np.float32]:
         """The mean extinction of each cell, [z, y, x], in base-2 exponents for each world unit."""
-        coefficients, cells = self._coefficients, self.cells
-        device, (nx, ny, nz) = coefficients.device, cells.counts
-        if self._values is None:
-            shape = tuple(_PARTS * n + 1 for n in (nz, ny, nx))
-            self._values = device.buffers.allocate(4 * math.prod(shape))
-            steps = cells.sizes / _PARTS
-            how = choose_evaluator(device, coefficients.filter)
-            resample_coefficients(coefficients, how, np.diag(steps), np.full(3, -0.5), shape, self._values)
-        numbers, count, first, scale = _integral(matter, coefficients, cells.edge)
-        slopes = (cells.to_nodes * _PARTS).astype(np.float32)
+        device, (nx, ny, nz), coefficients, matter = self._device, cells.nodes.size, body.coefficients, body.matter
+        values = self._values_of(cells, body)
+        numbers, count, first, scale = _integral(matter, coefficients.stored, cells.edge)
+        slopes = (cells.nodes.world_to_index_matrix * _PARTS).astype(np.float32)
         defines = {
             "LANES": LANES,
             "SHEETS": int(bool(matter.surfaces)),
@@ -197,7 +239,7 @@ class Shadows:
                 device.queue,
                 (ny, nz),
                 device.alone(2),
-                self._values,
+                values,
                 np.array([nx, ny, nz, count], np.int32),
                 device.buffers.upload(numbers),
                 np.float32(first),
@@ -205,36 +247,28 @@ class Shadows:
                 device.buffers.upload(slopes),
                 result,
             )
-        found *= self._kept_share(matter.cuts)
+        found *= _share_there(cells, body)
         return found
 
-    def _kept_share(self, cuts: Cuts) -> NDArray[np.float32] | float:
-        """The share of each cell that is not cut away, and whose samples are there."""
-        cells, volume = self.cells, self._coefficients.volume
-        share: Any = np.float32(1)
-        if self._gaps is not None:
-            places = [
-                np.clip(np.rint(at), 0, n - 1).astype(np.int64)
-                for at, n in zip(cells.in_samples(_PARTS, 0.5), volume.size, strict=True)
-            ]
-            there = ~np.asarray(self._gaps.where)[np.ix_(*places[::-1])]
-            nx, ny, nz = cells.counts
-            share = there.reshape(nz, _PARTS, ny, _PARTS, nx, _PARTS).mean((1, 3, 5), dtype=np.float32)
-        if cuts == Cuts():
-            return share  # type: ignore[no-any-return]
-        x, y, z = np.meshgrid(*cells.in_samples(1, 0.5)[::-1], indexing="ij")[::-1]
-        points = volume.index_to_world(np.stack([x, y, z], -1).reshape(-1, 3)).reshape(*x.shape, 3)
-        return (share * cuts.kept_share(points, cells.edge)).astype(np.float32)  # type: ignore[no-any-return]
+    def _values_of(self, cells: Cells, body: Body) -> Any:
+        """Stored values at the corners of parts of cells."""
+        key = body.coefficients, cells
+        if key not in self._values:
+            corners = cells.parts(0)
+            self._values[key] = self._device.buffers.allocate(4 * math.prod(corners.shape))
+            body.on(corners, self._values[key])
+        return self._values[key]
 
-    def light(self, matter: Matter, directions: Sequence[tuple[float, ...]], occlusion: bool) -> NDArray[np.float32]:
+    def light(
+        self, cells: Cells, bodies: Sequence[Body], directions: Sequence[tuple[float, ...]], *, occlusion: bool
+    ) -> NDArray[np.float32]:
         """The channels of all nodes: what is left of light from each direction, then that from everywhere."""
-        cells, volume = self.cells, self._coefficients.volume
-        found = np.pad(self.extinction(matter), BEYOND)
-        with _Sweeps(self._coefficients.device, found) as sweeps:
-            channels = [sweeps.light(cells.to_nodes @ np.array([direction]).T, math.inf) for direction in directions]
+        found = np.pad(np.sum([self.extinction(cells, body) for body in bodies], 0), BEYOND)
+        to_nodes = cells.nodes.world_to_index_matrix
+        with _Sweeps(self._device, found) as sweeps:
+            channels = [sweeps.light(to_nodes @ np.array([direction]).T, math.inf) for direction in directions]
             if occlusion:
-                far = FAR * float(np.linalg.norm(np.asarray(volume.size) * np.asarray(volume.spacing)))
-                channels.append(np.minimum(sweeps.light(cells.to_nodes @ everywhere().T, far) / OPEN, 1))
+                channels.append(np.minimum(sweeps.light(to_nodes @ everywhere().T, FAR * cells.diagonal) / OPEN, 1))
         light = np.ones((-(-len(channels) // ROW), *found.shape, ROW), np.float32)
         for k, channel in enumerate(channels):
             light[k // ROW, ..., k % ROW] = channel
@@ -242,29 +276,65 @@ class Shadows:
 
     def release(self) -> None:
         """Free the device's memory."""
-        values, self._values = self._values, None
         self._kept.clear()
-        release(self._coefficients.device, values)
+        self._free()
+
+    def _free(self) -> None:
+        values, self._values = self._values, {}
+        release(self._device, *values.values())
 
 
-def _integral(matter: Matter, coefficients: Coefficients, edge: float) -> tuple[NDArray[np.float32], int, float, float]:
+def _share_there(cells: Cells, body: Body) -> NDArray[np.float32] | float:
+    """The share of each cell that is in the function's domain and not cut away, and whose samples are there."""
+    nodes, volume, cuts = cells.nodes, body.coefficients.volume, body.matter.cuts
+    share: Any = np.float32(1) if body.gaps is None else _samples_there(cells, volume, body.gaps)
+    low, high = np.full(3, -0.5), np.asarray(volume.size) - 0.5
+    ends = volume.world_to_index(nodes.corners)
+    within = bool(((ends > low - _SLACK) & (ends < high + _SLACK)).all())
+    if within and cuts == Cuts():
+        return share  # type: ignore[no-any-return]
+    x, y, z = np.meshgrid(*map(np.arange, nodes.shape), indexing="ij")[::-1]
+    points = nodes.index_to_world(np.stack([x, y, z], -1).reshape(-1, 3)).reshape(*x.shape, 3)
+    if not within:
+        matrix, _ = between(volume, nodes)
+        share = share * Cuts((triple(low), triple(high))).kept_share(
+            volume.world_to_index(points.reshape(-1, 3)).reshape(points.shape), np.abs(matrix).sum(1)
+        )
+    return (share * cuts.kept_share(points, cells.edge)).astype(np.float32)  # type: ignore[no-any-return]
+
+
+def _samples_there(cells: Cells, volume: Volume, gaps: Gaps) -> NDArray[np.float32]:
+    """The share of the parts of each cell whose nearest samples are there."""
+    middles = cells.parts(0.5)
+    matrix, first = between(volume, middles)
+    where, last = np.asarray(gaps.where), np.asarray(volume.size) - 1
+    x, y = np.meshgrid(*map(np.arange, middles.size[:2]))
+    plane = np.stack([x, y], -1) @ matrix[:, :2].T + first
+    there = np.empty(middles.shape, np.bool_)
+    for z, of_plane in enumerate(there):
+        places = np.clip(np.rint(plane + z * matrix[:, 2]), 0, last).astype(np.int64)
+        of_plane[...] = ~where[places[..., 2], places[..., 1], places[..., 0]]
+    nx, ny, nz = cells.nodes.size
+    return np.asarray(there.reshape(nz, _PARTS, ny, _PARTS, nx, _PARTS).mean((1, 3, 5), dtype=np.float32))
+
+
+def _integral(matter: Matter, stored: Stored, edge: float) -> tuple[NDArray[np.float32], int, float, float]:
     """The integral of the extinction over stored values at equal nodes, how many, the first and nodes for each value; of surfaces
     their values and exponents, and how many there are.
     """
-    stored = coefficients.stored
     if matter.surfaces:
-        pairs = [(float(stored(value)), min(_exponent(opacity), OPAQUE)) for value, opacity in matter.surfaces]
+        pairs = [(float(stored(value)), min(exponent(opacity), OPAQUE)) for value, opacity in matter.surfaces]
         return np.array(pairs, np.float32).ravel(), len(pairs), 0.0, 0.0
     at, opacities = (np.array(numbers) for numbers in zip(*matter.opacities, strict=True))
     width = (at[-1] - at[0]) / (_NODES - 3) or 1e-3 * (1 + abs(at[0]))
     values = at[0] + width * np.arange(-1, _NODES - 1)  # up to a node past each end
-    extinction = np.minimum(_exponent(np.interp(values, at, opacities)) / matter.unit, OPAQUE / edge)
+    extinction = np.minimum(exponent(np.interp(values, at, opacities)) / matter.unit, OPAQUE / edge)
     integral = np.append(0, np.cumsum((extinction[1:] + extinction[:-1]) / 2))
     first, last = float(stored(values[0])), float(stored(values[-1]))
     return integral.astype(np.float32), _NODES, first, (_NODES - 1) / (last - first)
 
 
-def _exponent(opacity: Any) -> Any:
+def exponent(opacity: Any) -> Any:
     """Base-2 exponents of what matter of an opacity leaves of light."""
     with np.errstate(divide="ignore"):
         return -np.log2(1 - opacity)

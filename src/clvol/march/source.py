@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol.base.checks import whole
@@ -19,7 +20,7 @@ from clvol.bricks.field import BrickedField, BrickedLabels
 from clvol.bricks.source import LazyVolume
 from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
-from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
+from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of, level_within
 from clvol.march.colored import Other
 from clvol.march.frame import Subject
 from clvol.march.function import regions_of, row_for, single
@@ -27,7 +28,7 @@ from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
-from clvol.march.shadow import Shadows
+from clvol.march.shadow import Body, Matter, Shadows
 from clvol.march.uncertainty import Uncertainty
 from clvol.scene.mode import CURVATURES, colored_by, outlined
 from clvol.scene.scene import Medium, Scene
@@ -56,6 +57,8 @@ __all__ = ["ByBricks", "Drawable", "InMemory", "Several", "Source"]
 Drawable: TypeAlias = Scene | Medium | Volume | Volumes | LazyVolume | Field | BrickedField | ArrayLike
 """Inputs of a `Renderer`."""
 Pictures: TypeAlias = dict[str, launch.Picture]
+Lighting: TypeAlias = "Callable[[ResolvedLook], Lit | None]"
+"""What is left of the lights of a look, among all matter of the picture, if it has shadows or occlusion."""
 
 _KEPT = 4  # functions that colour others
 _BITS = 8.0  # least bits of the sampler's fraction for pictures: what texture units have
@@ -79,6 +82,8 @@ class Source(ABC):
         self._unsmoothed: Any = None
         self._levels: dict[tuple[int, str, bool], BrickedField] = {}
         self._colored: dict[tuple[Any, ...], Other] = {}
+        self._shadows = Shadows(field.device)
+        self.lease.frees(self._shadows.release)
         self._owned = arguments[0] is not field
         if self._owned:
             self.lease.frees(field.close)
@@ -129,6 +134,14 @@ class Source(ABC):
     @abstractmethod
     def part(self, medium: Medium) -> OneMedium:
         """The source of one of the scene's media."""
+
+    def _lit(self, look: ResolvedLook) -> Lit | None:
+        """What is left of the lights of a look and of others beside it, if it has shadows or occlusion."""
+        if not (look.mode.shaded and (look.scene.shadow or look.scene.occlusion)):
+            return None
+        looks = look, *look.others
+        volumes = [one.scene.media[0].volume for one in looks]
+        return self._shadows.of(look.scene, volumes, lambda edge: [self.part(one.scene.media[0]).body(one, edge) for one in looks])
 
     @property
     def limits(self) -> tuple[float, float] | None:
@@ -182,6 +195,9 @@ class OneMedium(Source):
     def part(self, medium: Medium) -> OneMedium:  # noqa: ARG002  # it has one
         return self
 
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        return self.drawn(look, fine, self.level(fine, look.view(fine.size)), guides, self._lit, progress)
+
     def regions(self) -> Regions:
         """The smooth regions of its labels, which slices show; they are freed with the source."""
         raise OptionError(
@@ -194,12 +210,18 @@ class OneMedium(Source):
         return 0
 
     @abstractmethod
-    def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool) -> Seen:
-        """A look of a level."""
+    def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting) -> Seen:
+        """A look of a level, in this light."""
 
     @abstractmethod
-    def drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
-        """The picture of a look of a level."""
+    def drawn(
+        self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting, progress: Progress | None
+    ) -> Pictures:
+        """The picture of a look of a level, in this light."""
+
+    @abstractmethod
+    def body(self, look: ResolvedLook, edge: float) -> Body:
+        """What stops light of a look; of several resolutions the coarsest whose voxels are at most so long, if there is one."""
 
     def _other(self, look: ResolvedLook) -> Other | None:
         """The function that colours the medium of a look, if one does; those of a few looks are kept."""
@@ -233,7 +255,6 @@ class InMemory(OneMedium):
             self.lease.frees(self._gaps.release)
         self._uncertainty: Uncertainty | None = None
         self._regions: Regions | None = None
-        self._shadows: dict[Filter, Shadows] = {}
         self._rates: dict[tuple[Any, ...], Rate] = {}
 
     def function(self, mode: Mode, level: int = 0) -> Field:
@@ -258,20 +279,19 @@ class InMemory(OneMedium):
                 self.lease.frees(self._regions.release)
             return self._regions
 
-    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
-        return self.drawn(look, fine, 0, guides, progress)
-
-    def drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
-        seen = self.seen(look, fine, level, guides)
+    def drawn(
+        self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting, progress: Progress | None
+    ) -> Pictures:
+        seen = self.seen(look, fine, level, guides, lit)
         pictures = launch.draw(seen.subject.frame(fine.size, fine.step, guides=guides), fine.rays, fine.filter, progress)
         self.shown = seen.field
         return pictures
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
-        wanted = Wanted(self.seen(look, fine, 0, False).subject, fine.size, fine.step, fine.rays, fine.filter)
+        wanted = Wanted(self.seen(look, fine, 0, False, self._lit).subject, fine.size, fine.step, fine.rays, fine.filter)
         return Refinement(wanted, asked, self._rates).pictures(self.in_use)
 
-    def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool) -> Seen:  # noqa: ARG002
+    def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting) -> Seen:  # noqa: ARG002
         """A look of the function, with its pyramid of minima and maxima where space is skipped."""
         field, names = self.function(look.mode), look.mode.regions
         if names:
@@ -280,18 +300,11 @@ class InMemory(OneMedium):
         evaluator = DIRECT if names else choose_evaluator(field.device, field.filter, bits=_BITS)
         pyramid = self._pyramid(field, evaluator, names) if look.skipping and look.mode.skips else None
         own = look.of_values(field.coefficients.volume)
-        parts = field.coefficients, pyramid, evaluator, self._gaps, self._other(look), self._lit(own, field)
+        parts = field.coefficients, pyramid, evaluator, self._gaps, self._other(look), lit(look)
         return Seen(Subject(own, *parts), field, None)
 
-    def _lit(self, look: ResolvedLook, field: Field) -> Lit | None:
-        """What is left of the lights of a look, if it has shadows or occlusion."""
-        if not (look.mode.shaded and (look.scene.shadow or look.scene.occlusion)):
-            return None
-        with self._lock:
-            if field.filter not in self._shadows:
-                self._shadows[field.filter] = made = Shadows(field.coefficients, self._gaps)
-                self.lease.frees(made.release)
-            return self._shadows[field.filter].of(look)
+    def body(self, look: ResolvedLook, edge: float) -> Body:  # noqa: ARG002
+        return Body.of(self.function(look.mode).coefficients, Matter.of(look), self._gaps)
 
     def _pyramid(self, field: Field, evaluator: Evaluator, names: bool) -> MinMax:
         with self._lock:
@@ -378,19 +391,18 @@ class ByBricks(OneMedium):
     def coarsest(self) -> int:  # type: ignore[override]  # of what is read
         return len(self.field.volume.levels)
 
-    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
-        return self.drawn(look, fine, self.level(fine, look.view(fine.size)), guides, progress)
-
     def level(self, fine: Fineness, view: Viewpoint) -> int:
         return level_of(self.field.volume, view, fine.size, fine.lod)
 
-    def drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
+    def drawn(
+        self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting, progress: Progress | None
+    ) -> Pictures:
         try:
-            return self._drawn(look, fine, level, guides, progress)
+            return self._drawn(look, fine, level, guides, lit, progress)
         except (ChunkError, MissingSampleError):  # only its bricks showed that samples are missing
             if look.mode.regions or not self.leave_out():  # nothing stands for a label
                 raise
-            return self._drawn(look, fine, level, guides, progress)
+            return self._drawn(look, fine, level, guides, lit, progress)
 
     def leave_out(self) -> bool:
         with self._lock:
@@ -404,12 +416,24 @@ class ByBricks(OneMedium):
             self._unsmoothed, self._levels = None, {}
             return True
 
-    def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool) -> Seen:
-        require_direct(self.field.device, "bricks are")
-        if dark := [name for name in ("shadow", "occlusion") if getattr(look.scene, name)]:
+    def body(self, look: ResolvedLook, edge: float) -> Body:
+        if self.field.volume.where is not None:
             raise OptionError(
-                f"{' and '.join(dark)} must be left out for a volume that is read by bricks: LazyVolume.whole() has them"
+                "shadow and occlusion must be left out for bricks that lack samples: LazyVolume.whole() has them with shadows"
             )
+        field = self.function(look.mode, level_within(self.field.volume, edge))
+
+        made = field.coefficients
+
+        def write(grid: Volume, buffer: Any) -> None:
+            values = field.resample(like=grid, dtype=np.float32).data if self._workers is None else self._workers.on(field, grid)
+            with made.device.buffers.mapped(buffer, grid.shape, write=True) as stored:
+                stored[...] = made.stored.samples(values)
+
+        return Body(Matter.of(look), made, write)
+
+    def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting) -> Seen:
+        require_direct(self.field.device, "bricks are")
         field = self.function(look.mode, level)
         between = look.mode.between_samples(guides=guides)
         if between and fine.step > STEPPED_AT_MOST:
@@ -418,10 +442,12 @@ class ByBricks(OneMedium):
             )
         own = look.of_level(field.coefficients.volume, field.boundary)
         gaps = None if field.volume.where is None else Gaps(field.volume.where, field.device)
-        return Seen(Subject(own, field.coefficients, None, DIRECT, gaps, self._other(look)), field, field)
+        return Seen(Subject(own, field.coefficients, None, DIRECT, gaps, self._other(look), lit(look)), field, field)
 
-    def _drawn(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, progress: Progress | None) -> Pictures:
-        subject, _, field = self.seen(look, fine, level, guides)
+    def _drawn(
+        self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting, progress: Progress | None
+    ) -> Pictures:
+        subject, _, field = self.seen(look, fine, level, guides, lit)
         assert field is not None
         with field.in_use():
             frame, view = subject.frame(fine.size, fine.step, guides=guides), subject.look.view(fine.size)
@@ -433,7 +459,7 @@ class ByBricks(OneMedium):
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
         def draw(level: int, report: Progress) -> launch.Picture:
-            return self.drawn(look, fine, level, False, report)["rgba"]
+            return self.drawn(look, fine, level, False, self._lit, report)["rgba"]
 
         levels = range(self.coarsest, self.level(fine, look.view(fine.size)) - 1, -1)
         return refined_by_levels(draw, levels, fine.step, asked, self.in_use)
@@ -512,7 +538,7 @@ class Several(Source):
     def _draw(self, look: ResolvedLook, fine: Fineness, coarsest: int, guides: bool, progress: Progress | None) -> Pictures:
         """The picture; of media in several sizes none is finer than this level, if there is one so coarse."""
         if not look.others:
-            return self._drawn_alone(look, fine, coarsest, guides, progress)
+            return self._drawn_alone(look, fine, coarsest, guides, self._lit, progress)
         try:
             return self._drawn(look, fine, coarsest, guides, progress)
         except (ChunkError, MissingSampleError):  # by bricks, which only then showed that samples are missing
@@ -525,8 +551,12 @@ class Several(Source):
         camera, view = look.placed(fine.size[0] / fine.size[1]).camera, look.view(fine.size)
         looks = tuple(replace(one, camera=camera) for one in (look, *look.others))  # in place, whatever the level of a medium
         surfaces = look.mode.shows == "surface"
+
+        def lit(_: ResolvedLook) -> Lit | None:
+            return self._lit(look)
+
         if (look.unsettled or look.mode).shows == "matter":
-            seen = [self._own(one).seen(one, fine, self._level(one, fine, view, coarsest), guides) for one in looks]
+            seen = [self._own(one).seen(one, fine, self._level(one, fine, view, coarsest), guides, lit) for one in looks]
             bricks = tuple(one.bricks for one in seen)
             bricked = Bricked(bricks, view, look.skipping) if any(field is not None for field in bricks) else None
             with ExitStack() as held:
@@ -539,7 +569,7 @@ class Several(Source):
         for i, one in enumerate(looks):
             own = replace(one, others=(), scene=replace(one.scene, background=None))
             part = part_of(progress, i / len(looks), (i + 1) / len(looks))
-            pictures.append(self._drawn_alone(own, fine, coarsest, guides or surfaces, part))
+            pictures.append(self._drawn_alone(own, fine, coarsest, guides or surfaces, lit, part))
         together = nearest(pictures) if surfaces else {"rgba": mixed([one["rgba"] for one in pictures], self.scene.mix)}
         return {**together, "rgba": over(background, together["rgba"])}
 
@@ -547,7 +577,8 @@ class Several(Source):
         looks = look, *look.others
         parts = [self._own(one) for one in looks]
         if (look.unsettled or look.mode).shows == "matter" and look.others and not any(part.by_bricks for part in parts):
-            subject = _together([part.seen(one, fine, 0, False) for part, one in zip(parts, looks, strict=True)])
+            seen = [part.seen(one, fine, 0, False, lambda _: self._lit(look)) for part, one in zip(parts, looks, strict=True)]
+            subject = _together(seen)
             return Refinement(Wanted(subject, fine.size, fine.step, fine.rays, fine.filter), asked, self._rates).pictures(
                 self.in_use
             )
@@ -574,9 +605,11 @@ class Several(Source):
         part = self._own(look)
         return max(part.level(fine, view), min(coarsest, part.coarsest))
 
-    def _drawn_alone(self, look: ResolvedLook, fine: Fineness, coarsest: int, guides: bool, progress: Progress | None) -> Pictures:
+    def _drawn_alone(
+        self, look: ResolvedLook, fine: Fineness, coarsest: int, guides: bool, lit: Lighting, progress: Progress | None
+    ) -> Pictures:
         level = self._level(look, fine, look.view(fine.size), coarsest)
-        return self._own(look).drawn(look, fine, level, guides, progress)
+        return self._own(look).drawn(look, fine, level, guides, lit, progress)
 
 
 def _together(seen: Sequence[Seen]) -> Subject:

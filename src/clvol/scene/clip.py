@@ -16,7 +16,7 @@ from clvol.base.errors import GeometryError
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.volume.volume import Volume
 
-__all__ = ["CLIP", "Box", "Clip", "Corner", "Cuts", "Plane", "as_clip", "clip_block", "cuts_of", "joined"]
+__all__ = ["CLIP", "Box", "Clip", "Corner", "Cuts", "Plane", "as_clip", "clip_block", "cuts_of", "joined", "triple"]
 
 _MAX_PLANES, _MAX_CORNERS = 64, 8  # corners leave up to one more part of a ray, each of which is marched
 
@@ -158,8 +158,10 @@ class Cuts:
             kept &= ~_within(at, corner.low, corner.high)
         return kept
 
-    def kept_share(self, points: ArrayLike, width: float) -> NDArray[np.float64]:
-        """The share that is kept of cubes of this width around world points, shape (..., 3), as if cuts were along their faces."""
+    def kept_share(self, points: ArrayLike, width: float | NDArray[np.float64]) -> NDArray[np.float64]:
+        """The share that is kept of boxes of this width, one or three, around world points, shape (..., 3), as if cuts were along
+        their faces.
+        """
         at = np.asarray(points, np.float64)
 
         def inside(low: ArrayLike, high: ArrayLike) -> NDArray[np.float64]:
@@ -168,7 +170,8 @@ class Cuts:
 
         share = np.ones(at.shape[:-1]) if self.box is None else inside(*self.box)
         for plane in self.planes:
-            share *= np.clip(0.5 - (at - plane.point) @ np.array(plane.normal) / width, 0, 1)
+            normal = np.array(plane.normal)
+            share *= np.clip(0.5 - (at - plane.point) @ normal / np.linalg.norm(normal * width), 0, 1)
         for corner in self.corners:
             share *= 1 - inside(corner.low, corner.high)
         return share
@@ -199,7 +202,7 @@ def cuts_of(clip: Clip | None) -> Cuts:
     """The cuts of a checked `clip`, or of a view's box; several boxes have one intersection."""
     cuts = _listed(clip)
     boxes = np.array([cut for cut in cuts if not isinstance(cut, Plane | Corner)], np.float64).reshape(-1, 2, 3)
-    box = (_triple(boxes[:, 0].max(0)), _triple(boxes[:, 1].min(0))) if len(boxes) else None
+    box = (triple(boxes[:, 0].max(0)), triple(boxes[:, 1].min(0))) if len(boxes) else None
     if box and any(low >= high for low, high in zip(*box, strict=True)):
         return Cuts(corners=(Corner((-math.inf,) * 3, (math.inf,) * 3),))  # they have nothing in common
     planes = tuple(cut for cut in cuts if isinstance(cut, Plane))
@@ -208,7 +211,7 @@ def cuts_of(clip: Clip | None) -> Cuts:
 
 def clip_block(clip: Clip | None, volume: Volume, unit: float) -> Values:
     """The block of the cuts for kernels: relative to the volume's origin, in their unit of length."""
-    return _block(cuts_of(clip), _triple(volume.origin), unit)
+    return _block(cuts_of(clip), triple(volume.origin), unit)
 
 
 @lru_cache(maxsize=32)
@@ -270,7 +273,8 @@ def _numbers(what: str, value: Any) -> Triple:
     return numbers
 
 
-def _triple(values: Sequence[float] | NDArray[np.float64]) -> Triple:
+def triple(values: Sequence[float] | NDArray[np.float64]) -> Triple:
+    """Three numbers."""
     x, y, z = map(float, values)
     return x, y, z
 

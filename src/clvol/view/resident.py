@@ -146,7 +146,7 @@ class Resident:
         if not row.has_gradient:
             left_out |= {"gradient"}
         several = len(self.catalog.media) > 1
-        if several or "smooth" in self.beyond:
+        if "smooth" in self.beyond or any(medium.smooth for medium in self.catalog.media):
             left_out |= {"shadow", "occlusion"}
         if (state.clip is None and not state.cuts) or (not several and {"surfaces", "smooth"} & set(self.beyond)):
             left_out |= {"cap"}
@@ -158,7 +158,7 @@ class Resident:
             return None
         if name == "3d":
             given = self.settled_arguments(state, size[0] / size[1])
-            return None if {"shadow", "occlusion"} & given.keys() else self.finer.wanted(state, size, given)
+            return self.finer.wanted(state, size, given)
         pane = SlicePane.of(state, self.volume, "xyz".index(name), shown)
         return self.finer.wanted_slice(state, pane, size, state.window or window_of_slices(self.volume))
 

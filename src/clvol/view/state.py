@@ -508,7 +508,7 @@ class State(_Checked):
         As for `clvol.render`; slices take `window` and `cmap`.
     lights : tuple of Light, optional
     shadow, occlusion : float
-        How dark shadows are, and places that matter surrounds, 0 to 1: of the picture of a single volume.
+        How dark shadows are, and places that matter surrounds, 0 to 1.
     material : Material, optional
     background : three numbers in 0..1, or None
     clip : (low, high), optional
