@@ -251,7 +251,10 @@ class Composite(Mode):
         if self.cap is not None:
             _set(self, cap=_switch("cap", self.cap))
         _set(self, capped=self.shading if self.cap is None else self.cap)
-        _set(self, virtual=whole("virtual", self.virtual, minimum=0, maximum=16))
+        virtual: object = self.virtual  # shells and viewers have floats for all numbers of modes
+        if isinstance(virtual, float) and virtual.is_integer():
+            virtual = int(virtual)
+        _set(self, virtual=whole("virtual", virtual, minimum=0, maximum=16))
         if self.virtual:
             _set(self, endpoints=True, state_fields=type(self).state_fields + _REMEMBERED)
 

@@ -368,7 +368,7 @@ def render(
             values = np.full(t.shape, math.nan)
             which, k = np.nonzero(there)
             values[there] = value(cast.at(t[which, k], which))
-            if not (chosen.isovalues or getattr(chosen, "virtual", 0)):
+            if not (chosen.isovalues or (isinstance(chosen, Composite) and chosen.virtual)):
                 there[there] = ~missing(cast.at(t[which, k], which))
             face = cut & chosen.capped
             face[face] = ~missing(cast.at(cast.enter[face], face))
