@@ -249,7 +249,7 @@ _WORDS: dict[str, Sequence[Any]] = {
     "opacity": (0.5, ((0.1, 0.0), (0.8, 0.7))),
 }
 _OF_MODE: dict[str, dict[str, Sequence[Any]]] = {
-    "composite": {"shading": (False,), "termination": (0.0, 0.05)},
+    "composite": {"shading": (False,), "termination": (0.0, 0.05), "virtual": (2,)},
     "isosurface": {"isovalue": (0.3, 0.5), "method": ("stepped",), "color": ("steelblue",), "shading": (False,)},
     "attenuated": {"attenuation": (0.5, 5.0)},
     "surfaces": {"surfaces": ("0.3:tan:0.4,0.6:teal", "1 sigma:red:0.5"), "shading": (False,)},

@@ -222,6 +222,14 @@ INLINE real3 gradient_at(COEFFICIENTS coefficients, const sample_t *sample, real
 
 #if PLANES
 
+// The lanes whose sample lies on no plane: the ends of rays, or the single sample of a ray between two planes.
+INLINE mask off_planes(const sample_t *sample)
+{
+    const ray_t *ray = sample->ray;
+    const float n = sample->number;
+    return ENDPOINTS ? (ray->begin > n) | (ray->end < n) : sample->apart ? ray->alone : NONE;
+}
+
 INLINE real value_here(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
 {
     if (!sample->plane->usable)
@@ -239,8 +247,8 @@ INLINE real3 gradient_here(COEFFICIENTS coefficients, const sample_t *sample, re
     const int axis = sample->frame->planes.axis;
     real3 gradient = transpose3(sample->frame->geometry.gradient,
                                 axis == 0 ? real3_of(g.z, g.x, g.y) : axis == 1 ? real3_of(g.x, g.z, g.y) : g);
-    const mask apart = active & sample->ray->alone;
-    if (sample->apart && any_lane(apart)) {
+    const mask apart = active & off_planes(sample);
+    if (any_lane(apart)) {
         const real3 own = gradient_at(coefficients, sample, t, apart);
         gradient = real3_of(choose(apart, own.x, gradient.x), choose(apart, own.y, gradient.y), choose(apart, own.z, gradient.z));
     }

@@ -1,4 +1,7 @@
 // Emission and absorption, front to back; a sample's opacity is that of the stretch of the ray that it represents.
+//
+// With BETWEEN, set by the host, samples are dependent: matter is that of virtual samples between two, whose values are Hermite's
+// and whose gradients lie on the parabola through those of the last three, but for the part along the ray, which is Hermite's.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
@@ -9,12 +12,21 @@
 // Opacity is accumulated with its rounding error (Kahan), so that sums of thousands of thin samples are exact.
 typedef struct {
     real red, green, blue, opacity, rest, depth;
+#if BETWEEN
+    real t, value, shown, x, y, z;           // the sample before, if t is not NOWHERE: whether it is visible, its gradient
+    real last_t, last_x, last_y, last_z;     // the one before that
+#endif
 #if ADDED
     slots_t slots;   // where samples are added to those of other media, which nothing here hides
 #endif
 } state_t;
 
+#if BETWEEN
+#define REACH 2.0f   // so that the three samples are gathered wherever something is visible between the last two
+#define RESTARTS 1
+#else
 #define REACH 0.0f
+#endif
 #define ANY_ORDER 0
 #define PROMISE(low, high) 0.0f
 
@@ -22,6 +34,10 @@ INLINE void begin(state_t *s)
 {
     s->red = s->green = s->blue = s->opacity = s->rest = (real)(0.0f);
     s->depth = NOWHERE;
+#if BETWEEN
+    s->value = s->shown = s->x = s->y = s->z = s->last_x = s->last_y = s->last_z = (real)(0.0f);
+    s->t = s->last_t = NOWHERE;
+#endif
 }
 
 INLINE real transmittance(const state_t *s) { return (1.0f - s->opacity) - s->rest; }
@@ -70,6 +86,87 @@ INLINE int matters(const state_t *s, constant frame_t *frame, global const float
     return !transparent(&frame->transfer, table, low, high);
 }
 
+#if BETWEEN
+
+INLINE void restart(state_t *s, mask active)
+{
+    s->t = choose(active, NOWHERE, s->t);
+    s->last_t = choose(active, NOWHERE, s->last_t);
+}
+
+// How much longer gradients in their own unit are than the function's slope along a ray, by its t.
+INLINE float per_slope(constant geometry_block *geometry)
+{
+    constant float *g = geometry->gradient, *m = geometry->index_to_world;
+    return g[0] * m[0] + g[1] * m[3] + g[2] * m[6];   // one is the inverse of the other, but for their units
+}
+
+// Virtual samples between the sample before and the one at t. Where neither is visible, values stay between theirs: then nothing is
+// seen that the minimum and the maximum of samples does not tell (segments.cl).
+INLINE void absorb_between(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, const real t, const real value,
+                           const mask shown, const real3 gradient, const mask both)
+{
+    constant frame_t *frame = sample->frame;
+    const int count = frame->mode.between;
+    const real3 world = sample->ray->world, before = real3_of(s->x, s->y, s->z);
+    const real from = choose(both, s->t, t), length = t - from, first = choose(both, s->value, value);
+    const real unit = (real)(per_slope(&frame->geometry)), to_slope = length / unit;
+    const real rise = value - first, slope = to_slope * dot3(before, world), last_slope = to_slope * dot3(gradient, world);
+    const real to_along = unit / MAX(length, (real)(1e-20f));
+    const real3 change = add3(gradient, scale3(before, (real)(-1.0f)));
+    const mask bent = both & (s->last_t < NOWHERE) & (length > 0.0f);
+    const real apart = choose(bent, from - s->last_t, length), ratio = length / MAX(apart, (real)(1e-20f));
+    const real bend = choose(bent & (apart > 0.0f), length / MAX(length + apart, (real)(1e-20f)), (real)(0.0f));
+    const real3 turn = real3_of(bend * (change.x - ratio * (s->x - s->last_x)), bend * (change.y - ratio * (s->y - s->last_y)),
+                                bend * (change.z - ratio * (s->z - s->last_z)));
+    const mask free = shown | (s->shown > 0.0f);
+    const real low = MIN(first, value), high = MAX(first, value), part = length / (float)count;
+    for (int i = 0; i < count; ++i) {
+        const float w = ((float)i + 0.5f) / (float)count, v = 1.0f - w;
+        const real exact = first + w * w * (3.0f - 2.0f * w) * rise + w * v * (v * slope - w * last_slope);
+        const real own = choose(free, exact, MIN(MAX(exact, low), high));
+        color_t color = classify(&frame->transfer, sample->table, own);
+        mask seen = both & (color.opacity > 0.0f) & !finished(s, frame);
+        const real start = madd((real)((float)i), part, from), place = madd((real)(0.5f), part, start);
+#if MISSING
+        seen &= !missing_at(sample->missing, frame, sample->ray, place, seen);
+#endif
+        if (!any_lane(seen))
+            continue;
+        color_by(&color, coefficients, sample, place, seen);
+        if (SHADED) {
+            const real3 near = add3(add3(before, scale3(change, (real)(w))), scale3(turn, (real)(-w * v)));
+            const real along = 6.0f * w * v * rise + v * (1.0f - 3.0f * w) * slope + w * (3.0f * w - 2.0f) * last_slope;
+            const real more = along * to_along - dot3(near, world);
+            color = shade(sample, color, add3(near, scale3(world, more)), own, place, seen);
+        }
+        absorb(s, color, log_light(color, part * frame->transfer.per_unit_distance), start, part, seen);
+    }
+}
+
+INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
+{
+    constant frame_t *frame = sample->frame;
+    const real3 gradient = gradient_here(coefficients, sample, t, active);
+    const mask shown = active & (classify(&frame->transfer, sample->table, value).opacity > 0.0f), both = active & (s->t < NOWHERE);
+    const float low = min_lane(choose(both, MIN(s->value, value), NOWHERE)), high = max_lane(choose(both, MAX(s->value, value), -NOWHERE));
+    if (!transparent(&frame->transfer, sample->table, low, high))
+        absorb_between(s, coefficients, sample, t, value, shown, gradient, both);
+    s->last_t = choose(active, s->t, s->last_t);
+    s->last_x = choose(active, s->x, s->last_x);
+    s->last_y = choose(active, s->y, s->last_y);
+    s->last_z = choose(active, s->z, s->last_z);
+    s->t = choose(active, t, s->t);
+    s->value = choose(active, value, s->value);
+    s->shown = choose(active, choose(shown, (real)(1.0f), (real)(0.0f)), s->shown);
+    s->x = choose(active, gradient.x, s->x);
+    s->y = choose(active, gradient.y, s->y);
+    s->z = choose(active, gradient.z, s->z);
+    return finished(s, frame);
+}
+
+#else
+
 INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
     constant frame_t *frame = sample->frame;
@@ -93,6 +190,8 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     absorb(s, color, through, t - before, length, seen);
     return finished(s, frame);
 }
+
+#endif
 
 #define FACES(frame) ((frame)->mode.cap)
 #define ON_FACE(state) ((state)->depth < NOWHERE)

@@ -54,6 +54,7 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "method": ("stepped",),
     "tolerance": (0.5,),
     "attenuation": (9.0,),
+    "virtual": (2,),
     "cap": (True, False),
 }
 CHANGES_NO_BIT = {"skipping"}  # as it says

@@ -435,3 +435,22 @@ def test_touching_labels_have_no_seam(mode: str, device: Device) -> None:
     ]
     assert np.isfinite(pictures[0]).any()
     np.testing.assert_allclose(pictures[1], pictures[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("shading", [True, False])
+def test_virtual_samples(keep: dict[Any, Renderer], device: Device, *, shading: bool) -> None:
+    options: Any = {"transfer": TRANSFER, "virtual": 3, "shading": shading}
+    renderer = held(keep, device, block(), "bspline3")
+    check(renderer, CAMERA, "composite", Allowance(rgba=2e-4, rms=2e-5, depth=2e-4, position=2e-4), step=0.8, **options)
+    plain = renderer.render(CAMERA, "composite", SIZE, 0.8, skipping=False, **options)
+    np.testing.assert_array_equal(renderer.render(CAMERA, "composite", SIZE, 0.8, **options), plain)
+
+
+def test_thin_shells_are_smooth_with_virtual_samples(device: Device) -> None:
+    x, y, z = np.mgrid[-1:1:24j, -1:1:24j, -1:1:24j]
+    bands = [(v + e, o) for v in (0.3, 0.5, 0.7) for e, o in ((-0.011, 0.0), (-0.01, 0.9), (0.01, 0.9), (0.011, 0.0))]
+    options: Any = {"transfer": TransferFunction(((0, (1, 1, 1)),), tuple(bands)), "shading": False, "rays": 1}
+    with Renderer(Volume(np.sqrt(x**2 + y**2 + z**2)), device=device) as renderer:
+        fine = renderer.render(CAMERA, size=SIZE, step=1 / 64, **options)
+        points, between = (renderer.render(CAMERA, size=SIZE, virtual=n, **options) - fine for n in (0, 12))
+    assert np.sqrt((between**2).mean()) < 0.25 * np.sqrt((points**2).mean())

@@ -121,7 +121,7 @@ def _missed(look: ResolvedLook, step: float) -> str:
         middle, wide = first / 2 + last / 2, last - first
         if wide > _NARROW * (high - low) or not low < middle < high:
             continue
-        change = step * _slope_at(look.preview, middle) / apart
+        change = step * _slope_at(look.preview, middle) / apart / max(1, getattr(look.mode, "virtual", 0))
         if wide < change:
             return (
                 f"the band of opacity from {first:.4g} to {last:.4g} is narrower than what values change by from sample to sample "

@@ -225,6 +225,7 @@ class Frame:
             "COLORED": int(self.other is not None),
             **({} if self.other is None else {"MOST_TAPS": MAX_TAPS}),
             **({} if self.lit is None else {"SHADOWED": self.lit.rows}),
+            **({"BETWEEN": 1} if getattr(mode, "virtual", 0) else {}),
             "COORD_DOUBLE": 0,
             **({"SPARED": spared_taps(self.coefficients.filter)} if mode.regions else {}),
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),

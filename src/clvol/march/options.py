@@ -141,6 +141,7 @@ class ModeOptions(TypedDict, total=False):
     method: Literal["exact", "stepped"]
     tolerance: float
     attenuation: float
+    virtual: int
     cap: bool | Sequence[float] | str | None
 
 

@@ -124,6 +124,8 @@ class Source(ABC):
             raise OptionError(f"color_by {colored} takes a filter with continuous slopes, such as bspline3; got {row.name}")
         if outlined(mode) and row.continuity < 1:
             raise OptionError(f"outline takes a filter with continuous slopes, such as bspline3; got {row.name}")
+        if getattr(mode, "virtual", 0) and not row.has_gradient:
+            raise OptionError(f"virtual takes a filter with slopes, such as bspline3; got {row.name}")
         if options.get("lod", "auto") != "auto" and not self.sizes:
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
 
@@ -434,6 +436,8 @@ class ByBricks(OneMedium):
 
     def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting) -> Seen:
         require_direct(self.field.device, "bricks are")
+        if getattr(look.mode, "virtual", 0):
+            raise OptionError("virtual must be 0 for a volume that is read by bricks: LazyVolume.whole() has such samples")
         field = self.function(look.mode, level)
         between = look.mode.between_samples(guides=guides)
         if between and fine.step > STEPPED_AT_MOST:
@@ -516,6 +520,10 @@ class Several(Source):
             raise OptionError(
                 f"mode {mode.name!r} draws one label map; got a scene of {len(self.scene.media)} media: in composite, "
                 "Medium(labels, smooth=True) shows them with others"
+            )
+        if getattr(mode, "virtual", 0):
+            raise OptionError(
+                f"virtual must be 0 in a scene of several media, which have common samples; got {len(self.scene.media)}"
             )
         if options.get("lod", "auto") != "auto" and self.sizes:
             options = {name: value for name, value in options.items() if name != "lod"}  # type: ignore[assignment]  # it has them

@@ -60,6 +60,7 @@ _WORD = re.compile("[a-z][a-z0-9_]{0,63}")
 _FILE = re.compile(f"modes/{_WORD.pattern}[.]cl")
 _FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
 _SIGMAS = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?:sigma|σ)\s*", re.IGNORECASE | re.ASCII)
+_REMEMBERED = 10  # numbers of state, of the last two samples
 _MOST_FIELDS = 64  # largest number of fields in a ray's state
 _MOST_SURFACES = 8
 _GAUSSIAN = "gaussian curvature"
@@ -226,17 +227,23 @@ class Composite(Mode):
     cap : bool, optional
         Whether the faces of a cut (`clip`) show the slice: the colours of the values there, unlit, as opaque as matter of 16 unit
         distances. By default where matter is lit (`shading`): light has no meaning on such a face, and shows the noise.
+    virtual : int
+        Virtual samples between two of `step`, 0 to 16. With 0 each sample stands for its stretch of the ray, with one value and one
+        light. Else matter is that of the virtual ones: their values are Hermite's, from the values and slopes at both samples, and
+        their gradients lie on the parabola through those of the last three, so that thin shells are smooth with any step. Of one
+        volume in memory, with a filter that has a gradient.
     """
 
     shading: bool = True
     termination: float = 1e-3
     cap: bool | None = None
+    virtual: int = 0
 
     name: ClassVar[str] = "composite"
     description: ClassVar[str] = "emission and absorption, front to back"
     state_fields: ClassVar[int] = 6
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "matter"
-    BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT, cap=INT)
+    BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT, cap=INT, between=INT)
 
     def __post_init__(self) -> None:
         _set(self, shading=_switch("shading", self.shading))
@@ -244,6 +251,12 @@ class Composite(Mode):
         if self.cap is not None:
             _set(self, cap=_switch("cap", self.cap))
         _set(self, capped=self.shading if self.cap is None else self.cap)
+        virtual: object = self.virtual  # shells and viewers have floats for all numbers of modes
+        if isinstance(virtual, float) and virtual.is_integer():
+            virtual = int(virtual)
+        _set(self, virtual=whole("virtual", virtual, minimum=0, maximum=16))
+        if self.virtual:
+            _set(self, endpoints=True, state_fields=type(self).state_fields + _REMEMBERED)
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:
         return transfer.opacity_within(low, high) > 0
@@ -255,7 +268,7 @@ class Composite(Mode):
         return "the depth and normals of matter, which depend on transmittance" if guides else ""
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
-        return self.BLOCK(termination=self.termination, cap=self.capped)
+        return self.BLOCK(termination=self.termination, cap=self.capped, between=self.virtual)
 
 
 @dataclass(frozen=True)

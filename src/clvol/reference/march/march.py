@@ -271,7 +271,8 @@ def render(
     ``composite``: with opacity ``a`` a unit distance ``u``, a sample stands for a stretch ``s`` of the ray with
     opacity ``1 - (1 - a)^(s/u)``; colours add up weighted by opacity times the light that gets there. Stretches are as
     long as a step; that of the first sample begins where the ray enters, that of the last ends where it leaves. The depth is
-    where half of the light is stopped, if each stretch is of one kind.
+    where half of the light is stopped, if each stretch is of one kind. With `virtual` these are the stretches of virtual samples
+    between the ray's, which include its ends (`_between`).
 
     If the mode is `capped`, a ray that enters at the face of a cut has a first sample there: unlit, for 16 unit distances.
 
@@ -367,7 +368,7 @@ def render(
             values = np.full(t.shape, math.nan)
             which, k = np.nonzero(there)
             values[there] = value(cast.at(t[which, k], which))
-            if not chosen.isovalues:
+            if not (chosen.isovalues or (isinstance(chosen, Composite) and chosen.virtual)):
                 there[there] = ~missing(cast.at(t[which, k], which))
             face = cut & chosen.capped
             face[face] = ~missing(cast.at(cast.enter[face], face))
@@ -459,8 +460,54 @@ def _with_faces(scene: _Scene, part: _Part) -> _Part:
     )
 
 
+def _between(scene: _Scene, count: int, part: _Part) -> tuple[_Part, Array]:
+    """Virtual samples between those of a part, and their gradients, (N, M, 3).
+
+    Between two samples values are Hermite's; where neither is visible they stay between both. Gradients are interpolated by the
+    quadratic through those of both and of the sample before, if there is one, and then have Hermite's slope along the ray.
+    """
+    rays, t, there = part.rays, np.where(part.there, part.t, 0.0), part.there
+    known = np.zeros((*t.shape, 3))
+    known[there] = scene.gradient(rays.at(t[there], np.nonzero(there)[0]))
+    values, ahead = np.where(there, part.values, 0.0), rays.direction[:, None]
+    both = there[:, 1:]  # samples come first
+    first, last, length = values[:, :-1], values[:, 1:], np.where(both, np.diff(t), 0.0)
+    slope = (known * ahead).sum(-1) * np.ones_like(t)
+    visible = there & (scene.transfer(values)[..., 3] > 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        steep = np.diff(known, axis=1) / length[..., None]
+        bent = np.diff(steep, axis=1) / (length[:, 1:] + length[:, :-1])[..., None]
+    bend = np.zeros_like(steep)
+    bend[:, 1:] = np.where(both[:, 1:, None], np.nan_to_num(bent, posinf=0, neginf=0), 0.0)
+    columns: list[tuple[Array, ...]] = []
+    for i in range(count):
+        w = (i + 0.5) / count
+        u = length * (1 - w)
+        own = first * (1 + 2 * w) * (1 - w) ** 2 + last * w**2 * (3 - 2 * w)
+        own += length * (slope[:, :-1] * w * (1 - w) ** 2 - slope[:, 1:] * w**2 * (1 - w))
+        hidden = ~(visible[:, :-1] | visible[:, 1:])
+        own = np.where(hidden, np.clip(own, np.minimum(first, last), np.maximum(first, last)), own)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = np.nan_to_num(6 * w * (1 - w) * (last - first) / length, posinf=0, neginf=0)
+        along += slope[:, :-1] * (1 - w) * (1 - 3 * w) - slope[:, 1:] * w * (2 - 3 * w)
+        near = known[:, :-1] * (1 - w) + known[:, 1:] * w - bend * (u * w * length)[..., None]
+        near += (along - (near * ahead).sum(-1))[..., None] * ahead
+        begin = t[:, :-1] + length * i / count
+        columns.append((begin + length / (2 * count), own, begin, begin + length / count, near))
+    place, value, begin, end, gradient = (
+        np.stack(each, 2).reshape(t.shape[0], -1, *each[0].shape[2:]) for each in zip(*columns, strict=True)
+    )
+    shown = np.repeat(both, count, axis=1)
+    shown[shown] = ~scene.missing(rays.at(place[shown], np.nonzero(shown)[0]))
+    return replace(
+        part, t=place, there=shown, values=value, near=np.where(shown, begin, 0.0), far=np.where(shown, end, 0.0)
+    ), gradient
+
+
 def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
-    samples = _Samples.of([_with_faces(scene, part) for part in samples.parts], samples.rays)
+    virtual = [_between(scene, mode.virtual, part) for part in samples.parts] if mode.virtual else []
+    parts = [part for part, _ in virtual] or samples.parts
+    samples = _Samples.of([_with_faces(scene, part) for part in parts], samples.rays)
     rays, t, there, values, near, far = (*(samples.rays, samples.t, samples.there, samples.values), *(samples.near, samples.far))
     firsts = np.cumsum([0, *(part.t.shape[1] for part in samples.parts[:-1])])
     face = np.zeros(t.shape, np.bool_)
@@ -471,7 +518,10 @@ def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
     rgb[which, k] = scene.colored(rays.at(t[which, k], which), rgb[which, k])
     if mode.shading:
         which, k = np.nonzero((alpha > 0) & ~face)
-        gradient = scene.gradient(rays.at(t[which, k], which))
+        if mode.virtual:  # nothing is known on faces
+            gradient = np.concatenate([np.pad(slopes, ((0, 0), (1, 0), (0, 0))) for _, slopes in virtual], 1)[which, k]
+        else:
+            gradient = scene.gradient(rays.at(t[which, k], which))
         rgb[which, k] = scene.lit(gradient, values[which, k], rgb[which, k], rays.direction[which])
     with np.errstate(divide="ignore"):
         stopped = -np.log1p(-alpha)  # a unit distance: inf in opaque matter
