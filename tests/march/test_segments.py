@@ -54,7 +54,8 @@ def volumes(draw: st.DrawFn) -> Volume:
 def graded(draw: st.DrawFn, transfer: TransferFunction) -> TransferFunction:
     """A function of the gradient, too: with factors that are often 0, or two boxes, one of them of the steepest."""
     steep = sorted(draw(st.lists(st.floats(0, 1.5), min_size=2, max_size=4, unique=True)))
-    steep = [draw(st.sampled_from([1.0, 1e-6])) * slope for slope in steep]
+    small = draw(st.sampled_from([1.0, 1e-6]))
+    steep = [small * slope for slope in steep]
     if draw(st.booleans()):
         factors = draw(st.lists(st.sampled_from([0.0, 0.0, 0.4, 1.0]), min_size=len(steep), max_size=len(steep)))
         return replace(transfer, gradient_opacity=tuple(zip(steep, factors, strict=True)))
