@@ -400,7 +400,7 @@ class Look:
     gradient_opacity: Annotated[
         tuple[float, ...] | None,
         Parameter(
-            help="Opacity by how steep values change, too: one number, 0 to 1, how much of it is missing where they do not; or points, "
+            help="Opacity by the gradient, too: one number, 0 to 1, how much of it is missing where matter is even; or points, "
             "magnitude factor magnitude factor ..., in units of the data per world unit.",
             consume_multiple=True,
             show_default=False,
