@@ -20,6 +20,7 @@ from clvol.march.options import KEYWORDS, FurnitureOptions
 from clvol.scene.camera import Camera
 from clvol.scene.clip import as_clip, cuts_of
 from clvol.scene.fit import usual_camera
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.look import look
 from clvol.scene.mode import as_mode, modes
 from clvol.scene.scene import Medium, Scene
@@ -145,6 +146,8 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
         except GeometryError as error:
             raise OptionError(str(error)) from None
         values |= {"clip": cuts.box, "cuts": (*cuts.planes, *cuts.corners)}
+    if isinstance(values.get("transfer"), TransferFunction2D):
+        raise OptionError("transfer of a view must be a TransferFunction; a TransferFunction2D is of clvol.render")
     factors = {name: values.pop(name) for name in FACTORS if is_curve(values.get(name))}
     if factors:
         transfer = values.get("transfer") or look(volume, chosen, **{name: values.pop(name, None) for name in WORDS})
