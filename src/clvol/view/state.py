@@ -281,7 +281,7 @@ def _transfer_of(what: str, value: object) -> TransferFunction:
         opacities.append((at, number(f"an opacity of {what}.points", point[2], minimum=0, maximum=1)))
     try:
         factors = {name: given.get(name) for name in FACTORS}
-        return TransferFunction(tuple(colors), tuple(opacities), given.get("unit_distance"), **factors)  # type: ignore[arg-type]
+        return TransferFunction(tuple(colors), tuple(opacities), given.get("unit_distance"), **factors)
     except ClvolError as error:
         raise OptionError(f"{what}: {error}") from None
 
