@@ -298,6 +298,13 @@ def pictures_at_once(world: World, random: Random) -> Any:
 
 
 @_deed(6)
+def pictures_of_boundaries(world: World, random: Random) -> Any:
+    low, high = (0.2, 0.9)
+    transfer = clvol.TransferFunction2D(boxes=[((low, high), (float(random.uniform(0, 0.3)), float("inf")), "gold", 0.5)])
+    return clvol.render(world.volumes["blob"], _camera(random), size=(40, 40), transfer=transfer)
+
+
+@_deed(6)
 def modes_as_classes(world: World, random: Random) -> Any:
     classes = (
         clvol.Composite(),

@@ -61,12 +61,10 @@ INLINE real bent_along(const shape_t *shape, constant frame_t *frame, const real
     return bend_along(&shape->bends, matrix3(to_samples, u), matrix3(to_samples, v)) * -shape->per;
 }
 
-#if CURVED
+// The mean of the principal curvatures, half of their difference, and their product, per unit length of the world.
+typedef struct { real mean, apart, product; } bent_t;
 
-enum { LARGER, SMALLER, MEAN, PRODUCT };
-
-// Per unit length of the world; 0 where the gradient is.
-INLINE real curvature_of(const shape_t *shape, constant frame_t *frame)
+INLINE bent_t bent_of(const shape_t *shape, constant frame_t *frame)
 {
     const real3 normal = shape->normal;
     const real ax = magnitude(normal.x), ay = magnitude(normal.y), az = magnitude(normal.z);
@@ -76,10 +74,32 @@ INLINE real curvature_of(const shape_t *shape, constant frame_t *frame)
     u = scale3(u, 1.0f / square_root(MAX(dot3(u, u), (real)(1e-20f))));
     const real3 v = cross3(normal, u);
     const real a = bent_along(shape, frame, u, u), b = bent_along(shape, frame, u, v), c = bent_along(shape, frame, v, v);
-    const real mean = 0.5f * (a + c), apart = 0.5f * (a - c), bent = square_root(madd(apart, apart, b * b));
+    const real apart = 0.5f * (a - c);
+    const bent_t bent = { 0.5f * (a + c), square_root(madd(apart, apart, b * b)), a * c - b * b };
+    return bent;
+}
+
+// The larger magnitude of the two; 0 where the gradient is.
+INLINE real most_bent(const shape_t *shape, constant frame_t *frame)
+{
+    const bent_t bent = bent_of(shape, frame);
+    return choose(shape->flat, (real)(0.0f), magnitude(bent.mean) + bent.apart);
+}
+
+#if CURVED
+
+enum { LARGER, SMALLER, MEAN, PRODUCT };
+
+// 0 where the gradient is.
+INLINE real curvature_of(const shape_t *shape, constant frame_t *frame)
+{
+    const bent_t bent = bent_of(shape, frame);
     const int which = frame->mode.curvature;
-    const real shown = which == LARGER ? mean + bent : which == SMALLER ? mean - bent : which == MEAN ? mean : a * c - b * b;
-    return choose(shape->flat, none, shown);
+    const real shown = which == LARGER ? bent.mean + bent.apart
+                     : which == SMALLER ? bent.mean - bent.apart
+                     : which == MEAN ? bent.mean
+                                     : bent.product;
+    return choose(shape->flat, (real)(0.0f), shown);
 }
 
 #endif

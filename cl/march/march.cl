@@ -25,6 +25,9 @@
 //   ON_FACE(state)                the lanes whose place may be on a face
 //   gather_face(state, coefficients, sample, value, active)
 //                                 the face at which the active lanes enter; returns the lanes that need no more
+//   SLOPES_MATTER(frame, table, bounds)
+//                                 whether gradients as steep as bounds say could change a result, where `matters` may say so; then
+//   SLOPES                        is 1
 //   FACE_MATTERS(frame, low, high)
 //                                 whether a face with a value from low to high could change a result, where `matters` may say no
 //   restart(state, active)        if samples are dependent (RESTARTS 1): the next ones lie behind a gap
@@ -238,8 +241,8 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
         for (int g = 0; g < PACKETS; ++g) {
             wanted[g] = lanes_within(tile->rays + g, tile->going[g], start, stop);
             if (PACKETS > 1 && frame->minmax.skipping && any_lane(wanted[g])) {
-                const float2 values = values_of(minmax, frame, extent.w, tile, g, 1, start, stop);
-                if (!packet_matters(frame, table, tile, g, values, start, stop))
+                const bounds_t bounds = bounds_of(minmax, frame, extent.w, tile, g, 1, start, stop);
+                if (!packet_matters(frame, table, tile, g, &bounds, start, stop))
                     wanted[g] = NONE;
             }
         }

@@ -15,6 +15,10 @@
 #define MAX_LOOKS 32    // maximum number of blocks read for a box
 #define COARSEST 4      // 1 << COARSEST slabs are skipped at once at most
 #define MAX_PARTS 32    // of a ray, where samples may come in any order
+#ifndef SLOPES_MATTER   // a mode's: whether slopes could change a result, where `matters` does not say no
+#define SLOPES 0
+#define SLOPES_MATTER(frame, table, bounds) 1
+#endif
 #define MARGIN ((real)(ENDPOINTS ? 1.0f : 0.0f))   // sample numbers before and after the planes, for the two ends of a ray
 
 // -- the values in a box of positions --------------------------------------------------------------------------
@@ -96,23 +100,32 @@ INLINE mask lanes_within(const ray_t *ray, mask going, float first, float last)
     return going & (ray->begin - MARGIN <= last) & (ray->end + MARGIN >= first);
 }
 
-// The smallest and the largest value among samples first to last of some packets.
-INLINE float2 values_of(global const float2 *minmax, constant frame_t *frame, const int halo, const tile_t *tile, int packet,
-                        const int packets, float first, float last)
+// Of some samples the smallest and the largest value, and magnitudes of gradients, if a mode asks for them.
+typedef struct { float2 values, slopes; } bounds_t;
+
+// Those among samples first to last of some packets.
+INLINE bounds_t bounds_of(global const float2 *minmax, constant frame_t *frame, const int halo, const tile_t *tile, int packet,
+                          const int packets, float first, float last)
 {
     boxes_t box = empty_boxes();
     for (int g = packet; g < packet + packets; ++g)
         extend_boxes(&box, tile->rays + g, first - REACH, last + REACH, lanes_within(tile->rays + g, tile->going[g], first, last));
-    return values_in(minmax, frame, halo, &box);
+    bounds_t bounds = { values_in(minmax, frame, halo, &box), (float2)(0.0f, INFINITY) };
+#if SLOPES
+    if (frame->minmax.slopes_at)
+        bounds.slopes = values_in(minmax + frame->minmax.slopes_at, frame, halo, &box) * frame->minmax.slope_scale;
+#endif
+    return bounds;
 }
 
-// Whether any value among samples first to last of a packet could matter to it.
-INLINE int packet_matters(constant frame_t *frame, global const float4 *table, const tile_t *tile, int g, float2 values,
+// Whether any sample among first to last of a packet, of these bounds, could matter to it.
+INLINE int packet_matters(constant frame_t *frame, global const float4 *table, const tile_t *tile, int g, const bounds_t *bounds,
                           float first, float last)
 {
     const ray_t *ray = tile->rays + g;
-    return matters(tile->states + g, frame, table, values.x, values.y, madd(first, ray->step, ray->first),
-                   lanes_within(ray, tile->going[g], first, last));
+    return matters(tile->states + g, frame, table, bounds->values.x, bounds->values.y, madd(first, ray->step, ray->first),
+                   lanes_within(ray, tile->going[g], first, last)) &&
+           SLOPES_MATTER(frame, table, bounds);
 }
 
 // -- the iterator ----------------------------------------------------------------------------------------------
@@ -154,9 +167,9 @@ INLINE segments_t segments_of(const tile_t *tile, global const float2 *minmax, c
             ;
         for (s.parts = 0; s.parts << s.deep < s.slabs; ++s.parts) {
             const float start = madd(s.parts << s.deep, slab, tile->first), stop = madd(1 << s.deep, slab, start - 1.0f);
-            const float2 values = values_of(minmax, frame, halo, tile, 0, PACKETS, start, stop);
-            (void)values;   // not every mode uses them in PROMISE
-            s.promise[s.parts] = PROMISE(values.x, values.y);
+            const bounds_t bounds = bounds_of(minmax, frame, halo, tile, 0, PACKETS, start, stop);
+            (void)bounds;   // not every mode uses them in PROMISE
+            s.promise[s.parts] = PROMISE(bounds.values.x, bounds.values.y);
         }
     }
     return s;
@@ -181,9 +194,9 @@ INLINE int next_segment(segments_t *s, const tile_t *tile, global const float2 *
             continue;
         }
         if (skipping) {
-            const float2 values = values_of(minmax, frame, halo, tile, 0, PACKETS, start, stop);
+            const bounds_t bounds = bounds_of(minmax, frame, halo, tile, 0, PACKETS, start, stop);
             for (int g = 0; g < PACKETS && !wanted; ++g)
-                wanted = packet_matters(frame, table, tile, g, values, start, stop);
+                wanted = packet_matters(frame, table, tile, g, &bounds, start, stop);
         }
         if (!wanted) {
             s->slab += 1 << s->level;

@@ -6,6 +6,7 @@
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
 #include "march/light.cl"
+#include "march/graded.cl"
 #include "march/colored.cl"
 #include "march/slots.cl"
 
@@ -171,12 +172,22 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
 {
     constant frame_t *frame = sample->frame;
     color_t color = classify(&frame->transfer, sample->table, value);
-    const mask seen = active & (color.opacity > 0.0f);
+    mask seen = active & (color.opacity > 0.0f);
     if (!any_lane(seen))
         return NONE;
+#if SHADED || GRADED
+    const real3 gradient = gradient_here(coefficients, sample, t, seen);
+#endif
+#if GRADED
+    color = graded(coefficients, sample, t, value, gradient, color, seen);
+    seen = color.opacity > 0.0f;
+    if (!any_lane(seen))
+        return NONE;
+#endif
     color_by(&color, coefficients, sample, t, seen);
-    if (SHADED)
-        color = shade(sample, color, gradient_here(coefficients, sample, t, seen), value, t, seen);
+#if SHADED
+    color = shade(sample, color, gradient, value, t, seen);
+#endif
     real before, behind;
     stretch_of(sample->ray, sample->number, t, seen, &before, &behind);
 #if MISSING
@@ -201,7 +212,12 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
 INLINE mask gather_face(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real value, mask active)
 {
     color_t color = classify(&sample->frame->transfer, sample->table, value);
-    const mask seen = active & (color.opacity > 0.0f);
+    mask seen = active & (color.opacity > 0.0f);
+#if GRADED
+    const real enter = sample->ray->enter;
+    color = graded(coefficients, sample, enter, value, gradient_at(coefficients, sample, enter, seen), color, seen);
+    seen = color.opacity > 0.0f;
+#endif
     color_by(&color, coefficients, sample, sample->ray->enter, seen);
     const real through = log_light(color, (real)(FACE));
 #if ADDED

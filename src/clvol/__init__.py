@@ -73,6 +73,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.scene.camera import Camera as Camera
     from clvol.scene.clip import Corner as Corner
     from clvol.scene.clip import Plane as Plane
+    from clvol.scene.joint import TransferFunction2D as TransferFunction2D
     from clvol.scene.light import Light as Light
     from clvol.scene.light import Material as Material
     from clvol.scene.mode import Attenuated as Attenuated
@@ -137,6 +138,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "march.slices": "slice",
     "scene.camera": "Camera",
     "scene.clip": "Corner Plane",
+    "scene.joint": "TransferFunction2D",
     "scene.light": "Light Material",
     "scene.mode": "Attenuated Composite Isosurface Mean Minip Mip Mode Regions Surfaces modes",
     "scene.preset": "presets",

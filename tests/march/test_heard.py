@@ -25,6 +25,8 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "window": ((0.3, 0.2),),
     "cmap": ("viridis",),
     "opacity": (0.2, ((0.2, 0.0), (0.9, 0.9))),
+    "gradient_opacity": (0.9, ((0.1, 0.0), (0.5, 1.0))),
+    "curvature_opacity": (((0.1, 0.0), (0.5, 1.0)),),
     "material": (clvol.Material(0.9, 0.1, 0.0),),
     "lights": (clvol.Light((1, 0, 0)),),
     "shadow": (1.0,),

@@ -7,6 +7,7 @@ what needs no kernel of its own (cameras, steps, boxes, lights) is tried on ever
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -24,6 +25,7 @@ from clvol.march.planes import Planes
 from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.reference.march import march as reference
 from clvol.scene.camera import Camera
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.light import HEADLIGHT, Light, Material
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.volume import Volume
@@ -319,6 +321,23 @@ def test_stepped_surfaces(device: Device, keep: dict[Any, Renderer], filter: str
 @pytest.mark.parametrize("mode", ["composite", "isosurface"])
 def test_without_shading(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
     check(held(keep, device, block(), "bspline3"), CAMERA, mode, allowance("bspline3", mode, device), shading=False)
+
+
+GRADED = {
+    "factors": replace(TRANSFER, gradient_opacity=((0.02, 0.1), (0.3, 1.0)), curvature_opacity=((0.1, 1.0), (0.9, 0.2))),
+    "shapes": TransferFunction2D(
+        boxes=(((0.2, 0.5), (0.05, math.inf), (1.0, 0.0, 0.0), 0.4),),
+        arches=(((0.3, 1.0), 0.4, (0.0, 0.5, 0.5), 0.8),),
+        gradient_opacity=((0.0, 0.5), (0.4, 1.0)),
+    ),
+}
+
+
+@pytest.mark.parametrize("graded", GRADED)
+def test_opacity_by_more_than_the_value(device: Device, keep: dict[Any, Renderer], graded: str) -> None:
+    allowed = replace(allowance("bspline3", "composite", device), rgba=5e-4, rms=3e-5)  # nodes are steep
+    renderer = held(keep, device, block(oblique=graded == "shapes"), "bspline3")
+    check(renderer, CAMERA, "composite", allowed, transfer=GRADED[graded])
 
 
 LIGHTS = {

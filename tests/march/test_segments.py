@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -19,6 +21,7 @@ from clvol.filter.table import filters
 from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.phantoms import marschner_lobb
 from clvol.scene.camera import Camera
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.mode import modes
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.volume import Volume
@@ -48,6 +51,20 @@ def volumes(draw: st.DrawFn) -> Volume:
 
 
 @st.composite
+def graded(draw: st.DrawFn, transfer: TransferFunction) -> TransferFunction:
+    """A function of the gradient, too: with factors that are often 0, or two boxes, one of them of the steepest."""
+    steep = sorted(draw(st.lists(st.floats(0, 1.5), min_size=2, max_size=4, unique=True)))
+    small = draw(st.sampled_from([1.0, 1e-6]))
+    steep = [small * slope for slope in steep]
+    if draw(st.booleans()):
+        factors = draw(st.lists(st.sampled_from([0.0, 0.0, 0.4, 1.0]), min_size=len(steep), max_size=len(steep)))
+        return replace(transfer, gradient_opacity=tuple(zip(steep, factors, strict=True)))
+    low, high = transfer.value_range
+    boxes = (((low, high), (steep[-1], math.inf), "red", 0.3), ((low - 1, high), (0.0, steep[0] + 1e-7), "white", 1.0))
+    return TransferFunction2D(boxes=boxes[: draw(st.integers(1, 2))])
+
+
+@st.composite
 def views(draw: st.DrawFn) -> dict[str, Any]:
     """A camera from near to far, a step, sometimes a clip box, and the mode's target."""
     camera = Camera.orbit(
@@ -59,21 +76,25 @@ def views(draw: st.DrawFn) -> dict[str, Any]:
     )
     points = sorted(draw(st.lists(st.floats(-0.5, 1.5), min_size=2, max_size=4, unique=True)))
     opacities = draw(st.lists(st.sampled_from([0.0, 0.0, 0.02, 1.0]), min_size=len(points), max_size=len(points)))
+    transfer = TransferFunction(((0.0, "red"), (1.0, "white")), tuple(zip(points, opacities, strict=True)))
     return {
+        "graded": draw(st.just(transfer) | graded(transfer)),
         "camera": camera,
         "step": draw(st.sampled_from([0.3, 0.5, 1.0, 2.3, 40.0])),
         "isovalue": draw(st.sampled_from([0.0, 0.2, 0.5, 0.7, 1e-7, 5.0, -3.0])),
         "clip": draw(st.sampled_from([None, None, ((1.0, 1.0, 1.0), (9.0, 12.0, 4.0))])),
-        "transfer": TransferFunction(((0.0, "red"), (1.0, "white")), tuple(zip(points, opacities, strict=True))),
+        "transfer": transfer,
     }
 
 
 def same(
     device: Device, volume: Volume, filter: str | Filter, mode: str, view: dict[str, Any], boundary: str = "mirror", **options: Any
 ) -> None:
+    look = view | {"transfer": view["graded"]} if mode == "composite" else view
+    look = {name: value for name, value in look.items() if name != "graded"}
     with Renderer(volume, filter, boundary, device) as renderer:
         with_, without = (
-            renderer.render(mode=mode, size=(23, 19), outputs=OUTPUTS, skipping=skipping, **suited(mode, {**view, **options}))
+            renderer.render(mode=mode, size=(23, 19), outputs=OUTPUTS, skipping=skipping, **suited(mode, {**look, **options}))
             for skipping in (True, False)
         )
     for name in OUTPUTS[:-1]:
@@ -93,6 +114,7 @@ UNHURRIED = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 def test_skipping_changes_no_bit(
     device: Device, mode: str, tile: str, volume: Volume, view: dict[str, Any], boundary: str, shading: bool
 ) -> None:
+    view |= {} if tile == "planes" else {"graded": view["transfer"]}  # fewer kernels
     with device.limited(tile=TILES[tile]):
         same(device, volume, "bspline3", mode, view, boundary, shading=shading)
 

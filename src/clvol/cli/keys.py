@@ -11,10 +11,10 @@ from typing import Any
 import clvol
 from clvol.base.errors import OptionError
 from clvol.cli.inline import inline_options, parts_of
-from clvol.cli.options import Furniture, Look
+from clvol.cli.options import Furniture, Look, opacity_points
 from clvol.scene.keyframes import Keyframes
 from clvol.scene.mode import every_option
-from clvol.scene.transfer import WORDS
+from clvol.scene.transfer import FACTORS, WORDS
 
 __all__ = ["Keys"]
 
@@ -48,8 +48,8 @@ class Keys:
             return None
         found = {at: {name: v for name, v in said.items() if name not in _CAMERA + _CUTS} for at, said in self._at.items()}
         for options in found.values():
-            if "opacity" in options:
-                options["opacity"] = replace(look, opacity=options["opacity"]).opacity_points()
+            for name in {"opacity", *FACTORS} & options.keys():
+                options[name] = opacity_points(name, options[name])
             if options.get("background") == "none":
                 options["background"] = None
         for at, seen in self._looks(_CAMERA, look):

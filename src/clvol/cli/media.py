@@ -17,16 +17,16 @@ from clvol.filter.boundary import chosen_boundary
 from clvol.interfaces.movie import places_of
 from clvol.interop.dispatch import is_in_parts
 from clvol.scene.scene import channels
-from clvol.scene.transfer import WORDS
+from clvol.scene.transfer import FACTORS, WORDS
 from clvol.volume.provenance import note
 
 __all__ = ["Others"]
 
 _OF_MEDIUM = (
-    *("preset", "window", "cmap", "opacity", "filter", "boundary"),
+    *("preset", "window", "cmap", "opacity", *(name.replace("_", "-") for name in FACTORS), "filter", "boundary"),
     *("clip", "clip-plane", "clip-corner", "surfaces", "smooth", "mask", "where"),
 )
-_OF_FIRST = ("transfer", *WORDS, "filter", "boundary")  # options of a picture that are of the first medium
+_OF_FIRST = ("transfer", *WORDS, *FACTORS, "filter", "boundary")  # options of a picture that are of the first medium
 
 
 @Parameter(name="*", group=Group("Other volumes in the picture", sort_key=3))
@@ -112,7 +112,9 @@ def _medium(text: str, read: Callable[[str], Any], *, whole: bool = False) -> cl
     if cuts := look.cuts():
         given["clip"] = cuts
     volume = read(source)
-    return clvol.Medium(_whole(volume) if whole else volume, boundary=chosen_boundary(look.boundary), **look.words(), **given)
+    return clvol.Medium(
+        _whole(volume) if whole else volume, boundary=chosen_boundary(look.boundary), **look.words(), **look.factors(), **given
+    )
 
 
 def _whole(volume: Any) -> Any:

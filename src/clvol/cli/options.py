@@ -23,6 +23,7 @@ from clvol.march.options import unheard
 from clvol.scene.fit import usual_camera
 from clvol.scene.look import look as look_of
 from clvol.scene.mode import Mode, as_mode, every_option, mode_options, require_heard
+from clvol.scene.transfer import FACTORS
 
 __all__ = [
     "BOUNDARIES",
@@ -53,6 +54,7 @@ __all__ = [
     "bytes_text",
     "is_address",
     "label_of",
+    "opacity_points",
     "own_options",
     "whole_numbers",
 ]
@@ -352,7 +354,15 @@ Rule = Annotated[
     ),
 ]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
-_PLAIN = ("rays", "pixel_filter", "shadow", "occlusion", "gradient")  # of a look, by the names of `clvol.render`
+_PLAIN = (
+    "rays",
+    "pixel_filter",
+    "gradient_opacity",
+    "curvature_opacity",
+    "shadow",
+    "occlusion",
+    "gradient",
+)  # of a look, by the names of `clvol.render`
 _Six = tuple[float, float, float, float, float, float]
 Background = Annotated[
     str | None, Parameter(help="A name, a hex code, or 'none'. [default: black; white in theme print]", show_default=False)
@@ -385,6 +395,23 @@ class Look:
         Parameter(
             help="Points of the opacity, value opacity value opacity ...; or one number, which scales it. Colours stay.",
             consume_multiple=True,
+        ),
+    ] = None
+    gradient_opacity: Annotated[
+        tuple[float, ...] | None,
+        Parameter(
+            help="Opacity by the gradient, too: one number, 0 to 1, how much of it is missing where matter is even; or points, "
+            "magnitude factor magnitude factor ..., in units of the data per world unit.",
+            consume_multiple=True,
+            show_default=False,
+        ),
+    ] = None
+    curvature_opacity: Annotated[
+        tuple[float, ...] | None,
+        Parameter(
+            help="Opacity by how isosurfaces bend, too: points, curvature factor curvature factor ..., per world unit.",
+            consume_multiple=True,
+            show_default=False,
         ),
     ] = None
     clip: Annotated[_Six | None, Parameter(help="Show only this box: two corners, x y z x y z, in world units.")] = None
@@ -446,7 +473,7 @@ class Look:
 
     def of_scene(self, volume: clvol.Volume) -> dict[str, Any]:
         """The same for a scene, whose first medium has the transfer function."""
-        given: dict[str, Any] = {name: getattr(self, name) for name in _PLAIN}
+        given: dict[str, Any] = {name: getattr(self, name) for name in _PLAIN} | self.factors()
         given |= {"clip": self.cuts() or None}
         given |= {"camera": self.camera(volume), "mode": self.mode, "step": self.step, "background": self.background}
         given = {name: value for name, value in given.items() if value is not None}
@@ -464,12 +491,18 @@ class Look:
 
     def words(self) -> dict[str, Any]:
         """The transfer function in words, as `clvol.render` takes it."""
-        given = {"preset": self.preset, "window": self.window, "cmap": self.cmap, "opacity": self.opacity_points()}
+        seen = opacity_points("opacity", self.opacity)
+        given = {"preset": self.preset, "window": self.window, "cmap": self.cmap, "opacity": seen}
+        return {name: value for name, value in given.items() if value is not None}
+
+    def factors(self) -> dict[str, Any]:
+        """Factors of opacity, as `clvol.render` takes them."""
+        given = {name: opacity_points(name, getattr(self, name)) for name in FACTORS}
         return {name: value for name, value in given.items() if value is not None}
 
     def require_heard(self, mode: Mode, outputs: Sequence[str]) -> None:
         """Raise `OptionError` if an option changes nothing in a mode and in these outputs."""
-        given = self.words() | {name: getattr(self, name) for name in _PLAIN}
+        given = self.words() | {name: getattr(self, name) for name in _PLAIN} | self.factors()
         reasons = unheard(mode, given, outputs)
         if mode.stretches and self.step != Look.step:
             reasons["step"] = "surfaces are exact, and take no samples"
@@ -511,13 +544,15 @@ class Look:
         spread = clvol.TransferFunction.from_cmap(words.pop("cmap", "gray"), self.value_range)
         return replace(look_of(volume, self.mode, **words), colors=spread.colors)
 
-    def opacity_points(self) -> float | tuple[tuple[float, float], ...] | None:
-        """The opacity as `clvol.render` takes it."""
-        if self.opacity is None or len(self.opacity) == 1:
-            return None if self.opacity is None else self.opacity[0]
-        if len(self.opacity) % 2:
-            raise OptionError(f"--opacity takes one number, or pairs of a value and an opacity; got {len(self.opacity)} numbers")
-        return tuple(zip(self.opacity[0::2], self.opacity[1::2], strict=True))
+
+def opacity_points(name: str, given: tuple[float, ...] | None) -> float | tuple[tuple[float, float], ...] | None:
+    """An opacity, or factors of it, as `clvol.render` takes them."""
+    if given is None or len(given) == 1:
+        return None if given is None else given[0]
+    if len(given) % 2:
+        flag = f"--{name.replace('_', '-')}"
+        raise OptionError(f"{flag} takes one number, or pairs of a value and an opacity; got {len(given)} numbers")
+    return tuple(zip(given[0::2], given[1::2], strict=True))
 
 
 @Parameter(name="*", group=_LOOK)

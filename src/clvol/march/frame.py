@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.errors import OptionError
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device import Tile
 from clvol.filter.filter import MAX_TAPS
@@ -20,6 +22,8 @@ from clvol.march.rails import RAILS, Rails
 from clvol.march.shadow import LIT
 from clvol.scene.camera import Viewpoint
 from clvol.scene.clip import CLIP, clip_block
+from clvol.scene.factor import FACTORS, factors_block
+from clvol.scene.joint import JOINT, joint_block
 from clvol.scene.light import LIGHTS, Material, lights_block
 from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, outlined
 from clvol.scene.scene import Medium
@@ -90,6 +94,8 @@ def frame_block(mode: Block) -> tuple[Block, str]:
         planes=Planes.BLOCK,
         rails=RAILS,
         transfer=TransferFunction.BLOCK,
+        factors=FACTORS,
+        joint=JOINT,
         material=Material.BLOCK,
         lights=LIGHTS,
         colored=COLORED,
@@ -214,6 +220,7 @@ class Frame:
             "BLOCK": BLOCK * self.coefficients.filter.scale,
             "SLAB": SLAB,
             "FINISHED_THERE": int(mode.finished_there),
+            "GRADED": self.transfer.graded,
             "WINDOWED": int(windowed),
             "SEVERAL": int(self.several),
             "ADDED": int(added),
@@ -308,6 +315,12 @@ class Subject:
         if transfer.unit_distance is None:
             transfer = replace(transfer, unit_distance=volume.mean_spacing)
         block, _ = frame_block(mode.BLOCK)
+        if transfer.curvature_opacity and coefficients.filter.continuity < 1:
+            raise OptionError(
+                f"curvature_opacity takes a filter with continuous slopes, such as bspline3; got {coefficients.filter.name}"
+            )
+        slope = medium.gradient_scale(stored, unit)  # of kernels, for 1 of stored values in the world ...
+        steepness = math.ldexp(slope, -stored.exponent)  # ... and of the data
         table, colored = look.transfer.table(shown), np.zeros((), COLORED.dtype)
         if medium.color_by is not None:
             assert self.other is not None
@@ -322,12 +335,14 @@ class Subject:
             planes=rails.planes.block(),
             rails=rails.block(volume, view, width, height, aspect),
             transfer=transfer.block(unit, shown),
+            factors=factors_block(((transfer.gradient_opacity, steepness), (transfer.curvature_opacity, 1.0))),
+            joint=joint_block(transfer, stored, steepness),
             colored=colored,
             lit=lit,
             material=medium.material.block(),
             lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
-            minmax=minmax_block(minmax, volume, margin),
+            minmax=minmax_block(minmax, volume, margin, slope),
             window=np.zeros((), WINDOW.dtype),
             gaps=gaps_block(self.gaps),
             picture=PICTURE(

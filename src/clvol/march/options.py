@@ -18,11 +18,11 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.light import casts
-from clvol.scene.look import look
+from clvol.scene.look import graded, look
 from clvol.scene.mode import BY_LABEL, as_mode, colored_by, require_heard
 from clvol.scene.preset import as_preset
 from clvol.scene.scene import Medium
-from clvol.scene.transfer import WORDS
+from clvol.scene.transfer import FACTORS, WORDS
 from clvol.volume.histogram import matter_of
 from clvol.volume.provenance import sum_of
 from clvol.volume.smoothing import filter_for
@@ -99,6 +99,13 @@ class LookOptions(TypedDict, total=False):
         name of a colour map, and how opaque: a factor, or pairs of a value and an opacity. Each changes what it names of the
         mode's own look, and may be given with the others, but not beside `transfer`. Surfaces have none of them, projections
         no opacity.
+    gradient_opacity : float, or sequence of (magnitude, factor)
+        Opacity by the gradient, too, so that boundaries stand out from even matter: of "composite". A number, 0 to 1, says how
+        much of the opacity is missing where the function is flat: 0 none, with 1 only edges are seen; what is flat and what is
+        an edge is found from the samples. Points are factors of opacity, 0 to 1, by the magnitude of the gradient, in units of the
+        data per world unit. They stand beside any transfer function, and multiply its opacity.
+    curvature_opacity : sequence of (curvature, factor)
+        The same by how isosurfaces bend: by the larger magnitude of the principal curvatures, per world unit.
     lights, background, clip
         In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or cuts, None for none.
     shadow, occlusion
@@ -118,6 +125,8 @@ class LookOptions(TypedDict, total=False):
     window: tuple[float, float] | None
     cmap: str | None
     opacity: float | Sequence[tuple[float, float]] | None
+    gradient_opacity: float | Sequence[tuple[float, float]] | None
+    curvature_opacity: Sequence[tuple[float, float]] | None
     material: Material | None
     lights: Light | Sequence[Light] | None
     background: Sequence[float] | str | EllipsisType | None
@@ -308,7 +317,7 @@ def unheard(
     """
     given = {name: value for name, value in options.items() if name in KEYWORDS and value is not None}
     found = {name: reason for name, reason in mode.unheard.items() if name in given}
-    if {"normal", "uncertainty"} & set(outputs):  # which are gradients in all modes
+    if {"normal", "uncertainty"} & set(outputs) or "gradient_opacity" in given.keys() - found:  # which are gradients in all modes
         found.pop("gradient", None)
     if colored:
         found.pop("color_bar", None)  # which shows those colours
@@ -471,6 +480,10 @@ class ResolvedLook:
         if scene.shadow and mode.shaded:
             scene = _with_still_lights(scene, leading or preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)
+        factors: dict[str, Any] = medium.factors | {name: given for name in FACTORS if (given := options.get(name)) is not None}
+        if transfer.graded or factors:
+            _require_gradable(shown, medium, scene, transfer, factors)
+            transfer = graded(transfer, preview, **factors)
         given = None if shown is mode else mode
         seen = shown.settled(preview), scene, transfer
         return cls(camera, *seen, gradient == "central", bool(skipping), preview, unsettled=given)
@@ -479,7 +492,7 @@ class ResolvedLook:
     def _of_several(
         cls, scene: Scene, part_of: Callable[[Medium], Previewed], camera: Camera | None, mode: Mode, options: RefineOptions
     ) -> ResolvedLook:
-        own = [name for name in ("transfer", *WORDS, "material") if options.get(name) is not None]
+        own = [name for name in ("transfer", *WORDS, *FACTORS, "material") if options.get(name) is not None]
         if own:
             raise OptionError(f"{' and '.join(own)} must be left to the media of a scene of several: Medium(..., {own[0]}=...)")
         if mode.shows in ("matter", "surface") and scene.mix != "add":
@@ -548,7 +561,7 @@ def _rank(medium: Medium, transfer: TransferFunction, preview: Volume) -> tuple[
     own = medium.material, *medium.reconstruction, cuts_of(medium.clip), medium.surfaces
     other = medium.color_by
     by = _rank(other, other.transfer, other.volume) if other and other.transfer else ()
-    look = repr((transfer.colors, transfer.opacities, transfer.unit_distance, *own, by))
+    look = repr((transfer, transfer.opacities, *own, by))
     return place, look, sum_of(preview)
 
 
@@ -560,6 +573,17 @@ def transfer_of(preview: Volume, mode: Mode, options: Mapping[str, Any]) -> Tran
     if given and transfer is not None:
         raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")
     return look(preview, mode, **words) if given else transfer
+
+
+def _require_gradable(mode: Mode, medium: Medium, scene: Scene, transfer: TransferFunction, factors: Mapping[str, Any]) -> None:
+    """Raise `OptionError` if a medium's opacity cannot depend on more than the value."""
+    what = " and ".join(factors) or ("gradient_opacity", "curvature_opacity", "a TransferFunction2D")[min(transfer.graded // 2, 2)]
+    if not mode.grades:
+        raise OptionError(f"{what} changes nothing in {mode.name}: it is of matter, in composite; leave it out")
+    if medium.volume.is_labels:
+        raise OptionError(f"{what} changes nothing of labels: they are names, which have no slopes; leave it out")
+    if mode.shaded and (dark := [name for name in ("shadow", "occlusion") if getattr(scene, name)]):
+        raise OptionError(f"{' and '.join(dark)} must be left out beside {what}: light is stopped by values alone")
 
 
 def _with_still_lights(scene: Scene, preview: Volume) -> Scene:

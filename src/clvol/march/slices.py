@@ -244,6 +244,8 @@ def section(
     window, cmap, transfer = options.get("window"), options.get("cmap"), options.get("transfer")
     if transfer is not None:
         instance("transfer", transfer, TransferFunction)
+        if transfer.graded:
+            raise OptionError("transfer of slices must be by values alone: gradients and curvatures are of matter, in composite")
         if window is not None or cmap is not None:
             raise OptionError("transfer must be left out where window or cmap say what it is; got both")
     background = options.get("background", (0.0, 0.0, 0.0))

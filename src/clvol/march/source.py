@@ -251,7 +251,7 @@ class InMemory(OneMedium):
 
     def __init__(self, scene: Scene, field: Field, preview: Volume, arguments: tuple[Any, ...]) -> None:
         super().__init__(scene, field, preview, arguments)
-        self.pyramids: dict[tuple[Filter, Evaluator, bool], MinMax] = {}
+        self.pyramids: dict[tuple[Filter, Evaluator, bool, bool], MinMax] = {}
         self._gaps = None if field.gaps is None else Gaps(field.gaps.volume.data, field.device)
         if self._gaps is not None:
             self.lease.frees(self._gaps.release)
@@ -300,7 +300,8 @@ class InMemory(OneMedium):
             require_direct(field.device, "regions of labels are")
             require_labels(look.scene.media[0].volume)
         evaluator = DIRECT if names else choose_evaluator(field.device, field.filter, bits=_BITS)
-        pyramid = self._pyramid(field, evaluator, names) if look.skipping and look.mode.skips else None
+        slopes = look.transfer.graded & 5 > 0 and not look.central and field.filter.has_gradient
+        pyramid = self._pyramid(field, evaluator, names, slopes) if look.skipping and look.mode.skips else None
         own = look.of_values(field.coefficients.volume)
         parts = field.coefficients, pyramid, evaluator, self._gaps, self._other(look), lit(look)
         return Seen(Subject(own, *parts), field, None)
@@ -308,11 +309,11 @@ class InMemory(OneMedium):
     def body(self, look: ResolvedLook, edge: float) -> Body:  # noqa: ARG002
         return Body.of(self.function(look.mode).coefficients, Matter.of(look), self._gaps)
 
-    def _pyramid(self, field: Field, evaluator: Evaluator, names: bool) -> MinMax:
+    def _pyramid(self, field: Field, evaluator: Evaluator, names: bool, slopes: bool) -> MinMax:
         with self._lock:
-            key = field.filter, evaluator, names
+            key = field.filter, evaluator, names, slopes
             if key not in self.pyramids:
-                self.pyramids[key] = MinMax(field.coefficients, evaluator, names=names)
+                self.pyramids[key] = MinMax(field.coefficients, evaluator, names=names, slopes=slopes)
                 self.lease.frees(self.pyramids[key].release)
             return self.pyramids[key]
 

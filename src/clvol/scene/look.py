@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,9 +15,10 @@ from clvol.base.errors import OptionError
 from clvol.scene.mode import Mode, as_mode
 from clvol.scene.preset import as_preset, unit_of
 from clvol.scene.transfer import TransferFunction, is_curve
+from clvol.volume.histogram import slopes_of
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["look", "seen_through"]
+__all__ = ["graded", "look", "seen_through"]
 
 
 def look(
@@ -80,6 +82,30 @@ def seen_through(transfer: TransferFunction, opacity: object) -> TransferFunctio
         return transfer.with_opacity(opacity)  # type: ignore[arg-type]  # __post_init__ checks it
     factor = number("opacity", opacity, minimum=0)
     return transfer.with_opacity([(value, min(1.0, factor * share)) for value, share in transfer.opacities])
+
+
+def graded(
+    transfer: TransferFunction,
+    volume: Volume,
+    *,
+    gradient_opacity: float | Sequence[tuple[float, float]] | None = None,
+    curvature_opacity: Sequence[tuple[float, float]] | None = None,
+) -> TransferFunction:
+    """A copy whose opacity has factors by the gradient, and by curvature; None leaves them as they are.
+
+    Of one number, 0 to 1, the factor rises with the magnitude of the gradient: from what is left of 1 where matter is even, to 1 at
+    its boundaries, as `clvol.volume.histogram.slopes_of` finds both.
+    """
+    changes: dict[str, Any] = {}
+    if gradient_opacity is not None and is_curve(gradient_opacity):
+        changes["gradient_opacity"] = gradient_opacity
+    elif gradient_opacity is not None:
+        share = number("gradient_opacity", gradient_opacity, minimum=0, maximum=1)
+        even, steep = slopes_of(volume)
+        changes["gradient_opacity"] = ((even, 1 - share), (steep, 1.0)) if share else None
+    if curvature_opacity is not None:
+        changes["curvature_opacity"] = curvature_opacity
+    return replace(transfer, **changes) if changes else transfer
 
 
 def _ends(window: object) -> tuple[float, float]:

@@ -110,6 +110,8 @@ class Mode:
         The share of that range over which it does.
     regions : bool
         Whether it shows the smooth regions of labels: the value of a place is the label of its region.
+    grades : bool
+        Whether opacity may depend on more than the value: on the gradient, and on curvature.
     """
 
     name: ClassVar[str]
@@ -124,6 +126,7 @@ class Mode:
     seeks: ClassVar[Literal["largest", "smallest", "any"]] = "any"
     ramp: ClassVar[float] = 1.0
     regions: ClassVar[bool] = False
+    grades: ClassVar[bool] = False
     BLOCK: ClassVar[Block] = Block("mode_block")
 
     @property
@@ -150,7 +153,10 @@ class Mode:
     def unheard(self) -> Mapping[str, str]:
         """Options, of pictures and its own, that change no colour of its pictures, each with the reason."""
         of_light = ("material", "lights", "shadow", "occlusion", "gradient")
-        return {} if self.shaded else dict.fromkeys(of_light, "nothing is shaded")
+        of_matter = (
+            {} if self.grades else dict.fromkeys(("gradient_opacity", "curvature_opacity"), "they are of matter, in composite")
+        )
+        return of_matter if self.shaded else of_matter | dict.fromkeys(of_light, "nothing is shaded")
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002  # most cannot decide
         """Whether values from `low` to `high`, in units of the data, can affect a picture; if not, bricks are skipped."""
@@ -241,6 +247,7 @@ class Composite(Mode):
 
     name: ClassVar[str] = "composite"
     description: ClassVar[str] = "emission and absorption, front to back"
+    grades: ClassVar[bool] = True
     state_fields: ClassVar[int] = 6
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "matter"
     BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT, cap=INT, between=INT)

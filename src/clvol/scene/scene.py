@@ -22,9 +22,10 @@ from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 from clvol.interop.dispatch import is_in_parts
 from clvol.scene.clip import Box, Clip, as_clip, joined
+from clvol.scene.factor import as_factors
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.mode import Mode, Regions, Surfaces
-from clvol.scene.transfer import WORDS, TransferFunction
+from clvol.scene.transfer import FACTORS, WORDS, TransferFunction, is_curve
 from clvol.volume.provenance import note_masked
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume, masked
@@ -75,6 +76,8 @@ class Medium:
         slice of what is cut there; media that go on in front of it or behind it stay as they are.
     preset, window, cmap, opacity : optional
         The transfer function in words instead, as of `clvol.render`, each mode's own.
+    gradient_opacity, curvature_opacity : float, or sequence of (number, factor), optional
+        Factors of the transfer function's opacity, as of `clvol.render`: for "composite".
     surfaces : sequence of (value, color, opacity) or str, optional
         Isosurfaces instead of its matter, as of `clvol.Surfaces`, in and among the other media of a "composite"; within a step they
         mix with matter.
@@ -116,6 +119,8 @@ class Medium:
     window: tuple[float, float] | None = None
     cmap: str | None = None
     opacity: float | Sequence[tuple[float, float]] | None = None
+    gradient_opacity: float | Sequence[tuple[float, float]] | None = None
+    curvature_opacity: Sequence[tuple[float, float]] | None = None
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
     color_by: Medium | None = None
     smooth: bool = False
@@ -150,10 +155,15 @@ class Medium:
             if self.words:
                 raise OptionError(f"transfer must be left out where {' and '.join(self.words)} say what it is; got both")
         instance("material", self.material, Material)
+        for name, given in self.factors.items():
+            if is_curve(given) or name == "curvature_opacity":
+                object.__setattr__(self, name, as_factors(name, given))
+            else:
+                object.__setattr__(self, name, number(name, given, minimum=0, maximum=1))
         if self.surfaces is not None:
             object.__setattr__(self, "surfaces", Surfaces(self.surfaces).surfaces)
-            if self.transfer is not None or self.words:
-                given = " and ".join(self.words or ("transfer",))
+            if self.transfer is not None or self.words or self.factors:
+                given = " and ".join({**self.words, **self.factors} or ("transfer",))
                 raise OptionError(f"surfaces of a medium have colours of their own: {given} must be left out")
         if self.clip is not None:
             object.__setattr__(self, "clip", as_clip(self.clip))
@@ -174,7 +184,7 @@ class Medium:
             object.__setattr__(self, "color_by", _coloring(self.color_by, self.volume))
         instance("smooth", self.smooth, bool, np.bool_)
         if self.smooth:
-            each = ("surfaces", self.surfaces), ("color_by", self.color_by), ("mask", mask)
+            each = *(("surfaces", self.surfaces), ("color_by", self.color_by), ("mask", mask)), *self.factors.items()
             if own := [name for name, value in each if value is not None]:
                 raise OptionError(f"smooth shows the regions of labels, in colours of their own, and takes no {' and '.join(own)}")
 
@@ -182,6 +192,11 @@ class Medium:
     def words(self) -> dict[str, Any]:
         """The transfer function in words: arguments of `clvol.scene.look.look`; nothing where it is not given in words."""
         return {name: value for name in WORDS if (value := getattr(self, name)) is not None}
+
+    @property
+    def factors(self) -> dict[str, Any]:
+        """Factors of opacity that are given: arguments of `clvol.scene.look.graded`."""
+        return {name: value for name in FACTORS if (value := getattr(self, name)) is not None}
 
     @property
     def beyond_words(self) -> tuple[str, ...]:
@@ -225,25 +240,29 @@ class Medium:
         `unit` is their unit of length in world units; by default the mean spacing.
         """
         volume = self.volume
-        low, high = (float(v) for v in stored(volume.value_range))
-        unit, inverse = unit or volume.mean_spacing, volume.world_to_index_matrix
-        first, last = self.domain
-        # The unit of gradients lets float32 hold their squares, from 2¹³ times the largest value per voxel, more than any
-        # filter gives, down to 2⁻¹¹² of it: one voxel may be 1e30 times as bright as all visible matter.
-        largest = max(high - low, high, -low)
-        gradient = inverse / max(1e-5 * largest / unit, 1e-36 * float(np.abs(inverse).max()))
-        steepest = float(np.linalg.norm(gradient, 2))
-        exponent = min(50 - math.log2(steepest * max(largest, 1e-100)), 120 - math.log2(steepest))  # a power of two is exact
-        gradient, steepest = gradient * 2.0 ** math.floor(exponent), steepest * 2.0 ** math.floor(exponent)
+        unit, (first, last) = unit or volume.mean_spacing, self.domain
+        scale = self.gradient_scale(stored, unit)
         return self.BLOCK(
             index_to_world=volume.index_to_world_matrix.ravel() / unit,
-            gradient=gradient.ravel(),
+            gradient=(volume.world_to_index_matrix * scale).ravel(),
             center=(np.asarray(volume.size) - 1) / 2,
             low=first,
             high=last,
             unit=unit,
-            rounding=ROUNDING * steepest,
+            rounding=ROUNDING * scale * float(np.linalg.norm(volume.world_to_index_matrix, 2)),
         )
+
+    def gradient_scale(self, stored: Stored, unit: float) -> float:
+        """What kernels multiply gradients by, which are in stored units per world unit."""
+        low, high = (float(v) for v in stored(self.volume.value_range))
+        inverse = self.volume.world_to_index_matrix
+        # The unit of gradients lets float32 hold their squares, from 2¹³ times the largest value per voxel, more than any
+        # filter gives, down to 2⁻¹¹² of it: one voxel may be 1e30 times as bright as all visible matter.
+        largest = max(high - low, high, -low)
+        scale = 1 / max(1e-5 * largest / unit, 1e-36 * float(np.abs(inverse).max()))
+        steepest = scale * float(np.linalg.norm(inverse, 2))
+        exponent = min(50 - math.log2(steepest * max(largest, 1e-100)), 120 - math.log2(steepest))  # a power of two is exact
+        return float(scale * 2.0 ** math.floor(exponent))
 
 
 @suggests_options
@@ -422,6 +441,8 @@ def _coloring(given: Any, volume: Volume) -> Medium:
     made = as_medium(given)
     if is_in_parts(made.volume):
         raise OptionError("color_by takes a volume in memory; got one that is read by bricks: give its whole()")
+    if made.factors or (made.transfer is not None and made.transfer.graded):
+        raise OptionError("color_by takes a medium whose opacity is by value alone, without gradient_opacity and the like")
     if made.beyond_words or not made.visible or made.material != Material():
         raise OptionError(
             "color_by takes a medium without clip, surfaces, smooth, material and color_by of its own, and a visible one"

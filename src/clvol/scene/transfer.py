@@ -17,14 +17,18 @@ from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import exponent_of, scaled, unscaled
 from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.scene.factor import Factors, as_factors
 from clvol.scene.preset import as_preset, automatic, unit_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["WORDS", "TransferFunction", "is_curve"]
+__all__ = ["FACTORS", "WORDS", "TransferFunction", "is_curve"]
 
 WORDS = ("preset", "window", "cmap", "opacity")
 """Words by which a transfer function may be given: arguments of `clvol.scene.look.look`."""
+
+FACTORS = ("gradient_opacity", "curvature_opacity")
+"""Factors of the opacity of any transfer function: arguments of `clvol.scene.look.graded`."""
 
 _CELLS = 1024  # largest number of cells in a table of equal nodes, and of buckets for looking up pieces
 _ON_NODE = 1e-5  # tolerance for a point on a node, relative to a cell
@@ -50,6 +54,10 @@ class TransferFunction:
         Opacity, 0..1, of matter with a thickness of one `unit_distance`.
     unit_distance : float, optional
         World length that opacities refer to; None: the mean spacing of the volume.
+    gradient_opacity, curvature_opacity : sequence of (number, factor), optional
+        Factors of opacity, 0..1, by how steep the function is at a place (the magnitude of its gradient, in units of the data per
+        world unit), and by how its isosurface bends there (the larger magnitude of the principal curvatures, per world unit). Up to
+        16 points each, in ascending order. They are for "composite".
 
     Notes
     -----
@@ -61,6 +69,8 @@ class TransferFunction:
     colors: tuple[tuple[float, tuple[float, float, float]], ...]
     opacities: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
     unit_distance: float | None = None
+    gradient_opacity: Factors | None = None
+    curvature_opacity: Factors | None = None
 
     BLOCK: ClassVar[Block] = Block(
         "transfer_block", low=FLOAT, scale=FLOAT, last=FLOAT, per_unit_distance=FLOAT, pieces=INT, halvings=INT
@@ -77,6 +87,9 @@ class TransferFunction:
             raise OptionError(f"opacities must be in 0..1; got {[a for _, a in opacities]}")
         if self.unit_distance is not None:
             object.__setattr__(self, "unit_distance", number("unit_distance", self.unit_distance, above=0))
+        for name in FACTORS:
+            if (points := getattr(self, name)) is not None:
+                object.__setattr__(self, name, as_factors(name, points))
         object.__setattr__(self, "colors", colors)
         object.__setattr__(self, "opacities", opacities)
 
@@ -155,6 +168,11 @@ class TransferFunction:
         volume = as_volume(volume)
         return cls(*as_preset(name).points(volume), unit_of(volume))
 
+    @property
+    def graded(self) -> int:
+        """What opacity depends on beside the value, as a sum: 1 the gradient, 2 curvature, 4 value and gradient together."""
+        return (self.gradient_opacity is not None) + 2 * (self.curvature_opacity is not None)
+
     @cached_property
     def value_range(self) -> tuple[float, float]:
         """The smallest and the largest value of all points."""
@@ -162,7 +180,7 @@ class TransferFunction:
         return min(values), max(values)
 
     def __call__(self, values: ArrayLike) -> NDArray[np.float64]:
-        """Red, green, blue and opacity at `values`; shape (..., 4), exact."""
+        """Red, green, blue and opacity at `values`, without factors of opacity; shape (..., 4), exact."""
         exponent = exponent_of(*self.value_range)
         v = scaled(reals("values", values), exponent)
         rgb, at = np.array([p[1] for p in self.colors]), scaled([p[0] for p in self.colors], exponent)

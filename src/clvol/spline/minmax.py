@@ -39,7 +39,16 @@ Cell: TypeAlias = tuple[int, int, int]
 BLOCK = 4  # samples along an edge of a finest block
 MAX_LEVELS = 12
 MAX_SIDES = 8  # values, of side_cells
-MINMAX = Block("minmax_block", margin=FLOAT, skipping=INT, levels=INT, blocks=(INT, 3), level_at=(INT, MAX_LEVELS))
+MINMAX = Block(
+    "minmax_block",
+    margin=FLOAT,
+    skipping=INT,
+    levels=INT,
+    blocks=(INT, 3),
+    level_at=(INT, MAX_LEVELS),
+    slopes_at=INT,  # where bounds of slopes begin; 0: there are none
+    slope_scale=FLOAT,
+)
 _HULL_TAPS, _HULL_DEGREE = 6, 5  # wider filters would have thousands of control points for each cell
 _EPSILON = 2.0**-23
 _PAD_LIMIT = 0.01
@@ -97,6 +106,7 @@ def _defines(filter: Filter, blur: float, names: bool) -> DefineDict:
         "LEBESGUE": lebesgue**3,
         "PAD_SIZE": pad,
         "PAD_SPREAD": 3 * blur * lebesgue**2,
+        "STEEP_PAD": 6.0 * max(1, degree),  # differences of two control points, and gradients as sums of taps
         "PAD_TINY": _TINIEST * 4 * (taps + 2) * (1 + lebesgue + lebesgue**2 + hull + hull**2),
         "LANES": LANES,
         "COORD_DOUBLE": 0,
@@ -111,11 +121,19 @@ class MinMax:
 
     `buffer` holds (min, max) as float2 for every block, [z, y, x], the finest level first; `offsets` are the starts of the levels
     in it, in blocks. `blocks` are those along (x, y, z) on the finest level; halved, rounded up, on each next level. `first` is
-    the first cell. `names`: bounds are of the names among the taps, exactly.
+    the first cell. `names`: bounds are of the names among the taps, exactly. `slopes`: behind all levels are the same levels of
+    (min, max) of the magnitudes of gradients times the volume's mean spacing, from `slopes_at` on; 0 if the filter or the evaluator
+    gives no bounds of them.
     """
 
     def __init__(
-        self, coefficients: Coefficients, evaluator: Evaluator, part: tuple[Cell, Cell] | None = None, *, names: bool = False
+        self,
+        coefficients: Coefficients,
+        evaluator: Evaluator,
+        part: tuple[Cell, Cell] | None = None,
+        *,
+        names: bool = False,
+        slopes: bool = False,
     ) -> None:
         self.coefficients = coefficients
         device, scale, support = coefficients.device, coefficients.filter.scale, coefficients.filter.support
@@ -134,18 +152,23 @@ class MinMax:
         self.blocks, self._coarsest = sizes[0], sizes[-1]
         counts = [math.prod(size) for size in sizes]
         self.offsets = tuple(int(n) for n in np.cumsum([0, *counts[:-1]]))
-        self.buffer = device.buffers.allocate(8 * sum(counts))
         defines = _defines(coefficients.filter, blur, names)
-        self._built, self._hull = device.build("spline/minmax.cl", defines), bool(defines["HULL"])
+        self._hull = bool(defines["HULL"])
+        self.slopes_at = sum(counts) if slopes and self._hull and coefficients.filter.degree > 0 and not evaluator.paired else 0
+        self.buffer = device.buffers.allocate(8 * (sum(counts) + self.slopes_at))
+        self._built = device.build("spline/slopes.cl" if self.slopes_at else "spline/minmax.cl", defines)
         self._lock = threading.RLock()  # a signal handler may re-enter
         self._sides: tuple[tuple[float, ...], Any] | None = None
         try:
             self._over_blocks("minmax_cells", self.buffer)
-            levels = [np.array([*size, at], np.int32) for size, at in zip(sizes, self.offsets, strict=True)]
-            with device.errors:
-                merge = self._built.kernel("minmax_blocks")
-                for finer, coarser in itertools.pairwise(levels):
-                    merge(device.queue, tuple(int(n) for n in coarser[1:3]), device.alone(2), self.buffer, finer, coarser)
+            if self.slopes_at:
+                self._over_blocks("slope_cells", self.buffer, np.int32(self.slopes_at), _metric(coefficients))
+            for begin in {0, self.slopes_at}:
+                levels = [np.array([*size, begin + at], np.int32) for size, at in zip(sizes, self.offsets, strict=True)]
+                with device.errors:
+                    merge = self._built.kernel("minmax_blocks")
+                    for finer, coarser in itertools.pairwise(levels):
+                        merge(device.queue, tuple(int(n) for n in coarser[1:3]), device.alone(2), self.buffer, finer, coarser)
             device.finish()
         except BaseException:
             self.release()
@@ -209,18 +232,38 @@ class MinMax:
         release(self.coefficients.device, *memory)
 
 
+def _metric(coefficients: Coefficients) -> NDArray[np.float32]:
+    """The products of gradients along the axes of the stored grid, xx, yy, zz, and the magnitudes of xy, xz, yz, of `MinMax`."""
+    volume = coefficients.volume
+    across = volume.world_to_index_matrix * (volume.mean_spacing * coefficients.filter.scale)
+    products = across @ across.T
+    aside = np.abs([products[0, 1], products[0, 2], products[1, 2]])
+    return np.array([*np.diag(products), *aside, 0, 0], np.float32)
+
+
 def bytes_beside(shape: tuple[int, ...]) -> int:
     """An upper bound of the bytes of the pyramid for `shape` stored coefficients, and of the cached sides of a surface."""
     cells = math.prod(shape)
     return cells * 8 // BLOCK**3 * 8 // 7 + cells // 4
 
 
-def minmax_block(minmax: MinMax | None, volume: Volume, rounding: float) -> Values:
-    """The ray loop's parameters of a volume's pyramid; without one it skips nothing. Positions err by less than `rounding`."""
+def minmax_block(minmax: MinMax | None, volume: Volume, rounding: float, slope: float = 0.0) -> Values:
+    """The ray loop's parameters of a volume's pyramid; without one it skips nothing. Positions err by less than `rounding`.
+
+    `slope` is what the loop multiplies gradients by, which are in stored units per world unit.
+    """
     if minmax is None:
-        return MINMAX(margin=0.0, skipping=0, levels=0, blocks=0, level_at=0)
+        return np.zeros((), MINMAX.dtype)
     level_at = np.zeros(MAX_LEVELS, np.int32)
     level_at[: len(minmax.offsets)] = minmax.offsets
     # rounding errors of positions are up to a few millionths of the volume's size; the rest is reserve
     margin = max(0.01 + 1e-6 * max(volume.size), rounding)
-    return MINMAX(margin=margin, skipping=1, levels=len(minmax.offsets), blocks=minmax.blocks, level_at=level_at)
+    return MINMAX(
+        margin=margin,
+        skipping=1,
+        levels=len(minmax.offsets),
+        blocks=minmax.blocks,
+        level_at=level_at,
+        slopes_at=minmax.slopes_at,
+        slope_scale=slope / volume.mean_spacing,
+    )

@@ -21,7 +21,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import Corner, Plane
 from clvol.scene.light import Light, Material
 from clvol.scene.mode import as_mode
-from clvol.scene.transfer import TransferFunction
+from clvol.scene.transfer import FACTORS, TransferFunction
 from clvol.view import media
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
 from clvol.view.resident import Resident
@@ -33,7 +33,15 @@ _PREFIX = "#s="
 _READS_ALL = ast.dump(ast.parse("clvol.read_all", mode="eval").body)
 _LONGEST = 1 << 18  # characters
 _WIDE = 110  # characters per line
-_UNHEARD = (*WORDS, "shadow", "occlusion", "gradient", "pixel-filter", "color-bar")  # flags that some mode or filter does not have
+_UNHEARD = (
+    *WORDS,
+    "gradient-opacity",
+    "shadow",
+    "occlusion",
+    "gradient",
+    "pixel-filter",
+    "color-bar",
+)  # flags that some mode or filter does not have
 
 
 # -- Python --------------------------------------------------------------------------------------------------
@@ -120,7 +128,11 @@ def _drawn(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     words |= _device(resident)
     scene = "volume"
     if resident.catalog.media or resident.beyond:
-        own = [f"{key}={_text(words.pop(key))}" for key in ("filter", "boundary", "transfer", *WORDS, "material") if key in words]
+        own = [
+            f"{key}={_text(words.pop(key))}"
+            for key in ("filter", "boundary", "transfer", *WORDS, *FACTORS, "material")
+            if key in words
+        ]
         own += [f"{key}=first.{key}" for key in resident.beyond]
         hidden = resident.catalog.media and not media.of_state(resident.catalog.media, state)[0].visible
         own += ["visible=False"] if hidden else []
@@ -199,8 +211,9 @@ def _camera(camera: Camera) -> str:
 
 def _text(value: Any) -> str:
     if isinstance(value, TransferFunction):
-        unit = "" if value.unit_distance is None else f", unit_distance={value.unit_distance!r}"
-        return f"clvol.TransferFunction({value.colors!r}, {value.opacities!r}{unit})"
+        more = {name: getattr(value, name) for name in ("unit_distance", *FACTORS)}
+        said = "".join(f", {name}={part!r}" for name, part in more.items() if part is not None)
+        return f"clvol.TransferFunction({value.colors!r}, {value.opacities!r}{said})"
     if isinstance(value, Light):
         return f"clvol.Light({value.direction!r}, {value.color!r}, {value.frame!r})"
     if isinstance(value, Plane | Corner):
@@ -277,6 +290,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "cmap": state.cmap,
         "opacity": state.opacity,
         "window": state.window and list(state.window),
+        "gradient-opacity": state.gradient_opacity or None,
         "shadow": state.shadow or None,
         "occlusion": state.occlusion or None,
         "background": "none" if state.background is None else "#" + "".join(f"{round(255 * v):02x}" for v in state.background),

@@ -20,10 +20,11 @@ from clvol.march.options import KEYWORDS, FurnitureOptions
 from clvol.scene.camera import Camera
 from clvol.scene.clip import as_clip, cuts_of
 from clvol.scene.fit import usual_camera
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.look import look
 from clvol.scene.mode import as_mode, modes
 from clvol.scene.scene import Medium, Scene
-from clvol.scene.transfer import is_curve
+from clvol.scene.transfer import FACTORS, is_curve
 from clvol.show.furniture import Furniture
 from clvol.spline.field import Field
 from clvol.view.finer import Finer, resident_level
@@ -35,7 +36,7 @@ from clvol.volume.volumes import Volumes
 __all__ = ["Opened", "Viewable", "first_state", "opened"]
 
 Viewable: TypeAlias = Scene | Medium | Volume | LazyVolume | Volumes | Field | ArrayLike
-_STATED = ("step", "transfer", *WORDS, "material", "lights", "shadow", "occlusion", "background", "clip")
+_STATED = ("step", "transfer", *WORDS, *FACTORS, "material", "lights", "shadow", "occlusion", "background", "clip")
 
 
 class Opened(NamedTuple):
@@ -113,7 +114,7 @@ def _resident(medium: Medium) -> Medium:
 
 def _of_medium(medium: Medium, options: dict[str, Any]) -> dict[str, Any]:
     """The options, and what the medium has beside its volume."""
-    given = {"material": medium.material} | options
+    given = {"material": medium.material} | medium.factors | options
     if not given.keys() & {"filter", "boundary"}:
         given |= {"filter": medium.filter, "boundary": medium.boundary}
     if not given.keys() & {"transfer", *WORDS}:
@@ -145,7 +146,13 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
         except GeometryError as error:
             raise OptionError(str(error)) from None
         values |= {"clip": cuts.box, "cuts": (*cuts.planes, *cuts.corners)}
-    for name in ("shadow", "occlusion"):
+    if isinstance(values.get("transfer"), TransferFunction2D):
+        raise OptionError("transfer of a view must be a TransferFunction; a TransferFunction2D is of clvol.render")
+    factors = {name: values.pop(name) for name in FACTORS if is_curve(values.get(name))}
+    if factors:
+        transfer = values.get("transfer") or look(volume, chosen, **{name: values.pop(name, None) for name in WORDS})
+        values["transfer"] = replace(transfer, **factors)
+    for name in (*FACTORS, "shadow", "occlusion"):
         if values.get(name) is None:
             values.pop(name, None)
     lights = values.get("lights")

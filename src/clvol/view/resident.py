@@ -117,7 +117,7 @@ class Resident:
         given_by_words = state.transfer is None and labelled(volume, state) is volume
         words: dict[str, Any] = state.words if given_by_words else {"transfer": self.transfer(state)}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
-        words |= {name: getattr(state, name) or None for name in ("shadow", "occlusion")}
+        words |= {name: getattr(state, name) or None for name in ("gradient_opacity", "shadow", "occlusion")}
         if state.cuts:
             words["clip"] = [*([state.clip] if state.clip else []), *state.cuts]
         given |= {name: value for name, value in words.items() if value is not None}
@@ -146,7 +146,11 @@ class Resident:
         if not row.has_gradient:
             left_out |= {"gradient"}
         several = len(self.catalog.media) > 1
-        if "smooth" in self.beyond or any(medium.smooth for medium in self.catalog.media):
+        plain = several or self.catalog.volume_of(state).is_labels or {"surfaces", "smooth"} & set(self.beyond)
+        left_out |= {"gradient_opacity"} if plain else set()
+        transfer = given.get("transfer")
+        smooth = "smooth" in self.beyond or any(medium.smooth for medium in self.catalog.media)
+        if smooth or "gradient_opacity" in given.keys() - left_out or (transfer and transfer.graded):
             left_out |= {"shadow", "occlusion"}
         if (state.clip is None and not state.cuts) or (not several and {"surfaces", "smooth"} & set(self.beyond)):
             left_out |= {"cap"}

@@ -27,7 +27,7 @@ from clvol.scene.light import MAX_LIGHTS, Light, Material
 from clvol.scene.mode import as_mode, heard_options
 from clvol.scene.preset import as_preset
 from clvol.scene.scene import MOST_MEDIA
-from clvol.scene.transfer import WORDS, TransferFunction
+from clvol.scene.transfer import FACTORS, WORDS, TransferFunction
 from clvol.show.furniture import Furniture
 from clvol.volume.volumes import COMPUTED
 
@@ -262,11 +262,12 @@ class _Ends:
 def transfer_json(transfer: TransferFunction) -> dict[str, Any]:
     """A transfer function in JSON."""
     result: dict[str, Any] = {"points": points_of(transfer)}
+    result |= {name: plain(points) for name in FACTORS if (points := getattr(transfer, name)) is not None}
     return result if transfer.unit_distance is None else result | {"unit_distance": transfer.unit_distance}
 
 
 def _transfer_of(what: str, value: object) -> TransferFunction:
-    given = _known(what, value, {"points", "unit_distance"})
+    given = _known(what, value, {"points", "unit_distance", *FACTORS})
     points = given.get("points")
     rule = f"1 to {MOST_POINTS} of [value, [r, g, b], opacity]"
     if not isinstance(points, (list, tuple)) or not 1 <= len(points) <= MOST_POINTS:
@@ -279,7 +280,8 @@ def _transfer_of(what: str, value: object) -> TransferFunction:
         colors.append((at, _color(f"a colour of {what}.points", point[1])))
         opacities.append((at, number(f"an opacity of {what}.points", point[2], minimum=0, maximum=1)))
     try:
-        return TransferFunction(tuple(colors), tuple(opacities), given.get("unit_distance"))
+        factors = {name: given.get(name) for name in FACTORS}
+        return TransferFunction(tuple(colors), tuple(opacities), given.get("unit_distance"), **factors)
     except ClvolError as error:
         raise OptionError(f"{what}: {error}") from None
 
@@ -506,6 +508,8 @@ class State(_Checked):
         `opacity` are not used for the volume's picture.
     preset, window, cmap, opacity
         As for `clvol.render`; slices take `window` and `cmap`.
+    gradient_opacity : float
+        How much of the opacity is missing where the function is flat, 0 to 1.
     lights : tuple of Light, optional
     shadow, occlusion : float
         How dark shadows are, and places that matter surrounds, 0 to 1.
@@ -547,6 +551,7 @@ class State(_Checked):
     cmap: str | None = _of(_named, None, known=partial(TransferFunction.from_cmap, value_range=(0.0, 1.0)))
     opacity: float | None = _of(number, None, minimum=0, maximum=1e6)
     lights: tuple[Light, ...] | None = _of(_lights, None, _lights_of)
+    gradient_opacity: float = _of(number, 0.0, minimum=0, maximum=1)
     shadow: float = _of(number, 0.0, minimum=0, maximum=1)
     occlusion: float = _of(number, 0.0, minimum=0, maximum=1)
     material: Material | None = _part(Material)

@@ -32,6 +32,7 @@ __all__ = [
     "may_be_hounsfield",
     "remember",
     "share",
+    "slopes_of",
     "spread_in",
     "spread_of",
 ]
@@ -74,6 +75,7 @@ _FEW = 8
 _GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
 _DIMMEST = 0.05  # ... while black is no more than this quantile of them ...
 _HALF = 0.5  # ... and takes no more than so much of the range
+_EVENLY, _STEEPLY = 0.5, 0.95  # quantiles of the magnitudes of gradients in matter
 _COUNTED = 1 << 24  # labels that are counted one by one: sorting all samples takes far longer
 _COLUMNS_OF = 1 << 22  # voxels that projections are made of
 
@@ -244,6 +246,31 @@ def labels_in(parts: Iterable[NDArray[Any]], limits: tuple[float, float], dtype:
         counts = np.bincount(places, np.concatenate([some for _, some in found]), len(numbers)).astype(np.int64)
     background = 0.0 if (numbers == 0).any() else float(numbers[int(counts.argmax())])
     return background, numbers
+
+
+@_remembered
+def slopes_of(volume: Volume) -> tuple[float, float]:
+    """How steep even matter is and how steep its boundaries are: magnitudes of gradients, in units of the data per world unit.
+
+    They are the median and a high quantile of those of matter, by differences of neighbouring samples.
+    """
+    matter = matter_of(volume)
+    step = max(1, round((volume.data.size / _SAMPLE) ** (1 / volume.ndim)))
+    ends = [(np.maximum(i - 1, 0), i, np.minimum(i + 1, n - 1)) for n in volume.shape for i in [np.arange(0, n, step)]]
+    middle = [own for _, own, _ in ends]
+    slopes = np.zeros((volume.ndim, *map(len, middle)))
+    for axis, (before, _, after) in enumerate(ends):
+        one, other = (volume.data[np.ix_(*middle[:axis], at, *middle[axis + 1 :])].astype(np.float64) for at in (before, after))
+        apart = np.maximum(after - before, 1).reshape(-1, *[1] * (volume.ndim - 1 - axis))
+        slopes[volume.ndim - 1 - axis] = (other - one) / apart
+    steep = np.sqrt((np.tensordot(volume.world_to_index_matrix.T, slopes, 1) ** 2).sum(0))
+    shown = scaled(volume.data[np.ix_(*middle)], matter.exponent) - matter.origin
+    shown = np.abs(shown) if matter.signed else matter.sign * shown
+    steep = steep[np.isfinite(steep) & (shown >= matter.foot)]
+    if not steep.size:
+        return 0.0, 0.0
+    even, edge = np.quantile(steep, (_EVENLY, _STEEPLY))
+    return float(even), float(edge)
 
 
 @_remembered

@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
 
 from clvol.base.arrays import Array
 from clvol.base.checks import one_of
@@ -32,6 +33,7 @@ from clvol.reference.spline.regions import labels_at, lead_gradient
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Clip, as_clip, cuts_of
 from clvol.scene.fit import fitted, usual_camera
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, Regions, Surfaces, as_mode, mode_options
 from clvol.scene.scene import Medium
@@ -515,6 +517,8 @@ def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
     classified = scene.transfer(np.where(there, values, 0.0))
     rgb, alpha = classified[..., :3], np.where(there, classified[..., 3], 0.0)
     which, k = np.nonzero(alpha > 0)
+    rgb[which, k], alpha[which, k] = _graded(scene, rays.at(t[which, k], which), values[which, k], rgb[which, k], alpha[which, k])
+    which, k = np.nonzero(alpha > 0)
     rgb[which, k] = scene.colored(rays.at(t[which, k], which), rgb[which, k])
     if mode.shading:
         which, k = np.nonzero((alpha > 0) & ~face)
@@ -539,6 +543,28 @@ def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
     at = halved, half[halved].argmax(1)
     depth[halved] = near[at] + np.log(2 * before[at]) / optical[at] * (far - near)[at]
     return np.einsum("nk,nkc->nc", share, rgb), share.sum(1), depth
+
+
+def _graded(scene: _Scene, points: Array, values: Array, rgb: Array, alpha: Array) -> tuple[Array, Array]:
+    """Colours and opacities with all that these depend on beside the value."""
+    transfer = scene.transfer
+    steep = np.linalg.norm(scene.gradient(points), axis=-1) if transfer.graded & 5 else alpha
+    if isinstance(transfer, TransferFunction2D):
+        image = transfer.nodes
+        low, high = image.values
+        ends = np.array(image.shape) - 1
+        place = np.stack([steep / image.steepest, (values - low) / (high - low)])
+        corners = np.moveaxis(image.array.astype(np.float64) * np.where([1, 1, 1, 0], image.array[..., 3:], 1), -1, 0)
+        at = np.clip(place, 0, 1) * ends[:, None]
+        mixed = np.stack([map_coordinates(channel, at, order=1, mode="nearest") for channel in corners], -1)
+        alpha = mixed[:, 3]
+        rgb = np.divide(mixed[:, :3], alpha[:, None], out=np.zeros_like(rgb), where=alpha[:, None] > 0)
+    if transfer.gradient_opacity is not None:
+        alpha = alpha * np.interp(steep, *np.array(transfer.gradient_opacity).T)
+    if transfer.curvature_opacity is not None:
+        bent = [np.abs(_shown_at(scene, kind, points, points)) for kind in ("k1", "k2")]
+        alpha = alpha * np.interp(np.maximum(*bent), *np.array(transfer.curvature_opacity).T)
+    return rgb, alpha
 
 
 def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered:

@@ -1204,7 +1204,9 @@ class Panel {
     });
     this.cmap = choice("Colours", (value) => this.viewer.set({ transfer: null, cmap: value || null }), "colour map instead of the preset's colours");
     this.opacity = slider("Opacity ×", { low: 0, high: 4 }, this.setter("opacity"), "factor on all opacities of the preset");
-    return make("div", {}, this.mode.element, this.options, this.preset.element, this.transfer.element, this.cmap.element, this.opacity.element);
+    this.edges = slider("Edges", { low: 0, high: 1 }, this.setter("gradient_opacity"), "how much of the opacity is missing where values do not change");
+    const all = [this.mode.element, this.options, this.preset.element, this.transfer.element, this.cmap.element, this.opacity.element, this.edges.element];
+    return make("div", {}, ...all);
   }
 
   filterControls() {
@@ -1340,6 +1342,8 @@ class Panel {
     this.cmap.show(state.cmap);
     this.opacity.show(state.opacity ?? 1);
     this.opacity.element.hidden = Boolean(state.transfer);
+    this.edges.show(state.gradient_opacity);
+    this.edges.element.hidden = state.mode !== "composite" || this.media.about.length > 1;
     const isovalue = typeof state.options.isovalue === "number" ? state.options.isovalue : viewer.effective.options?.isovalue; // not "3sigma"
     this.transfer.show(state.transfer?.points ?? viewer.effective.transfer?.points, state.mode === "isosurface" ? isovalue : null);
     this.filter.show(state.filter);

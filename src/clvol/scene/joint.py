@@ -1,0 +1,261 @@
+"""Transfer functions of two numbers: the value, and how steep the function is there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.base.arrays import reals
+from clvol.base.checks import number, suggests_options
+from clvol.base.color import color_of
+from clvol.base.errors import OptionError
+from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.stored import AS_THEY_ARE, Stored
+
+__all__ = ["JOINT", "Image", "TransferFunction2D", "joint_block"]
+
+JOINT = Block("joint_block", at=INT, columns=INT, rows=INT, low=FLOAT, scale=FLOAT, per_slope=FLOAT)
+
+Color: TypeAlias = tuple[float, float, float]
+_BoxShape: TypeAlias = tuple[tuple[float, float], tuple[float, float], Color, float]
+_Arch: TypeAlias = tuple[tuple[float, float], float, Color, float]
+_COLUMNS, _ROWS = 256, 128  # nodes that shapes are drawn into
+_ROOM = 0.02  # of their extent, left free around shapes
+_MOST_NODES = 1024  # along a side
+_MOST_SHAPES = 32
+_WIDTH = 0.3  # of its peak, from an arch to where nothing is left of its opacity
+
+
+@dataclass(frozen=True)
+class Image:
+    """Colours and opacities at equally spaced nodes, row by row from steepness 0 up, each from the smallest value to the largest.
+
+    `pixels` are float32 numbers of shape (rows, columns, 4); `values` those of the first and the last column, `steepest` the
+    magnitude of gradients of the last row.
+    """
+
+    pixels: bytes = field(repr=False)
+    shape: tuple[int, int]
+    values: tuple[float, float]
+    steepest: float
+
+    @classmethod
+    def of(cls, array: ArrayLike, values: tuple[float, float], steepest: float) -> Image:
+        """That of an array [steepness, value, (red, green, blue, opacity)]; `OptionError` if it is none."""
+        rule = f"numbers in 0..1 of shape (rows, columns, 4), 2 to {_MOST_NODES} rows and columns"
+        given = reals("image", array, rule)
+        if given.ndim != 3 or given.shape[2] != 4 or not all(2 <= n <= _MOST_NODES for n in given.shape[:2]):
+            raise OptionError(f"image must be {rule}; got shape {given.shape}")
+        if not ((given >= 0) & (given <= 1)).all():
+            raise OptionError(f"image must be {rule}; got {np.nanmin(given):g} to {np.nanmax(given):g}")
+        low, high = (number("values of an image", value) for value in values)
+        if not low < high:
+            raise OptionError(f"the values of an image must be (low, high) in ascending order; got {values!r}")
+        most = number("the largest gradient of an image", steepest, above=0)
+        return cls(given.astype(np.float32).tobytes(), (given.shape[0], given.shape[1]), (low, high), most)
+
+    @cached_property
+    def array(self) -> NDArray[np.float32]:
+        """The numbers, (rows, columns, 4)."""
+        return np.frombuffer(self.pixels, np.float32).reshape(*self.shape, 4)
+
+
+@suggests_options
+@dataclass(frozen=True, kw_only=True)
+class TransferFunction2D(TransferFunction):
+    """Colour and opacity by the value and the magnitude of the gradient, so that boundaries between materials are told apart.
+
+    Parameters
+    ----------
+    boxes : sequence of ((value, value), (gradient, gradient), color, opacity)
+        Values, and magnitudes of the gradient in units of the data per world unit, that have a colour and an opacity; the largest
+        magnitude may be infinite.
+    arches : sequence of ((value, value), peak, color, opacity)
+        Boundaries between two materials of these values. In the plane of values and gradients a blurred step lies on an arch: from
+        no slope at the one value, over the `peak` in the middle, the largest magnitude, to none at the other. Opacity is largest on
+        the arch, and falls to 0 three tenths of the peak to either side and at places without slope.
+    image : (array, (value, value), gradient), optional
+        In place of shapes, colours and opacities of shape (rows, columns, 4) at equally spaced nodes: rows from magnitude 0 to
+        `gradient`, columns between the values; up to 1024 each. What lies outside has those of the edge.
+    unit_distance : float, optional
+        World length that opacities refer to; None: the mean spacing of the volume.
+    gradient_opacity, curvature_opacity : sequence of (number, factor), optional
+        As of `TransferFunction`.
+
+    Raises
+    ------
+    OptionError
+        There are no shapes and no image, or both; more than 32 shapes; a box is narrower than the nodes that shapes are drawn into
+        are apart, a 245th of the values and a 122nd of the magnitudes of all shapes.
+
+    Notes
+    -----
+    Shapes are drawn into 256 × 128 nodes, between which the function is bilinear (of colours times opacity); where several overlap,
+    the most opaque one counts. The image and the arches are those of Kniss, Kindlmann and Hansen (2002) and of Kindlmann and Durkin
+    (1998).
+
+    Examples
+    --------
+    >>> import clvol
+    >>> volume = clvol.phantoms.sphere(16)
+    >>> edges = clvol.TransferFunction2D(boxes=[((0.2, 0.8), (0.05, float("inf")), "gold", 0.6)])
+    >>> picture = clvol.render(volume, transfer=edges, size=(64, 64))
+    """
+
+    colors: tuple[tuple[float, Color], ...] = field(init=False, repr=False, compare=False)
+    opacities: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
+    boxes: tuple[_BoxShape, ...] = ()
+    arches: tuple[_Arch, ...] = ()
+    image: Image | None = None
+
+    def __post_init__(self) -> None:
+        boxes, arches = (self._shapes(what) for what in ("boxes", "arches"))
+        object.__setattr__(self, "boxes", tuple(map(_box, boxes)))
+        object.__setattr__(self, "arches", tuple(map(_arch, arches)))
+        if self.image is not None and not isinstance(self.image, Image):
+            object.__setattr__(self, "image", _given_image(self.image))
+        count = len(self.boxes) + len(self.arches)
+        if (self.image is None) != (1 <= count <= _MOST_SHAPES):
+            raise OptionError(
+                f"a TransferFunction2D takes 1 to {_MOST_SHAPES} boxes and arches, or an image in place of them; got {count} and "
+                f"{'no image' if self.image is None else 'an image'}"
+            )
+        # by value alone, the largest opacity and its colour: none is larger between nodes, so space can be skipped by values
+        array = self.nodes.array
+        most = array[..., 3].argmax(0)
+        shades = array[most, np.arange(array.shape[1])].astype(np.float64)
+        places = np.linspace(*self.nodes.values, array.shape[1]).tolist()
+        object.__setattr__(self, "colors", tuple(zip(places, map(tuple, shades[:, :3].tolist()), strict=True)))
+        object.__setattr__(self, "opacities", tuple(zip(places, shades[:, 3].tolist(), strict=True)))
+        super().__post_init__()
+
+    def _shapes(self, what: str) -> Sequence[Any]:
+        given: Any = getattr(self, what)
+        if not isinstance(given, (list, tuple)) or any(not isinstance(one, (list, tuple)) or len(one) != 4 for one in given):
+            raise OptionError(f"{what} must be a sequence of four things each; got {given!r:.200}")
+        return given
+
+    @property
+    def graded(self) -> int:
+        return super().graded + 4
+
+    @cached_property
+    def nodes(self) -> Image:
+        """Colours and opacities at nodes, between which the function is bilinear."""
+        return self.image or _drawn(self.boxes, self.arches)
+
+    @cached_property
+    def _rows(self) -> NDArray[np.float32]:
+        """What kernels read of the nodes: colours times opacity, and of how many that are seen there are before each."""
+        array = self.nodes.array.copy()
+        array[..., :3] *= array[..., 3:]
+        before = np.zeros((array.shape[0] + 1, array.shape[1] + 1), np.float32)
+        before[1:, 1:] = (array[..., 3] > 0).cumsum(0).cumsum(1)
+        return np.concatenate([array.ravel(), before.ravel()])
+
+    def table(self, stored: Stored = AS_THEY_ARE) -> NDArray[np.float32]:
+        own = super().table(stored)
+        return np.concatenate([own, np.zeros(-own.size % 4, np.float32), self._rows])
+
+    def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
+        raise OptionError(f"opacity changes nothing of a TransferFunction2D, whose shapes have their own; got {opacities!r:.80}")
+
+
+def joint_block(transfer: TransferFunction, stored: Stored, steepness: float) -> Values:
+    """The block of a function's image for kernels, whose gradients are `steepness` times those of stored values in the world."""
+    if not isinstance(transfer, TransferFunction2D):
+        return np.zeros((), JOINT.dtype)
+    image, (low, high) = transfer.nodes, (float(v) for v in stored(np.array(transfer.nodes.values)))
+    rows, columns = image.shape
+    own = TransferFunction.table(transfer, stored).size
+    return JOINT(
+        at=-(-own // 4),
+        columns=columns,
+        rows=rows,
+        low=low,
+        scale=(columns - 1) / (high - low),
+        per_slope=(rows - 1) / (image.steepest * steepness),
+    )
+
+
+# -- shapes ------------------------------------------------------------------------------------------------------
+
+
+def _span(what: str, given: Any, *, minimum: float | None = None) -> tuple[float, float]:
+    try:
+        low, high = given
+    except (TypeError, ValueError):
+        raise OptionError(f"{what} must be (low, high); got {given!r:.80}") from None
+    bottom = number(what, low, minimum=minimum)
+    top = math.inf if minimum is not None and high == math.inf else number(what, high)
+    if not bottom < top:
+        raise OptionError(f"{what} must be (low, high) in ascending order; got {given!r:.80}")
+    return bottom, top
+
+
+def _box(given: Sequence[Any]) -> _BoxShape:
+    values, slopes, color, opacity = given
+    shade = color_of("a box's color", color)
+    seen = number("a box's opacity", opacity, minimum=0, maximum=1)
+    return _span("values of a box", values), _span("gradients of a box", slopes, minimum=0), shade, seen
+
+
+def _arch(given: Sequence[Any]) -> _Arch:
+    values, peak, color, opacity = given
+    shade = color_of("an arch's color", color)
+    seen = number("an arch's opacity", opacity, minimum=0, maximum=1)
+    return _span("values of an arch", values), number("the peak of an arch", peak, above=0), shade, seen
+
+
+def _given_image(given: Any) -> Image:
+    try:
+        array, values, steepest = given
+        low, high = values
+    except (TypeError, ValueError):
+        raise OptionError(f"image must be (array, (value, value), gradient); got {given!r:.80}") from None
+    return Image.of(array, (low, high), steepest)
+
+
+def _drawn(boxes: Sequence[_BoxShape], arches: Sequence[_Arch]) -> Image:
+    """Shapes as an image, whose edge is transparent but for what reaches to infinity."""
+    spans = [box[0] for box in boxes] + [arch[0] for arch in arches]
+    peaks = [arch[1] * (1 + _WIDTH) for arch in arches]
+    tops = [end for box in boxes for end in box[1] if math.isfinite(end)] + peaks
+    low, high = min(a for a, _ in spans), max(b for _, b in spans)
+    room, steepest = _ROOM * (high - low), (1 + _ROOM) * (max(tops) or 1.0)
+    values = np.linspace(low - room, high + room, _COLUMNS)
+    slopes = np.linspace(0, steepest, _ROWS)[:, None]
+    array = np.zeros((_ROWS, _COLUMNS, 4), np.float64)
+
+    def draw(opacity: NDArray[np.float64], color: Color) -> None:
+        more = (opacity > array[..., 3]) | ((array[..., 3] == 0) & (opacity >= 0) & ~array[..., :3].any(-1))
+        array[more] = np.concatenate([np.broadcast_to(color, (*opacity.shape, 3)), opacity[..., None]], -1)[more]
+
+    for (a, b), (bottom, top), color, opacity in boxes:
+        inside = (values >= a) & (values <= b) & (slopes >= bottom) & (slopes <= top)
+        if not inside.any():
+            raise OptionError(f"a box is too narrow to be drawn beside the other shapes; got {(a, b)} by {(bottom, top)}")
+        draw(np.where(inside, opacity, 0.0), color)
+    for (a, b), peak, color, opacity in arches:
+        draw(opacity * _on_arch(values, slopes, (a, b), peak), color)
+    return Image.of(array, (float(values[0]), float(values[-1])), steepest)
+
+
+def _on_arch(
+    values: NDArray[np.float64], slopes: NDArray[np.float64], span: tuple[float, float], peak: float
+) -> NDArray[np.float64]:
+    """How near an arch is, from 1 on it to 0: the slope of a step blurred by a Gaussian, as a function of its value."""
+    from scipy.special import erfinv
+
+    share = 2 * (values - span[0]) / (span[1] - span[0]) - 1
+    inside = np.abs(share) < 1
+    arch = peak * np.exp(-(erfinv(np.where(inside, share, 0.0)) ** 2))
+    near = np.clip(1 - np.abs(slopes - arch) / (_WIDTH * peak), 0, 1) * np.minimum(1, slopes / (_WIDTH * peak))
+    return np.where(inside, near, 0.0)
