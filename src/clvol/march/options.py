@@ -580,6 +580,8 @@ def _require_gradable(mode: Mode, medium: Medium, scene: Scene, transfer: Transf
     what = " and ".join(factors) or ("gradient_opacity", "curvature_opacity", "a TransferFunction2D")[min(transfer.graded // 2, 2)]
     if not mode.grades:
         raise OptionError(f"{what} changes nothing in {mode.name}: it is of matter, in composite; leave it out")
+    if getattr(mode, "virtual", 0):
+        raise OptionError(f"virtual must be 0 beside {what}, which is of true gradients; leave it out")
     if medium.volume.is_labels:
         raise OptionError(f"{what} changes nothing of labels: they are names, which have no slopes; leave it out")
     if mode.shaded and (dark := [name for name in ("shadow", "occlusion") if getattr(scene, name)]):

@@ -111,8 +111,8 @@ class TransferFunction2D(TransferFunction):
 
     colors: tuple[tuple[float, Color], ...] = field(init=False, repr=False, compare=False)
     opacities: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
-    boxes: tuple[_BoxShape, ...] = ()
-    arches: tuple[_Arch, ...] = ()
+    boxes: Sequence[Any] = ()  # tuples of _BoxShape and _Arch, once made
+    arches: Sequence[Any] = ()
     image: Image | None = None
 
     def __post_init__(self) -> None:
