@@ -20,6 +20,8 @@ from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["graded", "look", "seen_through"]
 
+_EVEN = 4  # power by which even matter fades: the opacities of many samples add up, and half of each would hardly be seen
+
 
 def look(
     volume: Volume | ArrayLike,
@@ -93,8 +95,8 @@ def graded(
 ) -> TransferFunction:
     """A copy whose opacity has factors by the gradient, and by curvature; None leaves them as they are.
 
-    Of one number, 0 to 1, the factor rises with the magnitude of the gradient: from what is left of 1 where matter is even, to 1 at
-    its boundaries, as `clvol.volume.histogram.slopes_of` finds both.
+    Of one number, 0 to 1, the factor rises with the magnitude of the gradient: from the fourth power of what is left of 1, where
+    matter is even, to 1 at its boundaries, as `clvol.volume.histogram.slopes_of` finds both.
     """
     changes: dict[str, Any] = {}
     if gradient_opacity is not None and is_curve(gradient_opacity):
@@ -102,7 +104,7 @@ def graded(
     elif gradient_opacity is not None:
         share = number("gradient_opacity", gradient_opacity, minimum=0, maximum=1)
         even, steep = slopes_of(volume)
-        changes["gradient_opacity"] = ((even, 1 - share), (steep, 1.0)) if share else None
+        changes["gradient_opacity"] = ((even, (1 - share) ** _EVEN), (steep, 1.0)) if share else None
     if curvature_opacity is not None:
         changes["curvature_opacity"] = curvature_opacity
     return replace(transfer, **changes) if changes else transfer
