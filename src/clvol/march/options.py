@@ -101,9 +101,9 @@ class LookOptions(TypedDict, total=False):
         no opacity.
     gradient_opacity : float, or sequence of (magnitude, factor)
         Opacity by the gradient, too, so that boundaries stand out from even matter: of "composite". With a number, 0
-        to 1, opacity is less where the function is flat, by the factor (1 - number)⁴, and with 1 only edges are seen; what is flat and what is
-        an edge is found from the samples. Points are factors of opacity, 0 to 1, by the magnitude of the gradient, in units of the
-        data per world unit. They stand beside any transfer function, and multiply its opacity.
+        to 1, opacity is less where the function is flat, by the factor (1 - number)⁴, and with 1 only edges are seen; what is flat
+        and what is an edge is found from the samples. Points are factors of opacity, 0 to 1, by the magnitude of the gradient, in
+        units of the data per world unit. They stand beside any transfer function, and multiply its opacity.
     curvature_opacity : sequence of (curvature, factor)
         The same by how isosurfaces bend: by the larger magnitude of the principal curvatures, per world unit.
     lights, background, clip
