@@ -352,7 +352,7 @@ Rule = Annotated[
     ),
 ]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
-_PLAIN = ("rays", "pixel_filter", "shadow", "occlusion", "gradient")  # of a look, by the names of `clvol.render`
+_PLAIN = ("rays", "pixel_filter", "shadow", "occlusion", "linear_light", "gradient")  # of a look, by the names of `clvol.render`
 _Six = tuple[float, float, float, float, float, float]
 Background = Annotated[
     str | None, Parameter(help="A name, a hex code, or 'none'. [default: black; white in theme print]", show_default=False)
@@ -423,6 +423,12 @@ class Look:
         float | None, Parameter(help="How dark shadows are, 0 to 1; the lights then stand still.", show_default=False)
     ] = None
     occlusion: Annotated[float | None, Parameter(help="How dark it is where matter is around, 0 to 1.", show_default=False)] = None
+    linear_light: Annotated[
+        bool | None,
+        Parameter(
+            help="Whether colours are computed in linear light, or with their numbers in sRGB. [default: no]", show_default=False
+        ),
+    ] = None
     gradient: Annotated[
         Literal["analytic", "central"] | None,
         Parameter(help="The gradient that lighting uses. [default: analytic, where the filter has slopes]", show_default=False),

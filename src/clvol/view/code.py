@@ -33,7 +33,15 @@ _PREFIX = "#s="
 _READS_ALL = ast.dump(ast.parse("clvol.read_all", mode="eval").body)
 _LONGEST = 1 << 18  # characters
 _WIDE = 110  # characters per line
-_UNHEARD = (*WORDS, "shadow", "occlusion", "gradient", "pixel-filter", "color-bar")  # flags that some mode or filter does not have
+_UNHEARD = (
+    *WORDS,
+    "shadow",
+    "occlusion",
+    "linear-light",
+    "gradient",
+    "pixel-filter",
+    "color-bar",
+)  # flags that some mode or filter does not have
 
 
 # -- Python --------------------------------------------------------------------------------------------------
@@ -279,6 +287,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "window": state.window and list(state.window),
         "shadow": state.shadow or None,
         "occlusion": state.occlusion or None,
+        "linear-light": state.linear_light or None,
         "background": "none" if state.background is None else "#" + "".join(f"{round(255 * v):02x}" for v in state.background),
         "clip": state.clip and [*state.clip[0], *state.clip[1]],
         "clip-plane": [[*cut.normal, *cut.point] for cut in state.cuts if isinstance(cut, Plane)] or None,

@@ -35,7 +35,8 @@ from clvol.volume.volumes import Volumes
 __all__ = ["Opened", "Viewable", "first_state", "opened"]
 
 Viewable: TypeAlias = Scene | Medium | Volume | LazyVolume | Volumes | Field | ArrayLike
-_STATED = ("step", "transfer", *WORDS, "material", "lights", "shadow", "occlusion", "background", "clip")
+_STATED = ("step", "transfer", *WORDS, "material", "lights", "shadow", "occlusion", "linear_light", "background", "clip")
+_OF_LIGHT = ("shadow", "occlusion", "linear_light")
 
 
 class Opened(NamedTuple):
@@ -85,8 +86,8 @@ def opened(
     if isinstance(scene, Scene):
         if any(is_in_parts(medium.volume) for medium in scene.media):
             scene, source = replace(scene, media=tuple(map(_resident, scene.media))), None
-        options = {name: getattr(scene, name) for name in ("lights", "background", "clip", "shadow", "occlusion")} | options
-        scene = replace(scene, shadow=0.0, occlusion=0.0)  # the state has them
+        options = {name: getattr(scene, name) for name in ("lights", "background", "clip", *_OF_LIGHT)} | options
+        scene = replace(scene, shadow=0.0, occlusion=0.0, linear_light=False)  # the state has them
         several = scene if len(scene.media) > 1 or scene.media[0].beyond_words else None
         scene = scene.media[0]
     if isinstance(scene, Medium):
@@ -145,7 +146,7 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
         except GeometryError as error:
             raise OptionError(str(error)) from None
         values |= {"clip": cuts.box, "cuts": (*cuts.planes, *cuts.corners)}
-    for name in ("shadow", "occlusion"):
+    for name in _OF_LIGHT:
         if values.get(name) is None:
             values.pop(name, None)
     lights = values.get("lights")
