@@ -271,8 +271,8 @@ class _OfSurfaces(Mode):
 
     def in_linear_light(self) -> Self:
         """The same, settled, with colours of its own that are light (`clvol.base.srgb.as_light`)."""
-        cap = getattr(self, "cap", False)
-        return self if isinstance(cap, bool) else replace(self, cap=_light(cap))
+        looks: dict[str, Any] = {"cap": cap if isinstance(cap := getattr(self, "cap", False), bool) else _light(cap)}
+        return replace(self, **looks)
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
         values = self.isovalues  # settled
