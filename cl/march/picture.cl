@@ -12,6 +12,13 @@ typedef struct { global float4 *rgba; global float *depth, *normals, *positions,
     for (int i = 0; i < LANES; ++i)  \
         if ((x) + i % LANES_ACROSS < frame->picture.width && (y) + i / LANES_ACROSS < frame->picture.height)
 
+// Light from 0 to 1 as it is shown: in sRGB (IEC 61966-2-1).
+INLINE float3 as_shown(const float3 light)
+{
+    const float3 bright = 1.055f * pow(light, (float3)(1.0f / 2.4f)) - 0.055f;
+    return light > 0.0031308f ? bright : 12.92f * light;
+}
+
 INLINE void store_pixel(constant frame_t *frame, const int x, const int y, float4 color, float t, float3 normal, float3 place,
                         const pictures_t *pictures)
 {
@@ -21,10 +28,13 @@ INLINE void store_pixel(constant frame_t *frame, const int x, const int y, float
     color.xyz *= color.w;
     color = picture->pass ? *rgba + color * picture->weight : color * picture->weight;
     if (picture->pass == picture->last_pass) {
-        const float3 below = (float3)(picture->background[0], picture->background[1], picture->background[2]);
+        constant float *behind = color.w == 0.0f ? picture->background : picture->behind;
+        const int light = picture->linear && color.w != 0.0f;   // of the background alone not even roundings change
+        const float3 below = (float3)(behind[0], behind[1], behind[2]);
         color.xyz = picture->opaque ? color.xyz + (1.0f - color.w) * below : color.w > 0.0f ? color.xyz / color.w : (float3)(0.0f);
         color.w = picture->opaque ? 1.0f : color.w;
         color = color > 0.0f ? color < 1.0f ? color : (float4)(1.0f) : (float4)(0.0f);
+        color.xyz = light ? as_shown(color.xyz) : color.xyz;
     }
     *rgba = color;
     if (GUIDES && picture->pass == 0) {

@@ -30,6 +30,7 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "material": (clvol.Material(0.9, 0.1, 0.0),),
     "lights": (clvol.Light((1, 0, 0)),),
     "shadow": (1.0,),
+    "linear_light": (True,),
     "background": ("red",),
     "clip": (((-9.0, -9.0, -9.0), (6.0, 6.0, 6.0)),),
     "gradient": ("central",),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clvol import phantoms
 from clvol.base.errors import ClvolError, OptionError
+from clvol.base.srgb import as_light, as_shown
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.histogram import isovalue_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
@@ -31,11 +32,16 @@ ODD = TransferFunction(
 )
 MANY = TransferFunction.from_cmap("viridis", (0, 1), [(0.30003, 0.0), (0.5, 0.3), (0.70001, 0.0)])
 
+NARROW = TransferFunction([(0, "black"), (0.4996, "black"), (0.5001, "white"), (1, "red")], [(0, 0), (1, 1)])
 
-def looked_up(transfer: TransferFunction, values: NDArray[np.float32], stored: Stored = AS_THEY_ARE) -> NDArray[np.float64]:
+
+def looked_up(
+    transfer: TransferFunction, values: NDArray[np.float32], stored: Stored = AS_THEY_ARE, *, linear: bool = False
+) -> NDArray[np.float64]:
     """Colours and opacities of stored values, from the table that kernels read."""
-    block, table = transfer.block(1.0, stored), transfer.table(stored).astype(np.float64)
-    assert transfer.table(stored).dtype == np.float32
+    block, table = transfer.block(1.0, stored, linear=linear), transfer.table(stored, linear=linear)
+    assert table.dtype == np.float32
+    table = table.astype(np.float64)
     if not block["pieces"]:
         nodes = table[: 4 * (int(block["last"]) + 1)].reshape(-1, 4)
         place = (values.astype(np.float64) - block["low"]) * block["scale"]
@@ -76,6 +82,15 @@ def test_the_table_represents_the_function(transfer: TransferFunction, pieces: i
         assert transfer.block(1.0, way)["pieces"] == pieces
         np.testing.assert_allclose(looked_up(transfer, stored, way), transfer(back), rtol=0, atol=3e-6)
     assert np.isfinite(looked_up(transfer, stored, way)).all()
+
+
+@pytest.mark.parametrize("transfer", [SOME, ODD, MANY, NARROW], ids=["equal nodes", "few", "many", "narrow"])
+def test_tables_of_light_are_within_a_thousandth(transfer: TransferFunction) -> None:
+    values = np.linspace(-0.1, 1.1, 4001).astype(np.float32)
+    want, got = transfer(values), looked_up(transfer, values, linear=True)
+    np.testing.assert_allclose(got[:, :3], as_light(want[:, :3]), rtol=0, atol=1e-3)
+    np.testing.assert_allclose(as_shown(got[:, :3]), want[:, :3], rtol=0, atol=0.5 / 255)
+    np.testing.assert_allclose(got[:, 3], want[:, 3], rtol=0, atol=3e-6)
 
 
 def test_equal_nodes_represent_points_on_them() -> None:
@@ -180,8 +195,9 @@ def test_ranges_of_any_size(scale: float) -> None:
     assert isovalue_of(data)[0] == pytest.approx(0, abs=0.1 * scale)
     for chosen in (TransferFunction.automatic(data), TransferFunction.ramp((-scale, scale)), TransferFunction.ramp((0, scale))):
         assert np.isfinite(chosen.value_range).all()
-        table = chosen.table()
-        assert np.isfinite(table[: 12 * int(chosen.block(1.0)["pieces"]) or None]).all()
+        for linear in (False, True):
+            table = chosen.table(linear=linear)
+            assert np.isfinite(table[: 12 * int(chosen.block(1.0, linear=linear)["pieces"]) or None]).all()
         assert np.isfinite(chosen([0, scale, -scale])).all()
         if 1e-37 < scale < 1e37:  # else float32 cannot represent these numbers or slopes
             red = looked_up(chosen, np.array(chosen.value_range, np.float32))[:, 0]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.arrays import reals
 from clvol.base.errors import OptionError
+from clvol.base.srgb import as_light
 
 __all__ = ["channel_colors", "color_of", "lab_of"]
 
@@ -56,9 +57,7 @@ def color_of(what: str, value: Sequence[float] | str) -> tuple[float, float, flo
 
 def lab_of(rgb: ArrayLike) -> NDArray[np.float64]:
     """CIELAB coordinates of sRGB colours in 0..1; shape (..., 3)."""
-    given = np.asarray(rgb, dtype=np.float64)
-    linear = np.where(given > 0.04045, ((given + 0.055) / 1.055) ** 2.4, given / 12.92)
-    xyz = linear @ _TO_XYZ.T / _TO_XYZ.sum(1)
+    xyz = as_light(rgb) @ _TO_XYZ.T / _TO_XYZ.sum(1)
     x, y, z = np.moveaxis(np.where(xyz > _CUBE, np.cbrt(xyz), xyz / (3 * (6 / 29) ** 2) + 4 / 29), -1, 0)
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
 

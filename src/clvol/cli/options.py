@@ -361,6 +361,7 @@ _PLAIN = (
     "curvature_opacity",
     "shadow",
     "occlusion",
+    "linear_light",
     "gradient",
 )  # of a look, by the names of `clvol.render`
 _Six = tuple[float, float, float, float, float, float]
@@ -450,6 +451,12 @@ class Look:
         float | None, Parameter(help="How dark shadows are, 0 to 1; the lights then stand still.", show_default=False)
     ] = None
     occlusion: Annotated[float | None, Parameter(help="How dark it is where matter is around, 0 to 1.", show_default=False)] = None
+    linear_light: Annotated[
+        bool | None,
+        Parameter(
+            help="Whether colours are computed in linear light, or with their numbers in sRGB. [default: no]", show_default=False
+        ),
+    ] = None
     gradient: Annotated[
         Literal["analytic", "central"] | None,
         Parameter(help="The gradient that lighting uses. [default: analytic, where the filter has slopes]", show_default=False),

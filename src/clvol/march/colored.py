@@ -84,15 +84,15 @@ def _laid_out(row: Filter, coefficients: NDArray[np.float32], halo: int) -> _Lay
     return _Layout(block, np.concatenate([row.matrix.astype(np.float32).ravel(), coefficients.ravel()]))
 
 
-def colors_of(medium: Medium, other: Other, table: NDArray[np.float32]) -> tuple[Values, NDArray[np.float32]]:
+def colors_of(medium: Medium, other: Other, table: NDArray[np.float32], *, linear: bool) -> tuple[Values, NDArray[np.float32]]:
     """The block of a medium's colours by another function; and the table of its own transfer function, followed by the other's.
 
-    `OutOfMemoryError` if kernels cannot count so many numbers.
+    `linear`: of colours in linear light. `OutOfMemoryError` if kernels cannot count so many numbers.
     """
     by = medium.color_by
     assert by is not None
     assert by.transfer is not None  # settled
-    pad, own = -table.size % ROW, by.transfer.table(other.stored)
+    pad, own = -table.size % ROW, by.transfer.table(other.stored, linear=linear)
     both = np.concatenate([table, np.zeros(pad, np.float32), own, np.zeros(-own.size % ROW, np.float32)])
     blocks, begin = [], both.size
     for layout in other.layouts:
@@ -104,7 +104,7 @@ def colors_of(medium: Medium, other: Other, table: NDArray[np.float32]) -> tuple
     start = grid.world_to_index_matrix @ (np.asarray(medium.volume.origin) - np.asarray(grid.origin))
     low, high = by.domain
     values = COLORED(
-        transfer=by.transfer.block(1.0, other.stored),
+        transfer=by.transfer.block(1.0, other.stored, linear=linear),
         table=(table.size + pad) // ROW,
         to=[*(grid.world_to_index_matrix @ medium.volume.index_to_world_matrix).ravel(), *start],
         low=low,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
+from clvol.base.srgb import as_light
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device import Tile
 from clvol.filter.filter import MAX_TAPS
@@ -25,7 +26,7 @@ from clvol.scene.clip import CLIP, clip_block
 from clvol.scene.factor import FACTORS, factors_block
 from clvol.scene.joint import JOINT, joint_block
 from clvol.scene.light import LIGHTS, Material, lights_block
-from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, outlined
+from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, in_linear_light, outlined
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.build import along_defines, spared_taps
@@ -59,12 +60,14 @@ PICTURE = Block(
     "picture_block",
     offset=(FLOAT, 2),
     background=(FLOAT, 3),
+    behind=(FLOAT, 3),  # the background as light
     weight=FLOAT,
     width=INT,
     height=INT,
     kept_from=(INT, 2),  # the pixels whose states and listed places are in buffers
     kept=(INT, 2),
     opaque=INT,
+    linear=INT,  # colours are light
     listed=INT,
     **{"pass": INT, "last_pass": INT},
 )
@@ -321,10 +324,11 @@ class Subject:
             )
         slope = medium.gradient_scale(stored, unit)  # of kernels, for 1 of stored values in the world ...
         steepness = math.ldexp(slope, -stored.exponent)  # ... and of the data
-        table, colored = look.transfer.table(shown), np.zeros((), COLORED.dtype)
+        linear = look.linear
+        table, colored = look.transfer.table(shown, linear=linear), np.zeros((), COLORED.dtype)
         if medium.color_by is not None:
             assert self.other is not None
-            colored, table = colors_of(medium, self.other, table)
+            colored, table = colors_of(medium, self.other, table, linear=linear)
         lit = np.zeros((), LIT.dtype)
         if self.lit is not None:
             lit = self.lit.block(scene, table.size + -table.size % ROW + (self.other.size if self.other is not None else 0))
@@ -334,26 +338,28 @@ class Subject:
             clip=clip_block(look.clip, volume, unit),
             planes=rails.planes.block(),
             rails=rails.block(volume, view, width, height, aspect),
-            transfer=transfer.block(unit, shown),
+            transfer=transfer.block(unit, shown, linear=linear),
             factors=factors_block(((transfer.gradient_opacity, steepness), (transfer.curvature_opacity, 1.0))),
-            joint=joint_block(transfer, stored, steepness),
+            joint=joint_block(transfer, stored, steepness, linear=linear),
             colored=colored,
             lit=lit,
-            material=medium.material.block(),
+            material=medium.material.block(linear=linear),
             lights=lights_block(scene.lights, view),
-            mode=mode.block(volume, stored),
+            mode=(in_linear_light(mode) if linear else mode).block(volume, stored),
             minmax=minmax_block(minmax, volume, margin, slope),
             window=np.zeros((), WINDOW.dtype),
             gaps=gaps_block(self.gaps),
             picture=PICTURE(
                 offset=0.5,
                 background=scene.background or 0.0,
+                behind=as_light(scene.background or 0.0) if linear else scene.background or 0.0,
                 weight=1.0,
                 width=width,
                 height=height,
                 kept_from=0,
                 kept=size,
                 opaque=scene.background is not None,
+                linear=linear,
                 listed=0,
                 **{"pass": 0, "last_pass": 0},
             ),

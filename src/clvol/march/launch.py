@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
 from clvol.base.progress import part_of
+from clvol.base.srgb import as_light, as_shown
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, EDGE_RAYS, as_pixel_filter, on_edges, pixel_rays
 from clvol.spline.build import row_reach, row_width
 from clvol.spline.coefficients import Coefficients
@@ -144,11 +145,14 @@ class Drawing:
         picture /= sum(weight for _, weight in self._pattern[: self.cast_rays])
         block, colors, opacity = self.frame.values["picture"], picture[..., :3], picture[..., 3:]
         if block["opaque"]:
-            colors += (1 - opacity) * block["background"]
+            colors += (1 - opacity) * block["behind"]
             opacity[...] = 1
         else:
             np.divide(colors, opacity, out=colors, where=opacity > 0)
-        return np.clip(picture, 0, 1, out=picture)
+        np.clip(picture, 0, 1, out=picture)
+        if block["linear"]:
+            colors[...] = as_shown(colors)
+        return picture
 
     def smooth_edges(self, progress: Progress | None = None) -> None:
         """Adds rays to those of the pixels on edges of a picture of one ray a pixel, which went through its middle."""
@@ -172,17 +176,23 @@ class Drawing:
         arrays = self._cast_listed(rays, np.resize(places, (width * height, 2)), part_of(progress, _FINDING, 1))
         colors = arrays["rgba"].reshape(-1, 4)[: len(places)].reshape(len(pixels), -1, 4)
         where = tuple(pixels.T)
-        first, opaque = picture[where], bool(frame.values["picture"]["opaque"])
+        first, block = picture[where], frame.values["picture"]
+        opaque, linear = bool(block["opaque"]), bool(block["linear"])
+        if linear:
+            first[:, :3] = as_light(first[:, :3])
         if not opaque:
             first[:, :3] *= first[:, 3:]
         means = np.einsum("prc,r->pc", colors, np.array(weights, np.float32))
         if opaque:
-            means[:, :3] += (1 - share - means[:, 3:]) * frame.values["picture"]["background"]
+            means[:, :3] += (1 - share - means[:, 3:]) * block["behind"]
             means[:, 3] = 1 - share
         means += share * first
         if not opaque:
             np.divide(means[:, :3], means[:, 3:], out=means[:, :3], where=means[:, 3:] > 0)
-        picture[where] = np.clip(means, 0, 1)
+        means = np.clip(means, 0, 1)
+        if linear:
+            means[:, :3] = as_shown(means[:, :3])
+        picture[where] = means
 
     def _cast_listed(self, rays: Frame, places: NDArray[np.float32], progress: Progress | None) -> dict[str, Picture]:
         """Cast a list of rays that cross the picture at these places."""

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.srgb import as_light, as_shown
+
 if TYPE_CHECKING:
     from clvol.march.launch import Picture
 
@@ -26,8 +28,11 @@ def mixed(pictures: Sequence[Picture], rule: Literal["add", "over"]) -> Picture:
     return _parted((through[..., None] * colors).sum(0), opacity.max(0))
 
 
-def nearest(pictures: Sequence[Mapping[str, Picture]]) -> dict[str, Picture]:
-    """Surfaces, with their depths: each pixel that of the nearest one, over those behind it as far as it covers the pixel."""
+def nearest(pictures: Sequence[Mapping[str, Picture]], *, linear: bool) -> dict[str, Picture]:
+    """Surfaces, with their depths: each pixel that of the nearest one, over those behind it as far as it covers the pixel.
+
+    `linear`: colours mix in linear light.
+    """
     order = np.argsort(np.stack([one["depth"] for one in pictures]), axis=0, kind="stable")
 
     def at(name: str, place: int) -> NDArray[Any]:
@@ -40,24 +45,32 @@ def nearest(pictures: Sequence[Mapping[str, Picture]]) -> dict[str, Picture]:
     for place in range(len(pictures)):
         rgba = at("rgba", place)
         share = (1 - opacity) * rgba[..., 3]
-        total = total + share[..., None] * rgba[..., :3]
+        total = total + share[..., None] * (as_light(rgba[..., :3]) if linear else rgba[..., :3])
         opacity = opacity + share
     together = {name: at(name, 0) for name in pictures[0] if name not in ("rgba", "visited")}
-    return {"rgba": _parted(total, opacity), **together}
+    return {"rgba": _parted(total, opacity, linear=linear), **together}
 
 
-def over(background: tuple[float, float, float] | None, picture: Picture) -> Picture:
-    """A picture over its background, if it has one."""
+def over(background: tuple[float, float, float] | None, picture: Picture, *, linear: bool) -> Picture:
+    """A picture over its background, if it has one; `linear`: they mix in linear light."""
     if background is None:
         return picture
     opacity = picture[..., 3:]
-    colors = picture[..., :3] * opacity + (1 - opacity) * np.asarray(background, np.float32)
+    top, below = picture[..., :3], np.asarray(background, np.float32)
+    if linear:
+        mixed = as_shown(as_light(top) * opacity + (1 - opacity) * as_light(below))
+        colors = np.where(opacity > 0, mixed, below).astype(np.float32)
+    else:
+        colors = top * opacity + (1 - opacity) * below
     return np.concatenate([colors, np.ones_like(opacity)], -1)
 
 
-def _parted(colors: NDArray[Any], opacity: NDArray[Any]) -> Picture:
-    """A picture of premultiplied colours."""
+def _parted(colors: NDArray[Any], opacity: NDArray[Any], *, linear: bool = False) -> Picture:
+    """A picture of premultiplied colours, which are light if `linear`."""
     opacity = opacity[..., None]
     plain = np.divide(colors, opacity, out=np.zeros(colors.shape), where=opacity > 0)
-    clipped: Picture = np.clip(np.concatenate([plain, opacity], -1), 0, 1).astype(np.float32)
-    return clipped
+    clipped = np.clip(np.concatenate([plain, opacity], -1), 0, 1)
+    if linear:
+        clipped[..., :3] = as_shown(clipped[..., :3])
+    made: Picture = clipped.astype(np.float32)
+    return made

@@ -17,7 +17,7 @@ from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.scene.camera import Camera
 from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted, usual_camera
-from clvol.scene.light import casts
+from clvol.scene.light import casts, usual_lights
 from clvol.scene.look import graded, look
 from clvol.scene.mode import BY_LABEL, as_mode, colored_by, require_heard
 from clvol.scene.preset import as_preset
@@ -81,6 +81,7 @@ OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
 """Outputs of every mode."""
 _ALL_OUTPUTS = get_args(Output)
 _MAX_SIZE = 1 << 15  # pixels
+_OF_SCENE = ("lights", "shadow", "occlusion", "linear_light")  # what a picture has in place of its scene's, None for that
 
 
 # -- options, as documented by `Renderer.render` -------------------------------------------------------------------------------
@@ -111,6 +112,9 @@ class LookOptions(TypedDict, total=False):
     shadow, occlusion
         How dark shadows are, and places that matter surrounds, 0 to 1, in place of the scene's: see `Scene`.
         They are of one volume in memory.
+    linear_light
+        Whether colours are computed in linear light, in place of the scene's: see `Scene`. Modes that show single values have
+        their colours as they are.
     media
         In place of the scene's media, in their order: the same volumes, filters and boundaries (`Renderer.scene` has them), with
         other looks, as ``replace(medium, visible=False)`` gives.
@@ -133,6 +137,7 @@ class LookOptions(TypedDict, total=False):
     clip: Clip | EllipsisType | None
     shadow: float | None
     occlusion: float | None
+    linear_light: bool | None
     media: Sequence[Medium] | None
     gradient: Literal["analytic", "central"]
 
@@ -477,6 +482,8 @@ class ResolvedLook:
         scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
         if shown.regions:
             require_heard(shown, [name for name in ("shadow", "occlusion") if getattr(scene, name)])
+        linear = scene.linear_light and "linear_light" not in mode.unheard
+        scene = replace(scene, lights=usual_lights(scene.lights, linear=linear))
         if scene.shadow and mode.shaded:
             scene = _with_still_lights(scene, leading or preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)
@@ -520,6 +527,11 @@ class ResolvedLook:
             camera = camera.in_world(max((self.preview, *(one.preview for one in self.others)), key=lambda volume: volume.space))
         camera = fitted(camera, self.preview, self.mode, self.transfer, self.clip, aspect, others=others)
         return self if camera is self.camera else replace(self, camera=camera)
+
+    @property
+    def linear(self) -> bool:
+        """Whether its colours are computed in linear light."""
+        return self.scene.linear_light and "linear_light" not in (self.unsettled or self.mode).unheard
 
     def over_nothing(self) -> ResolvedLook:
         """The same without a background."""
@@ -625,7 +637,7 @@ def _changed(scene: Scene, transfer: TransferFunction | None, options: RefineOpt
     """The scene with what is given in place of its own."""
     (medium,) = scene.media
     changes: dict[str, Any] = {name: value for name in ("background", "clip") if (value := options.get(name, ...)) is not ...}
-    changes |= {name: value for name in ("lights", "shadow", "occlusion") if (value := options.get(name)) is not None}
+    changes |= {name: value for name in _OF_SCENE if (value := options.get(name)) is not None}
     if (material := options.get("material")) is not None:
         medium = replace(medium, material=material)
     if transfer is not None:

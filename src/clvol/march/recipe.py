@@ -109,7 +109,7 @@ class Recipe:
     def options_of_lazy(self, several: bool) -> dict[str, Any]:
         """The same for a LazyVolume, which has no scene: with all that a scene has; and the size to draw, if it has `several`."""
         (medium,) = self.scene.media
-        own = {name: getattr(self.scene, name) for name in ("lights", "background", "clip")}
+        own = {name: getattr(self.scene, name) for name in ("lights", "background", "clip", "linear_light")}
         own |= {"transfer": medium.transfer, "material": medium.material} | ({"lod": self.lod} if several else {})
         return self.options | {name: value for name, value in own.items() if name not in self.mode.unheard}
 
@@ -196,7 +196,12 @@ class Staged(NamedTuple):
                 made = Refined(shown, True, picture.step, picture.seconds)
                 made.recipe, made.furnished = shown.recipe, shown.furnished
             elif self.drawn is not self.look:
-                made = Refined(on(self.look.scene.background, np.asarray(picture)), False, picture.step, picture.seconds)
+                made = Refined(
+                    on(self.look.scene.background, np.asarray(picture), linear=self.look.linear),
+                    False,
+                    picture.step,
+                    picture.seconds,
+                )
             yield made
 
     def finished(self, pictures: Mapping[str, NDArray[Any]], wanted: tuple[str, ...], source: Source) -> dict[str, Picture]:
@@ -264,7 +269,9 @@ def _stage(look: ResolvedLook, size: tuple[int, int]) -> Stage:
     target = look.camera.target
     focus = volume.center if target is None else np.asarray(target)
     view = look.camera.view(volume, width / height)
-    return Stage(view, (width, height), low, high, focus, volume.units, volume.space, _bars(look), look.scene.background)
+    return Stage(
+        view, (width, height), low, high, focus, volume.units, volume.space, _bars(look), look.scene.background, look.linear
+    )
 
 
 def _box(look: ResolvedLook) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -579,8 +579,12 @@ class Several(Source):
             own = replace(one, others=(), scene=replace(one.scene, background=None))
             part = part_of(progress, i / len(looks), (i + 1) / len(looks))
             pictures.append(self._drawn_alone(own, fine, coarsest, guides or surfaces, lit, part))
-        together = nearest(pictures) if surfaces else {"rgba": mixed([one["rgba"] for one in pictures], self.scene.mix)}
-        return {**together, "rgba": over(background, together["rgba"])}
+        together = (
+            nearest(pictures, linear=look.linear)
+            if surfaces
+            else {"rgba": mixed([one["rgba"] for one in pictures], self.scene.mix)}
+        )
+        return {**together, "rgba": over(background, together["rgba"], linear=look.linear)}
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
         looks = look, *look.others

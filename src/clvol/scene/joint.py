@@ -15,6 +15,7 @@ from clvol.base.arrays import reals
 from clvol.base.checks import number, suggests_options
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
+from clvol.base.srgb import as_light
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import AS_THEY_ARE, Stored
@@ -151,30 +152,29 @@ class TransferFunction2D(TransferFunction):
         """Colours and opacities at nodes, between which the function is bilinear."""
         return self.image or _drawn(self.boxes, self.arches)
 
-    @cached_property
-    def _rows(self) -> NDArray[np.float32]:
+    def _rows(self, linear: bool) -> NDArray[np.float32]:
         """What kernels read of the nodes: colours times opacity, and of how many that are seen there are before each."""
         array = self.nodes.array.copy()
-        array[..., :3] *= array[..., 3:]
+        array[..., :3] = (as_light(array[..., :3]) if linear else array[..., :3]) * array[..., 3:]
         before = np.zeros((array.shape[0] + 1, array.shape[1] + 1), np.float32)
         before[1:, 1:] = (array[..., 3] > 0).cumsum(0).cumsum(1)
         return np.concatenate([array.ravel(), before.ravel()])
 
-    def table(self, stored: Stored = AS_THEY_ARE) -> NDArray[np.float32]:
-        own = super().table(stored)
-        return np.concatenate([own, np.zeros(-own.size % 4, np.float32), self._rows])
+    def table(self, stored: Stored = AS_THEY_ARE, *, linear: bool = False) -> NDArray[np.float32]:
+        own = super().table(stored, linear=linear)
+        return np.concatenate([own, np.zeros(-own.size % 4, np.float32), self._rows(linear)])
 
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
         raise OptionError(f"opacity changes nothing of a TransferFunction2D, whose shapes have their own; got {opacities!r:.80}")
 
 
-def joint_block(transfer: TransferFunction, stored: Stored, steepness: float) -> Values:
+def joint_block(transfer: TransferFunction, stored: Stored, steepness: float, *, linear: bool) -> Values:
     """The block of a function's image for kernels, whose gradients are `steepness` times those of stored values in the world."""
     if not isinstance(transfer, TransferFunction2D):
         return np.zeros((), JOINT.dtype)
     image, (low, high) = transfer.nodes, (float(v) for v in stored(np.array(transfer.nodes.values)))
     rows, columns = image.shape
-    own = TransferFunction.table(transfer, stored).size
+    own = TransferFunction.table(transfer, stored, linear=linear).size
     return JOINT(
         at=-(-own // 4),
         columns=columns,

@@ -13,10 +13,11 @@ from clvol.base.arrays import reals
 from clvol.base.checks import number, one_of, suggests_options
 from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
+from clvol.base.srgb import as_light
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.scene.camera import Viewpoint
 
-__all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_lights", "casts", "lights_block"]
+__all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_lights", "casts", "lights_block", "usual_lights"]
 
 MAX_LIGHTS = 4
 _FRAMES = ("world", "camera")
@@ -78,6 +79,11 @@ class Material:
     """How a surface reflects light: ambient, diffuse and specular coefficients, and shininess.
 
     Surfaces are two-sided: the normal faces the viewer.
+
+    Notes
+    -----
+    ``ambient`` is how bright a white surface is without any light, and ``ambient + diffuse`` in the full light of one, both as they
+    are shown. In linear light (`clvol.Scene`) these two stay, and what lies between is brighter.
     """
 
     ambient: float = 0.25
@@ -93,13 +99,18 @@ class Material:
         for what in ("ambient", "diffuse", "specular", "shininess"):
             object.__setattr__(self, what, number(what, getattr(self, what), minimum=0))
 
-    def block(self) -> Values:
-        """The block for kernels: the exponent also as an integer, if it is one, and the smallest cosine whose power counts."""
+    def block(self, *, linear: bool = False) -> Values:
+        """The block for kernels: the exponent also as an integer, if it is one, and the smallest cosine whose power counts.
+
+        `linear`: for colours in linear light.
+        """
+        dark, full = self.ambient, self.ambient + self.diffuse
+        ambient, diffuse = (as_light(dark), as_light(full) - as_light(dark)) if linear else (dark, self.diffuse)
         exponent = self.shininess
         whole = int(exponent) if float(exponent).is_integer() and exponent < 1 << 20 else 0
         return self.BLOCK(
-            ambient=self.ambient,
-            diffuse=self.diffuse,
+            ambient=ambient,
+            diffuse=diffuse,
             specular=self.specular,
             shininess=exponent,
             whole_shininess=whole,
@@ -146,3 +157,11 @@ KIT = (
 """Default lights of pictures, as in photography and `vtkLightKit`: the key light from above the viewer's left
 shoulder models the form, the weaker fill light from below on the right softens its shadows, and the headlight keeps all of it
 visible. No normal receives more light than from one headlight of full intensity."""
+
+_LINEAR_KIT = tuple(Light(light.direction, (share,) * 3, light.frame) for light, share in zip(KIT, (0.81, 0.1, 0.2), strict=True))
+"""The same in linear light, where the weaker lights would leave less form: pictures are about as bright as with the others."""
+
+
+def usual_lights(lights: tuple[Light, ...], *, linear: bool) -> tuple[Light, ...]:
+    """The lights of a picture, given those of its scene: the default ones are weighted otherwise in linear light."""
+    return _LINEAR_KIT if linear and lights == KIT else lights

@@ -21,6 +21,7 @@ from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import share_of
 from clvol.base.shown import Named
+from clvol.base.srgb import as_light
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, REGION_FILTER, as_filter
 from clvol.scene.preset import diverging
@@ -48,6 +49,7 @@ __all__ = [
     "colored_by",
     "every_option",
     "heard_options",
+    "in_linear_light",
     "mode_options",
     "modes",
     "opacities_of",
@@ -152,11 +154,12 @@ class Mode:
     @property
     def unheard(self) -> Mapping[str, str]:
         """Options, of pictures and its own, that change no colour of its pictures, each with the reason."""
-        of_light = ("material", "lights", "shadow", "occlusion", "gradient")
-        of_matter = (
-            {} if self.grades else dict.fromkeys(("gradient_opacity", "curvature_opacity"), "they are of matter, in composite")
-        )
-        return of_matter if self.shaded else of_matter | dict.fromkeys(of_light, "nothing is shaded")
+        of_shading = ("material", "lights", "shadow", "occlusion", "gradient")
+        found = {} if self.shaded else dict.fromkeys(of_shading, "nothing is shaded")
+        if not self.grades:
+            found |= dict.fromkeys(("gradient_opacity", "curvature_opacity"), "they are of matter, in composite")
+        lit = self.shaded or self.shows == "matter"
+        return found if lit else {**found, "linear_light": "colours are those of single values"}
 
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002  # most cannot decide
         """Whether values from `low` to `high`, in units of the data, can affect a picture; if not, bricks are skipped."""
@@ -285,6 +288,11 @@ class _OfSurfaces(Mode):
     endpoints: ClassVar[bool] = True
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "surface"
 
+    def in_linear_light(self) -> Self:
+        """The same, settled, with colours of its own that are light (`clvol.base.srgb.as_light`)."""
+        looks: dict[str, Any] = {"cap": cap if isinstance(cap := getattr(self, "cap", False), bool) else _light(cap)}
+        return replace(self, **looks)
+
     def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
         values = self.isovalues  # settled
         return any(low <= value <= high for value in values) or (self.capped and high >= values[0])
@@ -375,6 +383,9 @@ class Isosurface(_OfSurfaces):
     def isovalues(self) -> tuple[float, ...]:
         return (self.isovalue,) if isinstance(self.isovalue, float) else ()
 
+    def in_linear_light(self) -> Self:
+        return replace(super().in_linear_light(), color=_light(self.color))
+
     @property
     def unheard(self) -> Mapping[str, str]:
         exact = {"tolerance": 'method="exact" needs none'} if self.method == "exact" else {}
@@ -461,9 +472,16 @@ class Surfaces(_OfSurfaces):
         numbers = tuple(value for value in values if isinstance(value, float))
         return numbers if len(numbers) == len(values) else ()
 
+    def in_linear_light(self) -> Self:
+        assert isinstance(self.surfaces, tuple)  # settled
+        surfaces = [(value, _light(color), opacity) for value, color, opacity in self.surfaces]
+        return replace(super().in_linear_light(), surfaces=surfaces)
+
     @property
     def unheard(self) -> Mapping[str, str]:
-        return {**super().unheard, **_uncolored(self.cap, self.color_by)}
+        found = {**super().unheard, **_uncolored(self.cap, self.color_by)}
+        found.pop("linear_light", None)  # unlit surfaces are still seen through each other
+        return found
 
     def between_samples(self, *, guides: bool) -> str:
         return "the depth and normals of translucent surfaces" if guides else ""
@@ -661,6 +679,11 @@ def outlined(mode: Mode) -> bool:
     return getattr(mode, "outline", 0.0) > 0
 
 
+def in_linear_light(mode: Mode) -> Mode:
+    """A settled mode, with colours of its own, if it has any, that are light."""
+    return mode.in_linear_light() if isinstance(mode, _OfSurfaces) else mode
+
+
 def opacities_of(mode: Mode) -> tuple[float, ...]:
     """The share of light that each surface of a settled mode stops, in the order of its isovalues."""
     surfaces = getattr(mode, "surfaces", None)
@@ -808,6 +831,11 @@ def _is_number(text: str) -> bool:
 
 def _cap(given: object) -> bool | tuple[float, float, float]:
     return bool(given) if isinstance(given, (bool, np.bool_)) else color_of("cap", given)  # type: ignore[arg-type]  # it checks
+
+
+def _light(color: Any) -> tuple[float, float, float]:
+    red, green, blue = as_light(color).tolist()
+    return red, green, blue
 
 
 def _looks_block(cap: bool | Sequence[float] | str, color_by: str | None, outline: float) -> dict[str, Any]:

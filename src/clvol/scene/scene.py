@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.arrays import reals
-from clvol.base.checks import if_image, instance, number, one_of, suggests_options, warn
+from clvol.base.checks import flag, if_image, instance, number, one_of, suggests_options, warn
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.base.uniform import FLOAT, REACH, Block, Values
@@ -291,6 +291,10 @@ class Scene:
     occlusion : float
         How dark ambient light and headlights are where matter is around, 0 to 1: how much of the light from all directions that
         matter stops is missing. Half of them are open above a flat surface, where nothing is missing.
+    linear_light : bool
+        Whether the colours of what is lit, and of what lies behind each other, are computed in linear light and shown in sRGB, in
+        "composite", "surfaces" and "regions", and "isosurface" with shading. Colours that are given are as they are shown; False
+        computes with those numbers as they are.
     mix : {"add", "over"}
         How the projections of several media go together. "add": their colours add up, as those of a microscope's channels do.
         "over": each covers those after it in the list as far as it is bright.
@@ -333,6 +337,7 @@ class Scene:
     clip: Clip | None = None
     shadow: float = 0.0
     occlusion: float = 0.0
+    linear_light: bool = False
     mix: Literal["add", "over"] = "add"
 
     def __post_init__(self) -> None:
@@ -353,6 +358,7 @@ class Scene:
         object.__setattr__(self, "lights", as_lights(self.lights))
         for name in ("shadow", "occlusion"):
             object.__setattr__(self, name, number(name, getattr(self, name), minimum=0, maximum=1))
+        object.__setattr__(self, "linear_light", flag("linear_light", self.linear_light))
         if self.background is not None:
             object.__setattr__(self, "background", color_of("background", self.background))
         if self.clip is not None:

@@ -16,6 +16,7 @@ from clvol.base.checks import number, suggests_options
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import exponent_of, scaled, unscaled
+from clvol.base.srgb import as_light
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.scene.factor import Factors, as_factors
 from clvol.scene.preset import as_preset, automatic, unit_of
@@ -39,6 +40,9 @@ _AT_ONCE = 4  # ... this many per step
 _FAR = 1.5e38  # largest float32 value whose differences do not overflow
 _STEEPEST = 3e38
 _CMAP_NODES = 64
+_SHADE = 1 / 32
+"""Largest difference between neighbouring colours of light: what is linear between them is off by 3.7e-4 of light, and by less than
+half a step of 8 bits as it is shown."""
 
 
 @suggests_options
@@ -187,8 +191,8 @@ class TransferFunction:
         opacity, where = [p[1] for p in self.opacities], scaled([p[0] for p in self.opacities], exponent)
         return np.stack([*(np.interp(v, at, rgb[:, i]) for i in range(3)), np.interp(v, where, opacity)], -1)
 
-    def table(self, stored: Stored = AS_THEY_ARE) -> NDArray[np.float32]:
-        """The table for kernels, in addition to the block, for values stored as in `stored`.
+    def table(self, stored: Stored = AS_THEY_ARE, *, linear: bool = False) -> NDArray[np.float32]:
+        """The table for kernels, in addition to the block, for values stored as in `stored`; `linear`: of colours in linear light.
 
         Either equal nodes (red, green, blue, opacity), then for each the next node with some opacity; or, if
         the block has a number of pieces, the pieces, in rows of four numbers: colour and opacity at the start, their slopes, and
@@ -196,11 +200,11 @@ class TransferFunction:
         by the starts of all but the first; many, by the piece at the start of each of the equal buckets or, if no
         bucket has two starts, by four numbers per bucket: that piece, its start, the next start, 0.
         """
-        return _laid_out(self, stored).table
+        return _laid_out(self, stored, linear).table
 
-    def block(self, unit: float, stored: Stored = AS_THEY_ARE) -> Values:
+    def block(self, unit: float, stored: Stored = AS_THEY_ARE, *, linear: bool = False) -> Values:
         """The block for kernels; `unit` is their unit of length in world units (the mean spacing). See `table`."""
-        layout = _laid_out(self, stored)
+        layout = _laid_out(self, stored, linear)
         return self.BLOCK(
             low=layout.low,
             scale=layout.scale,
@@ -238,7 +242,7 @@ class _Layout(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _laid_out(transfer: TransferFunction, stored: Stored) -> _Layout:
+def _laid_out(transfer: TransferFunction, stored: Stored, linear: bool) -> _Layout:
     """See `TransferFunction.table`."""
     colors, opacities = (  # not `stored(...)`, because points may be outside the range of float32
         scaled([p[0] for p in points], stored.exponent) - math.ldexp(stored.offset, -stored.exponent)
@@ -248,7 +252,27 @@ def _laid_out(transfer: TransferFunction, stored: Stored) -> _Layout:
     jumps = len(np.unique(colors)) < len(colors) or len(np.unique(opacities)) < len(opacities)
     faint = any(_NEARLY_OPAQUE < a < 1 for _, a in transfer.opacities)
     cells = 0 if jumps or faint else _equal_cells(at)
-    return _of_nodes(transfer, at, opacities, cells) if cells else _of_pieces(transfer, colors, opacities)
+    if cells:
+        nodes = _nodes(transfer, at, opacities, cells)
+        if not linear:
+            return _of_nodes(nodes, at)
+        if np.abs(np.diff(nodes[:, :3], axis=0)).max() <= _SHADE:
+            nodes[:, :3] = as_light(nodes[:, :3])
+            return _of_nodes(nodes, at)
+    shades = np.array([p[1] for p in transfer.colors])
+    if linear:
+        colors, shades = _between(colors, shades)
+        shades = as_light(shades)
+    return _of_pieces(colors, shades, opacities, np.array([p[1] for p in transfer.opacities]))
+
+
+def _between(at: NDArray[np.float64], shades: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points of the same function whose neighbours differ by `_SHADE` at most, but for jumps."""
+    parts = np.where(at[1:] > at[:-1], np.ceil(np.abs(np.diff(shades, axis=0)).max(1) / _SHADE), 1).astype(np.int64)
+    places = np.concatenate([k + np.arange(n) / n for k, n in enumerate(np.maximum(parts, 1))] + [np.array([len(at) - 1.0])])
+    nodes = np.arange(len(at))
+    halves = np.interp(places, nodes, at / 2)  # differences of points may overflow
+    return 2 * halves, np.stack([np.interp(places, nodes, shade) for shade in shades.T], -1)
 
 
 def _equal_cells(at: NDArray[np.float64]) -> int:
@@ -268,7 +292,8 @@ def _equal_cells(at: NDArray[np.float64]) -> int:
     return int(cells[fits.argmax()]) if fits.any() else 0
 
 
-def _of_nodes(transfer: TransferFunction, at: NDArray[np.float64], opacities: NDArray[np.float64], cells: int) -> _Layout:
+def _nodes(transfer: TransferFunction, at: NDArray[np.float64], opacities: NDArray[np.float64], cells: int) -> NDArray[np.float32]:
+    """Colour and opacity at the edges of equal cells, shape (cells + 1, 4)."""
     exponent = exponent_of(*transfer.value_range)
     low, high = scaled(transfer.value_range, exponent)
     nodes = transfer(np.ldexp(np.linspace(low, high, cells + 1), exponent)).astype(np.float32)
@@ -277,15 +302,21 @@ def _of_nodes(transfer: TransferFunction, at: NDArray[np.float64], opacities: ND
     ):  # nodes are rounded, but what is transparent up to a point is so up to its node: bricks are skipped by points
         on = np.round((opacities / 2 - at[0] / 2) / (at[-1] / 2 - at[0] / 2) * cells).astype(np.int64)
         nodes[[n for n, (_, opacity) in zip(on, transfer.opacities, strict=True) if opacity == 0], 3] = 0
+    return nodes
+
+
+def _of_nodes(nodes: NDArray[np.float32], at: NDArray[np.float64]) -> _Layout:
+    cells = len(nodes) - 1
     seen = np.where(nodes[:, 3] > 0, np.arange(len(nodes), dtype=np.float32), np.float32(np.inf))
     following = np.minimum.accumulate(seen[::-1])[::-1]
     scale = cells / (at[-1] - at[0]) if at[-1] > at[0] else 0.0
     return _Layout(float(at[0]), float(scale), float(cells), 0, 0, np.concatenate([nodes.ravel(), following]))
 
 
-def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacities: NDArray[np.float64]) -> _Layout:
+def _of_pieces(
+    colors: NDArray[np.float64], shades: NDArray[np.float64], opacities: NDArray[np.float64], seen: NDArray[np.float64]
+) -> _Layout:
     at = np.unique(np.clip(np.concatenate([colors, opacities]), -_FAR, _FAR))
-    shades, seen = (np.array([p[1] for p in points]) for points in (transfer.colors, transfer.opacities))
     curves = [*((colors, shade) for shade in shades.T), (opacities, seen), (opacities, 1 - seen)]
     up_to = np.stack([_limit(at, *curve, -1) for curve in curves], -1)  # red, green, blue, opacity, 1 - opacity
     since = np.stack([_limit(at, *curve, 1) for curve in curves], -1)

@@ -36,7 +36,8 @@ from clvol.volume.volumes import Volumes
 __all__ = ["Opened", "Viewable", "first_state", "opened"]
 
 Viewable: TypeAlias = Scene | Medium | Volume | LazyVolume | Volumes | Field | ArrayLike
-_STATED = ("step", "transfer", *WORDS, *FACTORS, "material", "lights", "shadow", "occlusion", "background", "clip")
+_STATED = ("step", "transfer", *WORDS, *FACTORS, "material", "lights", "shadow", "occlusion", "linear_light", "background", "clip")
+_OF_LIGHT = ("shadow", "occlusion", "linear_light")
 
 
 class Opened(NamedTuple):
@@ -86,8 +87,8 @@ def opened(
     if isinstance(scene, Scene):
         if any(is_in_parts(medium.volume) for medium in scene.media):
             scene, source = replace(scene, media=tuple(map(_resident, scene.media))), None
-        options = {name: getattr(scene, name) for name in ("lights", "background", "clip", "shadow", "occlusion")} | options
-        scene = replace(scene, shadow=0.0, occlusion=0.0)  # the state has them
+        options = {name: getattr(scene, name) for name in ("lights", "background", "clip", *_OF_LIGHT)} | options
+        scene = replace(scene, shadow=0.0, occlusion=0.0, linear_light=False)  # the state has them
         several = scene if len(scene.media) > 1 or scene.media[0].beyond_words else None
         scene = scene.media[0]
     if isinstance(scene, Medium):
@@ -152,7 +153,7 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
     if factors:
         transfer = values.get("transfer") or look(volume, chosen, **{name: values.pop(name, None) for name in WORDS})
         values["transfer"] = replace(transfer, **factors)
-    for name in (*FACTORS, "shadow", "occlusion"):
+    for name in (*FACTORS, *_OF_LIGHT):
         if values.get(name) is None:
             values.pop(name, None)
     lights = values.get("lights")

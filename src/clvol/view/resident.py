@@ -117,7 +117,7 @@ class Resident:
         given_by_words = state.transfer is None and labelled(volume, state) is volume
         words: dict[str, Any] = state.words if given_by_words else {"transfer": self.transfer(state)}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
-        words |= {name: getattr(state, name) or None for name in ("gradient_opacity", "shadow", "occlusion")}
+        words |= {name: getattr(state, name) or None for name in ("gradient_opacity", "shadow", "occlusion", "linear_light")}
         if state.cuts:
             words["clip"] = [*([state.clip] if state.clip else []), *state.cuts]
         given |= {name: value for name, value in words.items() if value is not None}

@@ -513,6 +513,8 @@ class State(_Checked):
     lights : tuple of Light, optional
     shadow, occlusion : float
         How dark shadows are, and places that matter surrounds, 0 to 1.
+    linear_light : bool
+        Whether colours are computed in linear light.
     material : Material, optional
     background : three numbers in 0..1, or None
     clip : (low, high), optional
@@ -554,6 +556,7 @@ class State(_Checked):
     gradient_opacity: float = _of(number, 0.0, minimum=0, maximum=1)
     shadow: float = _of(number, 0.0, minimum=0, maximum=1)
     occlusion: float = _of(number, 0.0, minimum=0, maximum=1)
+    linear_light: bool = _of(_switch, False)
     material: Material | None = _part(Material)
     background: Triple | None = _of(_color, (0.0, 0.0, 0.0), optional=True)
     clip: tuple[Triple, Triple] | None = _of(_box, None, _clip_of, lambda clip: {"low": list(clip[0]), "high": list(clip[1])})

@@ -6,6 +6,7 @@ import numpy as np
 
 from clvol.base.arrays import Array
 from clvol.filter.table import as_filter
+from clvol.reference.march.light import light_of
 from clvol.reference.march.missing import continued, is_missing
 from clvol.reference.spline.points import sample
 from clvol.scene.scene import Medium
@@ -13,9 +14,9 @@ from clvol.scene.scene import Medium
 __all__ = ["colored"]
 
 
-def colored(other: Medium, points: Array, rgb: Array) -> Array:
+def colored(other: Medium, points: Array, rgb: Array, *, linear: bool = False) -> Array:
     """Colours at places of the world, those of a medium's own in `rgb`, where another with a filter and a transfer function covers
-    them: as far as that is opaque, inside of its domain and where its samples are not missing.
+    them: as far as that is opaque, inside of its domain and where its samples are not missing. With `linear`, colours are light.
     """
     assert other.filter is not None
     assert other.transfer is not None
@@ -27,5 +28,5 @@ def colored(other: Medium, points: Array, rgb: Array) -> Array:
         inside[inside] = ~is_missing(volume, points[inside], row)
     shown = other.transfer(sample(continued(volume) if some_missing else volume, points[inside], row, rule))
     result = rgb.copy()
-    result[inside] += shown[:, 3:] * (shown[:, :3] - rgb[inside])
+    result[inside] += shown[:, 3:] * (light_of(shown[:, :3], linear) - rgb[inside])
     return result

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from clvol.base.arrays import Array
 from clvol.filter.filter import Filter
+from clvol.reference.march.light import light_of, shown_as
 from clvol.reference.march.march import camera_rays, pixel_rays, shade
 from clvol.scene.camera import Viewpoint
 from clvol.scene.light import Light, Material
@@ -37,6 +38,7 @@ def draw_function(
     rays: int = 1,
     pixel_filter: str | Filter = "linear",
     steps: int = 240,
+    linear_light: bool = False,
 ) -> tuple[Array, NDArray[np.float32]]:
     """The first surface of a function within the domain of a volume, whose samples are ignored, and its picture in float32.
 
@@ -49,18 +51,18 @@ def draw_function(
     for k, (offset, weight) in enumerate(pixel_rays(rays, pixel_filter)):
         cast = camera_rays(volume, view, size, offset, clip)
         crossing = np.flatnonzero(cast.enter < cast.leave)
-        drawn = np.broadcast_to(np.asarray(background, np.float64), picture.shape).copy()
+        drawn = np.broadcast_to(light_of(background, linear_light), picture.shape).copy()
         for part in np.array_split(crossing, -(-crossing.size // _RAYS)) if crossing.size else []:
             hit, t = _first_crossing(
                 lambda p: function(p) - isovalue, cast.origin[part], cast.direction[part], cast.enter[part], cast.leave[part], steps
             )
             at = cast.at(t, part[hit])
-            colors = np.broadcast_to(np.asarray(color, np.float64), at.shape)
-            drawn[part[hit]] = shade(gradient(at), colors, cast.direction[part[hit]], material, lit_by, 0.0)
+            colors = np.broadcast_to(light_of(color, linear_light), at.shape)
+            drawn[part[hit]] = shade(gradient(at), colors, cast.direction[part[hit]], material, lit_by, 0.0, linear=linear_light)
             if k == 0:
                 points.append(at)
         picture += drawn * weight
-    opaque = np.concatenate([np.clip(picture, 0, 1), np.ones((height * width, 1))], -1)
+    opaque = np.concatenate([shown_as(np.clip(picture, 0, 1), linear_light), np.ones((height * width, 1))], -1)
     return np.concatenate(points or [np.empty((0, 3))]), opaque.reshape(height, width, 4).astype(np.float32)
 
 

@@ -25,6 +25,7 @@ from clvol.filter.boundary import REGION_BOUNDARY, UNSAID_BOUNDARY, Boundary, as
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.colored import colored
+from clvol.reference.march.light import light_of, reflected, shown_as
 from clvol.reference.march.missing import continued, is_missing
 from clvol.reference.march.rays import Rays, camera_rays, face_normals, kept_parts
 from clvol.reference.march.roots import crossings_by, first_crossings
@@ -34,7 +35,7 @@ from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Clip, as_clip, cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.joint import TransferFunction2D
-from clvol.scene.light import KIT, Light, Material, as_lights
+from clvol.scene.light import KIT, Light, Material, as_lights, usual_lights
 from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, Regions, Surfaces, as_mode, mode_options
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
@@ -153,14 +154,22 @@ def _to_edge(scene: _Scene, rays: Rays, which: NDArray[np.intp], t: Array, other
 
 
 def shade(
-    gradient: Array, color: Array, direction: Array, material: Material, lights: Sequence[Light], flat: float | Array
+    gradient: Array,
+    color: Array,
+    direction: Array,
+    material: Material,
+    lights: Sequence[Light],
+    flat: float | Array,
+    *,
+    linear: bool = False,
 ) -> Array:
     """Blinn-Phong: ``color (ka + kd Σ Lᵢ (n·lᵢ)⁺) + ks Σ Lᵢ ((n·hᵢ)⁺)ˢ``, with n towards the viewer.
 
     ``h`` is halfway between the light and the viewer; there is no highlight if the light is behind the surface. If the gradient is
     no longer than `flat` (`flat_below`) there is no normal, hence full diffuse light and no highlight. Lights are in the world
-    (`Light.placed`).
+    (`Light.placed`). With `linear`, colours are light, and ka and kd those of `reflected`.
     """
+    ambient, full = reflected(material, linear)
     normal, known = facing(gradient, direction, flat)
     normal = np.where(known[:, None], normal, 0.0)
     viewer = -direction
@@ -174,7 +183,7 @@ def shade(
         highlight = np.where(known & (cosine > 0), highlight, 0.0)
         diffuse += cosine[:, None] * np.asarray(light.color)
         shine += highlight[:, None] * np.asarray(light.color)
-    return np.asarray(color * (material.ambient + material.diffuse * diffuse) + material.specular * shine)
+    return np.asarray(color * (ambient + full * diffuse) + material.specular * shine)
 
 
 def flat_below(volume: Volume, values: Array) -> Array:
@@ -234,7 +243,9 @@ class _Scene:
     hessian: Callable[[Array], Array]
     filter: Filter
     lit: Callable[[Array, Array, Array, Array], Array]  # gradient, values, colour and direction to colour
-    transfer: TransferFunction
+    transfer: Callable[[Array], Array]
+    function: TransferFunction  # of which it gives the light
+    light: Callable[[Any], Array]  # of a colour of the mode
     unit_distance: float
     volume: Volume
     view: Viewpoint
@@ -260,6 +271,7 @@ def render(
     rays: int = 1,
     pixel_filter: str | Filter = "linear",
     outputs: str | Sequence[str] = "rgba",
+    linear_light: bool = False,
     other: Medium | None = None,
     **options: Any,
 ) -> Array | dict[str, Array]:
@@ -288,6 +300,9 @@ def render(
     ``regions``: the value of a sample is the label of its region (`labels_at`); boundaries between two samples by bisection.
 
     Samples that are NaN or infinite are missing: `continued` replaces them, and nothing is shown where `is_missing`.
+
+    With `linear_light`, in modes of light, all colours that are given are light (`light_of`) before anything is computed with them,
+    and the picture over its background is shown (`shown_as`) after.
     """
     volume, row, chosen = as_volume(volume), as_filter(filter), as_mode(mode, options)
     if "termination" in mode_options(chosen) and "termination" not in options:
@@ -309,6 +324,11 @@ def render(
         transfer = chosen.transfer(volume)
     material = material or Material()
     central = gradient == "central" or not row.has_gradient
+    linear = linear_light and "linear_light" not in chosen.unheard
+
+    def classified(values: Array) -> Array:
+        shades = transfer(values)
+        return np.concatenate([light_of(shades[..., :3], linear), shades[..., 3:]], -1)
 
     value, exact_slope = _function(present, row, as_boundary(inside), regions=chosen.regions)
 
@@ -343,20 +363,22 @@ def render(
     clip = None if clip is None else as_clip(clip)
     cuts = cuts_of(clip)
     view = fitted(camera or usual_camera(volume), volume, chosen, transfer, clip, width / height).view(volume, width / height)
-    lit_by = [light.placed(view) for light in as_lights(lights)]
+    lit_by = [light.placed(view) for light in usual_lights(as_lights(lights), linear=linear)]
     scene = _Scene(
         value,
         missing,
         slope,
         lambda points: sample(present, points, row, inside, 2),
         row,
-        lambda g, v, c, d: shade(g, c, d, material, lit_by, flat_below(volume, v - taken_off)),
+        lambda g, v, c, d: shade(g, c, d, material, lit_by, flat_below(volume, v - taken_off), linear=linear),
+        classified,
         transfer,
+        partial(light_of, linear=linear),
         transfer.unit_distance or float(np.mean(volume.spacing)),
         volume,
         view,
         height,
-        lambda points, rgb: rgb if other is None else colored(other, points, rgb),
+        lambda points, rgb: rgb if other is None else colored(other, points, rgb, linear=linear),
     )
     axis, planes = planes_across(volume, view, width / height, step)
     total = np.zeros((width * height, 4))
@@ -394,9 +416,10 @@ def render(
         with np.errstate(divide="ignore", invalid="ignore"):
             over = np.where(cover > 0, premultiplied / cover, 0.0)
     else:
-        over = premultiplied + (1 - cover) * np.asarray(color_of("background", background))
+        over = premultiplied + (1 - cover) * light_of(color_of("background", background), linear)
         cover = np.ones_like(cover)
-    pictures = {"rgba": np.clip(np.concatenate([over, cover], 1), 0, 1), **guides}
+    colors = shown_as(np.clip(over, 0, 1), linear)
+    pictures = {"rgba": np.concatenate([colors, np.clip(cover, 0, 1)], 1), **guides}
     shaped = {name: array.reshape(height, width, *array.shape[1:]) for name, array in pictures.items()}
     return shaped[outputs] if isinstance(outputs, str) else {name: shaped[name] for name in outputs}
 
@@ -547,14 +570,15 @@ def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
 
 def _graded(scene: _Scene, points: Array, values: Array, rgb: Array, alpha: Array) -> tuple[Array, Array]:
     """Colours and opacities with all that these depend on beside the value."""
-    transfer = scene.transfer
+    transfer = scene.function
     steep = np.linalg.norm(scene.gradient(points), axis=-1) if transfer.graded & 5 else alpha
     if isinstance(transfer, TransferFunction2D):
         image = transfer.nodes
         low, high = image.values
         ends = np.array(image.shape) - 1
         place = np.stack([steep / image.steepest, (values - low) / (high - low)])
-        corners = np.moveaxis(image.array.astype(np.float64) * np.where([1, 1, 1, 0], image.array[..., 3:], 1), -1, 0)
+        seen = image.array[..., 3:].astype(np.float64)
+        corners = np.moveaxis(np.concatenate([scene.light(image.array[..., :3]) * seen, seen], -1), -1, 0)
         at = np.clip(place, 0, 1) * ends[:, None]
         mixed = np.stack([map_coordinates(channel, at, order=1, mode="nearest") for channel in corners], -1)
         alpha = mixed[:, 3]
@@ -583,7 +607,7 @@ def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered
         capped |= new & cap
     hit = np.flatnonzero(np.isfinite(depth))
     rgb = np.zeros((depth.size, 3))
-    rgb[hit] = mode.color
+    rgb[hit] = scene.light(mode.color)
     if mode.color_by == "label" and not scene.filter.has_gradient:
         rgb[hit] = scene.transfer(scene.value(rays.at(depth[hit] + 100 * _PAST, hit)))[:, :3]
     elif mode.color_by and mode.color_by != "label":
@@ -594,7 +618,7 @@ def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered
         rgb[hit] = scene.lit(gradient, np.full(hit.size, mode.isovalue), rgb[hit], rays.direction[hit])
     if mode.outline:
         rgb[hit] *= _outlined(scene, mode.outline, rays.at(depth[hit], hit), rays.direction[hit])
-    rgb[capped] = scene.transfer(scene.value(rays.at(depth[capped], capped)))[:, :3] if mode.cap is True else mode.cap
+    rgb[capped] = scene.transfer(scene.value(rays.at(depth[capped], capped)))[:, :3] if mode.cap is True else scene.light(mode.cap)
     return rgb, np.isfinite(depth).astype(float), depth
 
 
@@ -608,7 +632,7 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
         for k, (value, color, opacity) in enumerate(mode.surfaces):
             for on, t in crossings_by(partial(_first_shown, scene, isovalue=value), scene.volume, part.rays):
                 at = part.rays.at(t, on)
-                colors = np.tile(np.asarray(color, float), (on.size, 1))
+                colors = np.tile(scene.light(color), (on.size, 1))
                 if mode.color_by:
                     colors = scene.transfer(_shown_at(scene, mode.color_by, at, part.rays.direction[on]))[:, :3]
                 colors = scene.colored(at, colors)
@@ -622,7 +646,7 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
         cap[cap] = scene.value(part.rays.at(part.rays.enter[cap], cap)) >= mode.isovalues[0]
         for ray in np.flatnonzero(cap):
             value = scene.value(part.rays.at(part.rays.enter[ray : ray + 1], np.array([ray])))
-            color = scene.transfer(value)[0, :3] if mode.cap is True else np.asarray(mode.cap, float)
+            color = scene.transfer(value)[0, :3] if mode.cap is True else scene.light(mode.cap)
             crossings.append((ray, part.rays.enter[ray], 0, color, 1.0))
         for ray, t, _, color, opacity in sorted(crossings, key=lambda crossing: crossing[1:3]):
             if light[ray] < _FAINT:
@@ -766,7 +790,7 @@ def _mip(scene: _Scene, mode: Mode, samples: _Samples) -> _Gathered:  # noqa: AR
 def _attenuated(scene: _Scene, mode: Attenuated, samples: _Samples) -> _Gathered:
     """A ray is half of the sphere's diameter deep where it crosses the plane through the centre that faces the camera."""
     rays, t = samples.rays, samples.t
-    bottom, forward, center = scene.transfer.value_range[0], scene.view.forward, scene.volume.center
+    bottom, forward, center = scene.function.value_range[0], scene.view.forward, scene.volume.center
     diameter = 2 * np.linalg.norm(scene.volume.corners - center, axis=1).max()
     middle = ((center - rays.origin) @ forward) / (rays.direction @ forward)
     fading = np.exp(-mode.attenuation * np.maximum(0.5 + (t - middle[:, None]) / diameter, 0.0))

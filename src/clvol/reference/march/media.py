@@ -16,6 +16,7 @@ from clvol.base.arrays import Array
 from clvol.filter.boundary import REGION_BOUNDARY, is_given
 from clvol.filter.table import DEFAULT_FILTER, REGION_FILTER, as_filter
 from clvol.reference.march.colored import colored
+from clvol.reference.march.light import light_of, shown_as
 from clvol.reference.march.march import boundaries_by, flat_below, planes_across, shade
 from clvol.reference.march.rays import Rays, camera_rays, kept_parts
 from clvol.reference.march.roots import crossings_by, first_crossings
@@ -23,6 +24,7 @@ from clvol.reference.spline.points import sample
 from clvol.reference.spline.regions import labels_at, lead_gradient
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Cuts, cuts_of
+from clvol.scene.light import usual_lights
 from clvol.scene.scene import Medium, Scene
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import Stored
@@ -48,6 +50,7 @@ def render_media(
     place. A ray that enters at the face of a cut has the slice, unlit, for 16 unit distances, at the place before its first sample.
     """
     width, height = size
+    scene = replace(scene, lights=usual_lights(scene.lights, linear=scene.linear_light))
     volume = scene.media[lead].volume
     view = camera.view(volume, width / height)
     t, world_step = _places(scene, volume, view, size, step)
@@ -97,8 +100,10 @@ def render_media(
     if scene.background is None:
         colors = np.divide(colors, cover[:, None], out=np.zeros_like(colors), where=cover[:, None] > 0)
     else:
-        colors, cover = colors + (1 - cover[:, None]) * np.asarray(scene.background), np.ones_like(cover)
-    rgba = np.clip(np.concatenate([colors, cover[:, None]], 1), 0, 1)
+        behind = light_of(scene.background, scene.linear_light)
+        colors, cover = colors + (1 - cover[:, None]) * behind, np.ones_like(cover)
+    colors = shown_as(np.clip(colors, 0, 1), scene.linear_light)
+    rgba = np.concatenate([colors, np.clip(cover[:, None], 0, 1)], 1)
     return {"rgba": rgba.reshape(height, width, 4), "depth": depth.reshape(height, width)}
 
 
@@ -173,8 +178,12 @@ def _regions(
     volume, row = medium.volume, as_filter(medium.filter or REGION_FILTER).name
     rule = medium.boundary.name if medium.boundary.edge and is_given(medium.boundary) else REGION_BOUNDARY
     lights = [light.placed(view) for light in scene.lights]
-    assert medium.transfer is not None
-    shades = medium.transfer
+    linear = scene.linear_light
+
+    def shades(labels: Array) -> Array:
+        assert medium.transfer is not None
+        classified = medium.transfer(labels)
+        return np.concatenate([light_of(classified[..., :3], linear), classified[..., 3:]], -1)
 
     def value(points: Array) -> Array:
         return labels_at(volume, points, row, rule)[0].astype(np.float64)
@@ -197,7 +206,7 @@ def _regions(
             if shading:
                 points, flat = rays.at(at, on), flat_below(volume, entered)
                 gradient = lead_gradient(volume, points, row, rule) * (1 + np.abs(entered[:, None]))  # as its rounding error
-                colors[:, :3] = shade(gradient, colors[:, :3], rays.direction[on], medium.material, lights, flat)
+                colors[:, :3] = shade(gradient, colors[:, :3], rays.direction[on], medium.material, lights, flat, linear=linear)
             yield on, slots[on, k], -np.log1p(-colors[:, 3]), colors[:, :3]
 
 
@@ -218,14 +227,15 @@ def _matter(
     values = sample(volume, points, row, rule)
     assert medium.transfer is not None
     shades = medium.transfer(values)
-    rgb = shades[:, :3]
+    linear = scene.linear_light
+    rgb = light_of(shades[:, :3], linear)
     seen = shades[:, 3] > 0
     if medium.color_by is not None:
-        rgb[seen] = colored(medium.color_by, points[seen], rgb[seen])
+        rgb[seen] = colored(medium.color_by, points[seen], rgb[seen], linear=linear)
     if shading:
         flat = flat_below(volume, values[seen] - Stored.of(volume, row, medium.boundary).offset)
         lights = [light.placed(view) for light in scene.lights]
         gradient = sample(volume, points[seen], row, rule, 1)
-        rgb[seen] = shade(gradient, rgb[seen], rays.direction[which[seen]], medium.material, lights, flat)
+        rgb[seen] = shade(gradient, rgb[seen], rays.direction[which[seen]], medium.material, lights, flat, linear=linear)
     with np.errstate(divide="ignore"):
         return -np.log1p(-shades[:, 3]), rgb

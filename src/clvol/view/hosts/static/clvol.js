@@ -1246,8 +1246,9 @@ class Panel {
     this.light.fill(Object.keys(LIGHTS));
     this.material = Object.entries(MATERIAL).map(([name, [low, high]]) => [name, slider(name, { low, high }, this.setter(`material.${name}`))]);
     this.dark = Object.entries(DARK).map(([name, [label, hint]]) => [name, slider(label, { low: 0, high: 1 }, this.setter(name), hint)]);
+    this.linear = toggle("Linear light", this.setter("linear_light"), "colours are computed in linear light");
     this.background = colorBox("Background", this.setter("background"));
-    return make("div", {}, this.light.element, ...this.dark.map(([, c]) => c.element), ...this.material.map(([, c]) => c.element), this.background.element);
+    return make("div", {}, this.light.element, ...this.dark.map(([, c]) => c.element), this.linear.element, ...this.material.map(([, c]) => c.element), this.background.element);
   }
 
   cropControls() {
@@ -1365,6 +1366,7 @@ class Panel {
       control.show(state[name]);
       control.element.hidden = this.media.about.length > 1;
     }
+    this.linear.show(state.linear_light);
     this.background.show(state.background ?? [0, 0, 0]);
     this.cropping.show(state.clip);
     const { low, high } = state.clip ?? this.box();
