@@ -22,9 +22,9 @@ INLINE real factor_of(constant factors_block *factors, const int which, const re
 INLINE int none_within(constant factors_block *factors, const int which, const float low, const float high)
 {
     const int first = which * MOST_POINTS, last = first + factors->count[which] - 1;
-    int none = 1;
+    int none = factors->base[first] == 0.0f || low >= factors->start[first];
     for (int i = first; i <= last; ++i) {
-        const int begun = i == first || high >= factors->start[i], over = i < last && low > factors->start[i + 1];
+        const int begun = high >= factors->start[i], over = i < last && low > factors->start[i + 1];
         none &= (factors->base[i] == 0.0f && factors->slope[i] == 0.0f) || !begun || over;
     }
     return none;

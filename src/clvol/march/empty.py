@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from clvol.march.renderer import Renderer
     from clvol.march.source import Source
     from clvol.scene.camera import Camera
-    from clvol.scene.mode import Mode
+    from clvol.scene.mode import Mode, virtual_samples
     from clvol.show.picture import Picture
     from clvol.volume.volume import Volume
 
@@ -121,7 +121,7 @@ def _missed(look: ResolvedLook, step: float) -> str:
         middle, wide = first / 2 + last / 2, last - first
         if wide > _NARROW * (high - low) or not low < middle < high:
             continue
-        change = step * _slope_at(look.preview, middle) / apart / max(1, getattr(look.mode, "virtual", 0))
+        change = step * _slope_at(look.preview, middle) / apart / max(1, virtual_samples(look.mode))
         if wide < change:
             return (
                 f"the band of opacity from {first:.4g} to {last:.4g} is narrower than what values change by from sample to sample "

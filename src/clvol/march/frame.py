@@ -26,7 +26,7 @@ from clvol.scene.clip import CLIP, clip_block
 from clvol.scene.factor import FACTORS, factors_block
 from clvol.scene.joint import JOINT, joint_block
 from clvol.scene.light import LIGHTS, Material, lights_block
-from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, in_linear_light, outlined
+from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, in_linear_light, outlined, virtual_samples
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.build import along_defines, spared_taps
@@ -235,7 +235,7 @@ class Frame:
             "COLORED": int(self.other is not None),
             **({} if self.other is None else {"MOST_TAPS": MAX_TAPS}),
             **({} if self.lit is None else {"SHADOWED": self.lit.rows}),
-            **({"BETWEEN": 1} if getattr(mode, "virtual", 0) else {}),
+            **({"BETWEEN": 1} if virtual_samples(mode) else {}),
             "COORD_DOUBLE": 0,
             **({"SPARED": spared_taps(self.coefficients.filter)} if mode.regions else {}),
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),

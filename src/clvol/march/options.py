@@ -19,7 +19,7 @@ from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.light import casts, usual_lights
 from clvol.scene.look import graded, look
-from clvol.scene.mode import BY_LABEL, as_mode, colored_by, require_heard
+from clvol.scene.mode import BY_LABEL, as_mode, colored_by, require_heard, virtual_samples
 from clvol.scene.preset import as_preset
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import FACTORS, WORDS
@@ -592,7 +592,7 @@ def _require_gradable(mode: Mode, medium: Medium, scene: Scene, transfer: Transf
     what = " and ".join(factors) or ("gradient_opacity", "curvature_opacity", "a TransferFunction2D")[min(transfer.graded // 2, 2)]
     if not mode.grades:
         raise OptionError(f"{what} changes nothing in {mode.name}: it is of matter, in composite; leave it out")
-    if getattr(mode, "virtual", 0):
+    if virtual_samples(mode):
         raise OptionError(f"virtual must be 0 beside {what}, which is of true gradients; leave it out")
     if medium.volume.is_labels:
         raise OptionError(f"{what} changes nothing of labels: they are names, which have no slopes; leave it out")

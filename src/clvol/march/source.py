@@ -30,7 +30,7 @@ from clvol.march.mixed import mixed, nearest, over
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.shadow import Body, Matter, Shadows
 from clvol.march.uncertainty import Uncertainty
-from clvol.scene.mode import CURVATURES, colored_by, outlined
+from clvol.scene.mode import CURVATURES, colored_by, outlined, virtual_samples
 from clvol.scene.scene import Medium, Scene
 from clvol.spline.evaluator import DIRECT, choose_evaluator, require_direct
 from clvol.spline.field import Field
@@ -124,7 +124,7 @@ class Source(ABC):
             raise OptionError(f"color_by {colored} takes a filter with continuous slopes, such as bspline3; got {row.name}")
         if outlined(mode) and row.continuity < 1:
             raise OptionError(f"outline takes a filter with continuous slopes, such as bspline3; got {row.name}")
-        if getattr(mode, "virtual", 0) and not row.has_gradient:
+        if virtual_samples(mode) and not row.has_gradient:
             raise OptionError(f"virtual takes a filter with slopes, such as bspline3; got {row.name}")
         if options.get("lod", "auto") != "auto" and not self.sizes:
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
@@ -437,7 +437,7 @@ class ByBricks(OneMedium):
 
     def seen(self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting) -> Seen:
         require_direct(self.field.device, "bricks are")
-        if getattr(look.mode, "virtual", 0):
+        if virtual_samples(look.mode):
             raise OptionError("virtual must be 0 for a volume that is read by bricks: LazyVolume.whole() has such samples")
         field = self.function(look.mode, level)
         between = look.mode.between_samples(guides=guides)
@@ -522,7 +522,7 @@ class Several(Source):
                 f"mode {mode.name!r} draws one label map; got a scene of {len(self.scene.media)} media: in composite, "
                 "Medium(labels, smooth=True) shows them with others"
             )
-        if getattr(mode, "virtual", 0):
+        if virtual_samples(mode):
             raise OptionError(
                 f"virtual must be 0 in a scene of several media, which have common samples; got {len(self.scene.media)}"
             )

@@ -55,6 +55,7 @@ __all__ = [
     "opacities_of",
     "outlined",
     "require_heard",
+    "virtual_samples",
 ]
 
 DEFAULT_MODE = "composite"
@@ -672,6 +673,11 @@ def modes() -> ModeTable:
 def colored_by(mode: Mode) -> str:
     """What colours the surfaces of a mode, if not colours of their own: one of `CURVATURES`, `BY_DISTANCE`, `BY_LABEL`, or ""."""
     return getattr(mode, "color_by", None) or ""
+
+
+def virtual_samples(mode: Mode) -> int:
+    """How many there are between two samples of a ray, if matter is theirs; else 0."""
+    return int(getattr(mode, "virtual", 0))
 
 
 def outlined(mode: Mode) -> bool:

@@ -36,7 +36,18 @@ from clvol.scene.clip import Clip, as_clip, cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.joint import TransferFunction2D
 from clvol.scene.light import KIT, Light, Material, as_lights, usual_lights
-from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, Regions, Surfaces, as_mode, mode_options
+from clvol.scene.mode import (
+    DEFAULT_MODE,
+    Attenuated,
+    Composite,
+    Isosurface,
+    Mode,
+    Regions,
+    Surfaces,
+    as_mode,
+    mode_options,
+    virtual_samples,
+)
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import Stored
@@ -392,7 +403,7 @@ def render(
             values = np.full(t.shape, math.nan)
             which, k = np.nonzero(there)
             values[there] = value(cast.at(t[which, k], which))
-            if not (chosen.isovalues or (isinstance(chosen, Composite) and chosen.virtual)):
+            if not (chosen.isovalues or virtual_samples(chosen)):
                 there[there] = ~missing(cast.at(t[which, k], which))
             face = cut & chosen.capped
             face[face] = ~missing(cast.at(cast.enter[face], face))
