@@ -49,6 +49,9 @@ double clamp_d(double x, double low, double high) { return fmin(fmax(x, low), hi
 FLOOR(float4, 4, "_Z5floorDv4_f")
 FLOOR(float8, 8, "_Z5floorDv8_f")
 
+float3 pow3(float3 x, float3 y) NAMED("_Z3powDv3_fS_");
+float3 pow3(float3 x, float3 y) { return (float3){powf(x.x, y.x), powf(x.y, y.y), powf(x.z, y.z)}; }
+
 void store3(float3 v, size_t at, float *to) NAMED("_Z7vstore3Dv3_fmPU8CLglobalf");
 void store3(float3 v, size_t at, float *to) { to[3 * at] = v.x, to[3 * at + 1] = v.y, to[3 * at + 2] = v.z; }
 
