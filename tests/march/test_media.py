@@ -87,6 +87,26 @@ def test_opaque_media_have_their_colors(device: Device, clip: Any) -> None:
     assert deep < 1e-4
 
 
+STEEP = ((0.02, 0.0), (0.08, 1.0))
+GRADED = (
+    replace(FIRST, gradient_opacity=STEEP),
+    replace(MEDIA["one grid"], transfer=clvol.TransferFunction2D(boxes=[((0.3, 0.9), (0.02, math.inf), "teal", 0.3)])),
+)
+
+
+def test_media_with_gradients_are_the_references(device: Device) -> None:
+    first, other = GRADED
+    assert first.transfer is not None
+    seen = first.with_transfer(replace(first.transfer, gradient_opacity=STEEP))
+    largest, rms, deep = errors(Scene([seen, other]), "perspective", device)
+    assert largest < 1e-4
+    assert rms < 1e-6
+    assert deep < 1e-4
+    look: dict[str, Any] = {"size": SIZE, "step": 0.7, "rays": 1, "termination": 0, "device": device}
+    wanted = clvol.render(Scene([seen, other]), camera("perspective"), **look)
+    np.testing.assert_array_equal(clvol.render(Scene(GRADED), camera("perspective"), skipping=False, **look), wanted)
+
+
 @pytest.mark.parametrize("view", ["orthographic", "wide"])
 def test_all_media_are_the_references(device: Device, view: str) -> None:
     largest, rms, deep = errors(Scene([FIRST, *MEDIA.values()]), view, device)
@@ -417,6 +437,7 @@ BRICKED: dict[str, tuple[Medium, ...]] = {
         replace(FIRST, filter="linear", clip=Corner((8, 8, 8), (40, 40, 40))),
         replace(MEDIA["turned"], volume=replace(MEDIA["turned"].volume, data=HOLED)),
     ),
+    "gradients": GRADED,
     "smooth regions": (replace(FIRST, filter="linear"), replace(SMOOTH, clip=Corner((8, 8, 8), (40, 40, 40)))),
 }
 

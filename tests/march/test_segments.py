@@ -54,8 +54,8 @@ def volumes(draw: st.DrawFn) -> Volume:
 def graded(draw: st.DrawFn, transfer: TransferFunction) -> TransferFunction:
     """A function of the gradient, too: with factors that are often 0, or two boxes, one of them of the steepest."""
     steep = sorted(draw(st.lists(st.floats(0, 1.5), min_size=2, max_size=4, unique=True)))
-    small = draw(st.sampled_from([1.0, 1e-6]))
-    steep = [small * slope for slope in steep]
+    unit = draw(st.sampled_from([1.0, 1e-6]))
+    steep = [unit * slope for slope in steep]
     if draw(st.booleans()):
         factors = draw(st.lists(st.sampled_from([0.0, 0.0, 0.4, 1.0]), min_size=len(steep), max_size=len(steep)))
         return replace(transfer, gradient_opacity=tuple(zip(steep, factors, strict=True)))
@@ -162,6 +162,15 @@ def test_skipping_changes_no_bit_on_any_path(
             same(device, volume, "bspline3", "isosurface", view)
     except DeviceError as error:
         pytest.skip(str(error))
+
+
+def test_even_matter_is_skipped(device: Device) -> None:
+    """Where only boundaries are seen, both of what is on their sides."""
+    volume = Volume((np.indices((64, 64, 64))[0] < 32).astype(np.float32))
+    transfer = TransferFunction(((0.0, "red"), (1.0, "white")), ((0.0, 0.5),), gradient_opacity=((0.1, 0.0), (0.3, 1.0)))
+    with Renderer(volume, device=device) as renderer:
+        got = renderer.render(mode="composite", size=(60, 45), transfer=transfer, outputs="visited")
+    assert np.mean(got[np.isfinite(got)]) < 0.25
 
 
 @pytest.mark.one_in(5)

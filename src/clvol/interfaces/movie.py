@@ -29,9 +29,10 @@ from clvol.march.options import KEYWORDS, WORDS, BatchOptions, FieldOptions, Res
 from clvol.scene.camera import Camera
 from clvol.scene.fit import usual_camera
 from clvol.scene.keyframes import Keyframes
-from clvol.scene.look import look
+from clvol.scene.look import graded, look
 from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode
 from clvol.scene.scene import Medium, Scene, as_scene, channels
+from clvol.scene.transfer import FACTORS
 from clvol.show import movies
 from clvol.volume.smoothing import settled
 from clvol.volume.volume import Volume
@@ -375,8 +376,9 @@ class _Series:
         rows = [_row(medium.volume, medium.filter, mode) for medium in first]
 
         def alike(medium: Medium, samples: Volume, row: Filter | None) -> Medium:
-            if medium.transfer is None and not medium.surfaces and "transfer" not in mode.unheard:
-                medium = medium.with_transfer(look(samples, mode, **medium.words))
+            if not medium.surfaces and "transfer" not in mode.unheard:
+                own = medium.transfer or look(samples, mode, **medium.words)
+                medium = medium.with_transfer(graded(own, samples, **medium.factors))
             return replace(medium, filter=row)
 
         return [
@@ -406,11 +408,17 @@ def _shots(
 
 def _shown(samples: Volume, options: Mapping[str, Any]) -> dict[str, Any]:
     """The options with the mode settled, and the transfer function chosen, for the samples of a whole series."""
-    rest = {name: value for name, value in options.items() if name in KEYWORDS and name not in (*WORDS, "mode", "transfer")}
+    settled = (*WORDS, *FACTORS, "mode", "transfer")
+    rest = {name: value for name, value in options.items() if name in KEYWORDS and name not in settled}
     own = {name: value for name, value in options.items() if name not in KEYWORDS}
     mode: Mode = as_mode(options.get("mode", DEFAULT_MODE), own).settled(samples)
     if "transfer" not in mode.unheard:
         rest["transfer"] = transfer_of(samples, mode, options) or mode.transfer(samples)
+    factors = {name: options.get(name) for name in FACTORS}
+    if mode.grades and not samples.is_labels:
+        rest["transfer"] = graded(rest["transfer"], samples, **factors)
+    else:
+        rest |= factors  # which are refused
     return rest | {"mode": mode}
 
 

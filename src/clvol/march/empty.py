@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from clvol.base.checks import warn
 from clvol.march.options import WORDS, ResolvedLook, chosen_mode
 from clvol.scene.clip import Cuts, cuts_of
+from clvol.scene.mode import virtual_samples
 
 if TYPE_CHECKING:
     from clvol.march.renderer import Renderer
     from clvol.march.source import Source
     from clvol.scene.camera import Camera
-    from clvol.scene.mode import Mode, virtual_samples
+    from clvol.scene.mode import Mode
     from clvol.show.picture import Picture
     from clvol.volume.volume import Volume
 

@@ -15,7 +15,6 @@ from clvol.base.errors import OptionError
 from clvol.base.progress import part_of
 from clvol.base.srgb import as_light, as_shown
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, EDGE_RAYS, as_pixel_filter, on_edges, pixel_rays
-from clvol.scene.mode import virtual_samples
 from clvol.spline.build import row_reach, row_width
 from clvol.spline.coefficients import Coefficients
 
@@ -251,7 +250,7 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     Samples count from the first plane that a ray of the picture may cross. `states`, those after the samples before `first`, are
     updated and returned. By default rays start fresh; a mode that compares adjacent samples then also takes those before `first`.
     """
-    if virtual_samples(frame.mode) and states is None and first > -math.inf:
+    if "BETWEEN" in frame.defines() and states is None and first > -math.inf:
         raise OptionError(f"rays with virtual samples begin with their first sample, or go on from states; got first={first:g}")
     kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), Inputs(frame)
     carried, states = states is not None, States(frame) if states is None else states

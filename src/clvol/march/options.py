@@ -487,7 +487,8 @@ class ResolvedLook:
         if scene.shadow and mode.shaded:
             scene = _with_still_lights(scene, leading or preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)
-        factors: dict[str, Any] = medium.factors | {name: given for name in FACTORS if (given := options.get(name)) is not None}
+        factors: dict[str, Any] = medium.factors if shown.grades else {}
+        factors = factors | {name: given for name in FACTORS if (given := options.get(name)) is not None}
         if transfer.graded or factors:
             _require_gradable(shown, medium, scene, transfer, factors)
             transfer = graded(transfer, preview, **factors)

@@ -224,10 +224,9 @@ class Renderer:
         Returns
         -------
         Picture, an ndarray of float32, shape (height, width, 4), or a dictionary
-            Red, green, blue in sRGB, not premultiplied, and opacity, in 0..1; row 0 is the top. Notebooks show it, and it has
-            `save` and `show`. Depth and visited have shape (height, width), normals and positions (height, width, 3), uncertainty
-            (height, width, 2); NaN where there is nothing. Positions are float64, exact to float32 as seen from the volume's
-            centre, wherever the world's origin is.
+            Red, green, blue in sRGB, not premultiplied, and opacity, in 0..1; row 0 is the top. Notebooks show it; it has `save`
+            and `show`. Depth and visited have shape (height, width), normals and positions (height, width, 3), uncertainty (height,
+            width, 2); NaN where there is nothing. Positions are float64, exact to float32 as seen from the volume's centre.
 
         Raises
         ------

@@ -213,8 +213,9 @@ class Medium:
         return Regions(mode.shaded) if self.smooth else mode
 
     def with_transfer(self, transfer: TransferFunction | None) -> Medium:
-        """The same with a transfer function, instead of its own or of words."""
-        return replace(self, transfer=transfer, preset=None, window=None, cmap=None, opacity=None)
+        """The same with a transfer function, instead of its own or of words, and of factors."""
+        none: dict[str, Any] = dict.fromkeys((*WORDS, *FACTORS))
+        return replace(self, transfer=transfer, **none)
 
     def with_look(self, other: Medium) -> Medium | None:
         """The same with the look of another medium of this function, as it is here or was given; None if that is of another."""

@@ -15,7 +15,6 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
 
 from clvol.base.arrays import Array
 from clvol.base.checks import one_of
@@ -25,6 +24,7 @@ from clvol.filter.boundary import REGION_BOUNDARY, UNSAID_BOUNDARY, Boundary, as
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.march.colored import colored
+from clvol.reference.march.graded import graded, shape_operator
 from clvol.reference.march.light import light_of, reflected, shown_as
 from clvol.reference.march.missing import continued, is_missing
 from clvol.reference.march.rays import Rays, camera_rays, face_normals, kept_parts
@@ -34,7 +34,6 @@ from clvol.reference.spline.regions import labels_at, lead_gradient
 from clvol.scene.camera import Camera, Viewpoint
 from clvol.scene.clip import Clip, as_clip, cuts_of
 from clvol.scene.fit import fitted, usual_camera
-from clvol.scene.joint import TransferFunction2D
 from clvol.scene.light import KIT, Light, Material, as_lights, usual_lights
 from clvol.scene.mode import (
     DEFAULT_MODE,
@@ -551,7 +550,9 @@ def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
     classified = scene.transfer(np.where(there, values, 0.0))
     rgb, alpha = classified[..., :3], np.where(there, classified[..., 3], 0.0)
     which, k = np.nonzero(alpha > 0)
-    rgb[which, k], alpha[which, k] = _graded(scene, rays.at(t[which, k], which), values[which, k], rgb[which, k], alpha[which, k])
+    points = rays.at(t[which, k], which)
+    slopes = partial(scene.gradient, points), partial(scene.hessian, points)
+    rgb[which, k], alpha[which, k] = graded(scene.function, values[which, k], *slopes, light=scene.light)
     which, k = np.nonzero(alpha > 0)
     rgb[which, k] = scene.colored(rays.at(t[which, k], which), rgb[which, k])
     if mode.shading:
@@ -577,29 +578,6 @@ def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
     at = halved, half[halved].argmax(1)
     depth[halved] = near[at] + np.log(2 * before[at]) / optical[at] * (far - near)[at]
     return np.einsum("nk,nkc->nc", share, rgb), share.sum(1), depth
-
-
-def _graded(scene: _Scene, points: Array, values: Array, rgb: Array, alpha: Array) -> tuple[Array, Array]:
-    """Colours and opacities with all that these depend on beside the value."""
-    transfer = scene.function
-    steep = np.linalg.norm(scene.gradient(points), axis=-1) if transfer.graded & 5 else alpha
-    if isinstance(transfer, TransferFunction2D):
-        image = transfer.nodes
-        low, high = image.values
-        ends = np.array(image.shape) - 1
-        place = np.stack([steep / image.steepest, (values - low) / (high - low)])
-        seen = image.array[..., 3:].astype(np.float64)
-        corners = np.moveaxis(np.concatenate([scene.light(image.array[..., :3]) * seen, seen], -1), -1, 0)
-        at = np.clip(place, 0, 1) * ends[:, None]
-        mixed = np.stack([map_coordinates(channel, at, order=1, mode="nearest") for channel in corners], -1)
-        alpha = mixed[:, 3]
-        rgb = np.divide(mixed[:, :3], alpha[:, None], out=np.zeros_like(rgb), where=alpha[:, None] > 0)
-    if transfer.gradient_opacity is not None:
-        alpha = alpha * np.interp(steep, *np.array(transfer.gradient_opacity).T)
-    if transfer.curvature_opacity is not None:
-        bent = [np.abs(_shown_at(scene, kind, points, points)) for kind in ("k1", "k2")]
-        alpha = alpha * np.interp(np.maximum(*bent), *np.array(transfer.curvature_opacity).T)
-    return rgb, alpha
 
 
 def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered:
@@ -719,12 +697,7 @@ def _regions(scene: _Scene, mode: Regions, samples: _Samples) -> _Gathered:
 
 
 def _shape(scene: _Scene, points: Array) -> tuple[Array, Array]:
-    """The shape operator -P H P / |∇f|, with P the projection on the tangent plane; and the unit gradient."""
-    gradient = scene.gradient(points)
-    length = np.linalg.norm(gradient, axis=1)
-    normal = gradient / length[:, None]
-    tangent = np.eye(3) - normal[:, :, None] * normal[:, None, :]
-    return -tangent @ scene.hessian(points) @ tangent / length[:, None, None], normal
+    return shape_operator(scene.gradient(points), scene.hessian(points))
 
 
 def _outlined(scene: _Scene, thickness: float, points: Array, direction: Array) -> Array:

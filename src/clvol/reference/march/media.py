@@ -16,6 +16,7 @@ from clvol.base.arrays import Array
 from clvol.filter.boundary import REGION_BOUNDARY, is_given
 from clvol.filter.table import DEFAULT_FILTER, REGION_FILTER, as_filter
 from clvol.reference.march.colored import colored
+from clvol.reference.march.graded import graded
 from clvol.reference.march.light import light_of, shown_as
 from clvol.reference.march.march import boundaries_by, flat_below, planes_across, shade
 from clvol.reference.march.rays import Rays, camera_rays, kept_parts
@@ -226,10 +227,10 @@ def _matter(
     points = rays.at(t, which)
     values = sample(volume, points, row, rule)
     assert medium.transfer is not None
-    shades = medium.transfer(values)
     linear = scene.linear_light
-    rgb = light_of(shades[:, :3], linear)
-    seen = shades[:, 3] > 0
+    slopes = (partial(sample, volume, points, row, rule, order) for order in (1, 2))
+    rgb, opacity = graded(medium.transfer, values, *slopes, light=partial(light_of, linear=linear))
+    seen = opacity > 0
     if medium.color_by is not None:
         rgb[seen] = colored(medium.color_by, points[seen], rgb[seen], linear=linear)
     if shading:
@@ -238,4 +239,4 @@ def _matter(
         gradient = sample(volume, points[seen], row, rule, 1)
         rgb[seen] = shade(gradient, rgb[seen], rays.direction[which[seen]], medium.material, lights, flat, linear=linear)
     with np.errstate(divide="ignore"):
-        return -np.log1p(-shades[:, 3]), rgb
+        return -np.log1p(-opacity), rgb
