@@ -96,7 +96,8 @@ def test_within_a_millionth_with_one(volume: clvol.Volume, filter: str, boundary
 
 
 @pytest.mark.parametrize("edge", [8, 12, 33, 64])
-def test_bricks_of_any_size_and_rays_of_any_number(volume: clvol.Volume, edge: int) -> None:
+def test_bricks_of_any_size_and_rays_of_any_number(edge: int) -> None:
+    volume = clvol.Volume(waves(17, 22, 26), (1, 0.9, 1.2), (3, -2, 5))
     for options in ({"rays": 5, "mode": "composite", "transfer": BUMPY}, {"mode": "isosurface"}, {"mode": "mip", "step": 3.7}):
         same(volume, "linear", "mirror", edge, CAMERAS["aslant"], size=(70, 50), **options)
 
