@@ -11,6 +11,7 @@ import pytest
 
 from clvol.filter.boundary import boundaries
 from clvol.filter.table import as_filter
+from clvol.march.renderer import Renderer, render
 from clvol.scene.mode import modes
 
 __all__ = [
@@ -94,6 +95,14 @@ def every(**calls: tuple[Callable[[Any], object], Iterable[Any]]) -> list[Any]:
 def examples(count: int) -> int:
     """A sixth of hypothesis's examples, or all in `make thorough`."""
     return count if os.environ.get("CLVOL_TEST_THOROUGH") else max(4, count // 6)
+
+
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures have 48 × 48 pixels where no size is given: programs that are run for their words say none."""
+    for draw in (render, Renderer.render):
+        sizes = [(48, 48) if given == (512, 512) else given for given in draw.__defaults__ or ()]
+        assert (48, 48) in sizes
+        monkeypatch.setattr(draw, "__defaults__", tuple(sizes))
 
 
 def rotation(d: int = 3, seed: int = 0) -> np.ndarray:

@@ -210,8 +210,7 @@ FEW: dict[str, Callable[[], None]] = {
     "pictures": lambda: pictures(("bspline3",), (9, 7)),
     "bricks": lambda: bricks(("bspline3",), (9, 7), ("isosurface",), few=True),
 }
-GUARDED: dict[str, Callable[[], None]] = {
-    **FEW,
+GUARDED: dict[str, Callable[[], None]] = {  # the sanitizers watch the others of the few
     "bricks": lambda: bricks(("bspline3",), (9, 7), ("composite", "isosurface", "mip"), few=True),
     "sorted points": lambda: sorted_points(("constant(3)", "nearest")),
     "arrays": arrays,

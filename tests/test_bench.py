@@ -89,7 +89,7 @@ def test_compare_rejects_invalid_reports(tmp_path: Path, content: str) -> None:
 
 def test_quick_run_writes_a_report(tmp_path: Path) -> None:
     output = tmp_path / "report.json"
-    done = command("bench", "--quick", "--alone", "--only", "isosurface", "--output", str(output))
+    done = command("bench", "--quick", "--alone", "--only", "against size, isosurface", "--output", str(output))
     assert done.returncode == 0, done.stderr
     report = json.loads(output.read_text(encoding="utf-8"))
     assert {"processor", "cores", "load", "limits", "versions"} <= set(report["machine"])

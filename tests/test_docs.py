@@ -19,6 +19,7 @@ import clvol
 from clvol.cli import app
 from clvol.device import Device
 from clvol.view.events import KEYS
+from tests.cases import small_pictures
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
@@ -68,6 +69,7 @@ def given(page: str) -> dict[str, object]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(DOCS).with_suffix("").as_posix())
 def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
     monkeypatch.chdir(tmp_path)
+    small_pictures(monkeypatch)
     here = given(page.stem)
     for block in BLOCK.findall(page.read_text(encoding="utf-8")):
         exec(block, here)  # one after the other, as a reader would

@@ -10,6 +10,7 @@ import pytest
 
 import clvol.ndimage
 from clvol.device import Device
+from tests.cases import small_pictures
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 
@@ -20,6 +21,7 @@ def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.Monke
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
     assert len(blocks) == 5
     monkeypatch.chdir(tmp_path)
+    small_pictures(monkeypatch)
     image = np.random.default_rng(0).integers(0, 255, (30, 40, 3)).astype(np.uint8)
     nibabel, tifffile = pytest.importorskip("nibabel"), pytest.importorskip("tifffile")
     nibabel.save(nibabel.Nifti1Image(np.ones((4, 5, 6, 13), np.int16), np.eye(4)), "bold.nii.gz")

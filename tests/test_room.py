@@ -108,8 +108,8 @@ CALLS = [
     "picture.grid([np.broadcast_to(np.uint8(0), (2**14, 2**14, 3))] * 4, 2)",
 ]
 
-BY_BRICKS = [  # of 4 GiB with its coefficients
-    "clvol.render(huge, mode='isosurface', isovalue=2, size=(32, 32), boundary='zero')",
+BY_BRICKS = [  # larger than the container, with coefficients or without
+    "clvol.render(huge[:260], mode='isosurface', isovalue=2, size=(32, 32), boundary='zero')",
     "clvol.sample(huge, np.zeros((1, 3)))",
     "clvol.resample(huge[:300], (8, 8, 8), anti_aliasing=True)",
     "clvol.resample(huge[:300], (8, 8, 8), anti_aliasing='least-squares')",

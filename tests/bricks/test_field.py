@@ -43,7 +43,7 @@ def needs(field: BrickedField) -> int:
     return _needs(field.volume, field.filter, field.boundary).resident(field.edge)
 
 
-@pytest.mark.one_in(15)
+@pytest.mark.one_in(30)
 @pytest.mark.parametrize("boundary", boundaries())
 @pytest.mark.parametrize("filter", FILTERS)
 def test_values_and_derivatives(volume: clvol.Volume, filter: str, boundary: str) -> None:

@@ -75,6 +75,7 @@ def on_a_terminal(*arguments: str, code: str = EAGER, **environment: str) -> tup
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals of POSIX")
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("look", [("--mode", "isosurface"), ("--background", "none")], ids=str)
 def test_the_file_is_the_same_without_a_preview(look: tuple[str, ...]) -> None:
     command = ("render", "phantom:marschner-lobb:40", "--size", "400", "300", *look)
@@ -92,6 +93,7 @@ def test_the_file_is_the_same_without_a_preview(look: tuple[str, ...]) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals of POSIX")
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("more", "environment"),
     [

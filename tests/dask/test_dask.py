@@ -243,7 +243,7 @@ def test_points_past_a_last_chunk_of_one_sample_read_what_they_are_mirrored_to()
     np.testing.assert_array_equal(made.compute(), ndimage.map_coordinates(whole, at, order=0, mode="mirror"))
 
 
-@pytest.mark.one_in(7)
+@pytest.mark.one_in(14)
 @pytest.mark.parametrize("mode", [mode for mode in MODES if mode != "grid-wrap"])
 @pytest.mark.parametrize("order", [0, 1])
 def test_without_a_prefilter_results_are_identical(order: int, mode: str) -> None:
@@ -322,7 +322,7 @@ def test_resampled_volumes_match_the_whole_array(low_pass: Any, data: st.DataObj
         np.testing.assert_allclose(got, wanted, rtol=0, atol=largest * (2e-5 if options.get("precision") != "double" else 1e-11))
 
 
-@pytest.mark.one_in(13)
+@pytest.mark.one_in(25)
 @pytest.mark.parametrize("name", ["linear", "nearest", "mitchell", "catmull-rom", "bspline3-approx"])
 @pytest.mark.parametrize("rule", ["mirror", "reflect", "zero", "nearest", "constant"])
 def test_without_a_prefilter_volumes_are_identical(name: str, rule: str) -> None:

@@ -952,7 +952,7 @@ def damaged_tiff(path: Path) -> tuple[LazyVolume, str]:
     return clvol.open(path / "v.tif"), "page 2 "
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("make", [damaged_zarr, damaged_foreign, damaged_hdf5, damaged_tiff])
 def test_the_intact_part_of_a_store_with_a_damaged_chunk_is_usable(
     make: Callable[[Path], tuple[LazyVolume, str]], tmp_path: Path, device: Device

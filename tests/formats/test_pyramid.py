@@ -440,7 +440,7 @@ SLOWLY = """
 @pytest.mark.skipif(sys.platform == "win32", reason="has no SIGKILL")
 def test_a_killed_process_costs_only_time(tmp_path: Path) -> None:
     """Killed at several points, the resumed store is identical; finished work is not repeated."""
-    np.save(tmp_path / "v.npy", waves((60, 70, 80)))
+    np.save(tmp_path / "v.npy", waves((36, 40, 44)))
     volume = clvol.Volume(np.load(tmp_path / "v.npy"), spacing=(0.5, 0.5, 0.5))
     about: dict[str, Any] = {"chunks": 8, "levels": 3, "filter": "bspline3"}
     told: list[float] = []

@@ -174,9 +174,12 @@ def test_a_comparison_takes_the_words_of_a_picture(device: Device) -> None:
         ("composite", "--rays 1 --pixel-filter mitchell", "--pixel-filter"),
     ],
 )
-@pytest.mark.parametrize("command", ["render", "batch", "movie", "compare"])
+@pytest.mark.parametrize(
+    ("command", "output"), [("render", "a.png"), ("batch", "{frame}.png"), ("movie", "a.gif"), ("compare", "a.png")]
+)
 def test_in_the_shell(
     command: str,
+    output: str,
     mode: str,
     flags: str,
     named: str,
@@ -185,10 +188,9 @@ def test_in_the_shell(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for command, output in (("render", "a.png"), ("batch", "{frame}.png"), ("movie", "a.gif"), ("compare", "a.png")):
-        with pytest.raises(SystemExit):
-            main([command, "phantom:sphere:8", "-o", output, "--mode", mode, *flags.split()])
-        assert f"{named} changes nothing in {mode}" in " ".join(capsys.readouterr().err.split())
+    with pytest.raises(SystemExit):
+        main([command, "phantom:sphere:8", "-o", output, "--mode", mode, *flags.split()])
+    assert f"{named} changes nothing in {mode}" in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.iterdir())
 
 

@@ -243,7 +243,7 @@ ALIKE: dict[str, Any] = {
 }
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("case", ALIKE)
 def test_media_of_one_kind_are_drawn_together_to_the_bit(
@@ -442,7 +442,7 @@ BRICKED: dict[str, tuple[Medium, ...]] = {
 }
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("case", BRICKED)
 def test_bricks_change_no_bit(case: str, view: str, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -184,7 +184,7 @@ def test_most_of_an_empty_volume_is_skipped(device: Device, mode: str, tile: str
     volume = Volume(data)
     transfer = TransferFunction(((0.0, "red"), (1.0, "white")), ((0.3, 0.0), (1.0, 0.5)))
     with device.limited(tile=TILES[tile]), Renderer(volume, device=device) as renderer:
-        options = suited(mode, {"mode": mode, "size": (200, 200), "transfer": transfer, "isovalue": 0.5})
+        options = suited(mode, {"mode": mode, "size": (64, 64), "transfer": transfer, "isovalue": 0.5})
         pictures = renderer.render(outputs=("visited", "rgba"), background=None, **options)
         # rays past the object search the extreme of the prefilter's residue
         bright = pictures["rgba"][..., 1]

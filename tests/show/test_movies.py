@@ -192,6 +192,7 @@ def test_invalid_movies_are_rejected(
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 @pytest.mark.usefixtures("device")
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("form", FORMS)
 def test_an_interrupt_leaves_nothing(form: str, tmp_path: Path) -> None:
     code = f"""

@@ -188,8 +188,8 @@ def open_browser(width: int = 1280, height: int = 800) -> Iterator[Browser]:
 
 @pytest.fixture
 def browser() -> Iterator[Browser]:
-    """A fresh browser; skips the test if there is none."""
+    """A fresh browser of a small window; skips the test if there is none."""
     if why := why_none():
         pytest.skip(why)
-    with open_browser() as found:
+    with open_browser(720, 480) as found:
         yield found

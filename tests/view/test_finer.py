@@ -138,6 +138,7 @@ def test_pixels_without_finer_detail_read_nothing(view: View, client: Client, sa
     assert samples.read == read
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["isosurface", "composite", "mip"])
 def test_a_still_picture_uses_the_level_that_it_resolves(view: View, client: Client, samples: Waves, mode: str) -> None:
     assert view.resident.finer is not None

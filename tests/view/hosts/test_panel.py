@@ -18,6 +18,7 @@ pytest.importorskip("aiohttp", reason="needs aiohttp")
 from clvol.view.hosts.server import serve
 
 pytestmark = pytest.mark.skipif(bool(why_none()), reason=why_none())
+SIZE = 700, 700  # of the window: a narrow picture, soon drawn
 FINAL = "document.querySelector('.clvol-pane[data-frame]')?.dataset.final === 'true'"
 ROWS = "[...document.querySelectorAll('.clvol-labels li')].filter((row) => row.checkVisibility())"
 NOTE = "document.querySelector('.clvol-labels + .clvol-note').textContent"
@@ -35,7 +36,7 @@ class Watched(View):
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with open_browser(1000, 700) as found:
+    with open_browser(*SIZE) as found:
         yield found
 
 
@@ -226,7 +227,7 @@ def test_on_a_phone_rows_fit_and_are_readable(browser: Browser, organs: Watched,
     finally:
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
         driver.execute_cdp_cmd(
-            "Emulation.setDeviceMetricsOverride", {"width": 1000, "height": 700, "deviceScaleFactor": 1, "mobile": False}
+            "Emulation.setDeviceMetricsOverride", {"width": SIZE[0], "height": SIZE[1], "deviceScaleFactor": 1, "mobile": False}
         )
 
 
