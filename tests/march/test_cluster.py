@@ -110,7 +110,7 @@ def test_groups_are_ordered_front_to_back(volume: clvol.LazyVolume, name: str) -
 # -- pictures ------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize(("mode", "options"), MODES)
 def test_merging_in_order_is_bit_identical(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
     options = options | ({"transfer": BUMPY} if mode == "composite" else {})
@@ -188,7 +188,7 @@ def test_merging_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str
             np.testing.assert_array_equal(many[name], one[name], err_msg=name)
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(
     ("mode", "options"), [("isosurface", {"cap": True}), ("surfaces", {"cap": "tan"}), ("composite", {}), ("mip", {})]
 )
@@ -476,6 +476,7 @@ def test_no_brick_is_named_without_proof(monkeypatch: pytest.MonkeyPatch) -> Non
         assert len(read) == 1
 
 
+@pytest.mark.thorough
 def test_a_second_picture_after_workers_restarted_at_their_ports() -> None:
     """A replacement has the address of the killed worker, and none of its bricks."""
     ports = [_free_port() for _ in range(2)]
