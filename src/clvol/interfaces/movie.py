@@ -365,8 +365,9 @@ class _Series:
         mode = as_mode(options.get("mode", DEFAULT_MODE), {name: v for name, v in options.items() if name not in KEYWORDS})
         if mode.name not in self._alike:
             self._alike[mode.name] = self._made_alike(mode)
-        if single and any(options.get(word) is not None for word in WORDS):  # which are of the only medium
-            return self._alike[mode.name], _shown(self._pooled[0], options)
+        own = {name: factor for name, factor in self.scenes[0].media[0].factors.items() if options.get(name) is None}
+        if single and any(options.get(word) is not None for word in (*WORDS, *FACTORS)):  # which are of the only medium
+            return self._alike[mode.name], _shown(self._pooled[0], {**options, **own})
         rest = {name: value for name, value in options.items() if name in KEYWORDS}
         return self._alike[mode.name], rest | {"mode": mode.settled(self._pooled[0]) if single else mode}
 
@@ -378,7 +379,7 @@ class _Series:
         def alike(medium: Medium, samples: Volume, row: Filter | None) -> Medium:
             if not medium.surfaces and "transfer" not in mode.unheard:
                 own = medium.transfer or look(samples, mode, **medium.words)
-                medium = medium.with_transfer(graded(own, samples, **medium.factors))
+                medium = medium.with_transfer(graded(own, samples, **medium.factors) if mode.grades else own)
             return replace(medium, filter=row)
 
         return [

@@ -22,7 +22,7 @@ from clvol.scene.look import graded, look
 from clvol.scene.mode import BY_LABEL, as_mode, colored_by, require_heard, virtual_samples
 from clvol.scene.preset import as_preset
 from clvol.scene.scene import Medium
-from clvol.scene.transfer import FACTORS, WORDS
+from clvol.scene.transfer import FACTORS, WORDS, is_curve
 from clvol.volume.histogram import matter_of
 from clvol.volume.provenance import sum_of
 from clvol.volume.smoothing import filter_for
@@ -111,7 +111,6 @@ class LookOptions(TypedDict, total=False):
         In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or cuts, None for none.
     shadow, occlusion
         How dark shadows are, and places that matter surrounds, 0 to 1, in place of the scene's: see `Scene`.
-        They are of one volume in memory.
     linear_light
         Whether colours are computed in linear light, in place of the scene's: see `Scene`. Modes that show single values have
         their colours as they are.
@@ -446,6 +445,8 @@ class ResolvedLook:
                 require_heard(mode, ("cap",), {"cap": "nothing is cut away by clip"})
             if not any(one.shown_in(mode) is mode for one in scene.media):
                 require_heard(mode, ("cap",), {"cap": "faces are as surfaces and smooth boundaries of media have them"})
+        if virtual_samples(mode) and not any(one.shown_in(mode) is mode for one in scene.media):
+            require_heard(mode, ("virtual",), {"virtual": "surfaces and smooth boundaries lie wherever they are between samples"})
         if len(scene.media) > 1:
             return cls._of_several(scene, part_of, camera, mode, options)
         return cls._of_one(scene, part_of, camera, mode, options)
@@ -488,7 +489,8 @@ class ResolvedLook:
             scene = _with_still_lights(scene, leading or preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)
         factors: dict[str, Any] = medium.factors if shown.grades else {}
-        factors = factors | {name: given for name in FACTORS if (given := options.get(name)) is not None}
+        factors |= {name: given for name in FACTORS if (given := options.get(name)) is not None}
+        factors = {name: given for name, given in factors.items() if is_curve(given) or given != 0}
         if transfer.graded or factors:
             _require_gradable(shown, medium, scene, transfer, factors)
             transfer = graded(transfer, preview, **factors)

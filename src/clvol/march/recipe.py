@@ -109,7 +109,7 @@ class Recipe:
     def options_of_lazy(self, several: bool) -> dict[str, Any]:
         """The same for a LazyVolume, which has no scene: with all that a scene has; and the size to draw, if it has `several`."""
         (medium,) = self.scene.media
-        own = {name: getattr(self.scene, name) for name in ("lights", "background", "clip", "linear_light")}
+        own = {name: getattr(self.scene, name) for name in ("lights", "shadow", "occlusion", "linear_light", "background", "clip")}
         own |= {"transfer": medium.transfer, "material": medium.material} | ({"lod": self.lod} if several else {})
         return self.options | {name: value for name, value in own.items() if name not in self.mode.unheard}
 

@@ -65,6 +65,7 @@ OPEN = 0.4
 BEYOND = 3
 """Nodes beyond the box on each side, for what is read above matter at its faces."""
 _MOST_CELLS = 80**3  # of about a third of 256 samples
+_LONGEST = 256  # cells along an axis: lights from the side sweep planes of all lengths
 _DIRECTIONS = 48
 _NODES = 4096  # of the integral of extinction over values
 _KEPT = 4  # fields
@@ -124,7 +125,7 @@ class Cells(NamedTuple):
         corners = np.concatenate([first.world_to_index(volume.corners) for volume in volumes]).round(6)
         low, high = corners.min(0), corners.max(0)
         lengths = (high - low) * first.spacing
-        edge = max(first.mean_spacing, float(np.prod(lengths) / _MOST_CELLS) ** (1 / 3))
+        edge = max(first.mean_spacing, float(np.prod(lengths) / _MOST_CELLS) ** (1 / 3), lengths.max() / _LONGEST)
         counts = np.minimum(np.ceil(lengths / edge), np.ceil(high - low)).astype(np.int64)
         return cls(_grid(first, counts, low + (high - low) / (2 * counts), (high - low) / counts))
 

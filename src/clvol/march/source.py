@@ -124,8 +124,9 @@ class Source(ABC):
             raise OptionError(f"color_by {colored} takes a filter with continuous slopes, such as bspline3; got {row.name}")
         if outlined(mode) and row.continuity < 1:
             raise OptionError(f"outline takes a filter with continuous slopes, such as bspline3; got {row.name}")
-        if virtual_samples(mode) and not row.has_gradient:
-            raise OptionError(f"virtual takes a filter with slopes, such as bspline3; got {row.name}")
+        if virtual_samples(mode) and (not row.has_gradient or options.get("gradient") == "central"):
+            how = row.name if not row.has_gradient else "central differences"
+            raise OptionError(f"virtual takes a filter with slopes, such as bspline3, and its own gradient; got {how}")
         if options.get("lod", "auto") != "auto" and not self.sizes:
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
 

@@ -93,7 +93,7 @@ def graded(
     gradient_opacity: float | Sequence[tuple[float, float]] | None = None,
     curvature_opacity: Sequence[tuple[float, float]] | None = None,
 ) -> TransferFunction:
-    """A copy whose opacity has factors by the gradient, and by curvature; None leaves them as they are.
+    """A copy whose opacity has factors by the gradient, and by curvature, in place of its own; None and 0 leave them as they are.
 
     Of one number, 0 to 1, the factor rises with the magnitude of the gradient: from the fourth power of what is left of 1, where
     matter is even, to 1 at its boundaries, as `clvol.volume.histogram.slopes_of` finds both.
@@ -104,7 +104,8 @@ def graded(
     elif gradient_opacity is not None:
         share = number("gradient_opacity", gradient_opacity, minimum=0, maximum=1)
         even, steep = slopes_of(volume)
-        changes["gradient_opacity"] = ((even, (1 - share) ** _EVEN), (steep, 1.0)) if share else None
+        if share:
+            changes["gradient_opacity"] = ((even, (1 - share) ** _EVEN), (steep, 1.0))
     if curvature_opacity is not None:
         changes["curvature_opacity"] = curvature_opacity
     return replace(transfer, **changes) if changes else transfer

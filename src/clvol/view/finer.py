@@ -23,7 +23,7 @@ from clvol.march.bricks import STEPPED_AT_MOST, level_of, level_within, nearest_
 from clvol.march.function import row_for
 from clvol.march.renderer import Renderer
 from clvol.march.slices import plane_points, shaded
-from clvol.scene.mode import as_mode
+from clvol.scene.mode import as_mode, virtual_samples
 from clvol.show.picture import Picture
 from clvol.view.panes import SlicePane
 from clvol.view.state import State
@@ -73,7 +73,10 @@ class Finer:
         Voxels are no longer than a pixel at the camera's target; the volume's nearest corner may be much nearer. `given` are
         arguments by which other samples show the same matter in the same place (`Resident.settled_arguments`).
         """
-        if state.wiper is not None or state.heat or state.step > STEPPED_AT_MOST or as_mode(state.mode).regions:
+        mode, dark = as_mode(state.mode, state.options), {"shadow", "occlusion"} & given.keys()
+        if state.wiper is not None or state.heat or state.step > STEPPED_AT_MOST or mode.regions or virtual_samples(mode):
+            return None
+        if dark and self.stored.where is not None:
             return None
         view = given["camera"].view(self.stored.grid, size[0] / size[1])
         away = float((np.asarray(given["camera"].target) - view.eye) @ view.forward)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from clvol.base.errors import OptionError
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.look import seen_through
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction, is_curve
@@ -55,7 +56,7 @@ def _described(medium: Medium, number: int) -> dict[str, Any]:
     return {
         "name": medium.volume.name or f"medium {number}",
         "visible": bool(medium.visible),
-        "edited": number > 1 and medium.surfaces is None,
+        "edited": number > 1 and medium.surfaces is None and not isinstance(medium.transfer, TransferFunction2D),
         "cmap": medium.cmap,
         "opacity": None if medium.opacity is None or is_curve(medium.opacity) else float(medium.opacity),  # type: ignore[arg-type]  # one
     }

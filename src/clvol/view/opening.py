@@ -19,6 +19,7 @@ from clvol.march.choose import without_masked
 from clvol.march.options import KEYWORDS, FurnitureOptions
 from clvol.scene.camera import Camera
 from clvol.scene.clip import as_clip, cuts_of
+from clvol.scene.factor import as_factors
 from clvol.scene.fit import usual_camera
 from clvol.scene.joint import TransferFunction2D
 from clvol.scene.look import look
@@ -150,6 +151,8 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
     if isinstance(values.get("transfer"), TransferFunction2D):
         raise OptionError("transfer of a view must be a TransferFunction; a TransferFunction2D is of clvol.render")
     factors = {name: values.pop(name) for name in FACTORS if is_curve(values.get(name))}
+    if (bent := values.pop("curvature_opacity", None)) is not None:
+        factors["curvature_opacity"] = as_factors("curvature_opacity", bent)
     if factors:
         transfer = values.get("transfer") or look(volume, chosen, **{name: values.pop(name, None) for name in WORDS})
         values["transfer"] = replace(transfer, **factors)

@@ -17,7 +17,7 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, chosen_boundary
 from clvol.march.renderer import Renderer
 from clvol.scene.mode import as_mode
 from clvol.scene.scene import Scene
-from clvol.scene.transfer import WORDS
+from clvol.scene.transfer import FACTORS, WORDS
 from clvol.spline.field import Field
 from clvol.spline.regions import Regions
 from clvol.view.catalog import Catalog, Which
@@ -53,7 +53,7 @@ class _OfScene(Renderer):
         return super().refine(*arguments, **self._of_first(options))
 
     def _of_first(self, options: dict[str, Any]) -> dict[str, Any]:
-        own = {name: options.pop(name) for name in ("transfer", *WORDS, "material") if name in options}
+        own = {name: options.pop(name) for name in ("transfer", *WORDS, *FACTORS, "material") if name in options}
         first, *others = options.get("media", self.scene.media)
         looked = replace(self.scene.media[0], **own, visible=first.visible)
         return options | {"media": (looked, *others)}

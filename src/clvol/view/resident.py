@@ -23,7 +23,7 @@ from clvol.scene.look import look
 from clvol.scene.mode import BY_DISTANCE, CURVATURES, Mode, as_mode, colored_by, mode_options, modes
 from clvol.scene.preset import presets
 from clvol.scene.scene import Medium
-from clvol.scene.transfer import TransferFunction
+from clvol.scene.transfer import FACTORS, TransferFunction
 from clvol.view import media
 from clvol.view.catalog import Catalog, Which, labelled
 from clvol.view.events import KEYS
@@ -144,14 +144,20 @@ class Resident:
         left_out = (mode.unheard.keys() | unheard(mode, given)) - ({"color_bar"} if self._colored else set())
         row = filter_for(self.catalog.volume_of(state), state.filter, mode.picture_filter)
         if not row.has_gradient:
-            left_out |= {"gradient"}
+            left_out |= {"gradient", "virtual"}
         several = len(self.catalog.media) > 1
-        plain = several or self.catalog.volume_of(state).is_labels or {"surfaces", "smooth"} & set(self.beyond)
+        plain = self.catalog.volume_of(state).is_labels or {"surfaces", "smooth"} & set(self.beyond)
         left_out |= {"gradient_opacity"} if plain else set()
         transfer = given.get("transfer")
+        if transfer and transfer.graded and not mode.grades:
+            given = given | {"transfer": replace(transfer, **dict.fromkeys(FACTORS))}
+        graded = "gradient_opacity" in given.keys() - left_out or (transfer and transfer.graded)
+        graded = graded or any(one.factors or (one.transfer and one.transfer.graded) for one in self.catalog.media[1:])
         smooth = "smooth" in self.beyond or any(medium.smooth for medium in self.catalog.media)
-        if smooth or "gradient_opacity" in given.keys() - left_out or (transfer and transfer.graded):
+        if smooth or graded:
             left_out |= {"shadow", "occlusion"}
+        if several or graded:
+            left_out |= {"virtual"}
         if (state.clip is None and not state.cuts) or (not several and {"surfaces", "smooth"} & set(self.beyond)):
             left_out |= {"cap"}
         return {name: value for name, value in given.items() if name not in left_out}

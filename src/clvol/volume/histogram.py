@@ -263,7 +263,8 @@ def slopes_of(volume: Volume) -> tuple[float, float]:
         one, other = (volume.data[np.ix_(*middle[:axis], at, *middle[axis + 1 :])].astype(np.float64) for at in (before, after))
         apart = np.maximum(after - before, 1).reshape(-1, *[1] * (volume.ndim - 1 - axis))
         slopes[volume.ndim - 1 - axis] = (other - one) / apart
-    steep = np.sqrt((np.tensordot(volume.world_to_index_matrix.T, slopes, 1) ** 2).sum(0))
+    largest = float(np.max(np.abs(slopes), initial=0.0, where=np.isfinite(slopes))) or 1.0
+    steep = largest * np.sqrt((np.tensordot(volume.world_to_index_matrix.T, slopes / largest, 1) ** 2).sum(0))
     shown = scaled(volume.data[np.ix_(*middle)], matter.exponent) - matter.origin
     shown = np.abs(shown) if matter.signed else matter.sign * shown
     steep = steep[np.isfinite(steep) & (shown >= matter.foot)]

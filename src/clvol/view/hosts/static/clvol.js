@@ -1344,7 +1344,7 @@ class Panel {
     this.opacity.show(state.opacity ?? 1);
     this.opacity.element.hidden = Boolean(state.transfer);
     this.edges.show(state.gradient_opacity);
-    this.edges.element.hidden = state.mode !== "composite" || this.media.about.length > 1;
+    this.edges.element.hidden = state.mode !== "composite";
     const isovalue = typeof state.options.isovalue === "number" ? state.options.isovalue : viewer.effective.options?.isovalue; // not "3sigma"
     this.transfer.show(state.transfer?.points ?? viewer.effective.transfer?.points, state.mode === "isosurface" ? isovalue : null);
     this.filter.show(state.filter);
@@ -1362,10 +1362,7 @@ class Panel {
     this.zoom.show(Math.log2(state.camera.zoom ?? 1));
     this.light.show(this.lightName(state.lights));
     for (const [name, control] of this.material) control.show(state.material?.[name] ?? MATERIAL[name][2]);
-    for (const [name, control] of this.dark) {
-      control.show(state[name]);
-      control.element.hidden = this.media.about.length > 1;
-    }
+    for (const [name, control] of this.dark) control.show(state[name]);
     this.linear.show(state.linear_light);
     this.background.show(state.background ?? [0, 0, 0]);
     this.cropping.show(state.clip);
