@@ -558,7 +558,7 @@ def opacity_points(name: str, given: tuple[float, ...] | None) -> float | tuple[
         return None if given is None else given[0]
     if len(given) % 2:
         flag = f"--{name.replace('_', '-')}"
-        raise OptionError(f"{flag} takes one number, or pairs of a value and an opacity; got {len(given)} numbers")
+        raise OptionError(f"{flag} takes one number, or pairs of a place and an opacity or factor; got {len(given)} numbers")
     return tuple(zip(given[0::2], given[1::2], strict=True))
 
 

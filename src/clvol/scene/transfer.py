@@ -130,14 +130,14 @@ class TransferFunction:
         points: Any = opacity
         if not is_curve(opacity):
             points = ((low, number("opacity", opacity, minimum=0, maximum=1)),)
-        return cls(colors, points, unit_distance)  # type: ignore[arg-type]  # three floats each
+        return TransferFunction(colors, points, unit_distance)  # type: ignore[arg-type]  # three floats each
 
     @classmethod
     def ramp(cls, value_range: tuple[float, float], color: Sequence[float] | str = "white") -> TransferFunction:
         """For projections: opaque, black at the minimum, white or another colour at the maximum. No black if they are equal."""
         low, high = _range(value_range)
         ends = ((low, (0.0, 0.0, 0.0)), (high, color_of("color", color)))
-        return cls(ends if low < high else ends[1:], ((low, 1.0),))
+        return TransferFunction(ends if low < high else ends[1:], ((low, 1.0),))
 
     @classmethod
     def automatic(cls, volume: Volume | ArrayLike, clim: tuple[float, float] | None = None) -> TransferFunction:
@@ -153,7 +153,7 @@ class TransferFunction:
         it is where they begin and end.
         """
         volume = as_volume(volume)
-        return cls(*automatic(volume, clim), unit_of(volume))
+        return TransferFunction(*automatic(volume, clim), unit_of(volume))
 
     @classmethod
     def preset(cls, name: str, volume: Volume | ArrayLike) -> TransferFunction:
@@ -170,7 +170,7 @@ class TransferFunction:
             The preset is in Hounsfield units, but the data cannot be: its points are then spread over the volume's matter.
         """
         volume = as_volume(volume)
-        return cls(*as_preset(name).points(volume), unit_of(volume))
+        return TransferFunction(*as_preset(name).points(volume), unit_of(volume))
 
     @property
     def graded(self) -> int:
