@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -323,7 +323,8 @@ class Subject:
                 f"curvature_opacity takes a filter with continuous slopes, such as bspline3; got {coefficients.filter.name}"
             )
         slope = medium.gradient_scale(stored, unit)  # of kernels, for 1 of stored values in the world ...
-        steepness = math.ldexp(slope, -stored.exponent)  # ... and of the data
+        with np.errstate(over="ignore"):
+            steepness = min(float(np.ldexp(slope, -stored.exponent)), sys.float_info.max)  # ... and of the data
         linear = look.linear
         table, colored = look.transfer.table(shown, linear=linear), np.zeros((), COLORED.dtype)
         if medium.color_by is not None:
