@@ -354,16 +354,7 @@ Rule = Annotated[
     ),
 ]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
-_PLAIN = (
-    "rays",
-    "pixel_filter",
-    "gradient_opacity",
-    "curvature_opacity",
-    "shadow",
-    "occlusion",
-    "linear_light",
-    "gradient",
-)  # of a look, by the names of `clvol.render`
+_PLAIN = ("rays", "pixel_filter", "shadow", "occlusion", "linear_light", "gradient")  # of a look, by the names of `clvol.render`
 _Six = tuple[float, float, float, float, float, float]
 Background = Annotated[
     str | None, Parameter(help="A name, a hex code, or 'none'. [default: black; white in theme print]", show_default=False)

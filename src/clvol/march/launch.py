@@ -250,7 +250,7 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     Samples count from the first plane that a ray of the picture may cross. `states`, those after the samples before `first`, are
     updated and returned. By default rays start fresh; a mode that compares adjacent samples then also takes those before `first`.
     """
-    if "BETWEEN" in frame.defines() and states is None and first > -math.inf:
+    if states is None and first > -math.inf and "BETWEEN" in frame.defines():
         raise OptionError(f"rays with virtual samples begin with their first sample, or go on from states; got first={first:g}")
     kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), Inputs(frame)
     carried, states = states is not None, States(frame) if states is None else states

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -152,20 +152,22 @@ class TransferFunction2D(TransferFunction):
         """Colours and opacities at nodes, between which the function is bilinear."""
         return self.image or _drawn(self.boxes, self.arches)
 
-    def _rows(self, linear: bool) -> NDArray[np.float32]:
-        """What kernels read of the nodes: colours times opacity, and of how many that are seen there are before each."""
-        array = self.nodes.array.copy()
-        array[..., :3] = (as_light(array[..., :3]) if linear else array[..., :3]) * array[..., 3:]
-        before = np.zeros((array.shape[0] + 1, array.shape[1] + 1), np.float32)
-        before[1:, 1:] = (array[..., 3] > 0).cumsum(0).cumsum(1)
-        return np.concatenate([array.ravel(), before.ravel()])
-
     def table(self, stored: Stored = AS_THEY_ARE, *, linear: bool = False) -> NDArray[np.float32]:
         own = super().table(stored, linear=linear)
-        return np.concatenate([own, np.zeros(-own.size % 4, np.float32), self._rows(linear)])
+        return np.concatenate([own, np.zeros(-own.size % 4, np.float32), _rows(self.nodes, linear)])
 
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
         raise OptionError(f"opacity changes nothing of a TransferFunction2D, whose shapes have their own; got {opacities!r:.80}")
+
+
+@lru_cache(8)  # a moving camera changes no node
+def _rows(nodes: Image, linear: bool) -> NDArray[np.float32]:
+    """What kernels read of nodes: colours times opacity, and of how many that are seen there are before each."""
+    array = nodes.array.copy()
+    array[..., :3] = (as_light(array[..., :3]) if linear else array[..., :3]) * array[..., 3:]
+    before = np.zeros((array.shape[0] + 1, array.shape[1] + 1), np.float32)
+    before[1:, 1:] = (array[..., 3] > 0).cumsum(0).cumsum(1)
+    return np.concatenate([array.ravel(), before.ravel()])
 
 
 def joint_block(transfer: TransferFunction, stored: Stored, steepness: float, *, linear: bool) -> Values:
