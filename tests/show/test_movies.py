@@ -240,3 +240,24 @@ def test_an_interrupt_propagates_even_if_cleanup_fails(
     with pytest.raises(SystemExit) as end:
         cli.main([*COMMAND, "-o", str(tmp_path / "a.gif"), "--frames", "5"])
     assert (end.value.code, capsys.readouterr().err) == (130, "clvol: interrupted\n")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_an_interrupt_as_the_encoder_starts_is_not_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python ignores what is raised while it forks, and `logging` would stay locked."""
+    pytest.importorskip("imageio_ffmpeg")
+    real, started = subprocess.Popen, []
+
+    def interrupted(*args: Any, **options: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        started.append(args)  # not reached if the signal interrupts this
+        return real(*args, **options)
+
+    monkeypatch.setattr("imageio_ffmpeg._io.subprocess.Popen", interrupted)
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            movies.write([np.zeros((8, 8, 4))] * 2, tmp_path / "a.mp4", "mp4")
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert started

@@ -45,7 +45,7 @@ def at_the_end(code: int | None = None) -> None:
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """A context at whose end Ctrl-C is handled: for native code that would abort the process, as pyopencl's does on import."""
+    """A context at whose end Ctrl-C is handled: for native code that drops it, or aborts the process as pyopencl does on import."""
     import signal
     import threading
 

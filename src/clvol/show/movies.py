@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base import memory
 from clvol.base.errors import FormatError, MissingDependencyError, OptionError
+from clvol.base.interrupted import deferred
 from clvol.show.picture import over_black, to_bytes, to_png
 
 __all__ = ["FOLDER", "FORMATS", "PER_SECOND", "SUFFIXES", "form_of", "packed", "rate", "require_encoder", "require_room", "write"]
@@ -190,6 +191,7 @@ def _write_video(pictures: Iterator[NDArray[np.uint8]], path: Path, form: str, p
     try:
         for picture in pictures:
             height, width = (n // 2 * 2 for n in picture.shape[:2])
+            frame = np.ascontiguousarray(picture[:height, :width])
             if encoder is None:
                 encoder = imageio_ffmpeg.write_frames(
                     str(path),
@@ -201,8 +203,13 @@ def _write_video(pictures: Iterator[NDArray[np.uint8]], path: Path, form: str, p
                     ffmpeg_log_level="error",
                     output_params=[*options, *_TAGGED, *_EXACT],
                 )
-                encoder.send(None)
-            encoder.send(np.ascontiguousarray(picture[:height, :width]))
+                # Python drops what a handler raises while it forks, and logging stays locked for ever; without a frame the encoder
+                # would warn as it is closed
+                with deferred():
+                    encoder.send(None)
+                    encoder.send(frame)
+            else:
+                encoder.send(frame)
             sent += 1
     except OSError as error:  # the encoder exited
         raise FormatError(f"cannot write {path.name}: {error}") from error
