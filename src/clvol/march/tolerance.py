@@ -2,9 +2,11 @@
 
 A probe is the picture with few pixels and one ray each, drawn as the picture itself is: in memory, by bricks, of several media,
 with shadows and cut faces. Probes have steps of 1, 1/2, 1/4, ... voxels. Each is compared with the finest so far. What that one is
-still off by follows from the last two differences, which shrink by a ratio r from one to the next: r / (1 - r) times the last.
-Once the sum is below the tolerance for a step, a longer one, between it and the step before, is taken from the line through their
-errors in logarithms.
+still off by follows from the last two differences: they shrink by a ratio r from one to the next, and as what a step misses is not
+what the next one misses, squares add up, to r² / (1 - r²) of the last. Once the root of both squares is below the tolerance for a
+step, a longer one, between it and the step before, is taken from the line through their errors in logarithms.
+
+Few of the pixels may have most of the error. So three standard errors are added to the mean of the squares.
 
 Errors are the root of the mean square of the differences of colours, 0..1 as they are shown, over the pixels that show more than
 the background in either picture. Without a background they are of opacity too, and colours count as much as they are opaque.
@@ -38,7 +40,8 @@ __all__ = ["difference", "refined", "with_step"]
 
 _PIXELS = 1600  # of a probe
 _HALVINGS = 6  # of the longest step, 1 voxel
-_SAFETY = 1.25  # pictures have other rays than their probes
+_SAFETY = 1.25  # pictures have other rays than their probes, and each step another order
+_STANDARD_ERRORS = 3.0
 _RATIOS = 0.25, 0.75  # of differences from one probe to the next: no better than second order, and slow where shells are thin
 _SEEN = 1 / 512  # half a step of 8 bits
 
@@ -104,10 +107,10 @@ def _allowed(tolerance: float, probe: Callable[[float], Colors], behind: Colors)
     probes, last = [probe(1.0)], math.inf
     for halvings in range(1, _HALVINGS + 1):
         probes.append(finest := probe(0.5**halvings))
-        errors = [_difference(one, finest, behind) for one in probes]
+        errors = [_difference(one, finest, behind, _STANDARD_ERRORS) for one in probes]
         change = errors[-2]
         ratio = min(max(change / last, _RATIOS[0]), _RATIOS[1]) if 0 < last < math.inf else _RATIOS[1]
-        expected = [_SAFETY * (error + change * ratio / (1 - ratio)) for error in errors]
+        expected = [_SAFETY * math.hypot(error, change * ratio / math.sqrt(1 - ratio**2)) for error in errors]
         last = change
         k = next((k for k, error in enumerate(expected) if error <= tolerance), None)
         if k is not None and (k == 0 or halvings > 1):  # two probes show no ratio, and only suffice for the longest step
@@ -129,8 +132,9 @@ def _premultiplied(picture: NDArray[np.floating[Any]]) -> Colors:
     return colors
 
 
-def _difference(first: Colors, second: Colors, behind: Colors) -> float:
+def _difference(first: Colors, second: Colors, behind: Colors, above: float = 0.0) -> float:
+    """How far pictures are apart; by the mean of squares and this many of its standard errors `above`."""
     seen = np.maximum(np.abs(first - behind), np.abs(second - behind)).max(-1) > _SEEN
     channels = 3 if behind[3] else 4  # over a background all are opaque
-    apart = (first - second)[seen, :channels]
-    return float(np.sqrt(np.mean(apart**2))) if apart.size else 0.0
+    squares = np.square((first - second)[seen, :channels]).mean(-1)
+    return math.sqrt(squares.mean() + above * squares.std() / math.sqrt(squares.size)) if squares.size else 0.0
