@@ -4,7 +4,8 @@ A probe is the picture with few pixels and one ray each, drawn as the picture it
 with shadows and cut faces. Probes have steps of 1, 1/2, 1/4, ... voxels. Each is compared with the finest so far. What that one is
 still off by follows from the last two differences: they shrink by a ratio r from one to the next, and as what a step misses is not
 what the next one misses, squares add up, to r² / (1 - r²) of the last. Once the root of both squares is below the tolerance for a
-step, a longer one, between it and the step before, is taken from the line through their errors in logarithms.
+step, a longer one, between it and the step before, is tried: that of the line through their errors in logarithms. Steps that no
+probe had are never taken: errors of edges and thin shells do not only grow with the step.
 
 Few of the pixels may have most of the error. So three standard errors are added to the mean of the squares.
 
@@ -42,6 +43,8 @@ _PIXELS = 1600  # of a probe
 _HALVINGS = 6  # of the longest step, 1 voxel
 _SAFETY = 1.25  # pictures have other rays than their probes, and each step another order
 _STANDARD_ERRORS = 3.0
+_LESS = 0.9  # of the tolerance, which a step between two probes is to have
+_WORTH = 1.1  # times as long must such a step be, to be tried
 _RATIOS = 0.25, 0.75  # of differences from one probe to the next: no better than second order, and slow where shells are thin
 _SEEN = 1 / 512  # half a step of 8 bits
 
@@ -110,20 +113,27 @@ def _allowed(tolerance: float, probe: Callable[[float], Colors], behind: Colors)
         errors = [_difference(one, finest, behind, _STANDARD_ERRORS) for one in probes]
         change = errors[-2]
         ratio = min(max(change / last, _RATIOS[0]), _RATIOS[1]) if 0 < last < math.inf else _RATIOS[1]
-        expected = [_SAFETY * math.hypot(error, change * ratio / math.sqrt(1 - ratio**2)) for error in errors]
+        lacking = change * ratio / math.sqrt(1 - ratio**2)
+        expected = [_SAFETY * math.hypot(error, lacking) for error in errors]
         last = change
         k = next((k for k, error in enumerate(expected) if error <= tolerance), None)
-        if k is not None and (k == 0 or halvings > 1):  # two probes show no ratio, and only suffice for the longest step
-            return _between(expected, k, tolerance), expected[k]
+        if k is None or (k and halvings == 1):  # two probes show no ratio, and only suffice for the longest step
+            continue
+        step = _between(expected, k, tolerance)
+        if step > _WORTH * 0.5**k:
+            error = _SAFETY * math.hypot(_difference(probe(step), finest, behind, _STANDARD_ERRORS), lacking)
+            if error <= tolerance:
+                return step, error
+        return 0.5**k, expected[k]
     return 0.5**_HALVINGS, expected[-1]
 
 
 def _between(expected: Sequence[float], k: int, tolerance: float) -> float:
-    """The step of which the tolerance is expected, between that of number k, which is allowed, and the one before."""
+    """The step whose error should be a little within the tolerance: from that of number k, which is, to the one before."""
     if k == 0 or expected[k] == 0:
         return 0.5**k
     order = math.log2(expected[k - 1] / expected[k])
-    return float(f"{0.5**k * (tolerance / expected[k]) ** (1 / order):.3g}")
+    return float(f"{0.5**k * max(1.0, _LESS * tolerance / expected[k]) ** (1 / order):.3g}")
 
 
 def _premultiplied(picture: NDArray[np.floating[Any]]) -> Colors:
