@@ -1,9 +1,10 @@
-"""Error against time of translucent pictures: one sample for a stretch of each ray, or virtual ones (`Composite.virtual`).
+"""Error against time of translucent pictures: points, virtual samples (`Composite.virtual`), steps by `Composite.tolerance`.
 
     python -m bench.between [SCAN ...]
 
-Of each scan, or else of a noisy translucent volume, shaded and not: the root of the mean square error of colours where there are
-any, against samples 1/32 voxel apart, and processor seconds; for steps of 2 to 1/4 voxels and 0 to 4 virtual samples between two.
+Of each scan, or else of a smooth and of a noisy translucent volume, shaded and not: the root of the mean square error of colours
+where there are any, against samples 1/32 voxel apart, and processor seconds; for steps of 2 to 1/4 voxels and 0 to 4 virtual
+samples between two, and for tolerances, with the step that each led to.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ _SIZE = 256, 256
 _ROUNDS = 3
 _STEPS = 2.0, 1.0, 0.5, 0.25
 _VIRTUAL = 0, 1, 2, 3, 4
+_TOLERANCES = 0.03, 0.01, 0.003
 _FINE = 1 / 32
 _EDGE = 192
 
@@ -45,7 +47,18 @@ def volumes() -> Iterator[tuple[str, clvol.Volume, dict[str, Any]]]:
         yield Path(path).name, clvol.read(path), {}
     if not sys.argv[1:]:
         thin = clvol.TransferFunction(((0.0, (0.1, 0.1, 0.6)), (1.0, (1.0, 0.9, 0.5))), ((0.0, 0.0), (1.0, 0.02)))
+        yield "smooth", clvol.phantoms.marschner_lobb(96), {"opacity": 0.5}
         yield "noisy", noisy(), {"transfer": thin}
+
+
+def drawn(renderer: clvol.Renderer, options: dict[str, Any]) -> tuple[clvol.Picture, float]:
+    """A picture, and processor seconds."""
+    taken = []
+    for _ in range(_ROUNDS):
+        begun = time.process_time()
+        picture = renderer.render(**options)
+        taken.append(time.process_time() - begun)
+    return picture, statistics.median(taken)
 
 
 def main() -> None:
@@ -56,17 +69,17 @@ def main() -> None:
                 options: dict[str, Any] = {"size": _SIZE, "rays": 1, "shading": shading, **look}
                 fine = renderer.render(step=_FINE, **options)
                 lit = np.abs(fine[..., :3]).max(-1) > 0.01
-                for step in _STEPS:
+                ways = {f"step {step:g}": [{"step": step, "virtual": virtual} for virtual in _VIRTUAL] for step in _STEPS}
+                ways |= {f"tolerance {tolerance:g}": [{"tolerance": tolerance}] for tolerance in _TOLERANCES}
+                for way, each in ways.items():
                     row = []
-                    for virtual in _VIRTUAL:
-                        taken = []
-                        for _ in range(_ROUNDS):
-                            begun = time.process_time()
-                            picture = renderer.render(step=step, virtual=virtual, **options)
-                            taken.append(time.process_time() - begun)
+                    for how in each:
+                        picture, seconds = drawn(renderer, options | how)
                         error = float(np.sqrt(((picture - fine)[lit, :3] ** 2).mean()))
-                        row.append(f"{error:8.5f} {statistics.median(taken):6.3f}")
-                    print(f"{name:16} {'shaded' if shading else 'unshaded':8} {step:5g} " + " | ".join(row), flush=True)
+                        assert picture.recipe is not None
+                        found = f" step {picture.recipe.step:g}" if "tolerance" in how else ""
+                        row.append(f"{error:8.5f} {seconds:6.3f}{found}")
+                    print(f"{name:16} {'shaded' if shading else 'unshaded':8} {way:15} " + " | ".join(row), flush=True)
 
 
 if __name__ == "__main__":

@@ -249,7 +249,7 @@ _WORDS: dict[str, Sequence[Any]] = {
     "opacity": (0.5, ((0.1, 0.0), (0.8, 0.7))),
 }
 _OF_MODE: dict[str, dict[str, Sequence[Any]]] = {
-    "composite": {"shading": (False,), "termination": (0.0, 0.05), "virtual": (2,)},
+    "composite": {"shading": (False,), "termination": (0.0, 0.05), "virtual": (2,), "tolerance": (0.02,)},
     "isosurface": {"isovalue": (0.3, 0.5), "method": ("stepped",), "color": ("steelblue",), "shading": (False,)},
     "attenuated": {"attenuation": (0.5, 5.0)},
     "surfaces": {"surfaces": ("0.3:tan:0.4,0.6:teal", "1 sigma:red:0.5"), "shading": (False,)},
@@ -266,6 +266,8 @@ def _look(world: World, random: Random) -> dict[str, Any]:
     options |= _some(random, _FRAME, 0.2) | _some(random, _OF_MODE.get(mode, {}), 0.3)
     if mode != "mean":
         options |= _some(random, _WORDS, 0.2)
+    if "tolerance" in options:
+        options.pop("step", None)
     own = {name: options[name] for name in _OF_MODE.get(mode, {}) if name in options}
     left_out = unheard(as_mode(mode, own), options, options.get("outputs", "rgba"))
     return {name: value for name, value in options.items() if name not in left_out}

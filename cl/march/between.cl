@@ -32,7 +32,7 @@ INLINE void absorb_between(state_t *s, COEFFICIENTS coefficients, const sample_t
         const real exact = first + w * w * (3.0f - 2.0f * w) * rise + w * v * (v * slope - w * last_slope);
         const real own = choose(free, exact, MIN(MAX(exact, low), high));
         color_t color = classify(&frame->transfer, sample->table, own);
-        mask seen = both & (color.opacity > 0.0f) & !finished(s, frame);
+        mask seen = both & (length > 0.0f) & (color.opacity > 0.0f) & !finished(s, frame);
         const real start = madd((real)((float)i), part, from), place = madd((real)(0.5f), part, start);
 #if MISSING
         seen &= !missing_at(sample->missing, frame, sample->ray, place, seen);

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clvol import phantoms
 from clvol.base.errors import DeviceError
 from clvol.device import Device, Tile
 from clvol.filter.table import as_filter, filters
@@ -463,6 +464,13 @@ def test_virtual_samples(keep: dict[Any, Renderer], device: Device, *, shading: 
     check(renderer, CAMERA, "composite", Allowance(rgba=2e-4, rms=2e-5, depth=2e-4, position=2e-4), step=0.8, **options)
     plain = renderer.render(CAMERA, "composite", SIZE, 0.8, skipping=False, **options)
     np.testing.assert_array_equal(renderer.render(CAMERA, "composite", SIZE, 0.8, **options), plain)
+
+
+def test_nothing_lies_between_two_samples_of_one_place(device: Device) -> None:
+    """Where a plane is at a ray's entry: the slope between such samples is no number."""
+    with Renderer(phantoms.marschner_lobb(96), device=device) as renderer:
+        points, between = (renderer.render(size=(128, 128), rays=1, virtual=n) for n in (0, 1))
+    assert np.abs(between - points).max() < 0.15
 
 
 def test_thin_shells_are_smooth_with_virtual_samples(device: Device) -> None:

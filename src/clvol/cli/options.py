@@ -422,9 +422,10 @@ class Look:
         ),
     ] = ()
     boundary: Rule = None
-    step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = (
-        0.5
-    )
+    step: Annotated[
+        float | None,
+        Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none. [default: 0.5]"),
+    ] = None
     rays: Annotated[
         int | Literal["auto"] | None,
         Parameter(help="Rays a pixel; 'auto': more where there are edges.", converter=_whole_or("auto")),
@@ -502,7 +503,7 @@ class Look:
         """Raise `OptionError` if an option changes nothing in a mode and in these outputs."""
         given = self.words() | {name: getattr(self, name) for name in _PLAIN} | self.factors()
         reasons = unheard(mode, given, outputs)
-        if mode.stretches and self.step != Look.step:
+        if mode.stretches and self.step is not None:
             reasons["step"] = "surfaces are exact, and take no samples"
         if self.value_range is not None:
             beside = {"preset", "window"} & given.keys() if mode.shows != "matter" else set()

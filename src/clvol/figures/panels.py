@@ -22,7 +22,7 @@ from clvol.figures.style import LETTERS, Drawing, title
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
-from clvol.march.options import WORDS, PanelOptions, transfer_of, unheard
+from clvol.march.options import WORDS, PanelOptions, step_times, transfer_of, unheard
 from clvol.march.renderer import Renderer
 from clvol.reference.march.exact import draw_function
 from clvol.scene.camera import Camera
@@ -240,7 +240,7 @@ def compare(
         if volume.data.size > max_samples:
             raise OptionError(f"{EXACT_SINC!r} is drawn of at most {max_samples} samples; got {volume.data.size}")
     look = settled(volume, {"mode": "isosurface", **options})
-    camera, step = look.pop("camera"), look.pop("step", 0.5)
+    camera, step = look.pop("camera"), look.pop("step", None)
     panels = []
     for i, row in enumerate(chosen):
         drawn_volume, through, finer, residual = _through(volume, row, boundary)
@@ -249,7 +249,7 @@ def compare(
             drawn = renderer.render(
                 view,
                 size=(pixels, pixels),
-                step=step * finer,
+                step=step_times(step, finer, look["mode"]),
                 progress=part_of(progress, i / len(chosen), (i + 1) / len(chosen)),
                 **for_filter(look, renderer.filter),
             )

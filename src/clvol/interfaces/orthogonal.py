@@ -134,7 +134,7 @@ def orthogonal(
     smooth, contour = given.pop("smooth", None), contour_width(given.pop("contour", 0.0), thickness)
     slices |= {"mode": slab, "background": given.get("background", (0.0, 0.0, 0.0))}
     held = {name: given.pop(name) for name in FieldOptions.__annotations__ if name in given}
-    camera, mode, step = given.pop("camera", None), given.pop("mode", DEFAULT_MODE), given.pop("step", 0.5)
+    camera, mode, step = given.pop("camera", None), given.pop("mode", DEFAULT_MODE), given.pop("step", None)
     chosen = chosen_mode(mode, given, scene=volume)
     width, height = as_size(size)
     if min(width, height) < 2 * _GAP:

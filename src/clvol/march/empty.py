@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import warn
-from clvol.march.options import WORDS, ResolvedLook, chosen_mode
+from clvol.march.options import WORDS, Fineness, ResolvedLook, chosen_mode
 from clvol.scene.clip import Cuts, cuts_of
 from clvol.scene.mode import virtual_samples
 
@@ -32,11 +32,11 @@ _CHOICES = ("transfer", "isovalue", *WORDS)
 
 
 def warn_if_empty(
-    look: ResolvedLook, step: float, source: Source, options: Mapping[str, Any], rgba: NDArray[np.floating[Any]]
+    look: ResolvedLook, step: float | None, source: Source, options: Mapping[str, Any], rgba: NDArray[np.floating[Any]]
 ) -> None:
     """Warn if a picture shows nothing of what is drawn, cannot tell its samples apart, or misses a band of values between them.
 
-    `options` were given for the picture.
+    `options` were given for the picture; `step` is None where a tolerance chose it.
     """
     alike = (_alike(one, one.preview.limits, options) for one in (look, *look.others)) if look.others else ()
     if found := next(filter(None, alike), ""):
@@ -45,17 +45,19 @@ def warn_if_empty(
     for one in () if reason else (look, *look.others):
         if said := _beyond(one):
             warn(said)
-    if reason or (reason := next(filter(None, (_missed(one, step) for one in (look, *look.others))), "")):
+    missed = () if step is None else (_missed(one, step) for one in (look, *look.others))
+    if reason or (reason := next(filter(None, missed), "")):
         warn(reason)
 
 
 def warn_of_refined(
-    renderer: Renderer, picture: Picture, camera: Camera | None, mode: str | Mode, step: float, **options: Any
+    renderer: Renderer, picture: Picture, camera: Camera | None, mode: str | Mode, step: float | None = None, **options: Any
 ) -> None:
     """Warn of the last picture by `Renderer.refine` as `render` warns of its own."""
-    source = renderer._source
-    look = ResolvedLook.of(source.scene, source.part, camera, chosen_mode(mode, options), options)  # type: ignore[arg-type]
-    warn_if_empty(look, step, source, options, picture)
+    source, chosen = renderer._source, chosen_mode(mode, options)
+    fine = Fineness.of(chosen, picture.shape[1::-1], step, options)  # type: ignore[arg-type]
+    look = ResolvedLook.of(source.scene, source.part, camera, chosen, options)  # type: ignore[arg-type]
+    warn_if_empty(look, fine.step if fine.tolerance is None else None, source, options, picture)
 
 
 def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapping[str, Any]) -> str:

@@ -19,7 +19,7 @@ from clvol.scene.clip import cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.light import casts, usual_lights
 from clvol.scene.look import graded, look
-from clvol.scene.mode import BY_LABEL, as_mode, colored_by, require_heard, virtual_samples
+from clvol.scene.mode import BY_LABEL, as_mode, colored_by, require_heard, tolerance_of, virtual_samples
 from clvol.scene.preset import as_preset
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import FACTORS, WORDS, is_curve
@@ -67,6 +67,7 @@ __all__ = [
     "chosen_mode",
     "covering",
     "require_room",
+    "step_times",
     "transfer_of",
     "unheard",
 ]
@@ -81,6 +82,7 @@ OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
 """Outputs of every mode."""
 _ALL_OUTPUTS = get_args(Output)
 _MAX_SIZE = 1 << 15  # pixels
+_STEP = 0.5  # voxels
 _OF_SCENE = ("lights", "shadow", "occlusion", "linear_light")  # what a picture has in place of its scene's, None for that
 
 
@@ -152,7 +154,7 @@ class ModeOptions(TypedDict, total=False):
     color_by: Literal["k1", "k2", "mean curvature", "gaussian curvature", "distance", "label"] | None
     outline: float
     method: Literal["exact", "stepped"]
-    tolerance: float
+    tolerance: float | None
     attenuation: float
     virtual: int
     cap: bool | Sequence[float] | str | None
@@ -266,7 +268,7 @@ class PanelOptions(RefineOptions, total=False):
 
     camera: Camera | None
     mode: str | Mode
-    step: float
+    step: float | None
 
 
 class ViewOptions(PanelOptions, total=False):
@@ -370,10 +372,13 @@ class Fineness:
     rays: int | Literal["auto"]  # a pixel
     filter: Filter  # what these sample
     lod: float  # pixels that a voxel of the drawn level may span
+    tolerance: float | None = None  # of colours, which chooses the step
 
     @classmethod
-    def of(cls, mode: Mode, size: tuple[int, int], step: float, options: RefineOptions) -> Fineness:
+    def of(cls, mode: Mode, size: tuple[int, int], step: float | None, options: RefineOptions) -> Fineness:
         """As the options say."""
+        if step is not None and (tolerance := tolerance_of(mode)) is not None:
+            raise OptionError(f"tolerance chooses the step, which must be left out beside it; got {tolerance:g} and step={step!r}")
         rays, lod = options.get("rays", "auto"), options.get("lod", "auto")
         if rays != "auto":
             rays = whole("rays", rays, minimum=1, maximum=4096)
@@ -381,11 +386,17 @@ class Fineness:
             rays = 1
         return cls(
             as_size(size),
-            number("step", step, above=0),
+            _STEP if step is None else number("step", step, above=0),
             rays,
             as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER)),
             1.0 if isinstance(lod, str) and lod == "auto" else number("lod", lod, minimum=0),
+            tolerance_of(mode),
         )
+
+
+def step_times(step: float | None, factor: float, mode: Mode) -> float | None:
+    """A step of `factor` times as many voxels; None where a tolerance chooses steps."""
+    return step if step is None and tolerance_of(mode) is not None else factor * (_STEP if step is None else step)
 
 
 def as_size(size: tuple[int, int]) -> tuple[int, int]:
@@ -445,8 +456,10 @@ class ResolvedLook:
                 require_heard(mode, ("cap",), {"cap": "nothing is cut away by clip"})
             if not any(one.shown_in(mode) is mode for one in scene.media):
                 require_heard(mode, ("cap",), {"cap": "faces are as surfaces and smooth boundaries of media have them"})
-        if virtual_samples(mode) and not any(one.shown_in(mode) is mode for one in scene.media):
-            require_heard(mode, ("virtual",), {"virtual": "surfaces and smooth boundaries lie wherever they are between samples"})
+        between = {"virtual": virtual_samples(mode), "tolerance": tolerance_of(mode)}
+        if any(between.values()) and not any(one.shown_in(mode) is mode for one in scene.media):
+            given = [name for name, value in between.items() if value]
+            require_heard(mode, given, dict.fromkeys(given, "surfaces and smooth boundaries lie wherever they are between samples"))
         if len(scene.media) > 1:
             return cls._of_several(scene, part_of, camera, mode, options)
         return cls._of_one(scene, part_of, camera, mode, options)

@@ -16,6 +16,7 @@ from clvol.base.checks import instance
 from clvol.base.errors import FormatError, OptionError
 from clvol.filter import boundary
 from clvol.filter import filter as filters
+from clvol.march.options import ResolvedLook
 from clvol.march.refine import Refined
 from clvol.scene import camera, clip, light, mode, scene, transfer
 from clvol.scene.fit import box_around
@@ -29,7 +30,7 @@ from clvol.volume.volume import Volume, table_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clvol.march.options import Fineness, ResolvedLook
+    from clvol.march.options import Fineness, RefineOptions
     from clvol.march.source import Source
     from clvol.show.picture import Picture
 
@@ -244,12 +245,14 @@ def _settled(look: ResolvedLook, source: Source) -> scene.Medium:
     return replace(medium.with_transfer(shown), filter=row, boundary=part.field.boundary)
 
 
-def staged(look: ResolvedLook, fine: Fineness, options: Mapping[str, Any]) -> Staged:
+def staged(source: Source, camera: camera.Camera | None, mode: mode.Mode, fine: Fineness, options: RefineOptions) -> Staged:
     """A look with its camera in place; with the box in view, if there is one and the place was left open; on white for print.
 
     `OptionError` if what is wanted around the picture does not apply to it, `MissingDependencyError` without matplotlib.
     """
-    given = {name: options[name] for name in Furniture.__dataclass_fields__ if options.get(name) is not None}
+    look = ResolvedLook.of(source.scene, source.part, camera, mode, options)
+    around: Mapping[str, Any] = options
+    given = {name: around[name] for name in Furniture.__dataclass_fields__ if around.get(name) is not None}
     furniture = Furniture(**given) if given else None
     aspect = fine.size[0] / fine.size[1]
     if furniture is None:

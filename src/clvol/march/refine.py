@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from clvol.filter.filter import Filter
     from clvol.march.frame import Frame, Subject
 
-__all__ = ["Asked", "Rate", "Refined", "Refinement", "Wanted", "refined_by_levels"]
+__all__ = ["Asked", "Cancelled", "Rate", "Refined", "Refinement", "Wanted", "refined_by_levels"]
 
 _LAUNCH = 0.008  # seconds; `cancelled` is called between launches
 _KEPT = 0.75  # share of the budget that is planned for: the rest is for what cannot be known
@@ -164,7 +164,7 @@ class Rate:
         return replace(self, power=(self.power + min(max(measured, low), high)) / 2)
 
 
-class _Cancelled(Exception):
+class Cancelled(Exception):
     """The pictures are no longer wanted."""
 
 
@@ -180,7 +180,7 @@ class Asked:
     def require_wanted(self, _: float = 0.0) -> None:
         """Raise if the pictures are no longer wanted."""
         if self.cancelled is not None and self.cancelled():
-            raise _Cancelled
+            raise Cancelled
 
     def reporting(self, start: float = 0, end: float = 1) -> Progress:
         """A callback for the progress of a part of the last picture, which raises if it is no longer wanted."""
@@ -210,7 +210,7 @@ def refined_by_levels(
             try:
                 asked.require_wanted()
                 picture = draw(level, asked.reporting() if level == levels[-1] else asked.require_wanted)
-            except _Cancelled:
+            except Cancelled:
                 return
         yield Refined(picture, level == levels[-1], step, time.perf_counter() - asked.began)
 
@@ -238,7 +238,7 @@ class Refinement:
                 try:
                     self._asked.require_wanted()
                     picture = next(stages)
-                except (StopIteration, _Cancelled):
+                except (StopIteration, Cancelled):
                     return
             self._worked = self._seconds
             yield picture

@@ -10,23 +10,14 @@ from typing import TYPE_CHECKING, Any, Self, Unpack, cast, overload
 
 from clvol.base.checks import number, suggests_options
 from clvol.base.errors import OptionError
-from clvol.base.progress import require_callback, watched
+from clvol.base.progress import part_of, require_callback, watched
 from clvol.march.choose import source_of
 from clvol.march.empty import warn_if_empty
-from clvol.march.options import (
-    OUTPUTS,
-    Fineness,
-    Output,
-    PictureOptions,
-    RendererOptions,
-    ResolvedLook,
-    as_outputs,
-    chosen_mode,
-    require_room,
-)
+from clvol.march.options import OUTPUTS, Fineness, Output, PictureOptions, RendererOptions, as_outputs, chosen_mode, require_room
 from clvol.march.recipe import staged
 from clvol.march.refine import Asked
 from clvol.march.source import ByBricks, Source
+from clvol.march.tolerance import refined, with_step
 from clvol.march.uncertainty import noise_of
 from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode
 
@@ -176,12 +167,12 @@ class Renderer:
         self.close()
 
     @overload
-    def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
+    def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float | None = ..., *,
                outputs: Output = ..., progress: Progress | None = ...,
                **options: Unpack[PictureOptions]) -> Picture: ...  # fmt: skip
 
     @overload
-    def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
+    def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float | None = ..., *,
                outputs: list[Output] | tuple[Output, ...], progress: Progress | None = ...,
                **options: Unpack[PictureOptions]) -> dict[str, Picture]: ...  # fmt: skip
 
@@ -190,7 +181,7 @@ class Renderer:
         camera: Camera | None = None,
         mode: str | Mode = DEFAULT_MODE,
         size: tuple[int, int] = (512, 512),
-        step: float = 0.5,
+        step: float | None = None,
         *,
         outputs: Output | Sequence[Output] = "rgba",
         progress: Progress | None = None,
@@ -207,7 +198,7 @@ class Renderer:
         size : (width, height)
             In pixels.
         step : float
-            The most that a ray advances between samples, in voxels. Exact surfaces take no samples: see `Isosurface`.
+            Most voxels between samples of a ray: by default 0.5, or what a `tolerance` allows. Exact surfaces take no samples.
         outputs : str or sequence of str
             Of "rgba", "depth", "normal", "position", "visited", "uncertainty"; several give a dictionary. Depth is the world
             distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing; normals face
@@ -263,21 +254,22 @@ class Renderer:
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, wanted, edges=fine.rays == "auto")
             uncertainty = self._source.uncertainty(chosen) if noise else None
-            stage = staged(ResolvedLook.of(self.scene, self._source.part, camera, chosen, options), fine, options)
-            pictures = self._source.draw(stage.drawn, fine, wanted != ("rgba",), watched("the picture", progress))
-            warn_if_empty(stage.drawn, fine.step, self._source, options, pictures["rgba"])
+            shown = watched("the picture", progress)
+            stage = with_step(staged(self._source, camera, chosen, fine, options), self._source, part_of(shown, 0, 0))
+            pictures = self._source.draw(stage.drawn, stage.fine, wanted != ("rgba",), shown)
+            warn_if_empty(stage.drawn, fine.step if fine.tolerance is None else None, self._source, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = stage.look.central or not self._source.filter_of(chosen).has_gradient
                 pictures["uncertainty"] = uncertainty(pictures["position"], noise, central=central)
-            shown = stage.finished(pictures, wanted, self._source)
-            return shown[wanted[0]] if isinstance(outputs, str) else shown
+            made = stage.finished(pictures, wanted, self._source)
+            return made[wanted[0]] if isinstance(outputs, str) else made
 
     def refine(
         self,
         camera: Camera | None = None,
         mode: str | Mode = DEFAULT_MODE,
         size: tuple[int, int] = (512, 512),
-        step: float = 0.5,
+        step: float | None = None,
         *,
         seconds: float = 0.05,
         cancelled: Callable[[], bool] | None = None,
@@ -347,18 +339,19 @@ class Renderer:
             self._source.require_heard(chosen, options)
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, ("rgba",), edges=fine.rays == "auto")
-            stage = staged(ResolvedLook.of(self.scene, self._source.part, camera, chosen, options), fine, options)
-            return stage.refined(self._source.refine(stage.drawn, fine, Asked(seconds, cancelled, progress, began)), self._source)
+            stage = staged(self._source, camera, chosen, fine, options)
+            return refined(stage, self._source, Asked(seconds, cancelled, progress, began))
 
 
 @overload
-def render(scene: Drawable, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
-           outputs: Output = ..., progress: Progress | None = ..., **options: Unpack[RenderOptions]) -> Picture: ...  # fmt: skip
+def render(scene: Drawable, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ...,
+           step: float | None = ..., *, outputs: Output = ..., progress: Progress | None = ...,
+           **options: Unpack[RenderOptions]) -> Picture: ...  # fmt: skip
 
 
 @overload
-def render(scene: Drawable, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
-           outputs: list[Output] | tuple[Output, ...], progress: Progress | None = ...,
+def render(scene: Drawable, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ...,
+           step: float | None = ..., *, outputs: list[Output] | tuple[Output, ...], progress: Progress | None = ...,
            **options: Unpack[RenderOptions]) -> dict[str, Picture]: ...  # fmt: skip
 
 
@@ -367,7 +360,7 @@ def render(
     camera: Camera | None = None,
     mode: str | Mode = DEFAULT_MODE,
     size: tuple[int, int] = (512, 512),
-    step: float = 0.5,
+    step: float | None = None,
     *,
     outputs: Output | Sequence[Output] = "rgba",
     progress: Progress | None = None,
@@ -397,4 +390,4 @@ def render(
     fine = Fineness.of(chosen, size, step, options)
     require_room(fine.size, as_outputs(outputs), edges=False)
     with Renderer(source_of(scene, **held, usual=chosen.picture_filter)) as renderer:
-        return renderer.render(camera, mode, size, step, outputs=outputs, progress=progress, **cast(PictureOptions, options))  # type: ignore[arg-type]  # either
+        return renderer.render(camera, mode, size, step, outputs=outputs, progress=progress, **cast(PictureOptions, options))  # type: ignore[arg-type, misc]  # either

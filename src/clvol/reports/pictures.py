@@ -15,6 +15,7 @@ from clvol.figures.panels import fixed, for_filter, settled
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
+from clvol.march.options import step_times
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
 from clvol.scene.mode import as_mode
@@ -64,11 +65,11 @@ def cards(
     look["background"] = look.get("background") or (1.0, 1.0, 1.0)
     camera: Camera = look.pop("camera")
     few = volume.gaussian([factor / 2 * s for s in volume.spacing]).downsample(factor)
-    step = look.pop("step", 0.5)
+    step = look.pop("step", None)
     linear = as_filter("linear")
     done, total = 0, 2 * len(filters) + len({best.name, linear.name})
 
-    def draw(data: Volume, filter: Filter, views: Sequence[Camera], step: float) -> list[Any]:
+    def draw(data: Volume, filter: Filter, views: Sequence[Camera], step: float | None) -> list[Any]:
         nonlocal done
         shown = for_filter(look, filter)
         with Renderer(data, filter, boundary, device) as renderer:
@@ -87,7 +88,7 @@ def cards(
     for row in sorted(filters, key=lambda row: row.name != best.name):  # the others differ from it
         first = drawn.get(row.name, [])
         whole, closer = [_rgb(one) for one in first + draw(volume, row, [camera, near][len(first) :], step)]
-        fewer = _rgb(draw(few, row, [near], step / factor)[0])
+        fewer = _rgb(draw(few, row, [near], step_times(step, 1 / factor, look["mode"]))[0])
         truth = made[best.name].closer if made else closer
         made[row.name] = Card(row.name, whole, closer, _difference(closer, truth), fewer, _difference(fewer, truth))
     return Cards([made[row.name] for row in filters], best.name, as_mode(look["mode"]).name)

@@ -55,7 +55,9 @@ __all__ = [
     "opacities_of",
     "outlined",
     "require_heard",
+    "tolerance_of",
     "virtual_samples",
+    "without_tolerance",
 ]
 
 DEFAULT_MODE = "composite"
@@ -242,12 +244,18 @@ class Composite(Mode):
         light. Else matter is that of the virtual ones: their values are Hermite's, from the values and slopes at both samples, and
         their gradients lie on the parabola through those of the last three, so that thin shells are smooth with any step. Of one
         volume in memory, with a filter that has a gradient.
+    tolerance : float, optional
+        In place of `step`: how far a picture may be from that of the finest steps, above 0 and at most 1, as the root of the mean
+        square of the differences of its colours (0..1, as they are shown) where it shows matter. Small pictures of the same view
+        tell how long steps may be, from 1 voxel to 1/64; a picture's `recipe` has the step. It is an estimate: see
+        `clvol.march.tolerance`.
     """
 
     shading: bool = True
     termination: float = 1e-3
     cap: bool | None = None
     virtual: int = 0
+    tolerance: float | None = None
 
     name: ClassVar[str] = "composite"
     description: ClassVar[str] = "emission and absorption, front to back"
@@ -266,6 +274,8 @@ class Composite(Mode):
         if isinstance(virtual, float) and virtual.is_integer():
             virtual = int(virtual)
         _set(self, virtual=whole("virtual", virtual, minimum=0, maximum=16))
+        if self.tolerance is not None:
+            _set(self, tolerance=number("tolerance", self.tolerance, above=0, maximum=1))
         if self.virtual:
             _set(self, endpoints=True, state_fields=type(self).state_fields + _REMEMBERED)
 
@@ -329,7 +339,7 @@ class Isosurface(_OfSurfaces):
         as long.
     tolerance : float
         For "stepped": tolerance of the function at the surface, relative to the difference between the two samples
-        around it, 0 to 1.
+        around it, 0 to 1. That of "composite" is of a picture's colours.
     cap : bool, three numbers or a name
         Closes what a cut (`clip`) opens, where values are not below the isovalue, with an unlit face. True: it shows the slice,
         in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
@@ -678,6 +688,16 @@ def colored_by(mode: Mode) -> str:
 def virtual_samples(mode: Mode) -> int:
     """How many there are between two samples of a ray, if matter is theirs; else 0."""
     return int(getattr(mode, "virtual", 0))
+
+
+def tolerance_of(mode: Mode) -> float | None:
+    """How far the colours of matter may be from those of the finest steps, if that is to choose the step."""
+    return mode.tolerance if isinstance(mode, Composite) else None
+
+
+def without_tolerance(mode: Mode) -> Mode:
+    """The same with steps that are given."""
+    return replace(mode, tolerance=None) if isinstance(mode, Composite) else mode
 
 
 def outlined(mode: Mode) -> bool:

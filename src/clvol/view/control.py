@@ -224,7 +224,7 @@ def _picked(resident: Resident, context: Context, state: State, name: str, x: fl
             mode = as_mode(arguments["mode"])
             field = on_slices(renderer, state.mode) if mode.regions else renderer._source.function(mode)
             if point is not None and volume.is_labels:
-                point = _in_label(volume, field, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
+                point = _in_label(volume, field, point, pane.ray(x, y)[1], state.step * volume.mean_spacing)
         found: dict[str, Any] = {"pane": name, "x": x, "y": y, "units": volume.units, "position": None}
         return found if point is None or not _within(volume, point) else found | _found(volume, field, point)
 

@@ -258,10 +258,11 @@ def _slice(renderer: Renderer, order: Order, size: tuple[int, int]) -> NDArray[A
 def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generator[Shot, None, None]:
     if not math.isfinite(order.budget):
         with suppress(Stopped):
-            yield Shot(to_bytes(renderer.render(size=order.size, progress=asking(order.stop), **given)), True, given["step"])
+            picture = renderer.render(size=order.size, progress=asking(order.stop), **given)
+            yield Shot(to_bytes(picture), True, picture.recipe.step)
         return
-    camera, mode, step = (given.pop(name) for name in ("camera", "mode", "step"))
-    for picture in renderer.refine(camera, mode, order.size, step, seconds=order.budget, cancelled=order.stop, **given):
+    camera, mode = given.pop("camera"), given.pop("mode")
+    for picture in renderer.refine(camera, mode, order.size, seconds=order.budget, cancelled=order.stop, **given):
         yield Shot(to_bytes(picture), picture.final and not order.coarse, picture.step)
         if order.coarse:
             return

@@ -20,7 +20,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import joined
 from clvol.scene.fit import Seen, box_around, fitted
 from clvol.scene.look import look
-from clvol.scene.mode import BY_DISTANCE, CURVATURES, Mode, as_mode, colored_by, mode_options, modes
+from clvol.scene.mode import BY_DISTANCE, CURVATURES, Mode, as_mode, colored_by, mode_options, modes, tolerance_of
 from clvol.scene.preset import presets
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import FACTORS, TransferFunction
@@ -158,6 +158,8 @@ class Resident:
             left_out |= {"shadow", "occlusion"}
         if several or graded:
             left_out |= {"virtual"}
+        if tolerance_of(mode) is not None:
+            left_out |= {"step"}
         if (state.clip is None and not state.cuts) or (not several and {"surfaces", "smooth"} & set(self.beyond)):
             left_out |= {"cap"}
         return {name: value for name, value in given.items() if name not in left_out}

@@ -45,6 +45,7 @@ from clvol.scene.mode import (
     Surfaces,
     as_mode,
     mode_options,
+    tolerance_of,
     virtual_samples,
 )
 from clvol.scene.scene import Medium
@@ -314,10 +315,8 @@ def render(
     With `linear_light`, in modes of light, all colours that are given are light (`light_of`) before anything is computed with them,
     and the picture over its background is shown (`shown_as`) after.
     """
-    volume, row, chosen = as_volume(volume), as_filter(filter), as_mode(mode, options)
-    if "termination" in mode_options(chosen) and "termination" not in options:
-        chosen = as_mode(chosen, {"termination": 0.0})
-    chosen = chosen.settled(volume)
+    volume, row = as_volume(volume), as_filter(filter)
+    chosen = _chosen(mode, options).settled(volume)
     if volume.ndim != 3:
         raise OptionError(f"rendering takes a volume with 3 axes; got shape {volume.shape}")
     gather = MODES.get(chosen.name)
@@ -432,6 +431,14 @@ def render(
     pictures = {"rgba": np.concatenate([colors, np.clip(cover, 0, 1)], 1), **guides}
     shaped = {name: array.reshape(height, width, *array.shape[1:]) for name, array in pictures.items()}
     return shaped[outputs] if isinstance(outputs, str) else {name: shaped[name] for name in outputs}
+
+
+def _chosen(mode: str | Mode, options: dict[str, Any]) -> Mode:
+    """A mode, whose rays end nowhere early unless it says so, and whose steps are given."""
+    chosen = as_mode(mode, options)
+    if tolerance_of(chosen) is not None:
+        raise OptionError("tolerance must be left out of the reference, which has steps: the recipe of a picture says which")
+    return as_mode(chosen, {"termination": 0.0}) if "termination" in mode_options(chosen).keys() - options.keys() else chosen
 
 
 def _function(
