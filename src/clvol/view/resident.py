@@ -117,7 +117,8 @@ class Resident:
         given_by_words = state.transfer is None and labelled(volume, state) is volume
         words: dict[str, Any] = state.words if given_by_words else {"transfer": self.transfer(state)}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
-        words |= {name: getattr(state, name) or None for name in ("gradient_opacity", "shadow", "occlusion", "linear_light")}
+        of_light = "gradient_opacity", "shadow", "shadow_rays", "occlusion", "linear_light"
+        words |= {name: getattr(state, name) or None for name in of_light}
         if state.cuts:
             words["clip"] = [*([state.clip] if state.clip else []), *state.cuts]
         given |= {name: value for name, value in words.items() if value is not None}
@@ -156,6 +157,8 @@ class Resident:
         smooth = "smooth" in self.beyond or any(medium.smooth for medium in self.catalog.media)
         if smooth or graded:
             left_out |= {"shadow", "occlusion"}
+        if several or "shadow" not in given.keys() - left_out:
+            left_out |= {"shadow_rays"}
         if several or graded:
             left_out |= {"virtual"}
         if (state.clip is None and not state.cuts) or (not several and {"surfaces", "smooth"} & set(self.beyond)):
