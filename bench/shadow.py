@@ -117,8 +117,8 @@ def errors(path: str, mode: str) -> None:
 def lit_by(renderer: clvol.Renderer, number: int) -> NDArray[np.float64]:
     """How bright a white surface is in one of the usual lights alone, with rays to it."""
     lights = [replace(light, color=(float(n == number),) * 3) for n, light in enumerate(KIT)]
-    chalk, white = clvol.Material(0, 1, 0), {"color": "white", "lights": lights, "shadow": 1, "shadow_rays": True}
-    picture = renderer.render(size=_SIZE, rays=1, mode="isosurface", material=chalk, **white)
+    white: dict[str, Any] = {"color": "white", "material": clvol.Material(0, 1, 0), "lights": lights}
+    picture = renderer.render(size=_SIZE, rays=1, mode="isosurface", shadow=1, shadow_rays=True, **white)
     return np.asarray(picture[..., 0], np.float64)
 
 

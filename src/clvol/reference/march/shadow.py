@@ -19,6 +19,7 @@ from clvol.volume.volume import Volume
 
 __all__ = ["extinction", "light_past", "light_through_cells", "light_to"]
 
+_NO_CUTS = Cuts()
 _LEVELS = 200  # of values between the corners of a part
 
 
@@ -71,14 +72,20 @@ def light_through_cells(extinction: Array, direction: Array) -> Array:
 
 
 def light_to(
-    volume: Volume, filter: Filter, exponent: Callable[[Array], Array], points: Array, direction: Array, step: float
+    volume: Volume,
+    filter: Filter,
+    exponent: Callable[[Array], Array],
+    points: Array,
+    direction: Array,
+    step: float,
+    cuts: Cuts = _NO_CUTS,
 ) -> Array:
     """What is left of light from a unit direction at world points, (N, 3): of the function, in steps in world units."""
     total = np.zeros(len(points))
     for t in np.arange(step / 2, 2 * volume.radius, step):
         at = points + t * direction
         index = volume.world_to_index(at)
-        inside = ((index >= -0.5) & (index <= np.array(volume.size) - 0.5)).all(-1)
+        inside = ((index >= -0.5) & (index <= np.array(volume.size) - 0.5)).all(-1) & cuts.keep(at)
         if inside.any():
             total[inside] += step * exponent(sample(volume, at[inside], filter, "mirror"))
     return np.asarray(np.exp2(-total))
