@@ -493,7 +493,7 @@ class ResolvedLook:
         if scene.shadow and mode.shaded:
             scene = _with_still_lights(scene, leading or preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)
-        factors: dict[str, Any] = medium.factors if shown.grades else {}
+        factors: dict[str, Any] = medium.factors
         factors |= {name: given for name in FACTORS if (given := options.get(name)) is not None}
         factors = {name: given for name, given in factors.items() if is_curve(given) or given != 0}
         if transfer.graded or factors:

@@ -313,7 +313,8 @@ class InMemory(OneMedium):
 
     def _pyramid(self, field: Field, evaluator: Evaluator, names: bool, slopes: bool) -> MinMax:
         with self._lock:
-            key = field.filter, evaluator, names, slopes
+            steep = (field.filter, evaluator, names, True)  # which has all that one without slopes has
+            key = steep if slopes or steep in self.pyramids else (*steep[:3], False)
             if key not in self.pyramids:
                 self.pyramids[key] = MinMax(field.coefficients, evaluator, names=names, slopes=slopes)
                 self.lease.frees(self.pyramids[key].release)

@@ -124,7 +124,8 @@ class Resident:
         given |= {name: value for name, value in words.items() if value is not None}
         given["background"] = state.background
         given |= {} if bare else state.furniture.given
-        given |= {"media": media.of_state(self.catalog.media, state)} if state.media else {}
+        if self.catalog.media and (state.media or not as_mode(state.mode, state.options).grades):
+            given["media"] = media.of_state(self.catalog.media, state)
         own = {name: tuple(v) if isinstance(v, list) else v for name, v in state.options.items()}
         return self._heard(state, given | own)
 
