@@ -4,8 +4,10 @@
 
 Frames of 512² of 256³ samples, medians over rounds that alternate, as a ratio (aimed at: 1.3); and once for each transfer function,
 lights and cuts the sweeps of all lights and of the light from everywhere (0.3 s on two cores). Processor seconds say the same on a
-machine that has other work. For scans instead the RMS distance of what pictures read to ratio tracking from the same places, for
-key, fill and the light from everywhere.
+machine that has other work. Isosurfaces also with rays to one light and to three. For scans, and for "folds", these surfaces,
+instead
+the RMS distance of what pictures read to ratio tracking from the same places, for key, fill and the light from everywhere; of
+isosurfaces also that of what sweeps and rays leave at the surface itself to crossings counted from there.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -36,10 +39,14 @@ _SIZE = 512, 512
 _ROUNDS = 7
 _EDGE = 256
 _POINTS, _PATHS = 300, 1024
+_SUNS = [clvol.Light(way, (0.4,) * 3) for way in ((-0.45, -0.75, 0.55), (0.6, -0.5, 0.6), (0.1, 0.2, 0.9))]
+_OFF = 0.01  # samples off a surface, from where crossings are counted
 _LOOKS: dict[str, dict[str, Any]] = {
     "opaque": {"mode": "composite"},
     "translucent": {"mode": "composite", "opacity": 0.05},
     "isosurface": {"mode": "isosurface"},
+    "rays, 1 light": {"mode": "isosurface", "shadow_rays": True, "lights": _SUNS[0]},
+    "rays, 3 lights": {"mode": "isosurface", "shadow_rays": True, "lights": _SUNS},
 }
 
 
@@ -62,12 +69,19 @@ def read(lit: Lit, points: NDArray[np.float64], channel: int) -> NDArray[np.floa
     return total
 
 
+def folds() -> clvol.Volume:
+    """A computed ball of deep folds."""
+    x, y, z = np.mgrid[-1 : 1 : _EDGE * 1j, -1 : 1 : _EDGE * 1j, -1 : 1 : _EDGE * 1j].astype(np.float32)
+    return clvol.Volume(1 - np.sqrt(x**2 + y**2 + z**2) + 0.2 * np.sin(9 * x) * np.sin(8 * y) * np.sin(10 * z))
+
+
 def errors(path: str, mode: str) -> None:
     """Print by how much shadows of a scan are off."""
-    volume = clvol.read(path)
+    volume = folds() if path == "folds" else clvol.read(path)
     with clvol.Renderer(volume) as renderer:
         found = renderer.render(size=_SIZE, rays=1, mode=mode, outputs=["position", "normal"])
         row = renderer.filter_of(mode)
+        lit_alone = [lit_by(renderer, number) for number in (0, 1)] if mode == "isosurface" else []
     with clvol.Field(volume, row) as field:
         source = InMemory(as_scene(clvol.Medium(volume, filter=row)), field, volume, (field,))
         look = ResolvedLook.of(source.scene, source.part, None, as_mode(mode), {"shadow": 1.0, "occlusion": 1.0})
@@ -77,7 +91,8 @@ def errors(path: str, mode: str) -> None:
         seen = np.flatnonzero(np.isfinite(normals).all(1) & (np.abs(normals).max(1) > 0))
         seen = np.random.default_rng(1).choice(seen, _POINTS, replace=False)
         normals = normals[seen].astype(np.float64)
-        points = found["position"].reshape(-1, 3)[seen] + ABOVE * lit.cells.edge * normals
+        places = found["position"].reshape(-1, 3)[seen]
+        points = places + ABOVE * lit.cells.edge * normals
         pyramid = MinMax(field.coefficients, choose_evaluator(field.device, row))
         follow = partial(tracked, pyramid, body.matter, OPAQUE / lit.cells.edge)
         ways = [np.array(light.direction) for light in look.scene.lights if light.direction is not None]
@@ -85,12 +100,26 @@ def errors(path: str, mode: str) -> None:
             facing = normals @ way > 0
             left, error = follow(points[facing], way, paths=_PATHS)
             report(path, mode, name, read(lit, points[facing], channel), left, error)
+            if lit_alone:
+                left, error = follow((places + _OFF * volume.mean_spacing * normals)[facing], way, paths=_PATHS)
+                left = np.where(left < 2 ** (1 - OPAQUE), 0, left)
+                report(path, "at surface", name, read(lit, points[facing], channel), left, error)
+                found_by_rays = lit_alone[channel].reshape(-1)[seen][facing] / (normals @ way)[facing]
+                report(path, "by rays", name, found_by_rays, left, error)
         around = np.repeat(points, len(everywhere()), 0), np.tile(everywhere(), (_POINTS, 1))
         left, _ = follow(*around, paths=_PATHS // 16, far=FAR * lit.cells.diagonal)
         open_to = np.minimum(left.reshape(_POINTS, -1).mean(1) / OPEN, 1)
         report(path, mode, "everywhere", read(lit, points, 2), open_to, np.zeros(1))
         pyramid.release()
         shadows.release()
+
+
+def lit_by(renderer: clvol.Renderer, number: int) -> NDArray[np.float64]:
+    """How bright a white surface is in one of the usual lights alone, with rays to it."""
+    lights = [replace(light, color=(float(n == number),) * 3) for n, light in enumerate(KIT)]
+    white: dict[str, Any] = {"color": "white", "material": clvol.Material(0, 1, 0), "lights": lights}
+    picture = renderer.render(size=_SIZE, rays=1, mode="isosurface", shadow=1, shadow_rays=True, **white)
+    return np.asarray(picture[..., 0], np.float64)
 
 
 def report(path: str, mode: str, light: str, swept: NDArray[Any], left: NDArray[Any], error: NDArray[Any]) -> None:
@@ -107,13 +136,12 @@ def main() -> None:
             errors(path, mode)
     if sys.argv[1:]:
         return
-    x, y, z = np.mgrid[-1 : 1 : _EDGE * 1j, -1 : 1 : _EDGE * 1j, -1 : 1 : _EDGE * 1j].astype(np.float32)
-    folds = np.sin(9 * x) * np.sin(8 * y) * np.sin(10 * z)
-    volume = clvol.Volume(1 - np.sqrt(x**2 + y**2 + z**2) + 0.2 * folds)
+    volume = folds()
     with clvol.Renderer(volume, "bspline3") as renderer:
 
         def picture(dark: int, look: dict[str, Any]) -> None:
-            renderer.render(size=_SIZE, rays=1, shadow=dark, occlusion=dark, **look)
+            own = {name: value for name, value in look.items() if dark or name != "shadow_rays"}
+            renderer.render(size=_SIZE, rays=1, shadow=dark, occlusion=dark * ("shadow_rays" not in look), **own)
 
         for name, look in _LOOKS.items():
             rounds = [[taken(partial(picture, dark, look)) for dark in (0, 1)] for _ in range(_ROUNDS + 1)][1:]

@@ -28,7 +28,7 @@ typedef struct {
     real enter, leave;      // t where the ray is inside the domain and what cuts keep
     real first, step;       // sample n lies at t = first + n * step
     real begin, end;        // the samples are those with begin <= n <= end
-    mask cut, more;         // whether it enters at the face of a cut; whether further parts may follow (pixel_ray)
+    mask cut, more;         // whether it enters at the face of a cut; whether further parts may follow (placed_ray)
     mask hits, planar;      // whether it meets the volume; whether its samples lie on the planes ...
     mask alone;             // ... but for a ray that leaves before the next plane: it has one sample, in its middle
 } ray_t;
@@ -90,24 +90,14 @@ INLINE real axis_of(real3 v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.
 // Component i of a ray's origin or direction at pixel (px, py): a linear function of both. (For numbers and for vectors.)
 #define AT_PIXEL(field, i) madd(px, camera->field##_u[i], madd(py, camera->field##_v[i], camera->field[i]))
 
-// The ray through a pixel; of what corners leave of it, the part of this number, or with -1 all, as if there were none.
-INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py, const int part)
+// What of a ray is in the domain, and its samples: of what corners leave of it, the part of this number, or with -1 all, as if there
+// were none. Set are its origin and directions, and in `enter` where it begins. Its samples lie on the planes that the line from
+// `from` along `rail` crosses, unless it has steps of its `own`.
+INLINE ray_t placed_ray(ray_t ray, constant frame_t *frame, const real3 from, const real3 rail, const mask own, const int part)
 {
-    constant camera_block *camera = &frame->camera;
     constant geometry_block *geometry = &frame->geometry;
     constant planes_block *planes = &frame->planes;
-    ray_t ray;
-    ray.origin = real3_of(AT_PIXEL(origin, 0), AT_PIXEL(origin, 1), AT_PIXEL(origin, 2));
-    const real3 along = real3_of(AT_PIXEL(direction, 0), AT_PIXEL(direction, 1), AT_PIXEL(direction, 2));
-    const real3 world = matrix3(geometry->index_to_world, along);
-    const real stretch = square_root(dot3(world, world)), per_unit = 1.0f / stretch;
-    ray.direction = scale3(along, per_unit);
-    ray.world = scale3(world, per_unit);
-
-    const real length = square_root(dot3(ray.direction, ray.direction));
-
-    ray.ahead = camera->ahead * stretch;
-    ray.enter = camera->orthographic ? -NOWHERE : -ray.ahead;   // nothing is visible behind a perspective camera
+    const real length = square_root(dot3(ray.direction, ray.direction)), begin = ray.enter;
     ray.leave = NOWHERE;
     clip_axis(ray.origin.x, ray.direction.x, geometry->low[0], geometry->high[0], &ray.enter, &ray.leave);
     clip_axis(ray.origin.y, ray.direction.y, geometry->low[1], geometry->high[1], &ray.enter, &ray.leave);
@@ -116,19 +106,19 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py, const int part
     real whole = uncut;   // without corners
     ray.cut = ray.more = NONE;
     if (frame->clip.clipped) {
-        const real3 from = matrix3(geometry->index_to_world, ray.origin);
+        const real3 place = matrix3(geometry->index_to_world, ray.origin);
         const real least = planes->margin / length;   // less may be rounding
-        clip_axis(from.x, ray.world.x, frame->clip.low[0], frame->clip.high[0], &ray.enter, &ray.leave);
-        clip_axis(from.y, ray.world.y, frame->clip.low[1], frame->clip.high[1], &ray.enter, &ray.leave);
-        clip_axis(from.z, ray.world.z, frame->clip.low[2], frame->clip.high[2], &ray.enter, &ray.leave);
+        clip_axis(place.x, ray.world.x, frame->clip.low[0], frame->clip.high[0], &ray.enter, &ray.leave);
+        clip_axis(place.y, ray.world.y, frame->clip.low[1], frame->clip.high[1], &ray.enter, &ray.leave);
+        clip_axis(place.z, ray.world.z, frame->clip.low[2], frame->clip.high[2], &ray.enter, &ray.leave);
         for (int i = 0; i < frame->clip.planes; ++i)
-            clip_plane(from, ray.world, frame->clip.plane + 4 * i, &ray.enter, &ray.leave);
+            clip_plane(place, ray.world, frame->clip.plane + 4 * i, &ray.enter, &ray.leave);
         ray.enter = choose(ray.enter <= uncut + least, uncut, ray.enter);
         ray.leave = choose(ray.leave >= end - least, end, ray.leave);
         whole = ray.enter;
         if (part >= 0 && frame->clip.corners) {
             const real last = ray.leave;
-            keep_part(&frame->clip, from, ray.world, part, least, &ray.enter, &ray.leave);
+            keep_part(&frame->clip, place, ray.world, part, least, &ray.enter, &ray.leave);
             ray.more = (ray.enter <= ray.leave) & (ray.leave < last);
         }
         ray.cut = ray.enter > uncut;
@@ -136,31 +126,24 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py, const int part
     ray.hits = ray.enter <= ray.leave;
 
     // Samples lie where the ray crosses equally spaced planes perpendicular to one axis of the volume ...
-    real3 from = ray.origin, rail = ray.direction;   // in its samples
-    real start = whole, span = length;
+    real start = SEVERAL ? begin : whole, span = length;
 #if SEVERAL
     // ... of one of several media; all others take theirs at the same t
-    {
-        constant rails_block *camera = &frame->rails;
-        from = real3_of(AT_PIXEL(origin, 0), AT_PIXEL(origin, 1), AT_PIXEL(origin, 2));
-        rail = scale3(real3_of(AT_PIXEL(direction, 0), AT_PIXEL(direction, 1), AT_PIXEL(direction, 2)), per_unit);
-    }
     span = square_root(dot3(rail, rail));
     real past = NOWHERE;
-    start = camera->orthographic ? -NOWHERE : -ray.ahead;
     clip_axis(from.x, rail.x, frame->rails.low[0], frame->rails.high[0], &start, &past);
     clip_axis(from.y, rail.y, frame->rails.low[1], frame->rails.high[1], &start, &past);
     clip_axis(from.z, rail.z, frame->rails.low[2], frame->rails.high[2], &start, &past);
 #endif
     const real along_axis = axis_of(rail, planes->axis);
-    const mask oblique = magnitude(along_axis) < planes->oblique * span;
+    const mask oblique = own | (magnitude(along_axis) < planes->oblique * span);
     ray.planar = !oblique;
     const real d = choose(oblique, (real)(1.0f), along_axis);
     const real plane = choose(d > 0.0f, (real)(planes->first), (real)(planes->last));
     // ... or, on rays too oblique to these planes, at equal steps along the ray from where it enters
-    const real own = planes->stride / span;
-    ray.step = choose(oblique, own, planes->spacing / magnitude(d));
-    ray.first = choose(oblique, start + 0.5f * own, (plane - axis_of(from, planes->axis)) / d);
+    const real stride = planes->stride / span;
+    ray.step = choose(oblique, stride, planes->spacing / magnitude(d));
+    ray.first = choose(oblique, start + 0.5f * stride, (plane - axis_of(from, planes->axis)) / d);
     ray.begin = MAX((real)(0.0f), -round_down((ray.first - ray.enter) / ray.step));
     ray.begin = choose(oblique & (ray.enter == whole) & (mask)(SEVERAL ? 0 : ~0), (real)(0.0f), ray.begin);
     ray.end = round_down((ray.leave - ray.first) / ray.step);
@@ -172,6 +155,31 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py, const int part
     ray.begin = choose(ray.alone, MIN(ray.begin, (real)(planes->count - 1.0f)), ray.begin);
     ray.end = choose(ray.alone, ray.begin, ray.end);
     return ray;
+}
+
+// The ray through a pixel, or a part of it.
+INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py, const int part)
+{
+    constant camera_block *camera = &frame->camera;
+    ray_t ray;
+    ray.origin = real3_of(AT_PIXEL(origin, 0), AT_PIXEL(origin, 1), AT_PIXEL(origin, 2));
+    const real3 along = real3_of(AT_PIXEL(direction, 0), AT_PIXEL(direction, 1), AT_PIXEL(direction, 2));
+    const real3 world = matrix3(frame->geometry.index_to_world, along);
+    const real stretch = square_root(dot3(world, world)), per_unit = 1.0f / stretch;
+    ray.direction = scale3(along, per_unit);
+    ray.world = scale3(world, per_unit);
+    ray.ahead = camera->ahead * stretch;
+    ray.enter = camera->orthographic ? -NOWHERE : -ray.ahead;   // nothing is visible behind a perspective camera
+#if SEVERAL
+    {
+        constant rails_block *camera = &frame->rails;
+        const real3 from = real3_of(AT_PIXEL(origin, 0), AT_PIXEL(origin, 1), AT_PIXEL(origin, 2));
+        const real3 rail = scale3(real3_of(AT_PIXEL(direction, 0), AT_PIXEL(direction, 1), AT_PIXEL(direction, 2)), per_unit);
+        return placed_ray(ray, frame, from, rail, NONE, part);
+    }
+#else
+    return placed_ray(ray, frame, ray.origin, ray.direction, NONE, part);
+#endif
 }
 
 // The extent of the stretch of sample number n, at t, before and after it: half a step, except from the ray's entry to the first

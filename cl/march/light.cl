@@ -1,15 +1,22 @@
 // Two-sided Blinn-Phong from the gradient: the normal faces the viewer.
 //
-// Set by the host: SHADOWED, whether matter stops light on its way (lit.cl).
+// Set by the host: SHADOWED, whether matter stops light on its way (lit.cl); CAST, whether surfaces do (cast.cl).
 
 #include "base/math.cl"
 #include "base/vector.cl"
 #include "frame.cl"
 #include "march/sample.cl"
+
+#define MOST_LIGHTS 4
 #if SHADOWED
 #include "march/lit.cl"
 #else
 #define BEFORE_MATTER(k, light) (light)
+#endif
+#if CAST
+#define TOWARD(i) madd((real)(frame->cast.weight), sample->left[i] - 1.0f, (real)(1.0f))   // before surfaces, directed light number i
+#else
+#define TOWARD(i) ((real)(1.0f))
 #endif
 
 // The unit normal of a gradient, towards the viewer, that is against the ray, and its cosine to the viewer. Returns the lanes whose
@@ -47,7 +54,7 @@ INLINE color_t shade(const sample_t *sample, color_t color, real3 gradient, real
     real3 normal;
     real facing;
     const mask flat = flat_or_normal(frame, gradient, value, world, &normal, &facing);
-    const real least = choose(flat, (real)(1.0f), (real)(0.0f)), whole = (real)(1.0f);
+    const real least = choose(flat, (real)(1.0f), (real)(0.0f));
 #if SHADOWED
     real left[1 + MOST_LIGHTS];
     light_left(left, sample, normal, flat, t, active);
@@ -59,10 +66,10 @@ INLINE color_t shade(const sample_t *sample, color_t color, real3 gradient, real
         const real3 to = real3_of((real)(light[0]), (real)(light[1]), (real)(light[2]));
         const real3 between = add3(to, scale3(world, (real)(-1.0f)));
         const real lambert = dot3(normal, to), per_length = inverse_root(MAX(dot3(between, between), (real)(1e-20f)));
-        reflect(&sum, material, light + 3, BEFORE_MATTER((int)light[6], whole), lambert, (lambert + facing) * per_length, least);
+        reflect(&sum, material, light + 3, BEFORE_MATTER((int)light[6], TOWARD(i)), lambert, (lambert + facing) * per_length, least);
     }
     if (frame->lights.headlight)   // half-way to the viewer is where the viewer is
-        reflect(&sum, material, frame->lights.ahead, BEFORE_MATTER(frame->lights.headlight, whole), facing, facing, least);
+        reflect(&sum, material, frame->lights.ahead, BEFORE_MATTER(frame->lights.headlight, (real)(1.0f)), facing, facing, least);
     color.red = madd(color.red, sum.diffuse.x, sum.shine.x);
     color.green = madd(color.green, sum.diffuse.y, sum.shine.y);
     color.blue = madd(color.blue, sum.diffuse.z, sum.shine.z);

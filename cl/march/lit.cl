@@ -6,7 +6,6 @@
 #include "base/vector.cl"
 #include "march/sample.cl"
 
-#define MOST_LIGHTS 4
 #define BEFORE_MATTER(k, light) (left[k] * (light))
 
 INLINE float8 between(global const float4 *near, global const float4 *far, const float share)

@@ -64,6 +64,9 @@
 #if !RESTARTS
 #define restart(state, active)
 #endif
+#if !(CAST && LAYERED)
+#define LAST_OF(state) (-NOWHERE)
+#endif
 
 #define PACKETS_ACROSS (TILE_WIDTH / LANES_ACROSS)
 #define PACKETS (TILE_WIDTH * TILE_HEIGHT / LANES)
@@ -72,6 +75,7 @@
 #if STRETCHES
 #include "march/walk.cl"
 #endif
+#include "march/cast.cl"
 
 // The x and y of a packet's first pixel.
 #define PACKET_X(left, g) ((left) + (g) % PACKETS_ACROSS * LANES_ACROSS)
@@ -108,7 +112,12 @@ INLINE void aim_tile(tile_t *tile, constant frame_t *frame, const int left, cons
             listed_places(frame, PACKET_X(left, g), PACKET_Y(top, g), places, &px, &py);
         tile->rays[g] = pixel_ray(frame, px, py, part);
         const ray_t *ray = tile->rays + g;
-        const mask going = ray->hits & (x < (real)(frame->picture.width)) & (y < (real)(frame->picture.height));
+        mask going = ray->hits & (x < (real)(frame->picture.width)) & (y < (real)(frame->picture.height));
+#if CAST
+        going &= tile->cast->on[g];
+        if (tile->light >= 0)
+            tile->rays[g] = light_ray(frame, tile->cast, tile->light, g, part, &going);
+#endif
         tile->going[g] = going;
         const float low = min_lane(choose(going, ray->begin - MARGIN, NOWHERE)), high = max_lane(choose(going, ray->end + MARGIN, -NOWHERE));
         tile->first = MIN(low, tile->first);
@@ -328,7 +337,7 @@ INLINE void enter_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
         here &= in_window(frame, ray, ray->enter);
 #endif
         if (part)
-            restart(tile->states + g, (ADDED & !WINDOWED) ? tile->going[g] : here);   // of a slab no state is carried on
+            restart(tile->states + g, ((ADDED & !WINDOWED) ? tile->going[g] : here) & (LAST_OF(tile->states + g) < ray->enter));   // of a slab no state is carried on
         if (!any_lane(here))
             continue;
         here &= ray->cut;
@@ -340,5 +349,22 @@ INLINE void enter_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
         const sample_t sample = { frame, table, extent, ray, &none, 0, 0.0f, 0 AND_MISSING };
         const real value = value_at(coefficients, &sample, ray->enter, here);
         tile->going[g] &= !gather_face(tile->states + g, coefficients, &sample, value, here);
+    }
+}
+
+#if CAST
+#define EACH_CALL OUT_OF_LINE   // rays through pixels and those to lights share its code
+#else
+#define EACH_CALL INLINE
+#endif
+
+// Marches the rays of a tile through all their parts.
+EACH_CALL void march_parts(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
+                           global const ulong2 *sides, constant frame_t *frame, global const float4 *table,
+                           global const float2 *places MISSING_TOO)
+{
+    for (int part = -1; next_part_of(tile, frame, places, &part);) {
+        enter_tile(tile, coefficients, extent, frame, table, part, -INFINITY, INFINITY AND_MISSING);
+        march_tile(tile, coefficients, extent, minmax, sides, frame, table AND_MISSING);
     }
 }

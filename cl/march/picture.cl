@@ -142,7 +142,7 @@ INLINE void store_packet(constant frame_t *frame, const ray_t *ray, const color_
                     (float3)(nx.each[i], ny.each[i], nz.each[i]), (float3)(x_.each[i], y_.each[i], z_.each[i]), pictures);
     if (GUIDES && frame->picture.pass == 0) {
         const real samples = ray->end - ray->begin + 1.0f + 2.0f * MARGIN;
-        // parts of a ray (pixel_ray) have more ends
+        // parts of a ray (placed_ray) have more ends
         const lanes_u share = { choose(ray->hits & (samples > 0.0f), MIN(gathered / samples, (real)(1.0f)), (real)(NAN)) };
         EACH_PIXEL(x, y)
             pictures->visited[(size_t)(y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS] = share.each[i];
@@ -166,7 +166,10 @@ INLINE void finish_tile(const tile_t *tile, COEFFICIENTS coefficients, const int
     none.usable = 0;
     for (int g = 0; g < PACKETS; ++g) {
         const int x = PACKET_X(tile->left, g), y = PACKET_Y(tile->top, g);
-        const sample_t sample = { frame, table, extent, tile->rays + g, &none, 0, 0.0f, 0 };
+        sample_t sample = { frame, table, extent, tile->rays + g, &none, 0, 0.0f, 0 };
+#if CAST
+        sample.left = tile->cast->left[g];
+#endif
         if (x < frame->picture.width && y < frame->picture.height)
             finish_packet(coefficients, &sample, tile->states + g, tile->gathered[g], x, y, pictures);
     }

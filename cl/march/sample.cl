@@ -47,6 +47,9 @@ typedef struct {
 #if MISSING
     global const uchar *missing;    // where samples are; 0 once rays have ended
 #endif
+#if CAST
+    const real *left;               // of each light, where a surface is shaded (cast.cl); 0 on rays to lights, which shade none
+#endif
 } sample_t;
 
 // -- one ray ---------------------------------------------------------------------------------------------------

@@ -92,6 +92,10 @@ typedef struct {
     int left, top;            // the pixel of the first ray
     int planar;               // whether all rays cross the planes, and in one direction ...
     float way;                // ... which is up (1) or down (-1) the axis
+#if CAST
+    struct cast_s *cast;      // what is left of lights where rays meet surfaces
+    int light;                // number of the light that rays go to from there, or -1: they go through pixels
+#endif
 } tile_t;
 
 // The lanes of a packet that have samples among the numbers from first to last.

@@ -27,6 +27,11 @@
 #define RAYS (PACKETS * LANES)
 #define AHEAD (ADDED ? 0.5f : 0.0f)   // samples, by which stretches begin before their first one: added to media, half
 #define LOOKS_ON (MISSING || LAYERED)   // whether the search may continue behind a crossing
+#if CAST
+#define PASSES(tile) ((tile)->light >= 0)   // whether rays pass through crossings, or stop there for light
+#else
+#define PASSES(tile) 1
+#endif
 
 // -- one axis ---------------------------------------------------------------------------------------------------
 
@@ -188,7 +193,7 @@ typedef struct {
 OUT_OF_LINE real set_out(walker_t *w, const ray_t *ray, const state_t *state, constant frame_t *frame, const int halo,
                     const real from, const real to, const mask active)
 {
-    real begin = MAX(from, ray->enter);
+    real begin = MAX(MAX(from, ray->enter), LAST_OF(state));
     w->axes = axes_along(ray, &frame->geometry, halo);
     w->end = MIN(to, ray->leave);
     w->active = active & (begin <= w->end);
@@ -213,7 +218,7 @@ OUT_OF_LINE real set_out(walker_t *w, const ray_t *ray, const state_t *state, co
 #if LAYERED
     w->from.all = from;
     w->to.all = to;
-    w->last.all = -NOWHERE;
+    w->last.all = LAST_OF(state);
 #endif
     return choose(w->active, w->end - begin, (real)(0.0f));
 }
@@ -593,6 +598,7 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
     walker_t walkers[PACKETS];
     roots_t roots;
     int rays[RAYS + 1], looked = 0;
+    const int passing = PASSES(tile);
     plane_t none;   // no sample is being gathered
     none.usable = 0;
     roots.count = 0;
@@ -603,24 +609,25 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
             continue;
         const real length = set_out(walkers + g, ray, tile->states + g, frame, extent.w, madd(start - AHEAD, ray->step, ray->first),
                                     madd(stop + 1.0f - AHEAD, ray->step, ray->first), wanted[g]);
+        const mask counted = wanted[g] & (LAST_OF(tile->states + g) < madd(start - AHEAD, ray->step, ray->first));   // and not before
         const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
-        tile->gathered[g] += choose(wanted[g], WINDOWED ? choose(ray->step > 0.0f, MIN(length / ray->step, samples), (real)(1.0f)) : samples, (real)(0.0f));
+        tile->gathered[g] += choose(counted, WINDOWED ? choose(ray->step > 0.0f, MIN(length / ray->step, samples), (real)(1.0f)) : samples, (real)(0.0f));
     }
     for (;;) {
         int count = 0, met = 0;
         for (int g = 0; g < PACKETS; ++g) {
             walker_t *w = walkers + g;
             state_t *state = tile->states + g;
-            if (!any_lane(w->active | (LAYERED ? wanted[g] & (state->hit < NOWHERE) : NONE)))
+            if (!any_lane(w->active | (LAYERED & passing ? wanted[g] & (state->hit < NOWHERE) : NONE)))
                 continue;
             const sample_t sample = { frame, table, extent, tile->rays + g, &none, 0, 0.0f, 0 AND_MISSING };
 #if LAYERED
-            const mask again = pass_hits(w, state, coefficients, &sample);
+            const mask again = passing ? pass_hits(w, state, coefficients, &sample) : NONE;
 #endif
             go_on(w, state, coefficients, &sample, sides, looked);
 #if LAYERED
             w->active |= again;
-            met |= any_lane(state->hit < NOWHERE);
+            met |= passing && any_lane(state->hit < NOWHERE);
 #endif
             w->x.all = fraction_at(&w->axes.x, w->cell.x, w->t);
             w->y.all = fraction_at(&w->axes.y, w->cell.y, w->t);
@@ -648,6 +655,10 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
         refine_roots(&roots, walkers, tile->states);
     for (int g = 0; g < PACKETS; ++g)
         if (any_lane(wanted[g])) {
+#if CAST && LAYERED
+            // rays that stop at a root search its cell once more, from its beginning
+            walkers[g].side.all = choose((tile->states[g].hit < NOWHERE) & walkers[g].found.all, (real)(0.0f), walkers[g].side.all);
+#endif
             tile->states[g].side = choose(wanted[g], walkers[g].side.all, tile->states[g].side);
             tile->going[g] = tile->going[g] & !finished(tile->states + g, frame);
         }

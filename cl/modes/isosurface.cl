@@ -34,6 +34,9 @@ INLINE void merge(state_t *front, const state_t *back)
 
 #define CAPPED ((real)(3.0f))   // side of rays that ended at a cap
 #define ON_FACE(state) ((state)->side == CAPPED)
+#define AWAITS_LIGHT(state) (((state)->hit < NOWHERE) & ((state)->side != CAPPED))
+#define VALUE_THERE(frame, state) ((real)((frame)->mode.isovalue))
+#define LIGHT_BEHIND(state) choose((state)->hit < NOWHERE, (real)(0.0f), (real)(1.0f))
 #define RESTARTS 1
 
 INLINE void restart(state_t *s, mask active) { s->side = choose(active, (real)(0.0f), s->side); }

@@ -8,6 +8,9 @@
 
 typedef struct {
     real red, green, blue, light, depth, side, hit, which;
+#if CAST
+    real last;   // crossing that was lit
+#endif
 #if ADDED
     slots_t slots;   // where surfaces are added to the samples of media
 #endif
@@ -28,9 +31,23 @@ INLINE void begin(state_t *s)
     s->red = s->green = s->blue = s->side = s->which = (real)(0.0f);
     s->light = (real)(1.0f);
     s->depth = s->hit = NOWHERE;
+#if CAST
+    s->last = -NOWHERE;
+#endif
 }
 
-INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->light < FAINT; }
+// Or at a crossing that awaits light.
+INLINE mask finished(const state_t *s, constant frame_t *frame) { return (s->light < FAINT) | (s->hit < NOWHERE); }
+
+#define AWAITS_LIGHT(state) ((state)->hit < NOWHERE)
+#define VALUE_THERE(frame, state) sought_of(frame, (state)->which)
+#define LIGHT_BEHIND(state) (state)->light
+#if CAST
+#define SHADES(sample) ((sample)->left != 0)
+#define LAST_OF(state) (state)->last
+#else
+#define SHADES(sample) 1
+#endif
 
 #if ADDED
 INLINE void set_light(state_t *s, const real opacity, const real rest, const lanes_u carried[CARRIED])
@@ -72,12 +89,17 @@ INLINE void pass_hit(state_t *s, COEFFICIENTS coefficients, const sample_t *samp
     constant frame_t *frame = sample->frame;
     real value;
     color_t color = layer_of(frame, s->which, &value);
-    const real hit = choose(active, s->hit, sample->ray->enter);
-    color_by(&color, coefficients, sample, hit, active);
-    if (SHADED)
-        color = shade(sample, color, gradient_at(coefficients, sample, hit, active), value, hit, active);
-    outline(&color, coefficients, sample, hit, active);
+    if (SHADES(sample)) {
+        const real hit = choose(active, s->hit, sample->ray->enter);
+        color_by(&color, coefficients, sample, hit, active);
+        if (SHADED)
+            color = shade(sample, color, gradient_at(coefficients, sample, hit, active), value, hit, active);
+        outline(&color, coefficients, sample, hit, active);
+    }
     pass_surface(s, sample, color, s->hit, active);
+#if CAST
+    s->last = choose(active, s->hit, s->last);
+#endif
     s->hit = choose(active, NOWHERE, s->hit);
 }
 

@@ -61,7 +61,11 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "cap": (True, False),
 }
 CHANGES_NO_BIT = {"skipping"}  # as it says
-OF_A_SCENE = {"media", "occlusion"}  # in tests/view/test_media.py; of more matter than is here, in test_shadow.py
+OF_A_SCENE = {
+    "media",
+    "occlusion",
+    "shadow_rays",
+}  # in tests/view/test_media.py; of other matter, in test_shadow.py and test_shadow_rays.py
 OWN: tuple[dict[str, Any], ...] = ({}, {"shading": False}, {"method": "stepped"}, {"preset": "mr-default", "window": (0.4, 0.3)})
 BESIDE: dict[str, dict[str, Any]] = {"pixel_filter": {"rays": 4}, "cap": {"clip": VALUES["clip"][0]}}
 SIZE = (24, 18)

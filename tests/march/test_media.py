@@ -512,6 +512,10 @@ REFUSED: dict[str, tuple[Any, str]] = {
         lambda: clvol.render(Scene([replace(medium, visible=False) for medium in TWO.media])),
         "none of the scene's 2 is visible",
     ),
+    "factors of projections": (
+        lambda: clvol.render(replace(FIRST, gradient_opacity=STEEP), mode="mip"),
+        "gradient_opacity changes nothing in mip: it is of matter",
+    ),
     "a mix of matter": (lambda: clvol.render(replace(TWO, mix="over")), 'mix="over" changes nothing in composite'),
     "surfaces of a projection": (
         lambda: clvol.render(Scene([FIRST, replace(FIRST, **SHELLS)]), mode="mip"),

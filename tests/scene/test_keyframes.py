@@ -65,6 +65,9 @@ def test_values_between_key_frames(first: object, last: object, middle: object) 
 def test_colours_and_counts() -> None:
     keys = Keyframes({0: {"background": "white", "rays": 1}, 1: {"background": (0, 0, 0), "rays": 9}})
     assert keys.options(0.25) == {"background": (0.75, 0.75, 0.75), "rays": 1}
+    assert Keyframes({0: {"virtual": 2}, 1: {"virtual": 3.0}}).options(0.5) == {"virtual": 2}
+    with pytest.raises(OptionError, match=r"virtual of key frames must be whole numbers; got 2.5 at 1"):
+        Keyframes({0: {"virtual": 2}, 1: {"virtual": 2.5}})
 
 
 @pytest.mark.parametrize(

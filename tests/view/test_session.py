@@ -91,6 +91,7 @@ LOOKS: dict[str, dict[str, Any]] = {
         ],
         "material": {"ambient": 0.1, "diffuse": 0.8, "specular": 0.4, "shininess": 12.5},
         "shadow": 0.7,
+        "shadow_rays": True,
         "linear_light": True,
         "occlusion": 0.5,
         "background": None,

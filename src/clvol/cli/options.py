@@ -354,7 +354,15 @@ Rule = Annotated[
     ),
 ]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
-_PLAIN = ("rays", "pixel_filter", "shadow", "occlusion", "linear_light", "gradient")  # of a look, by the names of `clvol.render`
+_PLAIN = (
+    "rays",
+    "pixel_filter",
+    "shadow",
+    "shadow_rays",
+    "occlusion",
+    "linear_light",
+    "gradient",
+)  # of a look, as of `clvol.render`
 _Six = tuple[float, float, float, float, float, float]
 Background = Annotated[
     str | None, Parameter(help="A name, a hex code, or 'none'. [default: black; white in theme print]", show_default=False)
@@ -441,6 +449,9 @@ class Look:
     background: Background = None
     shadow: Annotated[
         float | None, Parameter(help="How dark shadows are, 0 to 1; the lights then stand still.", show_default=False)
+    ] = None
+    shadow_rays: Annotated[
+        bool | None, Parameter(help="Whether shadows of exact surfaces are exact, too. [default: no]", show_default=False)
     ] = None
     occlusion: Annotated[float | None, Parameter(help="How dark it is where matter is around, 0 to 1.", show_default=False)] = None
     linear_light: Annotated[

@@ -20,7 +20,7 @@ from clvol.march.colored import COLORED, colors_of
 from clvol.march.gaps import GAPS, gaps_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.march.rails import RAILS, Rails
-from clvol.march.shadow import LIT
+from clvol.march.shadow import CAST, LIT, cast_block
 from clvol.scene.camera import Viewpoint
 from clvol.scene.clip import CLIP, clip_block
 from clvol.scene.factor import FACTORS, factors_block
@@ -103,6 +103,7 @@ def frame_block(mode: Block) -> tuple[Block, str]:
         lights=LIGHTS,
         colored=COLORED,
         lit=LIT,
+        cast=CAST,
         mode=mode,
         minmax=MINMAX,
         window=WINDOW,
@@ -132,6 +133,7 @@ class Frame:
     table: NDArray[np.float32]  # the transfer function's nodes or pieces, and those of what else has colours
     other: Other | None = None  # another function, whose numbers follow
     lit: Lit | None = None  # what is left of lights, whose numbers follow
+    casts: bool = False  # rays to lights find shadows
     media: tuple[Frame, ...] = ()  # of several media in one picture, of which this is the first, but all of their domain
     several: bool = False  # whether samples lie on planes that several media share
     margin: float = 0.0  # the rounding error of positions in samples, at most ...
@@ -235,6 +237,7 @@ class Frame:
             "COLORED": int(self.other is not None),
             **({} if self.other is None else {"MOST_TAPS": MAX_TAPS}),
             **({} if self.lit is None else {"SHADOWED": self.lit.rows}),
+            **({"CAST": 1} if self.casts else {}),
             **({"BETWEEN": 1} if virtual_samples(mode) else {}),
             "COORD_DOUBLE": 0,
             **({"SPARED": spared_taps(self.coefficients.filter)} if mode.regions else {}),
@@ -332,7 +335,7 @@ class Subject:
             colored, table = colors_of(medium, self.other, table, linear=linear)
         lit = np.zeros((), LIT.dtype)
         if self.lit is not None:
-            lit = self.lit.block(scene, table.size + -table.size % ROW + (self.other.size if self.other is not None else 0))
+            lit = self.lit.block(look.swept, table.size + -table.size % ROW + (self.other.size if self.other is not None else 0))
         values = block(
             camera=view.block(volume, width, height, aspect, rails=rails.volume),
             geometry=medium.block(stored, unit),
@@ -344,6 +347,7 @@ class Subject:
             joint=joint_block(transfer, stored, steepness, linear=linear),
             colored=colored,
             lit=lit,
+            cast=cast_block(scene, unit, view.reach(volume, aspect)) if look.sends_rays else np.zeros((), CAST.dtype),
             material=medium.material.block(linear=linear),
             lights=lights_block(scene.lights, view),
             mode=(in_linear_light(mode) if linear else mode).block(volume, stored),
@@ -382,6 +386,7 @@ class Subject:
             table,
             other=self.other if medium.color_by is not None else None,
             lit=self.lit,
+            casts=look.sends_rays,
             several=rails.several,
             margin=margin,
             stride=rails.stride(volume),

@@ -252,6 +252,8 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     """
     if states is None and first > -math.inf and "BETWEEN" in frame.defines():
         raise OptionError(f"rays with virtual samples begin with their first sample, or go on from states; got first={first:g}")
+    if frame.casts:
+        raise OptionError("rays of stretches reach no light: shadow_rays must be left out, or the picture drawn whole")
     kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), Inputs(frame)
     carried, states = states is not None, States(frame) if states is None else states
     buffer = states.argument(frame)

@@ -45,6 +45,7 @@ if TYPE_CHECKING:  # clusters need dask
 __all__ = [
     "KEYWORDS",
     "MERGES",
+    "OF_SCENE",
     "OUTPUTS",
     "WORDS",
     "BatchOptions",
@@ -83,7 +84,8 @@ OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
 _ALL_OUTPUTS = get_args(Output)
 _MAX_SIZE = 1 << 15  # pixels
 _STEP = 0.5  # voxels
-_OF_SCENE = ("lights", "shadow", "occlusion", "linear_light")  # what a picture has in place of its scene's, None for that
+OF_SCENE = ("lights", "shadow", "shadow_rays", "occlusion", "linear_light")
+"""What a picture has in place of its scene's, None for that."""
 
 
 # -- options, as documented by `Renderer.render` -------------------------------------------------------------------------------
@@ -113,6 +115,8 @@ class LookOptions(TypedDict, total=False):
         In place of the scene's: see `Scene`. Ellipsis stands for the scene's own background or cuts, None for none.
     shadow, occlusion
         How dark shadows are, and places that matter surrounds, 0 to 1, in place of the scene's: see `Scene`.
+    shadow_rays
+        Whether shadows of exact surfaces are exact, too, in place of the scene's: see `Scene`.
     linear_light
         Whether colours are computed in linear light, in place of the scene's: see `Scene`. Modes that show single values have
         their colours as they are.
@@ -137,6 +141,7 @@ class LookOptions(TypedDict, total=False):
     background: Sequence[float] | str | EllipsisType | None
     clip: Clip | EllipsisType | None
     shadow: float | None
+    shadow_rays: bool | None
     occlusion: float | None
     linear_light: bool | None
     media: Sequence[Medium] | None
@@ -501,7 +506,7 @@ class ResolvedLook:
         if scene.shadow and mode.shaded:
             scene = _with_still_lights(scene, leading or preview)
         transfer = scene.media[0].transfer or mode.transfer(preview)
-        factors: dict[str, Any] = medium.factors if shown.grades else {}
+        factors: dict[str, Any] = medium.factors
         factors |= {name: given for name in FACTORS if (given := options.get(name)) is not None}
         factors = {name: given for name, given in factors.items() if is_curve(given) or given != 0}
         if transfer.graded or factors:
@@ -527,9 +532,21 @@ class ResolvedLook:
             (part_of(one).preview for one in media), key=lambda volume: (volume.mean_spacing, *volume.size, *volume.origin)
         )
         looks = [cls._of_one(replace(scene, media=(one,)), part_of, camera, mode, options, finest) for one in media]
+        if any(look.sends_rays for look in looks):
+            raise OptionError("shadow_rays must be left out in a scene of several media: rays cross the surfaces of one")
         if mode.shows == "matter":
             looks.sort(key=lambda look: _rank(look.scene.media[0], look.transfer, look.preview))
         return replace(looks[0], others=tuple(looks[1:]), unsettled=mode)
+
+    @property
+    def sends_rays(self) -> bool:
+        """Whether rays from its surfaces to the lights find its shadows."""
+        return self.scene.shadow_rays and "shadow_rays" not in self.mode.unheard
+
+    @property
+    def swept(self) -> Scene:
+        """The scene with the shadows that sweeps through cells find: none where rays do."""
+        return replace(self.scene, shadow=0.0, shadow_rays=False) if self.sends_rays else self.scene
 
     @property
     def clip(self) -> Clip | None:
@@ -653,7 +670,7 @@ def _changed(scene: Scene, transfer: TransferFunction | None, options: RefineOpt
     """The scene with what is given in place of its own."""
     (medium,) = scene.media
     changes: dict[str, Any] = {name: value for name in ("background", "clip") if (value := options.get(name, ...)) is not ...}
-    changes |= {name: value for name in _OF_SCENE if (value := options.get(name)) is not None}
+    changes |= {name: value for name in OF_SCENE if (value := options.get(name)) is not None}
     if (material := options.get("material")) is not None:
         medium = replace(medium, material=material)
     if transfer is not None:

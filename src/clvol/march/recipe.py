@@ -16,7 +16,7 @@ from clvol.base.checks import instance
 from clvol.base.errors import FormatError, OptionError
 from clvol.filter import boundary
 from clvol.filter import filter as filters
-from clvol.march.options import ResolvedLook
+from clvol.march.options import OF_SCENE, ResolvedLook
 from clvol.march.refine import Refined
 from clvol.scene import camera, clip, light, mode, scene, transfer
 from clvol.scene.fit import box_around
@@ -110,7 +110,7 @@ class Recipe:
     def options_of_lazy(self, several: bool) -> dict[str, Any]:
         """The same for a LazyVolume, which has no scene: with all that a scene has; and the size to draw, if it has `several`."""
         (medium,) = self.scene.media
-        own = {name: getattr(self.scene, name) for name in ("lights", "shadow", "occlusion", "linear_light", "background", "clip")}
+        own = {name: getattr(self.scene, name) for name in (*OF_SCENE, "background", "clip")}
         own |= {"transfer": medium.transfer, "material": medium.material} | ({"lod": self.lod} if several else {})
         return self.options | {name: value for name, value in own.items() if name not in self.mode.unheard}
 

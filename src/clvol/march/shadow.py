@@ -40,7 +40,23 @@ if TYPE_CHECKING:
     from clvol.volume.stored import Stored
     from clvol.volume.volume import Volume
 
-__all__ = ["ABOVE", "BEYOND", "FAR", "LIT", "OPAQUE", "OPEN", "Body", "Cells", "Lit", "Matter", "Shadows", "everywhere", "exponent"]
+__all__ = [
+    "ABOVE",
+    "BEYOND",
+    "CAST",
+    "FAR",
+    "LIT",
+    "OPAQUE",
+    "OPEN",
+    "Body",
+    "Cells",
+    "Lit",
+    "Matter",
+    "Shadows",
+    "cast_block",
+    "everywhere",
+    "exponent",
+]
 
 LIT = Block(
     "lit_block",
@@ -52,6 +68,8 @@ LIT = Block(
     channel=(INT, 1 + MAX_LIGHTS),  # of the ambient light and of each light
     weight=(FLOAT, 1 + MAX_LIGHTS),
 )
+
+CAST = Block("cast_block", ways=(FLOAT, 3 * MAX_LIGHTS), weight=FLOAT, clear=FLOAT)  # rays to lights: cast.cl
 
 ABOVE = 2.0
 """Cells, how far above matter its light is read: closer it would lie in the blur of its own shadow."""
@@ -71,6 +89,7 @@ _NODES = 4096  # of the integral of extinction over values
 _KEPT = 4  # fields
 _BUNDLE = 8  # vectors of shadow.cl
 _PARTS = 2  # of a cell along an axis
+_CLEAR = 6 * 2.0**-22  # of three places in turn, each rounded along three axes
 _SLACK = 1e-3  # samples, by which cells that fill a domain may pass it
 
 
@@ -190,6 +209,17 @@ class Lit(Behind):
             channel=[every * (scene.occlusion > 0), *(n if own else every for n, own in zip(channels, cast, strict=True)), *pad],
             weight=[scene.occlusion, *(scene.shadow if own else scene.occlusion for own in cast), *pad],
         )
+
+
+def cast_block(scene: Scene, unit: float, reach: float) -> Values:
+    """What kernels that draw a scene's medium read of rays to its lights: directions in samples for each `unit` of the world.
+
+    `reach`: samples from the middle of the volume to the farthest place that a ray is at.
+    """
+    ways = np.zeros((MAX_LIGHTS, 3))
+    cast = [light.direction for light in scene.lights if light.direction is not None]
+    ways[: len(cast)] = unit * np.reshape(cast, (-1, 3)) @ scene.media[0].volume.world_to_index_matrix.T
+    return CAST(ways=ways.ravel(), weight=scene.shadow, clear=_CLEAR * reach)
 
 
 class Shadows:

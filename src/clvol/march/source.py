@@ -140,11 +140,12 @@ class Source(ABC):
 
     def _lit(self, look: ResolvedLook) -> Lit | None:
         """What is left of the lights of a look and of others beside it, if it has shadows or occlusion."""
-        if not (look.mode.shaded and (look.scene.shadow or look.scene.occlusion)):
+        scene = look.swept
+        if not (look.mode.shaded and (scene.shadow or scene.occlusion)):
             return None
         looks = look, *look.others
         volumes = [one.scene.media[0].volume for one in looks]
-        return self._shadows.of(look.scene, volumes, lambda edge: [self.part(one.scene.media[0]).body(one, edge) for one in looks])
+        return self._shadows.of(scene, volumes, lambda edge: [self.part(one.scene.media[0]).body(one, edge) for one in looks])
 
     @property
     def limits(self) -> tuple[float, float] | None:
@@ -312,7 +313,8 @@ class InMemory(OneMedium):
 
     def _pyramid(self, field: Field, evaluator: Evaluator, names: bool, slopes: bool) -> MinMax:
         with self._lock:
-            key = field.filter, evaluator, names, slopes
+            steep = (field.filter, evaluator, names, True)  # which has all that one without slopes has
+            key = steep if slopes or steep in self.pyramids else (*steep[:3], False)
             if key not in self.pyramids:
                 self.pyramids[key] = MinMax(field.coefficients, evaluator, names=names, slopes=slopes)
                 self.lease.frees(self.pyramids[key].release)
@@ -440,6 +442,8 @@ class ByBricks(OneMedium):
         require_direct(self.field.device, "bricks are")
         if virtual_samples(look.mode):
             raise OptionError("virtual must be 0 for a volume that is read by bricks: LazyVolume.whole() has such samples")
+        if look.sends_rays:
+            raise OptionError("shadow_rays must be left out for a volume that is read by bricks: LazyVolume.whole() has them")
         field = self.function(look.mode, level)
         between = look.mode.between_samples(guides=guides)
         if between and fine.step > STEPPED_AT_MOST:

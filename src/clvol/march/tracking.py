@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.errors import OptionError
 from clvol.march.shadow import OPAQUE, exponent
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import BLOCK
 
 if TYPE_CHECKING:
     from clvol.march.shadow import Matter
+    from clvol.scene.clip import Cuts
     from clvol.spline.coefficients import Coefficients
     from clvol.spline.minmax import MinMax
 
@@ -35,8 +37,13 @@ def tracked(
     """What is left at world points, shape (N, 3), of light from unit directions, (N, 3) or (3,), and its standard errors; (N,).
 
     The means over random paths, which are the same in each run; of surfaces what crossings leave, without errors. Extinction is at
-    most `most`, in base-2 exponents for each world unit; that of matter which is `far` away counts for 1/e. Nothing is cut away.
+    most `most`, in base-2 exponents for each world unit; that of matter which is `far` away counts for 1/e. Of what the matter's
+    cuts leave, rays are in one piece: `OptionError` for corners.
     """
+    if matter.cuts.corners:
+        raise OptionError(
+            f"tracking takes cuts by a box and planes, which leave rays in one piece; got {len(matter.cuts.corners)} corners"
+        )
     coefficients = pyramid.coefficients
     evaluator = choose_evaluator(coefficients.device, coefficients.filter)
     device, stored, sheets = coefficients.device, coefficients.stored, bool(matter.surfaces)
@@ -69,7 +76,7 @@ def tracked(
             np.float32(most),
             np.float32(fade),
             np.int32(paths),
-            device.buffers.upload(_rays(coefficients, points, directions)),
+            device.buffers.upload(_rays(coefficients, points, directions, matter.cuts)),
             result,
         )
     mean, squares = found.T
@@ -91,18 +98,37 @@ def _bounds(pyramid: MinMax, listed: NDArray[np.float32], matter: Matter, most: 
     return np.asarray(np.minimum(exponent(largest) / matter.unit, most), np.float32)
 
 
-def _rays(coefficients: Coefficients, points: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Rays from where they enter the domain to where they leave it; of those that miss it with a length of 0."""
+def _rays(
+    coefficients: Coefficients, points: NDArray[np.float64], directions: NDArray[np.float64], cuts: Cuts
+) -> NDArray[np.float32]:
+    """Rays from where they enter what cuts leave of the domain to where they leave it; of those that miss it with a length of 0."""
     volume = coefficients.volume
     edge = coefficients.boundary.edge
     start, way = volume.world_to_index(points), np.broadcast_to(directions, points.shape) @ volume.world_to_index_matrix.T
     low, high = np.full(3, -edge), np.asarray(volume.size) - 1 + edge
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ends: Any = np.stack([(low - start) / way, (high - start) / way])
-    ends = np.where(way == 0, np.where((start >= low) & (start <= high), [[[-np.inf]], [[np.inf]]], np.inf), ends)
-    first = np.maximum(ends.min(0).max(1), 0)
-    last = ends.max(0).min(1)
+    first, last = _between(start, way, low, high)
+    if cuts.box is not None:
+        first, last = _both((first, last), _between(points, np.broadcast_to(directions, points.shape), *map(np.asarray, cuts.box)))
+    for plane in cuts.planes:
+        normal = np.array(plane.normal)
+        along = np.broadcast_to(directions, points.shape) @ normal
+        beyond = ((points - plane.point) @ normal)[:, None]
+        first, last = _both((first, last), _between(beyond, along[:, None], -math.inf, 0.0))
+    first = np.maximum(first, 0)
     length = np.where(last > first, last - first, 0)
     enters = np.clip(start + np.where(length > 0, first, 0)[:, None] * way, low, high)
     rays = np.column_stack([enters, length, way, np.where(length > 0, first, 0)])
     return rays.astype(np.float32)
+
+
+def _between(start: NDArray[np.float64], way: NDArray[np.float64], low: Any, high: Any) -> tuple[Any, Any]:
+    """From where to where lines are between `low` and `high` along all axes, (N, axes)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends: Any = np.stack([(low - start) / way, (high - start) / way])
+    ends = np.where(way == 0, np.where((start >= low) & (start <= high), [[[-np.inf]], [[np.inf]]], np.inf), ends)
+    return ends.min(0).max(1), ends.max(0).min(1)
+
+
+def _both(one: tuple[Any, Any], other: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Where lines are in both intervals."""
+    return np.maximum(one[0], other[0]), np.minimum(one[1], other[1])

@@ -18,7 +18,7 @@ from clvol.scene.camera import Camera
 __all__ = ["Keyframes", "camera_between"]
 
 _COLORS = ("background", "color")  # options that a name may stand for
-_COUNTS = ("rays",)  # options of whole numbers
+_COUNTS = ("rays", "virtual")  # options of whole numbers
 _LIKE = ("projection", "fit", "upright")
 _OPEN = ("position", "target", "distance", "radius")
 _LENGTHS = ("fov", "zoom", "distance", "radius")
@@ -38,7 +38,8 @@ class Keyframes:
     Raises
     ------
     OptionError
-        There is no moment, one is not a number from 0 to 1, or two values of one option cannot be interpolated.
+        There is no moment, one is not a number from 0 to 1, a count is not whole, or two values of one option cannot be
+        interpolated.
     """
 
     at: Mapping[float, Mapping[str, Any]]
@@ -50,6 +51,9 @@ class Keyframes:
         for moment, options in self.at.items():
             if not isinstance(options, Mapping):
                 raise OptionError(f"{rule}, as in {{0: {{'isovalue': 1}}, 1: {{'isovalue': 9}}}}; got {options!r} at {moment!r}")
+            for name in options.keys() & set(_COUNTS):
+                if isinstance(count := options[name], Real) and not float(count).is_integer():
+                    raise OptionError(f"{name} of key frames must be whole numbers; got {count!r} at {moment!r}")
         sorted_out = {number("a moment of keyframes", m, minimum=0, maximum=1): dict(o) for m, o in self.at.items()}
         object.__setattr__(self, "at", dict(sorted(sorted_out.items())))
         for moment in (*self.at, *((a + b) / 2 for a, b in zip(self.at, [*self.at][1:], strict=False))):

@@ -157,8 +157,10 @@ class Mode:
     @property
     def unheard(self) -> Mapping[str, str]:
         """Options, of pictures and its own, that change no colour of its pictures, each with the reason."""
-        of_shading = ("material", "lights", "shadow", "occlusion", "gradient")
+        of_shading = ("material", "lights", "shadow", "shadow_rays", "occlusion", "gradient")
         found = {} if self.shaded else dict.fromkeys(of_shading, "nothing is shaded")
+        if self.shaded and not (self.shows == "surface" and self.stretches):
+            found["shadow_rays"] = "rays are of exact surfaces, of modes isosurface and surfaces"
         if not self.grades:
             found |= dict.fromkeys(("gradient_opacity", "curvature_opacity"), "they are of matter, in composite")
         lit = self.shaded or self.shows == "matter"

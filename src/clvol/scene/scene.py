@@ -289,6 +289,10 @@ class Scene:
         How dark shadows are, 0 to 1: how much of the light that matter stops on its way from each light is missing in
         "composite", "isosurface" and "surfaces". The shadows of lights that move with the camera would move too, so with shadows
         these stand where they are in the volume's usual view; a headlight casts none.
+    shadow_rays : bool
+        Whether `shadow` of "isosurface" and "surfaces" is exact: a ray from each place that is seen goes towards each light and
+        finds the surfaces that it crosses. Edges are sharp, and what is thin casts a thin shadow; else shadows are soft, of about
+        80 cells along each axis. Of one medium in memory; occlusion stays soft.
     occlusion : float
         How dark ambient light and headlights are where matter is around, 0 to 1: how much of the light from all directions that
         matter stops is missing. Half of them are open above a flat surface, where nothing is missing.
@@ -303,8 +307,8 @@ class Scene:
     Raises
     ------
     OptionError
-        There is no medium or more than 8, an entry of `lights` is not a light, there are more than 4, or `background` is not a
-        colour.
+        There is no medium or more than 8, an entry of `lights` is not a light, there are more than 4, `background` is not a
+        colour, or there is no shadow whose rays would be cast.
     GeometryError
         `clip` is none of these, or has more than 64 planes or 8 corners. Media are in worlds of
         different orientation, as those of a patient and of a stack of images, or their units differ.
@@ -337,6 +341,7 @@ class Scene:
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
     clip: Clip | None = None
     shadow: float = 0.0
+    shadow_rays: bool = False
     occlusion: float = 0.0
     linear_light: bool = False
     mix: Literal["add", "over"] = "add"
@@ -359,7 +364,10 @@ class Scene:
         object.__setattr__(self, "lights", as_lights(self.lights))
         for name in ("shadow", "occlusion"):
             object.__setattr__(self, name, number(name, getattr(self, name), minimum=0, maximum=1))
-        object.__setattr__(self, "linear_light", flag("linear_light", self.linear_light))
+        for name in ("shadow_rays", "linear_light"):
+            object.__setattr__(self, name, flag(name, getattr(self, name)))
+        if self.shadow_rays and not self.shadow:
+            raise OptionError("shadow_rays changes nothing without shadow, which says how dark shadows are; got shadow=0")
         if self.background is not None:
             object.__setattr__(self, "background", color_of("background", self.background))
         if self.clip is not None:

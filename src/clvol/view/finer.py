@@ -76,7 +76,7 @@ class Finer:
         mode, dark = as_mode(state.mode, state.options), {"shadow", "occlusion"} & given.keys()
         if state.wiper is not None or state.heat or state.step > STEPPED_AT_MOST or mode.regions or virtual_samples(mode):
             return None
-        if dark and self.stored.where is not None:
+        if (dark and self.stored.where is not None) or "shadow_rays" in given:
             return None
         view = given["camera"].view(self.stored.grid, size[0] / size[1])
         away = float((np.asarray(given["camera"].target) - view.eye) @ view.forward)

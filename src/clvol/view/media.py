@@ -9,8 +9,9 @@ from typing import Any
 from clvol.base.errors import OptionError
 from clvol.scene.joint import TransferFunction2D
 from clvol.scene.look import seen_through
+from clvol.scene.mode import as_mode
 from clvol.scene.scene import Medium
-from clvol.scene.transfer import TransferFunction, is_curve
+from clvol.scene.transfer import FACTORS, TransferFunction, is_curve
 from clvol.view.state import MediumState, State
 
 __all__ = ["changes", "described", "of_state", "require"]
@@ -18,9 +19,16 @@ __all__ = ["changes", "described", "of_state", "require"]
 
 def of_state(media: Sequence[Medium], state: State) -> tuple[Medium, ...]:
     """The media as a state shows them; of the first it has only whether it is seen."""
-    if not state.media:
-        return tuple(media)
-    return tuple(replace(medium, **changes(medium, own)) for medium, own in zip(media, state.media, strict=True))
+    if state.media:
+        media = [replace(medium, **changes(medium, own)) for medium, own in zip(media, state.media, strict=True)]
+    return tuple(media if as_mode(state.mode, state.options).grades else map(_ungraded, media))
+
+
+def _ungraded(medium: Medium) -> Medium:
+    """The same without factors of its opacity, which other modes lack."""
+    none: dict[str, Any] = dict.fromkeys(FACTORS)
+    transfer = None if medium.transfer is None else replace(medium.transfer, **none)
+    return replace(medium, transfer=transfer, **none)
 
 
 def changes(medium: Medium, shown: MediumState) -> dict[str, Any]:

@@ -37,8 +37,8 @@ from clvol.volume.volumes import Volumes
 __all__ = ["Opened", "Viewable", "first_state", "opened"]
 
 Viewable: TypeAlias = Scene | Medium | Volume | LazyVolume | Volumes | Field | ArrayLike
-_STATED = ("step", "transfer", *WORDS, *FACTORS, "material", "lights", "shadow", "occlusion", "linear_light", "background", "clip")
-_OF_LIGHT = ("shadow", "occlusion", "linear_light")
+_OF_LIGHT = ("shadow", "shadow_rays", "occlusion", "linear_light")
+_STATED = ("step", "transfer", *WORDS, *FACTORS, "material", "lights", *_OF_LIGHT, "background", "clip")
 
 
 class Opened(NamedTuple):
@@ -89,7 +89,7 @@ def opened(
         if any(is_in_parts(medium.volume) for medium in scene.media):
             scene, source = replace(scene, media=tuple(map(_resident, scene.media))), None
         options = {name: getattr(scene, name) for name in ("lights", "background", "clip", *_OF_LIGHT)} | options
-        scene = replace(scene, shadow=0.0, occlusion=0.0, linear_light=False)  # the state has them
+        scene = replace(scene, shadow=0.0, shadow_rays=False, occlusion=0.0, linear_light=False)  # the state has them
         several = scene if len(scene.media) > 1 or scene.media[0].beyond_words else None
         scene = scene.media[0]
     if isinstance(scene, Medium):

@@ -117,13 +117,15 @@ class Resident:
         given_by_words = state.transfer is None and labelled(volume, state) is volume
         words: dict[str, Any] = state.words if given_by_words else {"transfer": self.transfer(state)}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
-        words |= {name: getattr(state, name) or None for name in ("gradient_opacity", "shadow", "occlusion", "linear_light")}
+        of_light = "gradient_opacity", "shadow", "shadow_rays", "occlusion", "linear_light"
+        words |= {name: getattr(state, name) or None for name in of_light}
         if state.cuts:
             words["clip"] = [*([state.clip] if state.clip else []), *state.cuts]
         given |= {name: value for name, value in words.items() if value is not None}
         given["background"] = state.background
         given |= {} if bare else state.furniture.given
-        given |= {"media": media.of_state(self.catalog.media, state)} if state.media else {}
+        if self.catalog.media and (state.media or not as_mode(state.mode, state.options).grades):
+            given["media"] = media.of_state(self.catalog.media, state)
         own = {name: tuple(v) if isinstance(v, list) else v for name, v in state.options.items()}
         return self._heard(state, given | own)
 
@@ -156,6 +158,8 @@ class Resident:
         smooth = "smooth" in self.beyond or any(medium.smooth for medium in self.catalog.media)
         if smooth or graded:
             left_out |= {"shadow", "occlusion"}
+        if several or "shadow" not in given.keys() - left_out:
+            left_out |= {"shadow_rays"}
         if several or graded:
             left_out |= {"virtual"}
         if tolerance_of(mode) is not None:

@@ -513,6 +513,8 @@ class State(_Checked):
     lights : tuple of Light, optional
     shadow, occlusion : float
         How dark shadows are, and places that matter surrounds, 0 to 1.
+    shadow_rays : bool
+        Whether shadows of exact surfaces are exact, too.
     linear_light : bool
         Whether colours are computed in linear light.
     material : Material, optional
@@ -556,6 +558,7 @@ class State(_Checked):
     gradient_opacity: float = _of(number, 0.0, minimum=0, maximum=1)
     shadow: float = _of(number, 0.0, minimum=0, maximum=1)
     occlusion: float = _of(number, 0.0, minimum=0, maximum=1)
+    shadow_rays: bool = _of(_switch, False)
     linear_light: bool = _of(_switch, False)
     material: Material | None = _part(Material)
     background: Triple | None = _of(_color, (0.0, 0.0, 0.0), optional=True)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,12 +27,13 @@ from clvol.reference.march.colored import colored
 from clvol.reference.march.graded import graded, shape_operator
 from clvol.reference.march.light import light_of, reflected, shown_as
 from clvol.reference.march.missing import continued, is_missing
-from clvol.reference.march.rays import Rays, camera_rays, face_normals, kept_parts
+from clvol.reference.march.rays import Rays, camera_rays, face_normals, kept_parts, rays_towards
 from clvol.reference.march.roots import crossings_by, first_crossings
+from clvol.reference.march.shadow import light_past
 from clvol.reference.spline.points import sample
 from clvol.reference.spline.regions import labels_at, lead_gradient
 from clvol.scene.camera import Camera, Viewpoint
-from clvol.scene.clip import Clip, as_clip, cuts_of
+from clvol.scene.clip import Clip, Cuts, as_clip, cuts_of
 from clvol.scene.fit import fitted, usual_camera
 from clvol.scene.light import KIT, Light, Material, as_lights, usual_lights
 from clvol.scene.mode import (
@@ -45,6 +46,7 @@ from clvol.scene.mode import (
     Surfaces,
     as_mode,
     mode_options,
+    opacities_of,
     tolerance_of,
     virtual_samples,
 )
@@ -61,6 +63,7 @@ _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
 _ROUNDING = 2.0**-19  # gradients below this share of the value per voxel may be rounding of the kernels' float32
 _FACE = 16  # unit distances of matter that are as opaque as the face of a cut
 _PAST = 1e-7  # voxels behind a crossing, from where the next is sought
+_OFF = 1e-5  # voxels off a surface, from where rays go to lights
 _FAINT = 1e-6  # rays through surfaces end where less light is left
 _ENCLOSING = 24  # halvings of a step around a boundary of regions
 _BISECTIONS = 38  # to 1e-12 of a step; down to the last bit, rounding could cross a jump again
@@ -169,7 +172,7 @@ def shade(
     color: Array,
     direction: Array,
     material: Material,
-    lights: Sequence[Light],
+    lights: Sequence[Light | _Left],
     flat: float | Array,
     *,
     linear: bool = False,
@@ -253,7 +256,7 @@ class _Scene:
     gradient: Callable[[Array], Array]
     hessian: Callable[[Array], Array]
     filter: Filter
-    lit: Callable[[Array, Array, Array, Array], Array]  # gradient, values, colour and direction to colour
+    lit: Callable[[Array, Array, Array, Array, Array], Array]  # gradient, values, colour, direction and place to colour
     transfer: Callable[[Array], Array]
     function: TransferFunction  # of which it gives the light
     light: Callable[[Any], Array]  # of a colour of the mode
@@ -262,6 +265,42 @@ class _Scene:
     view: Viewpoint
     height: int  # of the picture in pixels
     colored: Callable[[Array, Array], Array]  # places and own colours to those by another function
+
+
+class _Left(NamedTuple):
+    """What is left of a light."""
+
+    direction: tuple[float, float, float] | None
+    color: Array  # at each place
+
+
+@dataclass(frozen=True)
+class _Shadow:
+    """How dark a mode's surfaces make each other, as far as cuts keep them, and the domain goes."""
+
+    mode: Mode
+    cuts: Cuts
+    edge: float
+    darkness: float
+
+    def on(self, lights: Sequence[Light], scene: _Scene, gradient: Array, direction: Array, at: Array) -> list[Light | _Left]:
+        """What is left of lights on surfaces at these places, with gradients, which rays along directions meet."""
+        if not self.darkness:
+            return list(lights)
+        normal = np.nan_to_num(facing(gradient, direction, 0.0)[0])
+        each = [(light, light.direction) for light in lights]
+        return [
+            _Left(to, np.asarray(light.color) * (1.0 if to is None else self._left(scene, at, normal, np.asarray(to))))
+            for light, to in each
+        ]
+
+    def _left(self, scene: _Scene, at: Array, normal: Array, to: Array) -> Array:
+        values = self.mode.isovalues
+        each = [partial(_first_shown, scene, isovalue=value) for value in values]
+        rays = rays_towards(scene.volume, at + _OFF * min(scene.volume.spacing) * normal, to, self.edge)
+        blocks = (lambda points: scene.value(points) >= values[0]) if self.mode.capped else None
+        left = light_past(list(zip(each, opacities_of(self.mode), strict=True)), scene.volume, rays, self.cuts, blocks)
+        return np.asarray(1 - self.darkness * (1 - left))[:, None]
 
 
 def render(
@@ -283,6 +322,7 @@ def render(
     pixel_filter: str | Filter = "linear",
     outputs: str | Sequence[str] = "rgba",
     linear_light: bool = False,
+    shadow: float = 0.0,
     other: Medium | None = None,
     **options: Any,
 ) -> Array | dict[str, Array]:
@@ -314,6 +354,9 @@ def render(
 
     With `linear_light`, in modes of light, all colours that are given are light (`light_of`) before anything is computed with them,
     and the picture over its background is shown (`shown_as`) after.
+
+    With a `shadow`, for ``isosurface`` and ``surfaces``, rays from where they are met to the lights find what of these surfaces is
+    on the way (`light_past`), as with ``shadow_rays``; lights are in the world.
     """
     volume, row = as_volume(volume), as_filter(filter)
     chosen = _chosen(mode, options).settled(volume)
@@ -373,13 +416,17 @@ def render(
     cuts = cuts_of(clip)
     view = fitted(camera or usual_camera(volume), volume, chosen, transfer, clip, width / height).view(volume, width / height)
     lit_by = [light.placed(view) for light in usual_lights(as_lights(lights), linear=linear)]
+    dark = _Shadow(chosen, cuts, rule.edge, shadow)
+
     scene = _Scene(
         value,
         missing,
         slope,
         lambda points: sample(present, points, row, inside, 2),
         row,
-        lambda g, v, c, d: shade(g, c, d, material, lit_by, flat_below(volume, v - taken_off), linear=linear),
+        lambda g, v, c, d, p: shade(
+            g, c, d, material, dark.on(lit_by, scene, g, d, p), flat_below(volume, v - taken_off), linear=linear
+        ),
         classified,
         transfer,
         partial(light_of, linear=linear),
@@ -568,7 +615,7 @@ def _composite(scene: _Scene, mode: Composite, samples: _Samples) -> _Gathered:
             gradient = np.concatenate([np.pad(slopes, ((0, 0), (1, 0), (0, 0))) for _, slopes in virtual], 1)[which, k]
         else:
             gradient = scene.gradient(rays.at(t[which, k], which))
-        rgb[which, k] = scene.lit(gradient, values[which, k], rgb[which, k], rays.direction[which])
+        rgb[which, k] = scene.lit(gradient, values[which, k], rgb[which, k], rays.direction[which], rays.at(t[which, k], which))
     with np.errstate(divide="ignore"):
         stopped = -np.log1p(-alpha)  # a unit distance: inf in opaque matter
     thickness = np.where(face, _FACE, (far - near) / scene.unit_distance)
@@ -610,8 +657,9 @@ def _isosurface(scene: _Scene, mode: Isosurface, samples: _Samples) -> _Gathered
         rgb[hit] = scene.transfer(_shown_at(scene, mode.color_by, rays.at(depth[hit], hit), rays.direction[hit]))[:, :3]
     rgb[hit] = scene.colored(rays.at(depth[hit], hit), rgb[hit])
     if mode.shading:
-        gradient = scene.gradient(rays.at(depth[hit], hit))
-        rgb[hit] = scene.lit(gradient, np.full(hit.size, mode.isovalue), rgb[hit], rays.direction[hit])
+        at = rays.at(depth[hit], hit)
+        gradient = scene.gradient(at)
+        rgb[hit] = scene.lit(gradient, np.full(hit.size, mode.isovalue), rgb[hit], rays.direction[hit], at)
     if mode.outline:
         rgb[hit] *= _outlined(scene, mode.outline, rays.at(depth[hit], hit), rays.direction[hit])
     rgb[capped] = scene.transfer(scene.value(rays.at(depth[capped], capped)))[:, :3] if mode.cap is True else scene.light(mode.cap)
@@ -633,7 +681,7 @@ def _surfaces(scene: _Scene, mode: Surfaces, samples: _Samples) -> _Gathered:
                     colors = scene.transfer(_shown_at(scene, mode.color_by, at, part.rays.direction[on]))[:, :3]
                 colors = scene.colored(at, colors)
                 if mode.shading:
-                    colors = scene.lit(scene.gradient(at), np.full(on.size, value), colors, part.rays.direction[on])
+                    colors = scene.lit(scene.gradient(at), np.full(on.size, value), colors, part.rays.direction[on], at)
                 if mode.outline:
                     colors = colors * _outlined(scene, mode.outline, at, part.rays.direction[on])
                 falling = scene.value(part.rays.at(t - 100 * _PAST, on)) >= value
@@ -687,8 +735,9 @@ def _regions(scene: _Scene, mode: Regions, samples: _Samples) -> _Gathered:
         for on, _, far, entered in boundaries_by(scene.value, part.rays, part.t, part.there, part.values):
             colors = scene.transfer(entered)
             if mode.shading:
-                gradient = scene.gradient(part.rays.at(far, on)) * (1 + np.abs(entered[:, None]))
-                colors[:, :3] = scene.lit(gradient, entered, colors[:, :3], part.rays.direction[on])
+                at = part.rays.at(far, on)
+                gradient = scene.gradient(at) * (1 + np.abs(entered[:, None]))
+                colors[:, :3] = scene.lit(gradient, entered, colors[:, :3], part.rays.direction[on], at)
             entries.append((on, far, colors))
         rays, places, looks = (np.concatenate(each) for each in zip(*entries, strict=True))
         for i in np.lexsort((places, rays)):

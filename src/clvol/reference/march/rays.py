@@ -15,7 +15,7 @@ from clvol.scene.camera import Viewpoint
 from clvol.scene.clip import Cuts
 from clvol.volume.volume import Volume
 
-__all__ = ["Rays", "camera_rays", "face_normals", "kept_parts"]
+__all__ = ["Rays", "camera_rays", "face_normals", "kept_parts", "rays_towards"]
 
 
 @dataclass(frozen=True)
@@ -65,14 +65,18 @@ def camera_rays(
     else:
         origin, direction, nearest = np.broadcast_to(view.eye, plane.shape), view.forward + plane, 0.0
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    # the domain is a box in index space, and the map from the world is affine
-    start = volume.world_to_index(origin)
-    slope = volume.world_to_index(origin + direction) - start
-    enter, leave = _slabs(start, slope, np.full(3, -edge), np.array(volume.size) - 1 + edge)
+    enter, leave = _domain(volume, origin, direction, edge)
     if clip is not None:
         other_enter, other_leave = _slabs(origin, direction, np.asarray(clip[0], float), np.asarray(clip[1], float))
         enter, leave = np.maximum(enter, other_enter), np.minimum(leave, other_leave)
     return Rays(origin, direction, np.maximum(enter, nearest), leave)
+
+
+def rays_towards(volume: Volume, points: Array, direction: Array, edge: float = 0.5) -> Rays:
+    """Rays from world points, (N, 3), along a unit direction, as far as the domain goes."""
+    along = np.broadcast_to(direction, points.shape)
+    enter, leave = _domain(volume, points, along, edge)
+    return Rays(points, along, np.maximum(enter, 0.0), leave)
 
 
 def kept_parts(rays: Rays, cuts: Cuts) -> list[tuple[Rays, NDArray[np.bool_]]]:
@@ -127,6 +131,13 @@ def _planes_of(cuts: Cuts) -> list[tuple[Array, Array]]:
             (axis, end * axis) for ends in (low, high) for axis, end in zip(np.eye(3), ends, strict=True) if math.isfinite(end)
         ]
     return planes
+
+
+def _domain(volume: Volume, origin: Array, direction: Array, edge: float) -> tuple[Array, Array]:
+    """The interval of lines inside the domain: a box in index space, to which the map from the world is affine."""
+    start = volume.world_to_index(origin)
+    slope = volume.world_to_index(origin + direction) - start
+    return _slabs(start, slope, np.full(3, -edge), np.array(volume.size) - 1 + edge)
 
 
 def _slabs(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:

@@ -1,18 +1,25 @@
-"""What matter leaves of light, in float64: along lines through the function itself, and through cells of mean extinction."""
+"""What matter leaves of light, in float64: along lines through the function itself, past its surfaces, and through cells of mean
+extinction.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.base.arrays import Array
 from clvol.filter.filter import Filter
+from clvol.reference.march.rays import Rays, kept_parts
+from clvol.reference.march.roots import crossings_by
 from clvol.reference.spline.points import sample
+from clvol.scene.clip import Cuts
 from clvol.volume.volume import Volume
 
-__all__ = ["extinction", "light_through_cells", "light_to"]
+__all__ = ["extinction", "light_past", "light_through_cells", "light_to"]
 
+_NO_CUTS = Cuts()
 _LEVELS = 200  # of values between the corners of a part
 
 
@@ -65,14 +72,41 @@ def light_through_cells(extinction: Array, direction: Array) -> Array:
 
 
 def light_to(
-    volume: Volume, filter: Filter, exponent: Callable[[Array], Array], points: Array, direction: Array, step: float
+    volume: Volume,
+    filter: Filter,
+    exponent: Callable[[Array], Array],
+    points: Array,
+    direction: Array,
+    step: float,
+    cuts: Cuts = _NO_CUTS,
 ) -> Array:
     """What is left of light from a unit direction at world points, (N, 3): of the function, in steps in world units."""
     total = np.zeros(len(points))
     for t in np.arange(step / 2, 2 * volume.radius, step):
         at = points + t * direction
         index = volume.world_to_index(at)
-        inside = ((index >= -0.5) & (index <= np.array(volume.size) - 0.5)).all(-1)
+        inside = ((index >= -0.5) & (index <= np.array(volume.size) - 0.5)).all(-1) & cuts.keep(at)
         if inside.any():
             total[inside] += step * exponent(sample(volume, at[inside], filter, "mirror"))
     return np.asarray(np.exp2(-total))
+
+
+def light_past(
+    surfaces: Sequence[tuple[Callable[[Rays], Array], float]],
+    volume: Volume,
+    rays: Rays,
+    cuts: Cuts,
+    blocks: Callable[[Array], NDArray[np.bool_]] | None = None,
+) -> Array:
+    """What surfaces leave of light along rays to it; each is given by what finds the first crossings on rays, and an opacity.
+
+    Of surfaces only what cuts keep is there. If they have caps, `blocks` tells at which places of the faces of cuts.
+    """
+    left = np.ones(len(rays.enter))
+    for part, face in kept_parts(rays, cuts):
+        for first, opacity in surfaces:
+            for on, _ in crossings_by(first, volume, part):
+                left[on] *= 1 - opacity
+        if blocks is not None and face.any():
+            left[face] *= ~blocks(part.at(part.enter[face], face))
+    return left

@@ -1246,9 +1246,10 @@ class Panel {
     this.light.fill(Object.keys(LIGHTS));
     this.material = Object.entries(MATERIAL).map(([name, [low, high]]) => [name, slider(name, { low, high }, this.setter(`material.${name}`))]);
     this.dark = Object.entries(DARK).map(([name, [label, hint]]) => [name, slider(label, { low: 0, high: 1 }, this.setter(name), hint)]);
+    this.rays = toggle("Exact shadows", this.setter("shadow_rays"), "of exact surfaces, in memory: by rays to the lights");
     this.linear = toggle("Linear light", this.setter("linear_light"), "colours are computed in linear light");
     this.background = colorBox("Background", this.setter("background"));
-    return make("div", {}, this.light.element, ...this.dark.map(([, c]) => c.element), this.linear.element, ...this.material.map(([, c]) => c.element), this.background.element);
+    return make("div", {}, this.light.element, ...this.dark.map(([, c]) => c.element), this.rays.element, this.linear.element, ...this.material.map(([, c]) => c.element), this.background.element);
   }
 
   cropControls() {
@@ -1363,6 +1364,7 @@ class Panel {
     this.light.show(this.lightName(state.lights));
     for (const [name, control] of this.material) control.show(state.material?.[name] ?? MATERIAL[name][2]);
     for (const [name, control] of this.dark) control.show(state[name]);
+    this.rays.show(state.shadow_rays);
     this.linear.show(state.linear_light);
     this.background.show(state.background ?? [0, 0, 0]);
     this.cropping.show(state.clip);
