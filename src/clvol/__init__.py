@@ -90,6 +90,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.scene.scene import Medium as Medium
     from clvol.scene.scene import Scene as Scene
     from clvol.scene.transfer import TransferFunction as TransferFunction
+    from clvol.scene.written import read_transfer as read_transfer
     from clvol.show.picture import Picture as Picture
     from clvol.show.picture import save as save
     from clvol.show.picture import show as show
@@ -144,6 +145,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "scene.preset": "presets",
     "scene.scene": "Medium Scene",
     "scene.transfer": "TransferFunction",
+    "scene.written": "read_transfer",
     "show.picture": "Picture save show",
     "spline.field": "Field magnify prefilter resample sample",
     "spline.scatter": "adjoint",

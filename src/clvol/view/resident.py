@@ -31,7 +31,7 @@ from clvol.view.finer import Finer, Wanted
 from clvol.view.opening import Viewable, first_state, opened
 from clvol.view.panes import PaneSize, SlicePane, camera_of, triple
 from clvol.view.renderers import Renderers
-from clvol.view.state import MOST_POINTS, WORDS, State, plain, transfer_json
+from clvol.view.state import MOST_POINTS, WORDS, State, plain
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.volume import Volume
 
@@ -229,8 +229,8 @@ class Resident:
 
         Of labels it is that of all: one that is hidden now has its own colour when it comes back.
         """
-        shown = transfer_json(self.transfer(replace(state, labels=None)))
-        return shown if len(shown["points"]) <= MOST_POINTS else shown | {"points": []}
+        shown = self.transfer(replace(state, labels=None)).json()
+        return shown if len(shown.get("points", ())) <= MOST_POINTS else shown | {"points": []}
 
     def info(self, state: State | None = None) -> dict[str, Any]:
         """The description of the volume, which is sent first and when another one is shown."""
