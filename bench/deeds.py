@@ -297,6 +297,11 @@ def pictures_at_once(world: World, random: Random) -> Any:
     return clvol.render(volume, **_look(world, random))
 
 
+@_deed(4)
+def joint_histograms(world: World, random: Random) -> Any:
+    return clvol.joint_histogram(_one(random, (world.fields[0], world.volumes["blob"])), (16, 32)).counts
+
+
 @_deed(6)
 def pictures_of_boundaries(world: World, random: Random) -> Any:
     low, high = (0.2, 0.9)

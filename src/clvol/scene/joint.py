@@ -34,6 +34,7 @@ _BoxShape: TypeAlias = tuple[tuple[float, float], tuple[float, float], Color, fl
 _Arch: TypeAlias = tuple[tuple[float, float], float, Color, float]
 _COLUMNS, _ROWS = 256, 128  # nodes that shapes are drawn into
 _PARTS = 4  # of the values of matter, each a box of the automatic function
+_STEEP = 4  # part of the way from even matter to its boundaries, from which on those boxes are
 _ROOM = 0.02  # of their extent, left free around shapes
 _MOST_NODES = 1024  # along a side
 _MOST_SHAPES = 32
@@ -181,7 +182,9 @@ class TransferFunction2D(TransferFunction):
         spans = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
         looks = by_value(ends[:-1] / 2 + ends[1:] / 2).tolist()
         boxes = [
-            (span, (even / 2 + steep / 2, None), look[:3], look[3]) for span, look in zip(spans, looks, strict=True) if look[3]
+            (span, (even + (steep - even) / _STEEP, None), look[:3], look[3])
+            for span, look in zip(spans, looks, strict=True)
+            if look[3]
         ]
         return cls(boxes or [(spans[-1], (0.0, None), looks[-1][:3], 1.0)], unit_distance=by_value.unit_distance)
 
