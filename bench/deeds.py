@@ -299,10 +299,17 @@ def pictures_at_once(world: World, random: Random) -> Any:
     return clvol.render(volume, **_look(world, random))
 
 
+@_deed(4)
+def joint_histograms(world: World, random: Random) -> Any:
+    return clvol.joint_histogram(_one(random, (world.fields[0], world.volumes["blob"])), (16, 32)).counts
+
+
 @_deed(6)
 def pictures_of_boundaries(world: World, random: Random) -> Any:
     low, high = (0.2, 0.9)
-    transfer = clvol.TransferFunction2D(boxes=[((low, high), (float(random.uniform(0, 0.3)), float("inf")), "gold", 0.5)])
+    transfer = clvol.TransferFunction2D([((low, high), (float(random.uniform(0, 0.3)), None), "gold", 0.5)])
+    with world.own_folder() as folder:
+        transfer = clvol.read_transfer(transfer.save(folder / "edges.json"))  # type: ignore[assignment]  # either kind
     return clvol.render(world.volumes["blob"], _camera(random), size=(40, 40), transfer=transfer)
 
 

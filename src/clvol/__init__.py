@@ -90,6 +90,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.scene.scene import Medium as Medium
     from clvol.scene.scene import Scene as Scene
     from clvol.scene.transfer import TransferFunction as TransferFunction
+    from clvol.scene.written import read_transfer as read_transfer
     from clvol.show.picture import Picture as Picture
     from clvol.show.picture import save as save
     from clvol.show.picture import show as show
@@ -98,6 +99,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.spline.field import prefilter as prefilter
     from clvol.spline.field import resample as resample
     from clvol.spline.field import sample as sample
+    from clvol.spline.joint import joint_histogram as joint_histogram
     from clvol.spline.scatter import adjoint as adjoint
     from clvol.spline.scores import resample_scores as resample_scores
     from clvol.spline.warp import Warped as Warped
@@ -144,8 +146,10 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "scene.preset": "presets",
     "scene.scene": "Medium Scene",
     "scene.transfer": "TransferFunction",
+    "scene.written": "read_transfer",
     "show.picture": "Picture save show",
     "spline.field": "Field magnify prefilter resample sample",
+    "spline.joint": "joint_histogram",
     "spline.scatter": "adjoint",
     "spline.scores": "resample_scores",
     "spline.warp": "Warped resample_series warp",

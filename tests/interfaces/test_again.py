@@ -93,6 +93,28 @@ def test_several_media_that_are_read_by_bricks_are_again(folder: Path, device: D
         render_again(folder / "several.png")
 
 
+def test_functions_of_value_and_gradient_are_again_from_the_shell(folder: Path, tmp_path: Path) -> None:
+    own = clvol.TransferFunction2D([((0.2, 0.4), (0.01, None), "teal", 0.3)], [((0.3, 0.9), 0.2, (0.25, 0.5, 1), 0.9)])
+    path, small = own.save(tmp_path / "own.json"), ("--size", *map(str, SIZE))
+    assert clvol.read_transfer(path) == own
+    assert json.loads(path.read_text())["boxes"][0][1] == [0.01, None]
+    volume, given = str(folder / "volume.nrrd"), ("--transfer", str(path))
+    first, again, fourth = (tmp_path / f"{name}.png" for name in ("first", "again", "b-3"))
+    assert run("render", volume, "-o", str(first), *small, *given) == 0
+    assert run("render", "--from", str(first), "-o", str(again)) == 0
+    assert run("movie", volume, "-o", str(tmp_path / "frames"), *small, *given, "--frames", "2") == 0
+    assert run("batch", volume, "-o", str(tmp_path / "b-{frame}.png"), *small, *given, "--turn", "2") == 0
+    picture = iio.imread(first)
+    frames = sorted((tmp_path / "frames").iterdir())
+    for other in (again, frames[0], next(tmp_path.glob("b-*0.png"))):
+        np.testing.assert_array_equal(iio.imread(other), picture)
+    assert np.ptp(picture[..., :3]) > 40
+    assert run("render", volume, "-o", str(fourth), *given, "--preset", "ct-bone") == 1
+    shades = np.random.default_rng(0).random((6, 7, 4))
+    drawn = clvol.render(clvol.read(volume), size=SIZE, transfer=clvol.TransferFunction2D(image=(shades, (0, 1), 0.3)))
+    np.testing.assert_array_equal(render_again(drawn.save(first)), drawn)
+
+
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("case", CASES)
 def test_it_is_the_same_to_the_bit(folder: Path, case: str, device: Device) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clvol import phantoms
 from clvol.base.errors import ClvolError, OptionError
 from clvol.base.srgb import as_light, as_shown
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.histogram import isovalue_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
@@ -30,6 +31,7 @@ def test_linear_between_points() -> None:
 ODD = TransferFunction(
     ((0.0, "black"), (0.30003, "red"), (0.30003, "blue"), (1.0, "white")), ((0.30003, 0.0), (0.70001, 0.999), (0.8, 1.0))
 )
+DAMAGED = {"pixels": "eJw=", "shape": [4, 4], "values": [0, 1], "steepest": 1}
 MANY = TransferFunction.from_cmap("viridis", (0, 1), [(0.30003, 0.0), (0.5, 0.3), (0.70001, 0.0)])
 
 NARROW = TransferFunction([(0, "black"), (0.4996, "black"), (0.5001, "white"), (1, "red")], [(0, 0), (1, 1)])
@@ -156,6 +158,9 @@ WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "opacity": (lambda: SOME.with_opacity([(0, 1.2)]), OptionError, r"opacities must be in 0..1; got \[1.2\]"),
     "NaN": (lambda: SOME.with_opacity([(float("nan"), 1)]), OptionError, "must be a finite number; got nan"),
     "unit": (lambda: TransferFunction(((0, "red"),), unit_distance=0), OptionError, "unit_distance must be a finite number"),  # type: ignore[arg-type]
+    "shapes of a map": (lambda: TransferFunction2D.from_cmap("gray", (0, 1)), OptionError, "made of boxes, arches or an image"),
+    "narrow box": (lambda: TransferFunction2D([((0, 1), (1, 1), "red", 1)]), OptionError, "gradients of a box must be"),
+    "damaged image": (lambda: TransferFunction2D(image=DAMAGED), OptionError, "one that clvol wrote"),  # type: ignore[arg-type]
     "map": (lambda: TransferFunction.from_cmap("nomap", (0, 1)), OptionError, "colour map 'nomap' is not known"),
     "map's range": (lambda: TransferFunction.from_cmap("gray", (1, 0)), OptionError, "value_range must be"),
 }

@@ -97,6 +97,13 @@ LOOKS: dict[str, dict[str, Any]] = {
         "background": None,
     },
     "transfer": {"transfer.points": [[100, [0.1, 0, 0], 0], [400, [1, 0.5, 0], 0.3], [400, [0, 0.5, 1], 0.6], [950, [1, 1, 1], 1]]},
+    "shapes": {
+        "transfer": {
+            "boxes": [[[100, 900], [20, None], [1, 0.5, 0], 0.4]],
+            "arches": [[[300, 950], 90.5, [0, 0.5, 1], 0.3]],
+            "unit_distance": 2,
+        }
+    },
     "words": {"mode": "mip", "window": [500, 800], "cmap": "viridis", "background": [0.1, 0.2, 0.3]},
     "heat": {"heat": True, "furniture.box": True},
     "wiper": {"mode": "isosurface", "filter": "bspline3", "wiper": {"filter": "nearest", "at": 0.4}},

@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
 from numbers import Integral, Real
@@ -21,6 +21,7 @@ import numpy as np
 from clvol.base.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
 
 __all__ = [
+    "as_object",
     "as_path",
     "did_you_mean",
     "enough_memory",
@@ -124,6 +125,16 @@ def meant_by(name: str, known: Iterable[str]) -> str:
         if name.lower() in words.split() and re.split(r"\W", ours)[0] in known:
             return ours
     return next(iter(difflib.get_close_matches(name, known, 1)), "")
+
+
+def as_object(what: str, value: object, known: Collection[str]) -> dict[str, Any]:
+    """A mapping all of whose keys are known, as an object of JSON; else `OptionError`."""
+    if not isinstance(value, Mapping):
+        raise OptionError(f"{what} must be an object of JSON; got {value!r:.200}")
+    for key in value:
+        if key not in known:
+            raise OptionError(f"{what}.{key!s:.60} is no field; {what} has {', '.join(sorted(known))}")
+    return dict(value)
 
 
 def require_known(function: str, options: Mapping[str, object], known: Iterable[str]) -> None:

@@ -20,7 +20,7 @@ __all__ = ["Keys"]
 
 _CAMERA = ("azimuth", "elevation", "zoom", "projection", "fit")
 _CUTS = ("clip", "clip_plane", "clip_corner")
-_OF_MOVIE = ("boundary", "evaluator", "fetch", "value_range")  # the same in all pictures
+_OF_MOVIE = ("boundary", "evaluator", "fetch", "value_range", "transfer")  # the same in all pictures
 _QUARTER = 90.0  # degrees: no key frame is further, so that the shortest turn is the one that was asked for
 
 

@@ -23,7 +23,7 @@ from clvol.volume.provenance import note
 __all__ = ["Others"]
 
 _OF_MEDIUM = (
-    *("preset", "window", "cmap", "opacity", *(name.replace("_", "-") for name in FACTORS), "filter", "boundary"),
+    *("preset", "window", "cmap", "opacity", "transfer", *(name.replace("_", "-") for name in FACTORS), "filter", "boundary"),
     *("clip", "clip-plane", "clip-corner", "surfaces", "smooth", "mask", "where"),
 )
 _OF_FIRST = ("transfer", *WORDS, *FACTORS, "filter", "boundary")  # options of a picture that are of the first medium
@@ -112,8 +112,9 @@ def _medium(text: str, read: Callable[[str], Any], *, whole: bool = False) -> cl
     if cuts := look.cuts():
         given["clip"] = cuts
     volume = read(source)
+    own = look.words() if look.transfer is None else {"transfer": look.function(volume)}
     return clvol.Medium(
-        _whole(volume) if whole else volume, boundary=chosen_boundary(look.boundary), **look.words(), **look.factors(), **given
+        _whole(volume) if whole else volume, boundary=chosen_boundary(look.boundary), **own, **look.factors(), **given
     )
 
 

@@ -390,6 +390,10 @@ class Look:
     value_range: Annotated[
         tuple[float, float] | None, Parameter(help="Values that the colour map spans, grey where no map is given.")
     ] = None
+    transfer: Annotated[
+        Path | None,
+        Parameter(help="Colours and opacities of a JSON file, by the gradient too, as the viewer saves them.", show_default=False),
+    ] = None
     opacity: Annotated[
         tuple[float, ...] | None,
         Parameter(
@@ -478,7 +482,7 @@ class Look:
 
     def options(self, volume: clvol.Volume) -> dict[str, Any]:
         """Arguments of `clvol.render`."""
-        transfer = self.transfer(volume)
+        transfer = self.function(volume)
         return self.of_scene(volume) | ({} if transfer is None else {"transfer": transfer})
 
     def of_scene(self, volume: clvol.Volume) -> dict[str, Any]:
@@ -491,7 +495,7 @@ class Look:
 
     def named(self, volume: clvol.Volume) -> dict[str, Any]:
         """The same with the transfer function by its words, if they say it."""
-        return self.options(volume) if self.value_range else self.of_scene(volume) | self.words()
+        return self.options(volume) if self.value_range or self.transfer else self.of_scene(volume) | self.words()
 
     def cuts(self) -> list[Any]:
         """What is cut away."""
@@ -512,7 +516,7 @@ class Look:
 
     def require_heard(self, mode: Mode, outputs: Sequence[str]) -> None:
         """Raise `OptionError` if an option changes nothing in a mode and in these outputs."""
-        given = self.words() | {name: getattr(self, name) for name in _PLAIN} | self.factors()
+        given = self.words() | {name: getattr(self, name) for name in (*_PLAIN, "transfer")} | self.factors()
         reasons = unheard(mode, given, outputs)
         if mode.stretches and self.step is not None:
             reasons["step"] = "surfaces are exact, and take no samples"
@@ -546,9 +550,13 @@ class Look:
         """Azimuth and elevation, where some are given."""
         return 30.0 if self.azimuth is None else self.azimuth, 20.0 if self.elevation is None else self.elevation
 
-    def transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
+    def function(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
         """The requested transfer function; None: the mode's default."""
         words = self.words()
+        if self.transfer is not None:
+            if given := [*words, *(["value_range"] if self.value_range else [])]:
+                raise OptionError(f"transfer is a file of colours and opacities: leave out {' and '.join(given)}")
+            return clvol.read_transfer(self.transfer)
         if self.value_range is None:
             return look_of(volume, self.mode, **words) if words else None
         spread = clvol.TransferFunction.from_cmap(words.pop("cmap", "gray"), self.value_range)

@@ -342,7 +342,7 @@ def batch(
 def _scene(source: str, *, others: Others, reader: Input, look: Look, held: dict[str, Any], whole: bool) -> Any:
     """The scene of one of several files and of others."""
     volume = _volume(others.first(reader), source, whole=whole)
-    options = held | {"transfer": look.transfer(volume.preview())}
+    options = held | {"transfer": look.function(volume.preview())}
     (drawn,) = others.drawn(
         [volume], {name: v for name, v in options.items() if v is not None}, source, reader, partial(_volume, Input(), whole=whole)
     )

@@ -18,7 +18,7 @@ from clvol.filter import boundary
 from clvol.filter import filter as filters
 from clvol.march.options import OF_SCENE, ResolvedLook
 from clvol.march.refine import Refined
-from clvol.scene import camera, clip, light, mode, scene, transfer
+from clvol.scene import camera, clip, joint, light, mode, scene, transfer
 from clvol.scene.fit import box_around
 from clvol.scene.mode import BY_LABEL, colored_by
 from clvol.show.furniture import Bar, Furnished, Furniture, Stage, furnished, on
@@ -122,14 +122,16 @@ class Recipe:
             return facts_of(volume, volume) | {"source": None if known is None else _relative(known, folder)}
 
         try:
-            return serial.to_text(self, CLASSES, {Volume: described}, clvol=clvol.__version__, version=VERSION)
+            return serial.to_text(
+                self, CLASSES, {Volume: described, joint.Image: joint.Image.json}, clvol=clvol.__version__, version=VERSION
+            )
         except OptionError:
             return None
 
     @classmethod
     def of_text(cls, text: str) -> Recipe:
         """The recipe of a text, with grids in the place of volumes: `FormatError` if it is none, or of another version."""
-        recipe = serial.from_text(text, CLASSES, {"Volume": grid_of}, version=VERSION)
+        recipe = serial.from_text(text, CLASSES, {"Volume": grid_of, "Image": joint.Image.of_json}, version=VERSION)
         if not isinstance(recipe, Recipe):
             raise FormatError("it is no recipe of a picture")
         return recipe
@@ -140,7 +142,7 @@ class Recipe:
         return (type(None), ()) if text is None else (Recipe.of_text, (text,))
 
 
-CLASSES = serial.dataclasses_of(scene, camera, clip, light, mode, transfer, filters, boundary) | {
+CLASSES = serial.dataclasses_of(scene, camera, clip, light, mode, transfer, joint, filters, boundary) | {
     "Furniture": Furniture,
     "Recipe": Recipe,
 }

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import base64
 import math
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.arrays import reals
-from clvol.base.checks import number, suggests_options
+from clvol.base.checks import as_object, number, suggests_options, whole
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.srgb import as_light
 from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.scene.factor import Factors
 from clvol.scene.transfer import TransferFunction
+from clvol.volume.histogram import slopes_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["JOINT", "Image", "TransferFunction2D", "joint_block"]
 
@@ -28,6 +33,8 @@ Color: TypeAlias = tuple[float, float, float]
 _BoxShape: TypeAlias = tuple[tuple[float, float], tuple[float, float], Color, float]
 _Arch: TypeAlias = tuple[tuple[float, float], float, Color, float]
 _COLUMNS, _ROWS = 256, 128  # nodes that shapes are drawn into
+_PARTS = 4  # of the values of matter, each a box of the automatic function
+_STEEP = 4  # part of the way from even matter to its boundaries, from which on those boxes are
 _ROOM = 0.02  # of their extent, left free around shapes
 _MOST_NODES = 1024  # along a side
 _MOST_SHAPES = 32
@@ -48,7 +55,7 @@ class Image:
     steepest: float
 
     @classmethod
-    def of(cls, array: ArrayLike, values: tuple[float, float], steepest: float) -> Image:
+    def of(cls, array: ArrayLike, values: object, steepest: object) -> Image:
         """That of an array [steepness, value, (red, green, blue, opacity)]; `OptionError` if it is none."""
         rule = f"numbers in 0..1 of shape (rows, columns, 4), 2 to {_MOST_NODES} rows and columns"
         given = reals("image", array, rule)
@@ -56,11 +63,32 @@ class Image:
             raise OptionError(f"image must be {rule}; got shape {given.shape}")
         if not ((given >= 0) & (given <= 1)).all():
             raise OptionError(f"image must be {rule}; got {np.nanmin(given):g} to {np.nanmax(given):g}")
-        low, high = (number("values of an image", value) for value in values)
-        if not low < high:
-            raise OptionError(f"the values of an image must be (low, high) in ascending order; got {values!r}")
+        low, high = _span("values of an image", values)
         most = number("the largest gradient of an image", steepest, above=0)
         return cls(given.astype(np.float32).tobytes(), (given.shape[0], given.shape[1]), (low, high), most)
+
+    @classmethod
+    def of_json(cls, given: Any) -> Image:
+        """That of a value of `json`; `OptionError` if it is none."""
+        known = as_object("image", given, {"pixels", "shape", "values", "steepest"})
+        try:
+            rows, columns = (whole("rows and columns of an image", n, 2, _MOST_NODES) for n in known["shape"])
+            packed, size = base64.b64decode(known["pixels"], validate=True), 16 * rows * columns
+            pixels = zlib.decompressobj().decompress(packed, size)  # no more, whatever a text says
+            return cls.of(np.frombuffer(pixels, "<f4").reshape(rows, columns, 4), known["values"], known["steepest"])
+        except (KeyError, TypeError, ValueError, zlib.error) as error:
+            if isinstance(error, OptionError):
+                raise
+            raise OptionError(f"image must be one that clvol wrote; {error!s:.120}") from None
+
+    def json(self) -> dict[str, Any]:
+        """A value for `json.dumps`."""
+        return {"pixels": self.text, "shape": list(self.shape), "values": list(self.values), "steepest": self.steepest}
+
+    @cached_property
+    def text(self) -> str:
+        """The numbers, in little-endian order, compressed, in base64."""
+        return base64.b64encode(zlib.compress(self.array.astype("<f4").tobytes())).decode()
 
     @cached_property
     def array(self) -> NDArray[np.float32]:
@@ -69,15 +97,15 @@ class Image:
 
 
 @suggests_options
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class TransferFunction2D(TransferFunction):
     """Colour and opacity by the value and the magnitude of the gradient, so that boundaries between materials are told apart.
 
     Parameters
     ----------
     boxes : sequence of ((value, value), (gradient, gradient), color, opacity)
-        Values, and magnitudes of the gradient in units of the data per world unit, that have a colour and an opacity; the largest
-        magnitude may be infinite.
+        Values, and magnitudes of the gradient in units of the data per world unit, that have a colour and an opacity; a largest
+        magnitude of None, or infinity, is no limit.
     arches : sequence of ((value, value), peak, color, opacity)
         Boundaries between two materials of these values. In the plane of values and gradients a blurred step lies on an arch: from
         no slope at the one value, over the `peak` in the middle, the largest magnitude, to none at the other. Opacity is largest on
@@ -85,10 +113,8 @@ class TransferFunction2D(TransferFunction):
     image : (array, (value, value), gradient), optional
         In place of shapes, colours and opacities of shape (rows, columns, 4) at equally spaced nodes: rows from magnitude 0 to
         `gradient`, columns between the values; up to 1024 each. What lies outside has those of the edge.
-    unit_distance : float, optional
-        World length that opacities refer to; None: the mean spacing of the volume.
-    gradient_opacity, curvature_opacity : sequence of (number, factor), optional
-        As of `TransferFunction`.
+    unit_distance, gradient_opacity, curvature_opacity : optional
+        As of `TransferFunction`, by name.
 
     Raises
     ------
@@ -106,12 +132,15 @@ class TransferFunction2D(TransferFunction):
     --------
     >>> import clvol
     >>> volume = clvol.phantoms.sphere(16)
-    >>> edges = clvol.TransferFunction2D(boxes=[((0.2, 0.8), (0.05, float("inf")), "gold", 0.6)])
+    >>> edges = clvol.TransferFunction2D([((0.2, 0.8), (0.05, None), "gold", 0.6)])
     >>> picture = clvol.render(volume, transfer=edges, size=(64, 64))
     """
 
     colors: tuple[tuple[float, Color], ...] = field(init=False, repr=False, compare=False)
     opacities: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
+    unit_distance: float | None = field(default=None, kw_only=True)
+    gradient_opacity: Factors | None = field(default=None, kw_only=True)
+    curvature_opacity: Factors | None = field(default=None, kw_only=True)
     boxes: Sequence[Any] = ()  # tuples of _BoxShape and _Arch, once made
     arches: Sequence[Any] = ()
     image: Image | None = None
@@ -143,6 +172,31 @@ class TransferFunction2D(TransferFunction):
             raise OptionError(f"{what} must be a sequence of four things each; got {given!r:.200}")
         return given
 
+    @classmethod
+    def automatic(cls, volume: Volume | ArrayLike, clim: tuple[float, float] | None = None) -> TransferFunction2D:
+        """The colours and opacities of `TransferFunction.automatic`, in a few boxes over the boundaries of the volume's matter."""
+        volume = as_volume(volume)
+        by_value, (even, steep) = TransferFunction.automatic(volume, clim), slopes_of(volume)
+        low, high = by_value.value_range
+        ends = np.linspace(low, high if low < high else low + 1.0, _PARTS + 1)
+        spans = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
+        looks = by_value(ends[:-1] / 2 + ends[1:] / 2).tolist()
+        boxes = [
+            (span, (even + (steep - even) / _STEEP, None), look[:3], look[3])
+            for span, look in zip(spans, looks, strict=True)
+            if look[3]
+        ]
+        return cls(boxes or [(spans[-1], (0.0, None), looks[-1][:3], 1.0)], unit_distance=by_value.unit_distance)
+
+    @classmethod
+    def _by_value(cls, *_: Any, **__: Any) -> NoReturn:
+        raise OptionError(
+            "a TransferFunction2D is made of boxes, arches or an image, or by automatic; from_cmap, ramp and preset are of "
+            "TransferFunction, whose gradient_opacity= depends on the gradient too"
+        )
+
+    from_cmap = ramp = preset = _by_value
+
     @property
     def graded(self) -> int:
         return super().graded + 4
@@ -155,6 +209,13 @@ class TransferFunction2D(TransferFunction):
     def table(self, stored: Stored = AS_THEY_ARE, *, linear: bool = False) -> NDArray[np.float32]:
         own = super().table(stored, linear=linear)
         return np.concatenate([own, np.zeros(-own.size % 4, np.float32), _rows(self.nodes, linear)])
+
+    def json(self) -> dict[str, Any]:
+        boxes = [[list(span), [bottom, top if math.isfinite(top) else None], list(color), seen]
+                 for span, (bottom, top), color, seen in self.boxes]  # fmt: skip
+        arches = [[list(span), peak, list(color), seen] for span, peak, color, seen in self.arches]
+        shapes = {"boxes": boxes, "arches": arches} if self.image is None else {"image": self.image.json()}
+        return shapes | self._shared_json()
 
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
         raise OptionError(f"opacity changes nothing of a TransferFunction2D, whose shapes have their own; got {opacities!r:.80}")
@@ -196,7 +257,7 @@ def _span(what: str, given: Any, *, minimum: float | None = None) -> tuple[float
     except (TypeError, ValueError):
         raise OptionError(f"{what} must be (low, high); got {given!r:.80}") from None
     bottom = number(what, low, minimum=minimum)
-    top = math.inf if minimum is not None and high == math.inf else number(what, high)
+    top = math.inf if minimum is not None and high in (None, math.inf) else number(what, high)
     if not bottom < top:
         raise OptionError(f"{what} must be (low, high) in ascending order; got {given!r:.80}")
     return bottom, top
@@ -217,12 +278,13 @@ def _arch(given: Sequence[Any]) -> _Arch:
 
 
 def _given_image(given: Any) -> Image:
+    if isinstance(given, dict):
+        return Image.of_json(given)
     try:
         array, values, steepest = given
-        low, high = values
     except (TypeError, ValueError):
         raise OptionError(f"image must be (array, (value, value), gradient); got {given!r:.80}") from None
-    return Image.of(array, (low, high), steepest)
+    return Image.of(array, values, steepest)
 
 
 def _drawn(boxes: Sequence[_BoxShape], arches: Sequence[_Arch]) -> Image:

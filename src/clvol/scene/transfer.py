@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.arrays import reals
-from clvol.base.checks import number, suggests_options
+from clvol.base.checks import as_path, number, suggests_options
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
+from clvol.base.files import require_suffix, staged
 from clvol.base.scaling import exponent_of, scaled, unscaled
 from clvol.base.srgb import as_light
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.scene.factor import Factors, as_factors
+from clvol.scene.points import points_of
 from clvol.scene.preset import as_preset, automatic, unit_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume
@@ -213,6 +218,25 @@ class TransferFunction:
             pieces=layout.pieces,
             halvings=layout.halvings,
         )
+
+    def json(self) -> dict[str, Any]:
+        """A value for `json.dumps`, as `save` writes it: colours and opacities as points of both."""
+        return {"points": points_of(self.colors, self.opacities)} | self._shared_json()
+
+    def _shared_json(self) -> dict[str, Any]:
+        given = {name: part for name in FACTORS if (part := getattr(self, name)) is not None}
+        unit = {} if self.unit_distance is None else {"unit_distance": self.unit_distance}
+        return {name: [list(point) for point in points] for name, points in given.items()} | unit
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it as JSON, which `clvol.read_transfer`, `--transfer` of the shell and the viewer read; returns the path.
+
+        `FormatError` if the file's name does not end in .json, or it cannot be written.
+        """
+        suffix = require_suffix(path, (".json",), "transfer functions")
+        with staged(as_path(path), suffix) as file:
+            file.write_text(json.dumps(self.json(), allow_nan=False) + "\n", encoding="utf-8")
+        return as_path(path)
 
     def opacity_within(self, low: float, high: float) -> float:
         """The largest opacity of values from `low` to `high`."""

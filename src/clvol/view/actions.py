@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
+from clvol.scene.joint import TransferFunction2D
 from clvol.show.movies import FORMATS, packed, require_encoder
 from clvol.show.picture import to_bytes
 from clvol.view import code
@@ -77,6 +78,12 @@ def _pick(parts: Parts, request: Request) -> Answer:
 def _labels(parts: Parts, request: Request) -> Answer:
     rows, count = parts.resident.catalog.labels(parts.control.state, request.arguments.get("words", ""))
     return {"rows": rows, "count": count}, None
+
+
+def _joint(parts: Parts, request: Request) -> Answer:  # noqa: ARG001  # it takes no arguments
+    """A transfer function of value and gradient to begin with."""
+    volume = parts.resident.catalog.volume_of(parts.control.state)
+    return {"transfer": TransferFunction2D.automatic(volume).json()}, None
 
 
 def copied(parts: Parts, what: str) -> str:
@@ -150,4 +157,5 @@ _TABLE: Mapping[str, Callable[[Parts, Request], Answer]] = {
     "heat": _heat,
     "movie": _movie,
     "labels": _labels,
+    "joint": _joint,
 }

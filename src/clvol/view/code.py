@@ -19,6 +19,7 @@ from clvol.base.errors import OptionError
 from clvol.base.printable import printable
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Corner, Plane
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.light import Light, Material
 from clvol.scene.mode import as_mode
 from clvol.scene.transfer import FACTORS, TransferFunction
@@ -212,6 +213,10 @@ def _camera(camera: Camera) -> str:
 
 
 def _text(value: Any) -> str:
+    if isinstance(value, TransferFunction2D):
+        given = {"boxes": value.boxes, "arches": value.arches} if value.image is None else {"image": value.image.json()}
+        more = {name: part for name in ("unit_distance", *FACTORS) if (part := getattr(value, name)) is not None}
+        return f"clvol.TransferFunction2D({', '.join(f'{name}={_text(part)}' for name, part in (given | more).items())})"
     if isinstance(value, TransferFunction):
         more = {name: getattr(value, name) for name in ("unit_distance", *FACTORS)}
         said = "".join(f", {name}={part!r}" for name, part in more.items() if part is not None)
@@ -314,7 +319,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "where the camera was moved to": camera.target is not None or camera.distance is not None or camera.radius is not None,
         "that it was rolled": abs(float(view.right @ vertical(volume))) > 1e-6,
         "its field of view": camera.fov != Camera().fov,
-        "the transfer function": "transfer" in heard,
+        "the transfer function (--transfer FILE)": "transfer" in heard,
         "which labels are seen": resident.catalog.which(state).labels is not None,
         "colours and opacities of labels": bool(state.label_rows),
         "lights": "lights" in heard,

@@ -40,6 +40,8 @@ def changes(medium: Medium, shown: MediumState) -> dict[str, Any]:
     if transfer is None or (cmap is None and opacity is None):
         return given
     if cmap is not None:
+        if isinstance(transfer, TransferFunction2D):
+            raise OptionError(f"cmap changes nothing of a medium with a TransferFunction2D, whose shapes have colors; got {cmap!r}")
         transfer = replace(transfer, colors=TransferFunction.from_cmap(cmap, transfer.value_range).colors)
     if opacity is not None:
         transfer = seen_through(transfer, opacity)

@@ -21,7 +21,6 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import as_clip, cuts_of
 from clvol.scene.factor import as_factors
 from clvol.scene.fit import usual_camera
-from clvol.scene.joint import TransferFunction2D
 from clvol.scene.look import look
 from clvol.scene.mode import as_mode, modes
 from clvol.scene.scene import Medium, Scene
@@ -148,8 +147,6 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
         except GeometryError as error:
             raise OptionError(str(error)) from None
         values |= {"clip": cuts.box, "cuts": (*cuts.planes, *cuts.corners)}
-    if isinstance(values.get("transfer"), TransferFunction2D):
-        raise OptionError("transfer of a view must be a TransferFunction; a TransferFunction2D is of clvol.render")
     factors = {name: values.pop(name) for name in FACTORS if is_curve(values.get(name))}
     if (bent := values.pop("curvature_opacity", None)) is not None:
         factors["curvature_opacity"] = as_factors("curvature_opacity", bent)

@@ -9,13 +9,13 @@ From the client:
   The number comes back as "heard" with states that include the change, so that a client that has sent more shows that.
 - `{"type": "do", "what": "...", "id": ..., ...}`: answered by a `reply` with that id. `save_picture` (width, height, pane) gives a
   PNG; `movie` (width, height, frames, format: "gif", "mp4", "webm" or "zip" of PNG) a file; `pick` (x, y, pane) what lies there;
-  a double click gives such a reply without an id.
+  a double click gives such a reply without an id. `joint` gives a "transfer" of value and gradient to begin with.
 - `{"type": "ack", "frame": number}`: the client has shown a frame.
 
 To the client:
 
 - `{"type": "state", "state", "heard", "can_undo", "can_redo", "effective"?}`: `effective` is what applies where the state leaves it
-  open: "transfer" (points), "window" of slices, "filter" by its full name, "options" of the mode (the isovalue), "crosshair". The
+  open: "transfer" (as JSON), "window" of slices, "filter" by its full name, "options" of the mode (the isovalue), "crosshair". The
   first may come without, and a second one once that is known.
 - `{"type": "frame", "number", "pane", "width", "height", "shown_width", "shown_height", "format", "final", "seconds", "step"?,
   "few"?, "share_visited"?}` and its bytes. A frame with `few` shows few of the samples: coefficients of all are being computed.
@@ -24,6 +24,8 @@ To the client:
   where bit 0, 1, 2 of ``i`` is set); `faces` has ``[axis, side, x, y]`` of each clip plane that can be dragged there; CSS pixels
   per world unit; the world directions that run right and down. Sent when one changed.
 - `{"type": "wiper", "errors": {...} | null}`: the measured error of both filters (`clvol.view.wiper`); null until it is known.
+- `{"type": "joint", "values": [low, high], "steepest", "image"}`: how often which value and gradient occur, where the transfer
+  function is of both; `image` is a PNG as a data URL, opaque where they are frequent, the steepest at its top.
 - `info`, `stats`, `status` ("text", and "kind": "info", "busy" or "error") and `reply`.
 """
 

@@ -19,6 +19,7 @@ from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
 from clvol.scene.clip import joined
 from clvol.scene.fit import Seen, box_around, fitted
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.look import look
 from clvol.scene.mode import BY_DISTANCE, CURVATURES, Mode, as_mode, colored_by, mode_options, modes, tolerance_of
 from clvol.scene.preset import presets
@@ -31,7 +32,7 @@ from clvol.view.finer import Finer, Wanted
 from clvol.view.opening import Viewable, first_state, opened
 from clvol.view.panes import PaneSize, SlicePane, camera_of, triple
 from clvol.view.renderers import Renderers
-from clvol.view.state import MOST_POINTS, WORDS, State, plain, transfer_json
+from clvol.view.state import MOST_POINTS, WORDS, State, plain
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.volume import Volume
 
@@ -114,7 +115,7 @@ class Resident:
         """
         given: dict[str, Any] = {"camera": camera_of(state), "mode": state.mode, "step": state.step, **self.beside}
         volume = self.catalog.volume_of(state)
-        given_by_words = state.transfer is None and labelled(volume, state) is volume
+        given_by_words = self._own_transfer(state) is None and labelled(volume, state) is volume
         words: dict[str, Any] = state.words if given_by_words else {"transfer": self.transfer(state)}
         words |= {name: getattr(state, name) for name in ("material", "lights", "clip")}
         of_light = "gradient_opacity", "shadow", "shadow_rays", "occlusion", "linear_light"
@@ -148,8 +149,7 @@ class Resident:
         if not row.has_gradient:
             left_out |= {"gradient", "virtual"}
         several = len(self.catalog.media) > 1
-        plain = self.catalog.volume_of(state).is_labels or {"surfaces", "smooth"} & set(self.beyond)
-        left_out |= {"gradient_opacity"} if plain else set()
+        left_out |= {"gradient_opacity"} if self._ungraded else set()
         transfer = given.get("transfer")
         if transfer and transfer.graded and not mode.grades:
             given = given | {"transfer": replace(transfer, **dict.fromkeys(FACTORS))}
@@ -184,7 +184,17 @@ class Resident:
 
     def transfer(self, state: State) -> TransferFunction:
         """The transfer function of the volume's picture."""
-        return state.transfer or look(labelled(self.catalog.volume_of(state), state), self.mode(state), **state.words)
+        return self._own_transfer(state) or look(labelled(self.catalog.volume_of(state), state), self.mode(state), **state.words)
+
+    def _own_transfer(self, state: State) -> TransferFunction | None:
+        """That of the state, if what is shown takes one of its kind."""
+        joint = isinstance(state.transfer, TransferFunction2D)
+        return None if joint and (self._ungraded or not as_mode(state.mode).grades) else state.transfer
+
+    @property
+    def _ungraded(self) -> bool:
+        """Whether the first medium's opacity depends on no gradient."""
+        return bool(self.volume.is_labels or {"surfaces", "smooth"} & set(self.beyond))
 
     def placed(self, state: State, aspect: float) -> Camera:
         """The camera with its target, as a picture of this aspect ratio has it."""
@@ -235,8 +245,8 @@ class Resident:
 
         Of labels it is that of all: one that is hidden now has its own colour when it comes back.
         """
-        shown = transfer_json(self.transfer(replace(state, labels=None)))
-        return shown if len(shown["points"]) <= MOST_POINTS else shown | {"points": []}
+        shown = self.transfer(replace(state, labels=None)).json()
+        return shown if len(shown.get("points", ())) <= MOST_POINTS else shown | {"points": []}
 
     def info(self, state: State | None = None) -> dict[str, Any]:
         """The description of the volume, which is sent first and when another one is shown."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import partial
@@ -18,7 +17,7 @@ from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 from clvol.base.arrays import reals
 from clvol.base.axes import AXES
-from clvol.base.checks import instance, number, one_of, whole
+from clvol.base.checks import as_object, instance, number, one_of, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.boundary import as_boundary
 from clvol.filter.table import as_filter
@@ -27,7 +26,8 @@ from clvol.scene.light import MAX_LIGHTS, Light, Material
 from clvol.scene.mode import as_mode, heard_options
 from clvol.scene.preset import as_preset
 from clvol.scene.scene import MOST_MEDIA
-from clvol.scene.transfer import FACTORS, WORDS, TransferFunction
+from clvol.scene.transfer import WORDS, TransferFunction
+from clvol.scene.written import transfer_of
 from clvol.show.furniture import Furniture
 from clvol.volume.volumes import COMPUTED
 
@@ -48,8 +48,6 @@ __all__ = [
     "Wiper",
     "name_of",
     "plain",
-    "points_of",
-    "transfer_json",
 ]
 
 Triple: TypeAlias = tuple[float, float, float]
@@ -62,6 +60,7 @@ VERSION = 1
 LAYOUTS = ("3d", "slice", "linked")
 ZOOMS = 0.05, 1000.0
 MOST_POINTS = 512  # of a transfer function; they fit into one message
+_LONGEST_IMAGE = 40_000  # characters of that of a transfer function; likewise
 MOST_LABELS = 2048  # that are hidden or shown; they fit into one message
 _WHOLE = re.compile(r"-?\d{1,16}")
 _TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair")
@@ -131,18 +130,6 @@ def _instance(what: str, value: object, kind: type) -> Any:
     return value
 
 
-def _known(what: str, value: object, known: frozenset[str] | set[str]) -> dict[str, Any]:
-    """A mapping, all of whose keys are known."""
-    if not isinstance(value, Mapping):
-        raise OptionError(f"{what or 'a state'} must be an object of JSON; got {value!r:.200}")
-    for key in value:
-        if key not in known:
-            raise OptionError(
-                f"{what + '.' if what else ''}{key!s:.60} is no field; {what or 'a state'} has {', '.join(sorted(known))}"
-            )
-    return dict(value)
-
-
 def _numbers(what: str, value: object) -> tuple[int, ...]:
     rule = f"a list of up to {MOST_LABELS} whole numbers"
     if not isinstance(value, (list, tuple)):
@@ -162,7 +149,7 @@ def _by_label(what: str, value: object, each: Callable[..., Any]) -> dict[int, A
 
 
 def _index(what: str, value: object) -> dict[str, int | str]:
-    given = _known(what, value, set(AXES))
+    given = as_object(what, value, set(AXES))
     return {axis: _place_along(axis, given[axis]) for axis in AXES if axis in given}
 
 
@@ -222,72 +209,27 @@ def plain(value: Any) -> Any:
     return value
 
 
-def points_of(transfer: TransferFunction) -> list[list[Any]]:
-    """Points of colour and opacity merged, ``[value, [r, g, b], opacity]``; two at one value are a jump."""
-    colors, opacities = _Ends(transfer.colors), _Ends(transfer.opacities)
-    result = []
-    for value in sorted({*colors.values, *opacities.values}):
-        before, after = (
-            [value, [float(c) for c in colors.at(value, side)], float(min(1.0, max(0.0, opacities.at(value, side))))]
-            for side in (0, 1)
+def _transfer(what: str, value: Any) -> TransferFunction:
+    """Of a size that fits into one message."""
+    instance(what, value, TransferFunction)
+    image = getattr(value, "image", None)
+    if image is not None and len(image.text) > _LONGEST_IMAGE:
+        raise OptionError(
+            f"{what}.image must take up to {_LONGEST_IMAGE} characters in JSON, compressed, so that a page can have it; got "
+            f"{len(image.text)}: give fewer nodes, or shapes"
         )
-        result += [before, after] if before != after else [after]
-    return result
+    return value  # type: ignore[no-any-return]  # checked
 
 
-class _Ends:
-    """Points of colour, or of opacity: the limits at each value from below and above."""
-
-    def __init__(self, points: Sequence[tuple[float, Any]]) -> None:
-        self._ends: dict[float, tuple[Any, Any]] = {}
-        for value, part in points:
-            self._ends[value] = self._ends.get(value, (part, part))[0], part
-        self.values = sorted(self._ends)
-
-    def at(self, value: float, side: int) -> Any:
-        """The limit at a value from below (0) or above (1)."""
-        if value in self._ends:
-            return self._ends[value][side]
-        i = bisect(self.values, value)
-        if i in (0, len(self.values)):
-            return self._ends[self.values[min(i, len(self.values) - 1)]][i > 0]
-        a, b = self.values[i - 1 : i + 1]
-        one, other = self._ends[a][1], self._ends[b][0]
-        share = (value / 2 - a / 2) / (b / 2 - a / 2)
-        if isinstance(one, tuple):
-            return tuple(p + (q - p) * share for p, q in zip(one, other, strict=True))
-        return one + (other - one) * share
-
-
-def transfer_json(transfer: TransferFunction) -> dict[str, Any]:
-    """A transfer function in JSON."""
-    result: dict[str, Any] = {"points": points_of(transfer)}
-    result |= {name: plain(points) for name in FACTORS if (points := getattr(transfer, name)) is not None}
-    return result if transfer.unit_distance is None else result | {"unit_distance": transfer.unit_distance}
-
-
-def _transfer_of(what: str, value: object) -> TransferFunction:
-    given = _known(what, value, {"points", "unit_distance", *FACTORS})
-    points = given.get("points")
-    rule = f"1 to {MOST_POINTS} of [value, [r, g, b], opacity]"
-    if not isinstance(points, (list, tuple)) or not 1 <= len(points) <= MOST_POINTS:
-        raise OptionError(f"{what}.points must be {rule}; got {points!r:.200}")
-    colors, opacities = [], []
-    for point in points:
-        if not isinstance(point, (list, tuple)) or len(point) != 3:
-            raise OptionError(f"{what}.points must be {rule}; got {point!r:.200}")
-        at = number(f"a value of {what}.points", point[0])
-        colors.append((at, _color(f"a colour of {what}.points", point[1])))
-        opacities.append((at, number(f"an opacity of {what}.points", point[2], minimum=0, maximum=1)))
-    try:
-        factors = {name: given.get(name) for name in FACTORS}
-        return TransferFunction(tuple(colors), tuple(opacities), given.get("unit_distance"), **factors)
-    except ClvolError as error:
-        raise OptionError(f"{what}: {error}") from None
+def _transfer_of(what: str, value: Any) -> TransferFunction:
+    points = value.get("points") if isinstance(value, dict) else None
+    if isinstance(points, (list, tuple)) and len(points) > MOST_POINTS:
+        raise OptionError(f"{what}.points must be up to {MOST_POINTS}; got {len(points)}")
+    return transfer_of(what, value)
 
 
 def _light_of(what: str, value: object) -> Light:
-    given = _known(what, value, {"direction", "color", "frame"})
+    given = as_object(what, value, {"direction", "color", "frame"})
     direction = given.get("direction")
     direction = None if direction is None else _triple(f"{what}.direction", direction)
     try:
@@ -303,7 +245,7 @@ def _lights_of(what: str, value: object) -> tuple[Light, ...]:
 
 
 def _dataclass_of(what: str, value: object, kind: Callable[..., Any]) -> Any:
-    given = _known(what, value, {each.name for each in fields(kind)})  # type: ignore[arg-type]  # of a dataclass
+    given = as_object(what, value, {each.name for each in fields(kind)})  # type: ignore[arg-type]  # of a dataclass
     try:
         return kind(**given)
     except TypeError as error:
@@ -311,7 +253,7 @@ def _dataclass_of(what: str, value: object, kind: Callable[..., Any]) -> Any:
 
 
 def _clip_of(what: str, value: object) -> tuple[Triple, Triple]:
-    given = _known(what, value, {"low", "high"})
+    given = as_object(what, value, {"low", "high"})
     return _box(what, (given.get("low"), given.get("high")))
 
 
@@ -334,7 +276,7 @@ def _cuts_of(what: str, value: object) -> tuple[Plane | Corner, ...]:
 
 def _cut_of(what: str, value: object) -> Plane | Corner:
     """JSON has no infinite numbers: in corners null stands for these."""
-    given = _known(what, value, {"normal", "point", "low", "high"})
+    given = as_object(what, value, {"normal", "point", "low", "high"})
     try:
         if "normal" in given:
             return Plane(given["normal"], given.get("point"))  # type: ignore[arg-type]  # it is checked
@@ -504,8 +446,8 @@ class State(_Checked):
     mode, options, filter, boundary, step
         As for `clvol.render`; `options` are the mode's, and so is the default of `filter`.
     transfer : TransferFunction, optional
-        In JSON ``{"points": [[value, [r, g, b], opacity], ...]}``. If it is given, `preset`, `window`, `cmap` and
-        `opacity` are not used for the volume's picture.
+        In JSON as `TransferFunction.json` says. If it is given, `preset`, `window`, `cmap` and `opacity` are not used for the
+        volume's picture; a `TransferFunction2D` is in "composite" alone, and other modes have their own.
     preset, window, cmap, opacity
         As for `clvol.render`; slices take `window` and `cmap`.
     gradient_opacity : float
@@ -549,7 +491,7 @@ class State(_Checked):
     filter: str | None = _of(_filter, None)
     boundary: str = _of(_named, "mirror", known=as_boundary)
     step: float = _of(number, 0.5, minimum=0.02, maximum=16)
-    transfer: TransferFunction | None = _of(_instance, None, _transfer_of, transfer_json, kind=TransferFunction)
+    transfer: TransferFunction | None = _of(_transfer, None, _transfer_of, lambda transfer: transfer.json())
     preset: str | None = _of(_named, None, known=as_preset)
     window: tuple[float, float] | None = _of(_window, None)
     cmap: str | None = _of(_named, None, known=partial(TransferFunction.from_cmap, value_range=(0.0, 1.0)))
@@ -616,7 +558,7 @@ class State(_Checked):
             A field is unknown or has a value that is not allowed.
         """
         rows = {each.name: each for each in fields(cls)}
-        given = _known("", value, {"version", *rows})
+        given = as_object("state", value, {"version", *rows})
         version = given.pop("version", VERSION)
         if version != VERSION or isinstance(version, bool):
             raise OptionError(f"version must be {VERSION}, that of this program's states; got {version!r:.60}")

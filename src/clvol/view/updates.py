@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
+from clvol.scene.joint import TransferFunction2D
+from clvol.spline.joint import joint_histogram
 from clvol.view import events, wiper
 from clvol.view.background import Background
+from clvol.view.catalog import Which
 from clvol.view.control import Control
-from clvol.view.drawing import Shot, share_visited
+from clvol.view.drawing import Shot, png, share_visited
 from clvol.view.panes import bounds, visible
 from clvol.view.protocol import Message, status
 from clvol.view.resident import Resident
@@ -19,6 +25,7 @@ __all__ = ["Updates"]
 _SKETCHED = "sketch of few samples: computing the coefficients", "busy"
 _COARSER = "reading finer samples", "busy"
 _COMPLETE = "", "info"
+_GREY = 128  # which is seen on light and on dark pages
 
 
 class Updates:
@@ -141,6 +148,9 @@ class Updates:
             size = self._control.context().size(name)
             shape = size.width, size.height
             self._background.submit(("visited", state, size), lambda: stats | {"visited": share_visited(resident, state, shape)})
+        if name == "3d" and isinstance(state.transfer, TransferFunction2D):
+            key = resident.catalog.key(state)
+            self._background.submit(("joint", key), lambda: _joint(resident, key))
         if state.wiper is not None:
             names = tuple(resident.filter_name(state, row) for row in (state.filter, state.wiper.filter))
             volume, boundary = resident.catalog.volume_of(state), state.boundary
@@ -162,3 +172,14 @@ class Updates:
 
 def _errors(errors: dict[str, Any] | None) -> Message:
     return {"type": "wiper", "errors": errors}
+
+
+def _joint(resident: Resident, key: tuple[str | None, str, Which]) -> Message:
+    """The joint histogram of a function, as a picture."""
+    with resident.renderers.renderer(*key) as renderer:
+        counts, values, gradients = joint_histogram(renderer.field)
+    often = np.log1p(counts[::-1])
+    pixels = np.full((*often.shape, 4), _GREY, np.uint8)
+    pixels[..., 3] = np.round(often * (255 / often.max()))
+    image = "data:image/png;base64," + base64.b64encode(png(pixels)).decode()
+    return {"type": "joint", "values": values[[0, -1]].tolist(), "steepest": float(gradients[-1]), "image": image}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clvol import Volume, Volumes, phantoms
+from clvol import TransferFunction2D, Volume, Volumes, phantoms
 from clvol.device import Device
 from clvol.view import Session, State, View
 from clvol.volume.volumes import Leading
@@ -256,3 +256,38 @@ def test_surfaces_as_text_and_what_colors_them(browser: Browser, waves: Watched)
     browser.wait(
         lambda: browser.js(f"return {FINAL}") and (picture(browser) != before).any(), 60
     )  # its kernels are built meanwhile
+
+
+@pytest.fixture
+def shell(browser: Browser, device: Device) -> Iterator[Watched]:  # noqa: ARG001
+    shapes = TransferFunction2D([((0.2, 0.8), (0.01, None), "gold", 0.5)], [((0, 1), 0.2, "navy", 0.1)], unit_distance=3)
+    yield from shown(browser, Watched(phantoms.sphere(16), transfer=shapes))
+
+
+def test_functions_of_value_and_gradient_are_edited(browser: Browser, shell: Watched) -> None:
+    box, corner = ".clvol-shape[aria-label^=box]", ".clvol-graph .clvol-dot[aria-label='upper left corner']"
+    browser.wait("document.querySelector('.clvol-joint').getAttribute('href')", 60)
+    first, last = shell.last.state.transfer, lambda: shell.last.state.json()["transfer"]
+    before = picture(browser)
+    browser.drag((20, 30), corner)
+    browser.wait(lambda: 0.2 < last()["boxes"][0][0][0] < 0.7 and last()["boxes"][0][1][1] is not None)
+    browser.js(f"document.querySelector('{box}').focus()")
+    low = last()["boxes"][0][0][0]
+    browser.key("ArrowRight")
+    browser.wait(lambda: last()["boxes"][0][0][0] > low)
+    browser.key("+", text="+")
+    browser.wait(lambda: len(last()["boxes"]) == 2)
+    browser.key("Delete")
+    browser.wait(lambda: len(last()["boxes"]) == 1)
+    assert last()["unit_distance"] == 3
+    browser.wait(lambda: browser.js(f"return {FINAL}") and (picture(browser) != before).any(), 30)
+    for _ in range(4):
+        browser.wait(lambda: not browser.js("return document.querySelector('.clvol-buttons button').disabled"))
+        click(browser, "document.querySelector('.clvol-buttons button')")
+    browser.wait(lambda: shell.last.state.transfer == first)
+    graded = "[...document.querySelectorAll('.clvol-check')].find((e) => e.textContent === 'By the gradient too').firstChild"
+    click(browser, graded)
+    browser.wait(lambda: shell.last.state.transfer is None)
+    click(browser, graded)
+    browser.wait(lambda: isinstance(shell.last.state.transfer, TransferFunction2D))
+    assert not browser.console()
