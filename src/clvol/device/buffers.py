@@ -58,11 +58,6 @@ class Buffers:
                 return cl.Buffer(driver.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=pages)
             return cl.Buffer(driver.context, cl.mem_flags.READ_WRITE, size)
 
-    @property
-    def largest(self) -> int:
-        """Bytes of the largest buffer that the device allows."""
-        return min(self._driver.largest, int(_MEMORY_SHARE * self._driver.total))
-
     def require_room(self, size: int, *, held: bool = False) -> None:
         """Raise `OutOfMemoryError` before a runtime would abort: PoCL notices only when memory is touched.
 
@@ -70,10 +65,11 @@ class Buffers:
         that the memory is allocated already.
         """
         driver = self._driver
-        if size > self.largest:
+        largest, total = driver.largest, driver.total
+        if size > largest or size > _MEMORY_SHARE * total:
             raise OutOfMemoryError(
-                f"{driver.name} allows one allocation of up to {driver.largest / 2**20:.0f} MiB and holds "
-                f"{driver.total / 2**20:.0f} MiB; got {size / 2**20:.0f} MiB"
+                f"{driver.name} allows one allocation of up to {largest / 2**20:.0f} MiB and holds "
+                f"{total / 2**20:.0f} MiB; got {size / 2**20:.0f} MiB"
             )
         if driver.kind == "cpu" and not held:
             memory.require(size, f"a buffer of {driver.name}")

@@ -273,7 +273,7 @@ class _Store:
         length, row = len(output), np.dtype(self._kind).itemsize * math.prod(output.shape[1:])
         if not output.size:
             return []
-        step = max(1, (self._device.buffers.largest if self._direct(output) else _PART) // row)
+        step = max(1, (self._device.largest if self._direct(output) else _PART) // row)
         return [slice(first, min(first + step, length)) for first in range(0, length, step)]
 
     @contextmanager
