@@ -29,6 +29,7 @@ from clvol.device import as_device
 from clvol.filter.table import unregister_filter
 from clvol.formats import WRITTEN
 from clvol.march.options import unheard
+from clvol.nnunet import labels_from_logits, resample_to_shape
 from clvol.scene.mode import as_mode
 from clvol.show.picture import grid, labelled, to_png
 from clvol.torch import sample as torch_sample
@@ -593,6 +594,14 @@ def tensors(world: World, random: Random) -> Any:
     values.sum().backward()
     assert data.grad is not None
     return [values.detach().numpy(), data.grad.numpy()]
+
+
+@_deed(4)
+def logits(_: World, random: Random) -> Any:
+    scores = random.normal(size=(3, 6, 7, 8)).astype("f4")
+    shape, before, after = tuple(random.integers(4, 14, 3).tolist()), (float(random.uniform(1, 5)), 1.0, 1.0), (1.0, 1.0, 1.0)
+    how: dict[str, Any] = {"order": int(random.integers(0, 4)), "force_separate_z": None}
+    return [f(scores, shape, before, after, **how) for f in (labels_from_logits, resample_to_shape)]
 
 
 @_deed(4)

@@ -13,6 +13,9 @@ import pytest
     [
         ("torch", "import clvol.torch; clvol.torch.sample(None, None)"),
         ("xarray", "import clvol.xarray"),
+        ("monai", "import clvol.monai"),
+        ("torchio", "import clvol.torchio"),
+        ("nnunet", "import clvol.nnunet; sys.modules['nnunetv2'] = None; clvol.nnunet.install()"),
         ("dask", "import clvol.dask"),
     ],
 )

@@ -103,7 +103,7 @@ def figures() -> dict[str, Figure]:
         "lines of march/renderer.py": Figure(lines_of("march/renderer.py"), 400),
         "lines of the longest class": Figure(max(longest.values()), 300),
         "classes of more than 12 public members": Figure(sum(n > 12 for n in members.values()), 3),
-        "functions with eight parameters or more": Figure(sum(parameters(node) >= 8 for node in functions()), 65),
+        "functions with eight parameters or more": Figure(sum(parameters(node) >= 8 for node in functions()), 67),
         "depth of the filter": Figure(depth("clvol.filter.filter"), 4),
         "depth of Field": Figure(depth("clvol.spline.field"), 10),
         "depth of Renderer": Figure(depth("clvol.march.renderer"), 15),

@@ -1,29 +1,6 @@
-// Kernel: the function on a grid whose axes are the volume's: sums of taps first along z, then y, then x.
-//
-// | what makes it fast                                              | where           |
-// |-----------------------------------------------------------------|-----------------|
-// | taps along one axis at a time: 3 TAPS for a point, not TAPS^3   | resample_axes   |
-// | along x eight rows at once, a column of them in a vector        | resample_rows   |
-// | BLOCK rows share what was summed along z                        | resample_axes   |
-//
-// Set by the host: TAPS; DIMENSIONS; BLOCK, rows computed at once, a multiple of 8. The host also computes the coefficients of each
-// column, row and slice of the grid, and their weights (coefficients.py, axis_taps).
+// Kernel: the function on a grid whose axes are the volume's. What makes it fast, and what the host sets: rows.cl.
 
-#include "base/platform.cl"
-#include "base/transpose.cl"
-
-// One row, `width` long (a multiple of 8), as a weighted sum of rows that lie `apart`.
-INLINE void sum_rows_into(global scalar *restrict row, global const scalar *restrict rows, const size_t apart,
-                      global const int *restrict place, global const scalar *restrict weight, const int width)
-{
-    for (int i = 0; i < width; i += LANES) {
-        scalar8 sum = (scalar8)(0.0f);
-        UNROLL_TAPS
-        for (int t = 0; t < TAPS; ++t)
-            sum = madd((scalar8)(weight[t]), *(global const scalar8_at *)(rows + place[t] * apart + i), sum);
-        *(global scalar8_at *)(row + i) = sum;
-    }
-}
+#include "spline/rows.cl"
 
 // Up to eight rows of the grid from rows of coefficients.
 INLINE void resample_rows(global scalar *restrict result, global const scalar *restrict rows, const size_t apart,
@@ -33,26 +10,9 @@ INLINE void resample_rows(global scalar *restrict result, global const scalar *r
 {
     global scalar *lines = scratch, *columns = scratch + LANES * width;
     scalar8 v[LANES];
-    for (int r = 0; r < LANES; ++r) {
-        const size_t row = MIN(r, count - 1) * TAPS;
-        sum_rows_into(lines + r * width, rows, apart, y_place + row, y_weight + row, width);
-    }
-    for (int i = 0; i < width; i += LANES) {
-        load_columns(v, lines + i, width, LANES);
-#pragma unroll
-        for (int n = 0; n < LANES; ++n)
-            *(global scalar8_at *)(columns + (i + n) * LANES) = v[n];
-    }
+    sum_to_columns(columns, rows, apart, y_place, y_weight, count, width, lines);
     for (int i = 0; i < points; i += LANES) {
-#pragma unroll
-        for (int n = 0; n < LANES; ++n) {
-            v[n] = (scalar8)(0.0f);
-            UNROLL_TAPS
-            for (int t = 0; t < TAPS; ++t) {
-                const int tap = (i + n) * TAPS + t;
-                v[n] = madd((scalar8)(x_weight[tap]), *(global const scalar8_at *)(columns + x_place[tap]), v[n]);
-            }
-        }
+        sum_columns(v, columns, i, x_place, x_weight);
         if (i + LANES <= points)
             store_columns(v, result + i, points, count);
         else {
@@ -77,25 +37,15 @@ kernel void resample_axes(global const scalar *restrict coefficients, const int 
                           global scalar *restrict results)
 {
     const size_t item = get_global_id(0), items = get_global_size(0);
-    const size_t along_y = grid.w;
-#if DIMENSIONS == 3
-    const size_t along_z = along_y + (size_t)grid.y * TAPS;
-#endif
+    const size_t along_y = grid.w, along_z = along_y + (size_t)grid.y * TAPS;
     global scalar *mine = scratch + item * room;
     coefficients += left;
     const int end = first + units * (item + 1) / items;
     for (int unit = first + units * item / items; unit < end; ++unit) {
         const int block = unit / grid.z, k = unit % grid.z;
-#if DIMENSIONS == 3
-        const size_t slice = along_z + k * TAPS, apart = width;
-        global scalar *rows = mine + 2 * LANES * width;
-        for (int j = 0; j < blocks[block].y; ++j)
-            sum_rows_into(rows + j * apart, coefficients + used[blocks[block].x + j] * pitch, area, places + slice,
-                      weights + slice, width);
-#else
-        const size_t apart = pitch;
-        global const scalar *rows = coefficients + k * area;   // each slice has coefficients of its own
-#endif
+        const size_t apart = DIMENSIONS == 3 ? width : pitch;
+        global const scalar *rows = sum_slices(mine + 2 * LANES * width, coefficients, pitch, area, k, blocks[block], used,
+                                               places + along_z, weights + along_z, width);
         for (int j = block * BLOCK; j < MIN((block + 1) * BLOCK, grid.y); j += LANES)
             resample_rows(results + ((size_t)k * grid.y + j) * grid.x, rows, apart,
                           places + along_y + j * TAPS, weights + along_y + j * TAPS, places, weights,

@@ -161,7 +161,8 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
 _PLACE = {name: place for place, names in _PLACES.items() for name in names.split()}
 _MODULES = ("images", "ndimage", "phantoms")  # of `__all__`
 _PARTS = (*_MODULES, "analysis", "device", "figures", "formats", "labels", "noise", "reference", "reports", "view")
-_OPTIONAL = {"dask": "dask", "torch": "torch", "xarray": "xarray"}  # with what they need
+# With what they need.
+_OPTIONAL = {"dask": "dask", "monai": "MONAI", "nnunet": "nnU-Net", "torch": "torch", "torchio": "TorchIO", "xarray": "xarray"}
 
 __all__ = [*sorted([*_PLACE, *_MODULES])]
 

@@ -140,6 +140,13 @@ def test_arrays_whose_coefficients_exceed_the_largest_buffer(call: str, monkeypa
     np.testing.assert_allclose(found, whole, rtol=0, atol=4e-6)
 
 
+def test_results_that_exceed_the_largest_buffer_are_computed_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    small = LARGE[:8, :8, :8]
+    whole = ndimage.zoom(small, 8)
+    with_buffers_of(monkeypatch, whole.nbytes // 3)
+    np.testing.assert_array_equal(ndimage.zoom(small, 8), whole)
+
+
 def test_results_that_bricks_would_change_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     with_buffers_of(monkeypatch, 1 << 20)
     missing = LARGE.copy()

@@ -244,3 +244,14 @@ def test_rejected_files(tmp_path: Path) -> None:
 
     with pytest.raises(OptionError, match="got a Foreign"):
         clvol.resample(moving(3), like=fixed(3), transform=Foreign())
+
+
+def test_an_inverse_of_a_composite_transform_is_one_matrix() -> None:
+    """SimpleITK lists a composite of the inverse as its own part."""
+    scale, turn = sitk.ScaleTransform(3, (1.1, 0.9, 1.2)), sitk.Euler3DTransform((1, 2, 3), 0.1, 0.2, 0.3, (1, 0, 2))
+    scale.SetCenter((1, 2, 3))
+    inverse = sitk.CompositeTransform([scale, turn]).GetInverse()
+    (own,) = from_simpleitk(inverse)
+    assert isinstance(own, AffineTransform)
+    point = (3.0, -1.0, 2.0)
+    np.testing.assert_allclose(reference.map_points(np.array([point]), own)[0][0], inverse.TransformPoint(point), atol=1e-9)

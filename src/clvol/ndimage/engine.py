@@ -269,13 +269,11 @@ class _Store:
         self._scratch = np.empty(0, kind)
 
     def parts(self, output: Array) -> list[slice]:
-        """The parts of an array, along its first axis, that are computed at a time: all of it where nothing is converted."""
+        """The parts of an array, along its first axis, computed at a time: the largest possible where nothing is converted."""
         length, row = len(output), np.dtype(self._kind).itemsize * math.prod(output.shape[1:])
         if not output.size:
             return []
-        if self._direct(output):
-            return [slice(0, length)]
-        step = max(1, _PART // row)
+        step = max(1, (self._device.largest if self._direct(output) else _PART) // row)
         return [slice(first, min(first + step, length)) for first in range(0, length, step)]
 
     @contextmanager

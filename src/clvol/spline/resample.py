@@ -1,4 +1,4 @@
-"""The function on another grid: the host side of resample.cl, which works by axes if the grid's axes are the volume's."""
+"""The function on another grid: the host side of resample.cl and largest.cl, which work by axes if the grid has the volume's."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base import memory
 from clvol.base.progress import part_of
 from clvol.device.program import LANES
 from clvol.spline.build import scalar_defines
@@ -21,10 +22,12 @@ from clvol.spline.points import NOTHING_GIVEN, Given, Transform, sample_grid
 
 if TYPE_CHECKING:
     from clvol.base.progress import Progress
+    from clvol.device import Device
     from clvol.filter.filter import Filter
+    from clvol.spline.build import DefineDict
     from clvol.spline.evaluator import Evaluator
 
-__all__ = ["along_axes", "filled", "resample_axes", "resample_coefficients"]
+__all__ = ["Largest", "along_axes", "filled", "resample_axes", "resample_coefficients"]
 
 _BLOCK = 16  # rows that resample.cl computes at once
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
@@ -148,8 +151,108 @@ def _resample_part(
     coefficients: Coefficients, positions: Sequence[NDArray[np.float64]], buffer: Any, given: Given, progress: Progress | None
 ) -> None:
     """`resample_axes` of a grid with short axes."""
-    device, taps, d = coefficients.device, coefficients.filter.support, coefficients.ndim
     edge = _edge(coefficients, given)
+    _by_rows(coefficients, positions, edge, _Kernel("spline/resample.cl", "resample_axes", {}), (buffer,), progress)
+    ny, nx = (*(len(along) for along in positions), 1)[1::-1]
+    nz = len(positions[2]) if coefficients.ndim == 3 else coefficients.shape[0]
+    _put_values(coefficients, positions, (nz, ny, nx), buffer, given, edge)
+
+
+class Largest:
+    """Which of several functions is largest at the points of a grid; only the largest value and its number are kept.
+
+    Parameters
+    ----------
+    shape
+        Of the grid, [z, y, x].
+    count
+        The number of functions.
+    kind
+        The type of values.
+    nearest
+        For each point the function that wins where several are largest, if it is one of them; else the first does.
+    """
+
+    def __init__(
+        self, shape: tuple[int, ...], count: int, kind: type[np.generic], device: Device, nearest: NDArray[Any] | None = None
+    ) -> None:
+        self._shape, self._device, self._kind = shape, device, kind
+        dtype = np.dtype(np.uint8 if count <= 256 else np.uint16)
+        whole = (*shape[:2], -(-shape[2] // LANES) * LANES)
+        size = dtype.itemsize * (1 if nearest is None else 2) + np.dtype(kind).itemsize
+        memory.require(size * math.prod(whole), f"the largest of {count} functions at {' × '.join(map(str, shape))} points")
+        self._numbers, self._values = np.zeros(whole, dtype), np.full(whole, -np.inf, kind)
+        self._least = np.full(shape[0] * -(-shape[1] // _BLOCK), -np.inf, kind)
+        self._nearest = self._numbers
+        if nearest is not None:
+            self._nearest = np.zeros(whole, dtype)
+            self._nearest[..., : shape[2]] = nearest
+        self._by_nearest = nearest is not None
+
+    @property
+    def numbers(self) -> NDArray[Any]:
+        """The number of the largest function at each point."""
+        return self._numbers[..., : self._shape[2]]
+
+    def compare(
+        self,
+        coefficients: Coefficients,
+        positions: Sequence[NDArray[np.float64]],
+        number: int,
+        limits: NDArray[Any],
+        progress: Progress | None = None,
+    ) -> None:
+        """Compare a function, at positions along x, y and z as of `resample_axes`, with the largest so far.
+
+        Its values are at most its largest coefficient: the weights of its filter are positive. They are clipped to `limits`, of
+        shape (slices of the grid, 2).
+        """
+        device, kind = self._device, coefficients.kind
+        with device.buffers.mapped(coefficients.buffer, coefficients.shape, write=False, kind=kind) as held:
+            tops = held.max(axis=2)
+        defines: DefineDict = {
+            "NUMBER": "uchar" if self._numbers.itemsize == 1 else "ushort",
+            "BY_NEAREST": int(self._by_nearest),
+            "ROUNDING": 32 * (2.0**-52 if kind == np.float64 else 2.0**-23),
+        }
+        with (
+            device.buffers.lent(self._values, write=True, begun=True) as values,
+            device.buffers.lent(self._numbers, write=True, begun=True) as numbers,
+            device.buffers.lent(self._nearest, write=False) as nearest,
+            device.buffers.lent(self._least, write=True, begun=True) as least,
+        ):
+            arguments = (
+                device.buffers.upload(tops),
+                np.uint64(tops.shape[1]),
+                device.buffers.upload(limits.astype(kind)),
+                least,
+                np.uint32(number),
+                nearest,
+                numbers,
+                values,
+            )
+            which = _Kernel("spline/largest.cl", "keep_largest", defines)
+            _by_rows(coefficients, positions, coefficients.boundary.edge, which, arguments, progress)
+
+
+class _Kernel(NamedTuple):
+    """A kernel over blocks of rows, and the `#define`s of its own."""
+
+    file: str
+    name: str
+    defines: DefineDict
+
+
+def _by_rows(
+    coefficients: Coefficients,
+    positions: Sequence[NDArray[np.float64]],
+    edge: float,
+    which: _Kernel,
+    arguments: tuple[Any, ...],
+    progress: Progress | None,
+) -> None:
+    """Launch a kernel over blocks of rows of a grid, as rows.cl says; `arguments` follow those of the grid."""
+    device, taps, d = coefficients.device, coefficients.filter.support, coefficients.ndim
     nx, ny, nz = (*(len(along) for along in positions), 1, 1)[:3]
     nz = nz if d == 3 else coefficients.shape[0]
     whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
@@ -181,12 +284,12 @@ def _resample_part(
     scratch = device.buffers.allocate(np.dtype(coefficients.kind).itemsize * items * room)
     grid = np.array([nx, ny, nz, places[0].size], np.int32)
     defines = {"TAPS": taps, "DIMENSIONS": max(2, d), "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0}
-    built = device.build("spline/resample.cl", {**defines, **scalar_defines(coefficients.kind)})
+    kernel = device.build(which.file, {**defines, **scalar_defines(coefficients.kind), **which.defines}).kernel(which.name)
     some = max(1, LANES * device.limits.launch_taps // (_BLOCK * nx * (taps + 2) * d))  # writing a value takes as long as two taps
     for first in range(0, units, some):
         count = min(some, units - first)
         with device.errors:
-            built.kernel("resample_axes")(
+            kernel(
                 device.queue,
                 (min(items, count),),
                 (1,),
@@ -201,13 +304,12 @@ def _resample_part(
                 np.int32(count),
                 scratch,
                 np.uint64(room),
-                buffer,
+                *arguments,
             )
         device.finish()
         if progress:
             progress((first + count) / units)
     scratch.release()
-    _put_values(coefficients, positions, (nz, ny, nx), buffer, given, edge)
 
 
 def _put_values(

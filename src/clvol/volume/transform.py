@@ -343,6 +343,11 @@ def from_simpleitk(transform: Any) -> list[Transform]:
     if not isinstance(transform, sitk.Transform):
         raise OptionError(f"a transform must be one of SimpleITK's; got a {type(transform).__name__}")
     one = transform.Downcast() if type(transform) is sitk.Transform else transform
+    if one.IsLinear():  # the images of the origin and the axes define it, whatever its parameters or parts
+        d = one.GetDimension()
+        offset = np.array(one.TransformPoint((0.0,) * d))
+        ends = np.array([one.TransformPoint(tuple(end)) for end in _FAR * np.eye(d)])
+        return [AffineTransform((ends - offset).T / _FAR, offset)]
     if isinstance(one, sitk.CompositeTransform):
         parts = [from_simpleitk(one.GetNthTransform(n)) for n in range(one.GetNumberOfTransforms())]
         return [part for chain in parts for part in chain]
@@ -352,11 +357,6 @@ def from_simpleitk(transform: Any) -> list[Transform]:
         images = one.GetCoefficientImages()
         values = np.stack([sitk.GetArrayFromImage(image) for image in images], axis=-1)
         return [BSplineTransform(values, *_geometry(images[0]), order=one.GetOrder())]
-    if one.IsLinear():  # the images of the origin and the axes define it, whatever its parameters
-        d = one.GetDimension()
-        offset = np.array(one.TransformPoint((0.0,) * d))
-        ends = np.array([one.TransformPoint(tuple(end)) for end in _FAR * np.eye(d)])
-        return [AffineTransform((ends - offset).T / _FAR, offset)]
     raise OptionError(
         "a transform of SimpleITK must be linear (affine, Euler, versor, similarity, scale, translation), a BSplineTransform, a "
         f"DisplacementFieldTransform, or a CompositeTransform of these; got a {one.GetName()}"
