@@ -30,6 +30,9 @@
 //   SLOPES                        is 1
 //   FACE_MATTERS(frame, low, high)
 //                                 whether a face with a value from low to high could change a result, where `matters` may say no
+//   VALUE_OF(state, sample)       the value that the colour is of, as it is stored (or, of no sample's unit, as it is): projections
+//   OWN_GUIDES(state, coefficients, sample, normal, place)
+//                                 what it writes in place of normals and positions
 //   restart(state, active)        if samples are dependent (RESTARTS 1): the next ones lie behind a gap
 //
 // Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED, MISSING,
@@ -57,6 +60,9 @@
 #endif
 #ifndef FACE_MATTERS
 #define FACE_MATTERS(frame, low, high) 0
+#endif
+#ifndef VALUE_OF
+#define VALUE_OF(state, sample) ((real)(NAN))
 #endif
 #if !STRETCHES
 #define LAYERED 0

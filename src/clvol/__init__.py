@@ -79,6 +79,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.scene.mode import Attenuated as Attenuated
     from clvol.scene.mode import Composite as Composite
     from clvol.scene.mode import Isosurface as Isosurface
+    from clvol.scene.mode import Integral as Integral
     from clvol.scene.mode import Mean as Mean
     from clvol.scene.mode import Minip as Minip
     from clvol.scene.mode import Mip as Mip
@@ -140,7 +141,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "scene.clip": "Corner Plane",
     "scene.joint": "TransferFunction2D",
     "scene.light": "Light Material",
-    "scene.mode": "Attenuated Composite Isosurface Mean Minip Mip Mode Regions Surfaces modes",
+    "scene.mode": "Attenuated Composite Integral Isosurface Mean Minip Mip Mode Regions Surfaces modes",
     "scene.preset": "presets",
     "scene.scene": "Medium Scene",
     "scene.transfer": "TransferFunction",

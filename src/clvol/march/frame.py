@@ -314,7 +314,7 @@ class Subject:
         (width, height), volume, unit = size, medium.volume, rails.volume.mean_spacing
         margin = rails.margin(volume, view, aspect)
         transfer, of_shape = look.transfer, colored_by(mode) in (*CURVATURES, BY_DISTANCE)
-        shown = AS_THEY_ARE if of_shape else stored  # values that colours are of
+        shown = AS_THEY_ARE if of_shape or mode.shows == "integral" else stored  # values that colours are of
         if transfer.unit_distance is None:
             transfer = replace(transfer, unit_distance=volume.mean_spacing)
         block, _ = frame_block(mode.BLOCK)

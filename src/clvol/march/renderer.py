@@ -209,11 +209,14 @@ class Renderer:
         step : float
             The most that a ray advances between samples, in voxels. Exact surfaces take no samples: see `Isosurface`.
         outputs : str or sequence of str
-            Of "rgba", "depth", "normal", "position", "visited", "uncertainty"; several give a dictionary. Depth is the world
+            Of "rgba", "depth", "normal", "position", "visited", "value", "uncertainty", "pose"; several give a dictionary. Depth is the world
             distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing; normals face
             the viewer, those of the cut on its faces and caps; positions are in the world. They belong to the ray through the
             pixel's middle: in "composite" where half of the light is stopped, in projections where the extreme lies; "mean" has
-            none. "visited" is the share of a ray's samples that was evaluated. "uncertainty", of "isosurface" alone, is the
+            none. "visited" is the share of a ray's samples that was evaluated. "value" is what the colours of a projection are of:
+            the largest value, or the line integral. "pose", of "integral" alone, is by how much that changes as the volume is
+            moved, in front of a camera and a ray that stay: for a translation along x, y and z of the world, a world unit, and a
+            rotation about x, y and z through the volume's centre, a radian. "uncertainty", of "isosurface" alone, is the
             distance within which the true surface lies, and the angle in degrees within which its normal lies: see the notes.
         progress : callable, optional
             Called with the fraction done.
@@ -226,7 +229,8 @@ class Renderer:
         Picture, an ndarray of float32, shape (height, width, 4), or a dictionary
             Red, green, blue in sRGB, not premultiplied, and opacity, in 0..1; row 0 is the top. Notebooks show it; it has `save`
             and `show`. Depth and visited have shape (height, width), normals and positions (height, width, 3), uncertainty (height,
-            width, 2); NaN where there is nothing. Positions are float64, exact to float32 as seen from the volume's centre.
+            width, 2), poses (height, width, 6); NaN where there is nothing, but integrals are 0 there. Positions are float64,
+            exact to float32 as seen from the volume's centre, and so are values of data that float32 does not hold.
 
         Raises
         ------
@@ -264,7 +268,8 @@ class Renderer:
             require_room(fine.size, wanted, edges=fine.rays == "auto")
             uncertainty = self._source.uncertainty(chosen) if noise else None
             stage = staged(ResolvedLook.of(self.scene, self._source.part, camera, chosen, options), fine, options)
-            pictures = self._source.draw(stage.drawn, fine, wanted != ("rgba",), watched("the picture", progress))
+            drawn = self._source.moving(stage.drawn) if "pose" in wanted else stage.drawn
+            pictures = self._source.draw(drawn, fine, wanted != ("rgba",), watched("the picture", progress))
             warn_if_empty(stage.drawn, fine.step, self._source, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = stage.look.central or not self._source.filter_of(chosen).has_gradient
