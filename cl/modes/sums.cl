@@ -4,6 +4,7 @@
 
 #define REACH 0.0f
 #define ANY_ORDER 0
+#define WHOLE_TILES 1
 #define PROMISE(low, high) 0.0f
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return NONE; }

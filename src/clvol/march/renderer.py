@@ -209,15 +209,16 @@ class Renderer:
         step : float
             The most that a ray advances between samples, in voxels. Exact surfaces take no samples: see `Isosurface`.
         outputs : str or sequence of str
-            Of "rgba", "depth", "normal", "position", "visited", "value", "uncertainty", "pose"; several give a dictionary. Depth is the world
-            distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing; normals face
-            the viewer, those of the cut on its faces and caps; positions are in the world. They belong to the ray through the
-            pixel's middle: in "composite" where half of the light is stopped, in projections where the extreme lies; "mean" has
-            none. "visited" is the share of a ray's samples that was evaluated. "value" is what the colours of a projection are of:
-            the largest value, or the line integral. "pose", of "integral" alone, is by how much that changes as the volume is
-            moved, in front of a camera and a ray that stay: for a translation along x, y and z of the world, a world unit, and a
-            rotation about x, y and z through the volume's centre, a radian. "uncertainty", of "isosurface" alone, is the
-            distance within which the true surface lies, and the angle in degrees within which its normal lies: see the notes.
+            Of "rgba", "depth", "normal", "position", "visited", "value", "uncertainty", "pose"; several give a dictionary. Depth is
+            the world distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
+            normals face the viewer, those of the cut on its faces and caps; positions are in the world. They belong to the ray
+            through the pixel's middle: in "composite" where half of the light is stopped, in projections where the extreme lies;
+            "mean" and "integral" have none. "visited" is the share of a ray's samples that was evaluated. "value" is what the
+            colours of a projection are of: the extreme, the mean, or the line integral. "pose", of "integral" alone, is by how much
+            that changes as the volume moves, while camera and ray stay: by a translation along x, y and z of the world, for a world
+            unit, and by a rotation about x, y and z through the volume's centre, for a radian. "uncertainty", of "isosurface"
+            alone, is the distance within which the true surface lies, and the angle in degrees within which its normal lies: see
+            the notes.
         progress : callable, optional
             Called with the fraction done.
         **options

@@ -54,8 +54,8 @@ __all__ = [
     "in_linear_light",
     "mode_options",
     "modes",
-    "opacities_of",
     "moved",
+    "opacities_of",
     "outlined",
     "require_heard",
     "virtual_samples",
@@ -708,7 +708,9 @@ class Integral(_Opaque):
 
     def settled(self, volume: Volume) -> Self:
         if volume.is_labels and self.mu_water is not None:
-            raise OptionError("mu_water takes Hounsfield units, and labels are names; leave it out, or give Volume(..., labels=False)")
+            raise OptionError(
+                "mu_water takes Hounsfield units, and labels are names; leave it out, or give Volume(..., labels=False)"
+            )
         if not 2 * volume.radius * max(map(abs, volume.value_range)) <= _LARGEST:
             raise DataError(f"integrals must be within ±{_LARGEST:g}, as float32 has them; samples are from {volume.value_range}")
         return self

@@ -164,7 +164,8 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
         """The colours to display, (height, width, 3 or 4): the array itself if it holds colours.
 
         Depth is grey, with the nearest white; normals and positions show x, y and z as red, green and blue. Both are transparent
-        where the ray hits nothing. Values are grey, the largest white. "visited" and "uncertainty" are heat maps; the latter shows distances, with a scale.
+        where the ray hits nothing. Values are grey, the largest white. "visited" and "uncertainty" are heat maps; the latter shows
+        distances, with a scale.
         """
         array = np.asarray(self)
         if not self._shows or self.kind not in _SHOWN:
