@@ -328,7 +328,7 @@ def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
     """The pictures in the world: kernels write positions relative to the volume's centre, and values as they are stored."""
     if not frame.guides:
         return arrays
-    if frame.mode.moves:
+    if frame.moves:
         arrays["pose"] = np.concatenate([arrays["normal"], arrays["position"]], -1)
         arrays["normal"], arrays["position"] = (np.full_like(arrays[name], np.nan) for name in ("normal", "position"))
     arrays["position"] = arrays["position"] + frame.coefficients.volume.center

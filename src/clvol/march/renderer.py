@@ -26,7 +26,7 @@ from clvol.march.options import (
 )
 from clvol.march.recipe import staged
 from clvol.march.refine import Asked
-from clvol.march.source import ByBricks, Source
+from clvol.march.source import ByBricks, Source, moving
 from clvol.march.uncertainty import noise_of
 from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode
 
@@ -209,16 +209,12 @@ class Renderer:
         step : float
             The most that a ray advances between samples, in voxels. Exact surfaces take no samples: see `Isosurface`.
         outputs : str or sequence of str
-            Of "rgba", "depth", "normal", "position", "visited", "value", "uncertainty", "pose"; several give a dictionary. Depth is
-            the world distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
-            normals face the viewer, those of the cut on its faces and caps; positions are in the world. They belong to the ray
-            through the pixel's middle: in "composite" where half of the light is stopped, in projections where the extreme lies;
-            "mean" and "integral" have none. "visited" is the share of a ray's samples that was evaluated. "value" is what the
-            colours of a projection are of: the extreme, the mean, or the line integral. "pose", of "integral" alone, is by how much
-            that changes as the volume moves, while camera and ray stay: by a translation along x, y and z of the world, for a world
-            unit, and by a rotation about x, y and z through the volume's centre, for a radian. "uncertainty", of "isosurface"
-            alone, is the distance within which the true surface lies, and the angle in degrees within which its normal lies: see
-            the notes.
+            Of "rgba", "depth", "normal", "position", "visited", "value", "pose", "uncertainty"; several give a dictionary. Depth is
+            the world distance from the eye along the ray (orthographic: from its plane), inf where there is nothing; normals face
+            the viewer, also on faces of cuts; positions are in the world. All are of the ray through the pixel's middle: in
+            "composite" where half of the light is stopped, in projections at the extreme, of sums nowhere. "visited" is the share
+            of a ray's samples that was evaluated, "value" what projections show; "pose" is of `Integral`. "uncertainty", of
+            "isosurface" alone, bounds the distance of the true surface, and the angle of its normal in degrees: see the notes.
         progress : callable, optional
             Called with the fraction done.
         **options
@@ -229,9 +225,8 @@ class Renderer:
         -------
         Picture, an ndarray of float32, shape (height, width, 4), or a dictionary
             Red, green, blue in sRGB, not premultiplied, and opacity, in 0..1; row 0 is the top. Notebooks show it; it has `save`
-            and `show`. Depth and visited have shape (height, width), normals and positions (height, width, 3), uncertainty (height,
-            width, 2), poses (height, width, 6); NaN where there is nothing, but integrals are 0 there. Positions are float64,
-            exact to float32 as seen from the volume's centre, and so are values of data that float32 does not hold.
+            and `show`. Depth, visited and value have shape (height, width), normals and positions 3 numbers,
+            uncertainty 2; NaN where there is nothing. Positions are float64, exact to float32 as seen from the volume's centre.
 
         Raises
         ------
@@ -267,10 +262,9 @@ class Renderer:
             noise = noise_of(self.volume, options.get("sigma")) if "uncertainty" in wanted else None
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, wanted, edges=fine.rays == "auto")
-            uncertainty = self._source.uncertainty(chosen) if noise else None
+            uncertainty, told = self._source.uncertainty(chosen) if noise else None, watched("the picture", progress)
             stage = staged(ResolvedLook.of(self.scene, self._source.part, camera, chosen, options), fine, options)
-            drawn = self._source.moving(stage.drawn) if "pose" in wanted else stage.drawn
-            pictures = self._source.draw(drawn, fine, wanted != ("rgba",), watched("the picture", progress))
+            pictures = self._source.draw(moving(self._source, stage.drawn, wanted), fine, wanted != ("rgba",), told)
             warn_if_empty(stage.drawn, fine.step, self._source, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = stage.look.central or not self._source.filter_of(chosen).has_gradient

@@ -52,7 +52,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.scene.mode import Mode
     from clvol.spline.evaluator import Evaluator
 
-__all__ = ["ByBricks", "Drawable", "InMemory", "Several", "Source"]
+__all__ = ["ByBricks", "Drawable", "InMemory", "Several", "Source", "moving"]
 
 Drawable: TypeAlias = Scene | Medium | Volume | Volumes | LazyVolume | Field | BrickedField | ArrayLike
 """Inputs of a `Renderer`."""
@@ -131,19 +131,6 @@ class Source(ABC):
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
         if "value" in outputs and mode.shows in ("matter", "surface"):
             raise OptionError(f'the output "value" is of projections, such as mip and integral; got {mode.name!r}')
-
-    def moving(self, look: ResolvedLook) -> ResolvedLook:
-        """The same look, which also has the output "pose": `OptionError` unless that is known."""
-        row = self.filter_of(look.mode)
-        if look.mode.shows != "integral":
-            raise OptionError(f'the output "pose" is of line integrals: mode must be integral; got {look.mode.name!r}')
-        if not row.has_gradient or look.central:
-            raise OptionError(f'the output "pose" takes a filter with slopes, and its own gradient; got {row.name} or central ones')
-        if self.by_bricks or not isinstance(self.field, Field) or self.field.gaps is not None:
-            raise OptionError('the output "pose" takes a volume in memory that lacks no samples')
-        if look.clip is not None:
-            raise OptionError('the output "pose" is of whole volumes: clip must be None')
-        return replace(look, mode=moved(look.mode))
 
     def _no_regions(self) -> str:
         """What of it keeps the regions of labels from being drawn; "" if nothing does."""
@@ -640,6 +627,22 @@ class Several(Source):
     ) -> Pictures:
         level = self._level(look, fine, look.view(fine.size), coarsest)
         return self._own(look).drawn(look, fine, level, guides, lit, progress)
+
+
+def moving(source: Source, look: ResolvedLook, outputs: Collection[str]) -> ResolvedLook:
+    """The same look, which has the output "pose" if it is wanted: `OptionError` unless that is known."""
+    if "pose" not in outputs:
+        return look
+    row = source.filter_of(look.mode)
+    if look.mode.shows != "integral":
+        raise OptionError(f'the output "pose" is of line integrals: mode must be integral; got {look.mode.name!r}')
+    if not row.has_gradient or look.central:
+        raise OptionError(f'the output "pose" takes a filter with slopes, and its own gradient; got {row.name} or central ones')
+    if not isinstance(source.field, Field) or source.field.gaps is not None:
+        raise OptionError('the output "pose" takes a volume in memory that lacks no samples')
+    if look.clip is not None:
+        raise OptionError('the output "pose" is of whole volumes: clip must be None')
+    return replace(look, mode=moved(look.mode))
 
 
 def _together(seen: Sequence[Seen]) -> Subject:

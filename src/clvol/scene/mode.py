@@ -55,6 +55,7 @@ __all__ = [
     "mode_options",
     "modes",
     "moved",
+    "moves",
     "opacities_of",
     "outlined",
     "require_heard",
@@ -120,8 +121,6 @@ class Mode:
         Whether it shows the smooth regions of labels: the value of a place is the label of its region.
     grades : bool
         Whether opacity may depend on more than the value: on the gradient, and on curvature.
-    moves : bool
-        Whether its kernel writes how values change as the volume moves, in place of normals and positions.
     """
 
     name: ClassVar[str]
@@ -137,7 +136,6 @@ class Mode:
     ramp: ClassVar[float] = 1.0
     regions: ClassVar[bool] = False
     grades: ClassVar[bool] = False
-    moves: ClassVar[bool] = False
     BLOCK: ClassVar[Block] = Block("mode_block")
 
     @property
@@ -668,6 +666,10 @@ class Integral(_Opaque):
     Its unit is that of the data times that of lengths. Missing samples, and what is cut away, count nothing. The transfer function
     is of integrals; by default 0 is black.
 
+    The output "value" has the integrals as numbers, 0 where a ray misses the volume. "pose", (height, width, 6), has their
+    derivatives as the volume moves, while the camera stays: by a translation along x, y and z of the world, and by a rotation about
+    x, y and z through the volume's centre, in radians (`Radiograph`). It is of volumes in memory that are whole, without cuts.
+
     Parameters
     ----------
     mu_water : float, optional
@@ -726,7 +728,6 @@ class _Moved(Integral):
     """The same, and how it changes as the volume moves."""
 
     state_fields: ClassVar[int] = 7
-    moves: ClassVar[bool] = True
 
     @property
     def file(self) -> str:
@@ -737,6 +738,11 @@ def moved(mode: Mode) -> Mode:
     """A settled mode, an `Integral`, whose kernel also writes how it changes as the volume moves."""
     assert isinstance(mode, Integral)
     return _Moved(mode.mu_water)
+
+
+def moves(mode: Mode) -> bool:
+    """Whether its kernel writes how values change as the volume moves, in place of normals and positions."""
+    return isinstance(mode, _Moved)
 
 
 _TABLE: dict[str, type[Mode]] = {
