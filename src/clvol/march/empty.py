@@ -59,8 +59,8 @@ def warn_of_refined(
 
 
 def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapping[str, Any]) -> str:
-    """That all samples look the same, if they do; "" for surfaces, which show where they are."""
-    if limits is None or look.scene.media[0].color_by is not None:
+    """That all samples look the same, if they do; "" for surfaces and integrals, which show where they are."""
+    if limits is None or look.scene.media[0].color_by is not None or look.mode.shows == "integral":
         return ""
     low, high = limits
     if low == high:

@@ -83,6 +83,7 @@ _BONE, _RED = (0.93, 0.87, 0.76), (0.80, 0.25, 0.20)
 _SHOWN = ("matter", "surface", "max", "min", "mean", "integral")
 _AIR = -1000.0  # Hounsfield units
 _LARGEST = 1e36  # integrals
+_ROUNDING = 2.0**-14  # a share of values that bounds of blocks may be off by, of cubic splines
 _SOUGHT = ("largest", "smallest", "any")
 
 
@@ -690,7 +691,7 @@ class Integral(_Opaque):
     description: ClassVar[str] = "the line integral along the ray, as in a radiograph"
     state_fields: ClassVar[int] = 1
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "integral"
-    BLOCK: ClassVar[Block] = Block("mode_block", zero=FLOAT, scale=FLOAT, clamped=INT)
+    BLOCK: ClassVar[Block] = Block("mode_block", zero=FLOAT, least=FLOAT, scale=FLOAT, clamped=INT)
 
     def __post_init__(self) -> None:
         if self.mu_water is not None:
@@ -720,7 +721,8 @@ class Integral(_Opaque):
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:
         zero, per_value = (0.0, 1.0) if self.mu_water is None else (_AIR, self.mu_water / -_AIR)
         scale = math.ldexp(per_value * volume.mean_spacing, stored.exponent)
-        return self.BLOCK(zero=float(stored(zero)), scale=scale, clamped=self.mu_water is not None)
+        own = float(stored(zero))
+        return self.BLOCK(zero=own, least=_ROUNDING * abs(own), scale=scale, clamped=self.mu_water is not None)
 
 
 @dataclass(frozen=True)
