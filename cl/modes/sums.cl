@@ -1,7 +1,7 @@
 // What modes of line integrals have in common. Set before: state_t, with the `sum`.
 //
-// Values count from `zero`, and with `clamped` those that are less than `least` above it add nothing, to the last bit: then blocks of
-// such values are skipped. `least` is what roundings may make of `zero`.
+// Values count from `zero`, with `clamped` only those above it. Those nearer than `least`, which is rounding, add nothing, to the last
+// bit: blocks of such values are skipped.
 
 #define REACH 0.0f
 #define ANY_ORDER 0
@@ -13,13 +13,13 @@ INLINE mask finished(const state_t *s, constant frame_t *frame) { return NONE; }
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
     constant mode_block *mode = &frame->mode;
-    return mode->clamped ? high - mode->zero >= mode->least : (low < mode->zero) | (high > mode->zero);
+    return (high - mode->zero >= mode->least) | (!mode->clamped & (mode->zero - low >= mode->least));
 }
 
 INLINE real height_of(constant frame_t *frame, const real value)
 {
     const real height = value - frame->mode.zero;
-    return frame->mode.clamped ? choose(height >= frame->mode.least, height, (real)(0.0f)) : height;
+    return choose((frame->mode.clamped ? height : magnitude(height)) >= frame->mode.least, height, (real)(0.0f));
 }
 
 // The length of the stretch of a sample, in mean spacings.

@@ -83,6 +83,7 @@ _BONE, _RED = (0.93, 0.87, 0.76), (0.80, 0.25, 0.20)
 _SHOWN = ("matter", "surface", "max", "min", "mean", "integral")
 _AIR = -1000.0  # Hounsfield units
 _LARGEST = 1e36  # integrals
+_RESIDUE = 2.0**-24  # a share of the largest value that a sum in float32 does not have
 _ROUNDING = 2.0**-14  # a share of values that bounds of blocks may be off by, of cubic splines
 _SOUGHT = ("largest", "smallest", "any")
 
@@ -721,8 +722,9 @@ class Integral(_Opaque):
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:
         zero, per_value = (0.0, 1.0) if self.mu_water is None else (_AIR, self.mu_water / -_AIR)
         scale = math.ldexp(per_value * volume.mean_spacing, stored.exponent)
-        own = float(stored(zero))
-        return self.BLOCK(zero=own, least=_ROUNDING * abs(own), scale=scale, clamped=self.mu_water is not None)
+        own, largest = float(stored(zero)), float(np.abs(stored(volume.value_range)).max())
+        least = _RESIDUE * largest if self.mu_water is None else _ROUNDING * abs(own)
+        return self.BLOCK(zero=own, least=least, scale=scale, clamped=self.mu_water is not None)
 
 
 @dataclass(frozen=True)
