@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import clvol
 from clvol import Camera, Radiograph, Renderer, TransferFunction, Volume
 from clvol.base.errors import DataError, OptionError
+from clvol.bricks.field import BrickedField
 from clvol.device import Device
 from clvol.reference.march.march import render as reference
 from clvol.reference.march.rays import camera_rays
@@ -213,3 +214,20 @@ def test_integrals_that_float32_does_not_hold_are_refused(device: Device) -> Non
         clvol.render(np.full((4, 4, 4), 1e37, np.float32) * np.arange(4), mode="integral", size=(4, 4), device=device)
     with pytest.raises(OptionError, match="labels are names"):
         clvol.render(Volume(np.ones((4, 4, 4), np.uint8), labels=True), mode="integral", mu_water=0.02, size=(4, 4), device=device)
+
+
+@pytest.mark.parametrize("own", [{}, {"mu_water": 0.02}])
+def test_by_bricks_numbers_are_the_same(own: dict[str, float], device: Device) -> None:
+    """Bricks of air are not read. Sums are added up brick by brick, in another order."""
+    data = np.full((40, 40, 40), -1000.0, np.float32)
+    data[4:14, 6:16, 20:30] = 300.0 + np.random.default_rng(4).normal(0, 50, (10, 10, 10))
+    volume = Volume(data, SPACING, ORIGIN)
+    look: dict[str, Any] = {"camera": CAMERAS["perspective"], "mode": "integral", "size": SIZE, "outputs": ["rgba", "value"], **own}
+    with BrickedField(volume, "linear", device=device, edge=16) as field, Renderer(field) as renderer:
+        got = renderer.render(**look)
+        with pytest.raises(OptionError, match="in memory"):
+            renderer.render(**{**look, "outputs": "pose"})
+    with Renderer(volume, "linear", device=device) as renderer:
+        want = renderer.render(**look)
+    np.testing.assert_allclose(got["rgba"], want["rgba"], atol=1e-6)
+    np.testing.assert_allclose(got["value"], want["value"], atol=1e-6 * float(np.abs(want["value"]).max()))
