@@ -29,8 +29,9 @@ def test_each_mode_has_a_kernel_file_and_a_reference(name: str) -> None:
     assert as_mode(mode) == mode
     assert mode.description
     text = (program.folder() / mode.file).read_text(encoding="utf-8")
-    if '"modes/extreme.cl"' in text:
-        text += (program.folder() / "modes/extreme.cl").read_text(encoding="utf-8")
+    for shared in ("modes/extreme.cl", "modes/sums.cl"):
+        if f'"{shared}"' in text:
+            text += (program.folder() / shared).read_text(encoding="utf-8")
     stretches = "#define STRETCHES 1" in text
     assert stretches == mode.stretches
     for word in KERNEL:
