@@ -57,7 +57,7 @@ def test_every_option_is_a_documented_field(name: str) -> None:
 
 @pytest.mark.parametrize("wrong", ["MIP", "", None, 3, Volume])
 def test_unknown_modes(wrong: Any) -> None:
-    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, surfaces, regions, mip, .*, mean; got "):
+    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, surfaces, regions, mip, .*, integral; got "):
         as_mode(wrong)
 
 
