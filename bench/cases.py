@@ -260,6 +260,15 @@ class Bench:
         amount = float(shot.size[0] * shot.size[1])
         return Work(partial(draw, renderer, shot), theirs, amount, "Mpixel/s", None, self.repeats, _difference)
 
+    def radiograph(self) -> Work:
+        """Line integrals in a pose, and beside them those with their derivatives."""
+        radiograph = clvol.Radiograph(self.renderer(self.n).field, camera(), self.size)
+        pose = (1.0, -2.0, 0.5, 0.02, -0.01, 0.03)
+        theirs = {"clvol, derivatives too": Peer(lambda: radiograph.gradient(pose)[0])}
+        return Work(
+            lambda: radiograph(pose), theirs, float(self.size[0] * self.size[1]), "Mpixel/s", None, self.repeats, _difference
+        )
+
     def frame_of(self, n: int, mode: str) -> Work:
         kind = "uint8" if n >= 1024 else "float32"
         self.require(n, kind)
@@ -327,6 +336,7 @@ def all_cases(bench: Bench) -> Iterator[Case]:
             )
     for name in shots(bench):
         yield Case(f"frame {bench.size[0]}² of {n}³, {name}", partial(_frame_by_name, bench, name))
+    yield Case(f"radiograph {bench.size[0]}² of {n}³", bench.radiograph)
     yield Case(f"magnify ×2, {n // 2}³, prefilter included", lambda: bench.magnify(n // 2))
     yield Case(f"first frame of {n}³ in a new process", lambda: bench.first_frame(n))
     for kind in ("float32", "uint16"):

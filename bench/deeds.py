@@ -63,7 +63,7 @@ NOT_DONE = {
 }
 """Public names that no deed uses, and why."""
 
-MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean", "surfaces")
+MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean", "surfaces", "integral")
 FILTERS = (
     "linear",
     "bspline2",
@@ -265,7 +265,7 @@ def _look(world: World, random: Random) -> dict[str, Any]:
     if world.quick:
         return options
     options |= _some(random, _FRAME, 0.2) | _some(random, _OF_MODE.get(mode, {}), 0.3)
-    if mode != "mean":
+    if mode not in ("mean", "integral"):
         options |= _some(random, _WORDS, 0.2)
     if "tolerance" in options:
         options.pop("step", None)
@@ -324,6 +324,7 @@ def modes_as_classes(world: World, random: Random) -> Any:
         clvol.Minip(),
         clvol.Mean(),
         clvol.Surfaces(),
+        clvol.Integral(),
     )
     assert clvol.Regions().regions
     chosen: clvol.Mode = _one(random, classes[: len(world.modes)])
@@ -580,6 +581,13 @@ def photographs(world: World, random: Random) -> Any:
     if which == 1:
         return images.zoom(image, float(random.uniform(0.3, 1.8)), row, rule)
     return images.rotate(image, float(random.uniform(-180, 180)), row, rule)
+
+
+@_deed(4)
+def radiographs(world: World, random: Random) -> Any:
+    pose = np.concatenate([random.normal(0, 0.1, 3), random.normal(0, 0.05, 3)])
+    with clvol.Radiograph(world.volumes["blob"], _camera(random), (40, 40)) as radiograph:
+        return radiograph.gradient(pose)
 
 
 @_deed(4)

@@ -150,9 +150,9 @@ kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global con
 // After the last brick: the picture. No coefficients are resident.
 kernel void finish_bricks(COEFFICIENTS nothing, const int4 extent, constant frame_t *frame, global const float4 *table,
                           global const float2 *places, global const float *states, global const float *shown, global float4 *rgba,
-                          global float *depth, global float *normals, global float *positions, global float *visited)
+                          global float *depth, global float *normals, global float *positions, global float *visited, global float *values)
 {
-    const pictures_t pictures = { rgba, depth, normals, positions, visited };
+    const pictures_t pictures = { rgba, depth, normals, positions, visited, values };
     TILE_OF_THIS_ITEM(places);
     load_states(&tile, frame, states);
     plane_t none;
@@ -162,10 +162,13 @@ kernel void finish_bricks(COEFFICIENTS nothing, const int4 extent, constant fram
         if (x >= frame->picture.width || y >= frame->picture.height)
             continue;
         const ray_t *ray = tile.rays + g;
-        const real t = place_of(tile.states + g);
+        const state_t *state = tile.states + g;
+        const real t = place_of(state);
         const mask somewhere = t < NOWHERE;
         lanes_u nx = { (real)(NAN) }, ny = nx, nz = nx;
         const lane_masks_u known = { somewhere };
+        const sample_t sample = { frame, table, extent, ray, &none, 0, 0.0f, 0 };
+        (void)sample;   // not every mode uses it
 #if FINISHED_THERE
         lanes_u red = { (real)(0.0f) }, green = red, blue = red;
         EACH_PIXEL(x, y)
@@ -176,8 +179,7 @@ kernel void finish_bricks(COEFFICIENTS nothing, const int4 extent, constant fram
             }
         const color_t color = { red.all, green.all, blue.all, choose(somewhere, (real)(1.0f), (real)(0.0f)), (real)(0.0f) };
 #else
-        const sample_t sample = { frame, table, extent, ray, &none, 0, 0.0f, 0 };
-        const color_t color = finish(tile.states + g, nothing, &sample);
+        const color_t color = finish(state, nothing, &sample);
 #endif
         if (GUIDES && frame->picture.pass == 0)
             EACH_PIXEL(x, y)
@@ -186,6 +188,7 @@ kernel void finish_bricks(COEFFICIENTS nothing, const int4 extent, constant fram
                     ny.each[i] = SHOWN_AT(SHOWN_NORMALS + 1);
                     nz.each[i] = SHOWN_AT(SHOWN_NORMALS + 2);
                 }
-        store_packet(frame, ray, color, t, real3_of(nx.all, ny.all, nz.all), tile.gathered[g], x, y, &pictures);
+        store_packet(frame, ray, color, t, real3_of(nx.all, ny.all, nz.all), places_at(frame, ray, t), VALUE_OF(state, &sample), tile.gathered[g], x,
+                     y, &pictures);
     }
 }

@@ -182,6 +182,14 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py, const int part
 #endif
 }
 
+// Where rays are at t, counted from the volume's centre, in mean spacings of the world.
+INLINE real3 from_center(constant frame_t *frame, const ray_t *ray, const real t)
+{
+    constant float *center = frame->geometry.center;
+    const real3 origin = real3_of(ray->origin.x - center[0], ray->origin.y - center[1], ray->origin.z - center[2]);
+    return matrix3(frame->geometry.index_to_world, at3(origin, ray->direction, t));
+}
+
 // The extent of the stretch of sample number n, at t, before and after it: half a step, except from the ray's entry to the first
 // sample, and from the last one to its exit. True if n is the first or the last of some active ray.
 INLINE int stretch_of(const ray_t *ray, float n, real t, mask active, real *before, real *behind)

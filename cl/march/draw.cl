@@ -28,12 +28,12 @@ INLINE int light_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 extent
 
 kernel void draw(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,
                  global const uchar *missing, constant frame_t *frame, global const float4 *table, global const float2 *places,
-                 global float4 *rgba, global float *depth, global float *normals, global float *positions, global float *visited)
+                 global float4 *rgba, global float *depth, global float *normals, global float *positions, global float *visited, global float *values)
 {
     const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;
     if (left >= frame->picture.width || top >= frame->picture.height)
         return;
-    const pictures_t pictures = { rgba, depth, normals, positions, visited };
+    const pictures_t pictures = { rgba, depth, normals, positions, visited, values };
     tile_t tile;
 #if CAST
     cast_t cast;

@@ -30,6 +30,10 @@
 //   SLOPES                        is 1
 //   FACE_MATTERS(frame, low, high)
 //                                 whether a face with a value from low to high could change a result, where `matters` may say no
+//   VALUE_OF(state, sample)       the value that the colour is of, as it is stored (or, of no sample's unit, as it is): projections
+//   OWN_GUIDES(state, coefficients, sample, normal, place)
+//                                 what it writes in place of normals and positions
+//   WHOLE_TILES                   1: where some ray of a tile needs samples all take theirs, for modes that seldom skip any
 //   restart(state, active)        if samples are dependent (RESTARTS 1): the next ones lie behind a gap
 //
 // Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED, MISSING,
@@ -57,6 +61,12 @@
 #endif
 #ifndef FACE_MATTERS
 #define FACE_MATTERS(frame, low, high) 0
+#endif
+#ifndef WHOLE_TILES
+#define WHOLE_TILES 0
+#endif
+#ifndef VALUE_OF
+#define VALUE_OF(state, sample) ((real)(NAN))
 #endif
 #if !STRETCHES
 #define LAYERED 0
@@ -249,7 +259,7 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
         mask wanted[PACKETS];
         for (int g = 0; g < PACKETS; ++g) {
             wanted[g] = lanes_within(tile->rays + g, tile->going[g], start, stop);
-            if (PACKETS > 1 && frame->minmax.skipping && any_lane(wanted[g])) {
+            if (PACKETS > 1 && !WHOLE_TILES && frame->minmax.skipping && any_lane(wanted[g])) {
                 const bounds_t bounds = bounds_of(minmax, frame, extent.w, tile, g, 1, start, stop);
                 if (!packet_matters(frame, table, tile, g, &bounds, start, stop))
                     wanted[g] = NONE;

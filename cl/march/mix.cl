@@ -43,9 +43,9 @@ kernel void mix_media(constant frame_t *frame, global const float2 *places, cons
 }
 
 kernel void finish_media(constant frame_t *frame, global const float2 *places, global const float *states, global float4 *rgba,
-                         global float *depth, global float *normals, global float *positions, global float *visited)
+                         global float *depth, global float *normals, global float *positions, global float *visited, global float *values)
 {
-    const pictures_t pictures = { rgba, depth, normals, positions, visited };
+    const pictures_t pictures = { rgba, depth, normals, positions, visited, values };
     TILE_OF_THIS_ITEM(places);
     load_states(&tile, frame, states);
     store_mixed(&tile, frame, &pictures);

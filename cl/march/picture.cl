@@ -5,7 +5,7 @@
 #include "march/march.cl"
 
 // The output pictures; unrequested ones are never written. Positions are relative to the volume's centre, which the host adds.
-typedef struct { global float4 *rgba; global float *depth, *normals, *positions, *visited; } pictures_t;
+typedef struct { global float4 *rgba; global float *depth, *normals, *positions, *visited, *values; } pictures_t;
 
 // The lanes of the packet at pixel (x, y) that are in the picture.
 #define EACH_PIXEL(x, y)             \
@@ -117,24 +117,22 @@ INLINE real3 normals_at(COEFFICIENTS coefficients, const sample_t *sample, const
     return normal;
 }
 
-// Where rays are at t, counted from the volume's centre, in world units.
-INLINE real3 places_at(constant frame_t *frame, const ray_t *ray, real t)
-{
-    constant float *center = frame->geometry.center;
-    const real3 origin = real3_of(ray->origin.x - center[0], ray->origin.y - center[1], ray->origin.z - center[2]);
-    return scale3(matrix3(frame->geometry.index_to_world, at3(origin, ray->direction, t)), (real)(frame->geometry.unit));
-}
-
-// Writes the rays of a packet to the picture: their colours, t and normals.
-INLINE void store_packet(constant frame_t *frame, const ray_t *ray, const color_t color, real t, const real3 normal, real gathered,
-                         const int x, const int y, const pictures_t *pictures)
+// Where rays are at t, counted from the volume's centre, in world units; NaN where they end nowhere.
+INLINE real3 places_at(constant frame_t *frame, const ray_t *ray, const real t)
 {
     const mask somewhere = t < NOWHERE;
     real3 place = real3_of((real)(NAN), (real)(NAN), (real)(NAN));
     if (GUIDES && any_lane(somewhere)) {
-        const real3 p = places_at(frame, ray, choose(somewhere, t, ray->enter));
+        const real3 p = scale3(from_center(frame, ray, choose(somewhere, t, ray->enter)), (real)(frame->geometry.unit));
         place = real3_of(choose(somewhere, p.x, place.x), choose(somewhere, p.y, place.y), choose(somewhere, p.z, place.z));
     }
+    return place;
+}
+
+// Writes the rays of a packet to the picture: their colours, t, normals, places and the values that colours are of.
+INLINE void store_packet(constant frame_t *frame, const ray_t *ray, const color_t color, real t, const real3 normal, const real3 place,
+                         real value, real gathered, const int x, const int y, const pictures_t *pictures)
+{
     const lanes_u red = { color.red }, green = { color.green }, blue = { color.blue }, opacity = { color.opacity }, depths = { t + ray->ahead };
     const lanes_u nx = { normal.x }, ny = { normal.y }, nz = { normal.z }, x_ = { place.x }, y_ = { place.y }, z_ = { place.z };
     EACH_PIXEL(x, y)
@@ -143,9 +141,12 @@ INLINE void store_packet(constant frame_t *frame, const ray_t *ray, const color_
     if (GUIDES && frame->picture.pass == 0) {
         const real samples = ray->end - ray->begin + 1.0f + 2.0f * MARGIN;
         // parts of a ray (placed_ray) have more ends
-        const lanes_u share = { choose(ray->hits & (samples > 0.0f), MIN(gathered / samples, (real)(1.0f)), (real)(NAN)) };
-        EACH_PIXEL(x, y)
-            pictures->visited[(size_t)(y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS] = share.each[i];
+        const lanes_u share = { choose(ray->hits & (samples > 0.0f), MIN(gathered / samples, (real)(1.0f)), (real)(NAN)) }, shown = { value };
+        EACH_PIXEL(x, y) {
+            const size_t pixel = (size_t)(y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS;
+            pictures->visited[pixel] = share.each[i];
+            pictures->values[pixel] = shown.each[i];
+        }
     }
 }
 
@@ -155,8 +156,12 @@ INLINE void finish_packet(COEFFICIENTS coefficients, const sample_t *sample, con
 {
     const real t = place_of(state);
     const color_t color = finish(state, coefficients, sample);
-    const real3 normal = normals_at(coefficients, sample, state, t, (t < NOWHERE) & (mask)(GUIDES ? ~0 : 0));
-    store_packet(sample->frame, sample->ray, color, t, normal, gathered, x, y, pictures);
+    real3 normal = normals_at(coefficients, sample, state, t, (t < NOWHERE) & (mask)(GUIDES ? ~0 : 0));
+    real3 place = places_at(sample->frame, sample->ray, t);
+#ifdef OWN_GUIDES
+    OWN_GUIDES(state, coefficients, sample, &normal, &place);
+#endif
+    store_packet(sample->frame, sample->ray, color, t, normal, place, VALUE_OF(state, sample), gathered, x, y, pictures);
 }
 
 INLINE void finish_tile(const tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame,

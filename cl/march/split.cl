@@ -40,9 +40,9 @@ kernel void merge_states(constant frame_t *frame, global float *states, global c
 
 kernel void finish_states(COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame, global const float4 *table,
                           global const float *states, global float4 *rgba, global float *depth, global float *normals,
-                          global float *positions, global float *visited)
+                          global float *positions, global float *visited, global float *values)
 {
-    const pictures_t pictures = { rgba, depth, normals, positions, visited };
+    const pictures_t pictures = { rgba, depth, normals, positions, visited, values };
     TILE_OF_THIS_ITEM(0);
     load_states(&tile, frame, states);
     finish_tile(&tile, coefficients, extent, frame, table, &pictures);

@@ -28,7 +28,9 @@ INLINE void store_mixed(const tile_t *tile, constant frame_t *frame, const pictu
         const int x = PACKET_X(tile->left, g), y = PACKET_Y(tile->top, g);
         if (x < frame->picture.width && y < frame->picture.height) {
             const color_t color = mixed_color(tile->states + g);
-            store_packet(frame, tile->rays + g, color, place_of(tile->states + g), unknown, tile->gathered[g], x, y, pictures);
+            const real t = place_of(tile->states + g);
+            store_packet(frame, tile->rays + g, color, t, unknown, places_at(frame, tile->rays + g, t), (real)(NAN),
+                         tile->gathered[g], x, y, pictures);
         }
     }
 }

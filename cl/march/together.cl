@@ -36,7 +36,7 @@ typedef struct {
 } medium_t;
 
 kernel void draw_together(EACH(MEDIUM) constant frame_t *frame, global const float2 *places, global float4 *rgba, global float *depth,
-                          global float *normals, global float *positions, global float *visited)
+                          global float *normals, global float *positions, global float *visited, global float *values)
 {
     const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;
     if (left >= frame->picture.width || top >= frame->picture.height)
@@ -109,6 +109,6 @@ kernel void draw_together(EACH(MEDIUM) constant frame_t *frame, global const flo
         for (int n = 0; n < AT_ONCE; ++n)
             touched[n] = 0;
     }
-    const pictures_t pictures = { rgba, depth, normals, positions, visited };
+    const pictures_t pictures = { rgba, depth, normals, positions, visited, values };
     store_mixed(&mixed, frame, &pictures);
 }

@@ -49,6 +49,8 @@ INLINE void merge(state_t *front, const state_t *back)
 
 INLINE real place_of(const state_t *s) { return s->t; }
 
+#define VALUE_OF(s, sample) choose((s)->t < NOWHERE, SHOWN((sample)->frame, (s)->best), (real)(NAN))
+
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
     color_t color = classify(&sample->frame->transfer, sample->table, SHOWN(sample->frame, s->best));

@@ -43,6 +43,8 @@ INLINE void merge(state_t *front, const state_t *back)
 
 INLINE real place_of(const state_t *s) { return NOWHERE; }
 
+#define VALUE_OF(s, sample) choose((s)->steps > 0.0f, (s)->sum / (s)->steps, (real)(NAN))
+
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
     const mask some = s->steps > 0.0f;

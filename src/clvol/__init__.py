@@ -64,6 +64,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.interfaces.mesh import mesh as mesh
     from clvol.interfaces.movie import movie as movie
     from clvol.interfaces.orthogonal import orthogonal as orthogonal
+    from clvol.interfaces.radiograph import Radiograph as Radiograph
     from clvol.interfaces.resize import resize as resize
     from clvol.march.refine import Refined as Refined
     from clvol.march.renderer import Output as Output
@@ -78,6 +79,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.scene.light import Material as Material
     from clvol.scene.mode import Attenuated as Attenuated
     from clvol.scene.mode import Composite as Composite
+    from clvol.scene.mode import Integral as Integral
     from clvol.scene.mode import Isosurface as Isosurface
     from clvol.scene.mode import Mean as Mean
     from clvol.scene.mode import Minip as Minip
@@ -134,6 +136,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "interfaces.mesh": "Mesh mesh",
     "interfaces.movie": "movie",
     "interfaces.orthogonal": "orthogonal",
+    "interfaces.radiograph": "Radiograph",
     "interfaces.resize": "resize",
     "march.refine": "Refined",
     "march.renderer": "Output Renderer render",
@@ -142,7 +145,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "scene.clip": "Corner Plane",
     "scene.joint": "TransferFunction2D",
     "scene.light": "Light Material",
-    "scene.mode": "Attenuated Composite Isosurface Mean Minip Mip Mode Regions Surfaces modes",
+    "scene.mode": "Attenuated Composite Integral Isosurface Mean Minip Mip Mode Regions Surfaces modes",
     "scene.preset": "presets",
     "scene.scene": "Medium Scene",
     "scene.transfer": "TransferFunction",

@@ -1,4 +1,4 @@
-"""Sample PyTorch tensors, with gradients through samples and points: `clvol.torch.sample`, an extra."""
+"""Sample PyTorch tensors, with gradients through samples and points, and radiographs with gradients through poses: an extra."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ from clvol.volume.volume import Volume
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["sample"]
+    from clvol.interfaces.radiograph import Radiograph
+
+__all__ = ["radiograph", "sample"]
 
 
 def sample(
@@ -86,10 +88,7 @@ def sample(
     """
     torch = _torch()
     for what, tensor in (("values", values), ("points", points)):
-        if not isinstance(tensor, torch.Tensor) or tensor.dtype not in (torch.float32, torch.float64):
-            raise OptionError(f"{what} must be a tensor of float32 or float64; got {getattr(tensor, 'dtype', type(tensor))}")
-        if tensor.device.type != "cpu":
-            raise OptionError(f"{what} must lie in the host's memory; got a tensor on {tensor.device}: copy it first, tensor.cpu()")
+        _require_tensor(what, tensor)
     d = points.shape[-1] if points.ndim else 0
     if d not in (2, 3):
         raise OptionError(f"points must have shape (..., 2) or (..., 3); got {tuple(points.shape)}")
@@ -109,6 +108,48 @@ def sample(
     result = torch.stack(each) if each else values.new_zeros((0, *points.shape[:-1]))
     result = result.reshape(values.shape[:-d] + points.shape[:-1])
     return result if outside is None else torch.where(inside, result, outside)
+
+
+def radiograph(pose: Tensor, of: Radiograph) -> Tensor:
+    """The line integrals of a volume in a pose, differentiable in the pose.
+
+    Parameters
+    ----------
+    pose : Tensor of float32 or float64, shape (6,)
+        A translation along x, y and z, in world units, and a rotation vector in radians about the volume's centre: see
+        `clvol.Radiograph`.
+    of : Radiograph
+        The volume and the camera.
+
+    Returns
+    -------
+    Tensor of the pose's dtype, shape (height, width)
+        If the pose requires a gradient, the derivatives are computed in the same march, at less than three times the time. They
+        cannot be differentiated again.
+
+    Raises
+    ------
+    MissingDependencyError
+        PyTorch is not installed.
+    OptionError
+        The tensor is of another dtype or shape, is on another device, or is not finite.
+
+    Examples
+    --------
+    >>> pose = torch.zeros(6, requires_grad=True)
+    >>> loss = ((clvol.torch.radiograph(pose, radiograph) - fixed) ** 2).mean()
+    >>> loss.backward()                                              # pose.grad
+    """
+    _require_tensor("pose", pose)
+    return _functions().Radiograph.apply(pose, of)
+
+
+def _require_tensor(what: str, tensor: Tensor) -> None:
+    torch = _torch()
+    if not isinstance(tensor, torch.Tensor) or tensor.dtype not in (torch.float32, torch.float64):
+        raise OptionError(f"{what} must be a tensor of float32 or float64; got {getattr(tensor, 'dtype', type(tensor))}")
+    if tensor.device.type != "cpu":
+        raise OptionError(f"{what} must lie in the host's memory; got a tensor on {tensor.device}: copy it first, tensor.cpu()")
 
 
 @dataclass(frozen=True)
@@ -219,12 +260,31 @@ def _functions() -> SimpleNamespace:
 
         backward = staticmethod(torch.autograd.function.once_differentiable(_backward))
 
+    class Radiograph(torch.autograd.Function):  # type: ignore[misc, name-defined]
+        """Pose → line integrals; their gradients cannot be differentiated again."""
+
+        @staticmethod
+        def forward(ctx: Any, pose: Tensor, of: Any) -> Any:
+            six = pose.detach().numpy()
+            if not ctx.needs_input_grad[0]:
+                return tensor(of(six), pose)
+            picture, slopes = of.gradient(six)
+            ctx.save_for_backward(tensor(slopes, pose))
+            return tensor(picture, pose)
+
+        @staticmethod
+        def _backward(ctx: Any, given: Tensor) -> Any:
+            (slopes,) = ctx.saved_tensors
+            return torch.einsum("yx,yxk->k", given, slopes), None
+
+        backward = staticmethod(torch.autograd.function.once_differentiable(_backward))
+
     def _spread(grid: _Sampling, given: Tensor, points: Tensor, shape: tuple[int, ...], derivative: int) -> Any:
         like = grid.volume(np.broadcast_to(np.float32(0), shape))
         spread = adjoint(given, points, like, grid.filter, grid.boundary, derivative, device=grid.device, precision=grid.precision)
         return tensor(spread, given)
 
-    return SimpleNamespace(Value=Value, Spread=Spread, Gradient=Gradient)
+    return SimpleNamespace(Value=Value, Spread=Spread, Gradient=Gradient, Radiograph=Radiograph)
 
 
 def _along(value: Sequence[float] | float, d: int) -> tuple[float, ...]:

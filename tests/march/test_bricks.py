@@ -39,6 +39,7 @@ MODES: list[tuple[str, dict[str, Any]]] = [
     ("attenuated", {}),
     ("minip", {}),
     ("mean", {}),
+    ("integral", {}),
 ]
 BUMPY = clvol.TransferFunction(((0.2, (0.2, 0.3, 1)), (0.8, (1, 0.8, 0.3))), ((0.35, 0), (0.5, 0.2), (0.9, 0.7)))
 

@@ -177,7 +177,7 @@ def test_regions_of_labels(cluster: Cluster) -> None:
 @pytest.mark.parametrize(("mode", "options"), [pair for pair in MODES if "method" not in pair[1]])
 def test_merging_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
     options = options | ({"transfer": BUMPY, "termination": 0.0} if mode == "composite" else {})
-    added_up = mode in ("composite", "surfaces", "mean")
+    added_up = mode in ("composite", "surfaces", "mean", "integral")
     outputs = ["rgba"] if added_up else list(GUIDES)
     one, many = both(cluster, "tree", volume, "linear", CAMERAS["aslant"], mode, (70, 50), outputs=outputs, rays=1, **options)
     for name in outputs:

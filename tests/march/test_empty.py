@@ -75,7 +75,11 @@ def test_a_surface_that_is_not_there_is_said(device: Device) -> None:
 @pytest.mark.parametrize("mode", cases.MODES)
 def test_constant_samples(device: Device, mode: str) -> None:
     for value in (0, 5):
-        assert said(np.full((6, 6, 6), value), device, mode=mode) == [f"the picture shows no structure: all samples are {value}"]
+        heard = said(np.full((6, 6, 6), value), device, mode=mode)
+        if mode == "integral":  # which shows how long rays are
+            assert [text[:15] for text in heard] == ([] if value else ["nothing is seen"])
+        else:
+            assert heard == [f"the picture shows no structure: all samples are {value}"]
     transfer = clvol.TransferFunction(((0, "red"), (5, "white")))
     if not clvol.modes()[mode].stretches:
         assert not said(np.full((6, 6, 6), 5), device, mode=mode, transfer=transfer)

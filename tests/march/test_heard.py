@@ -57,6 +57,7 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "method": ("stepped",),
     "tolerance": (0.5,),
     "attenuation": (9.0,),
+    "mu_water": (0.02,),
     "virtual": (2,),
     "cap": (True, False),
 }

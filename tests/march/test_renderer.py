@@ -338,14 +338,14 @@ WRONG: dict[str, tuple[dict[str, Any], type[ClvolError], str]] = {
     "mode": (
         {"mode": "xray"},
         OptionError,
-        "mode must be one of composite, isosurface, surfaces, regions, mip, attenuated, minip, mean; got 'xray'",
+        "mode must be one of composite, isosurface, surfaces, regions, mip, attenuated, minip, mean, integral; got 'xray'",
     ),
     "evaluator": ({"evaluator": "taps"}, OptionError, "evaluator is no option of composite; composite has shading, termination"),
     "gradient": ({"gradient": "sobel"}, OptionError, "gradient must be one of analytic, central; got 'sobel'"),
     "outputs": (
         {"outputs": "z"},
         OptionError,
-        "outputs must be one of rgba, depth, normal, position, visited, uncertainty; got 'z'",
+        "outputs must be one of rgba, depth, normal, position, visited, value, uncertainty, pose; got 'z'",
     ),
     "outputs, one of several": ({"outputs": ("rgba", "z")}, OptionError, "outputs must be one of .*; got 'z'"),
     "clip upside down": ({"clip": ((1, 1, 1), (0, 2, 2))}, GeometryError, "clip must be two corners"),

@@ -190,7 +190,7 @@ def test_most_of_an_empty_volume_is_skipped(device: Device, mode: str, tile: str
         bright = pictures["rgba"][..., 1]
         hits = (bright < 0.5 if mode == "minip" else bright > 0.2) & np.isfinite(pictures["visited"])
         share = np.nanmean(pictures["visited"][hits if mode in ("mip", "minip", "attenuated") else ...])
-        assert 0 < share < 0.4
+        assert 0 < share < (0.5 if mode == "integral" else 0.4)  # which asks for whole tiles
         assert np.nanmax(renderer.render(outputs="visited", skipping=False, **options)) == 1.0
 
 

@@ -184,3 +184,16 @@ def test_arguments_that_are_rejected(change: dict[str, Any], error: type[Excepti
 def test_importing_needs_no_pytorch() -> None:
     code = "import clvol.torch, sys; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_radiographs_are_differentiated_by_the_pose(device: Device) -> None:
+    with clvol.Radiograph(clvol.phantoms.marschner_lobb(16), size=(12, 10), device=device) as radiograph:
+        pose = torch.tensor([0.02, 0.0, -0.01, 0.02, 0.0, 0.01], dtype=torch.float64, requires_grad=True)
+        weights = torch.linspace(0, 1, 120, dtype=torch.float64).reshape(10, 12)
+        picture = clvol.torch.radiograph(pose, radiograph)
+        (picture * weights).sum().backward()
+        _, slopes = radiograph.gradient(pose.detach().numpy())
+        assert_allclose(pose.grad, np.einsum("yx,yxk->k", weights.numpy(), slopes), rtol=1e-6)
+        assert_allclose(clvol.torch.radiograph(pose.detach(), radiograph), picture.detach())
+        with pytest.raises(OptionError, match="float32 or float64"):
+            clvol.torch.radiograph(pose.detach().int(), radiograph)

@@ -29,8 +29,9 @@ def test_each_mode_has_a_kernel_file_and_a_reference(name: str) -> None:
     assert as_mode(mode) == mode
     assert mode.description
     text = (program.folder() / mode.file).read_text(encoding="utf-8")
-    if '"modes/extreme.cl"' in text:
-        text += (program.folder() / "modes/extreme.cl").read_text(encoding="utf-8")
+    for shared in ("modes/extreme.cl", "modes/sums.cl"):
+        if f'"{shared}"' in text:
+            text += (program.folder() / shared).read_text(encoding="utf-8")
     stretches = "#define STRETCHES 1" in text
     assert stretches == mode.stretches
     for word in KERNEL:
@@ -56,7 +57,7 @@ def test_every_option_is_a_documented_field(name: str) -> None:
 
 @pytest.mark.parametrize("wrong", ["MIP", "", None, 3, Volume])
 def test_unknown_modes(wrong: Any) -> None:
-    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, surfaces, regions, mip, .*, mean; got "):
+    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, surfaces, regions, mip, .*, integral; got "):
         as_mode(wrong)
 
 

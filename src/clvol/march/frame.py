@@ -26,7 +26,7 @@ from clvol.scene.clip import CLIP, clip_block
 from clvol.scene.factor import FACTORS, factors_block
 from clvol.scene.joint import JOINT, joint_block
 from clvol.scene.light import LIGHTS, Material, lights_block
-from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, in_linear_light, outlined, virtual_samples
+from clvol.scene.mode import BY_DISTANCE, BY_LABEL, CURVATURES, colored_by, in_linear_light, moves, outlined, virtual_samples
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.build import along_defines, spared_taps
@@ -154,6 +154,11 @@ class Frame:
         if self.mode.regions:
             return ()
         return tuple(float(self.coefficients.stored(v)) for v in self.mode.isovalues) if self.mode.stretches else None
+
+    @property
+    def moves(self) -> bool:
+        """Whether its kernels write how integrals change as the volume moves, in place of normals and positions."""
+        return moves(self.mode)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -317,7 +322,7 @@ class Subject:
         (width, height), volume, unit = size, medium.volume, rails.volume.mean_spacing
         margin = rails.margin(volume, view, aspect)
         transfer, of_shape = look.transfer, colored_by(mode) in (*CURVATURES, BY_DISTANCE)
-        shown = AS_THEY_ARE if of_shape else stored  # values that colours are of
+        shown = AS_THEY_ARE if of_shape or mode.shows == "integral" else stored  # values that colours are of
         if transfer.unit_distance is None:
             transfer = replace(transfer, unit_distance=volume.mean_spacing)
         block, _ = frame_block(mode.BLOCK)

@@ -44,7 +44,7 @@ __all__ = [
 Picture: TypeAlias = NDArray[np.floating[Any]]
 """float32, except positions, which are float64."""
 
-CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
+CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": (), "value": ()}
 BEFORE_EDGES = 0.75
 """Share of the progress before the edges, for a picture with more rays on them."""
 _ALONE, _BLENDED = 20, 64  # at most one pixel in n has more rays; fewer with blended planes, which such rays do not share
@@ -327,9 +327,16 @@ def lent_pictures(frame: Frame, arrays: dict[str, Picture], *, begun: bool = Fal
 
 
 def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
-    """The pictures, with positions relative to the world's origin: kernels write them relative to the volume's centre."""
-    if "position" in arrays:
-        arrays["position"] = arrays["position"] + frame.coefficients.volume.center
+    """The pictures in the world: kernels write positions relative to the volume's centre, and values as they are stored."""
+    if not frame.guides:
+        return arrays
+    if frame.moves:
+        arrays["pose"] = np.concatenate([arrays["normal"], arrays["position"]], -1)
+        arrays["normal"], arrays["position"] = (np.full_like(arrays[name], np.nan) for name in ("normal", "position"))
+    arrays["position"] = arrays["position"] + frame.coefficients.volume.center
+    stored = frame.coefficients.stored
+    if frame.mode.shows != "integral" and not stored.identity:
+        arrays["value"] = stored.values(arrays["value"])
     return arrays
 
 

@@ -77,7 +77,7 @@ Merge: TypeAlias = Literal["order", "tree"]
 MERGES: tuple[Merge, ...] = ("order", "tree")
 """How the workers of a cluster combine rays."""
 
-Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited", "uncertainty"]
+Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited", "value", "uncertainty", "pose"]
 
 OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
 """Outputs of every mode."""
@@ -161,6 +161,7 @@ class ModeOptions(TypedDict, total=False):
     method: Literal["exact", "stepped"]
     tolerance: float | None
     attenuation: float
+    mu_water: float | None
     virtual: int
     cap: bool | Sequence[float] | str | None
 
@@ -416,7 +417,7 @@ def as_size(size: tuple[int, int]) -> tuple[int, int]:
 def require_room(size: tuple[int, int], outputs: tuple[str, ...], *, edges: bool) -> None:
     """Raise `OutOfMemoryError` unless a picture, its guides and the arrays for its edges fit in memory."""
     width, height = size
-    each = 16 + 56 * (outputs != ("rgba",)) + 32 * ("uncertainty" in outputs) + 28 * edges
+    each = 16 + 60 * (outputs != ("rgba",)) + 32 * ("uncertainty" in outputs) + 48 * ("pose" in outputs) + 28 * edges
     memory.require(width * height * each, f"a picture of {width} × {height} pixels")
 
 

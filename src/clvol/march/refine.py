@@ -117,7 +117,7 @@ class Wanted:
     def long_steps(self) -> list[float]:
         """Steps that a first picture may have; longer ones only where all samples count, and where there are steps."""
         mode, steps = self.subject.mode, [self.step]
-        if mode.shows in ("matter", "mean") and not mode.stretches:
+        if mode.shows in ("matter", "mean", "integral") and not mode.stretches:
             while 2 * steps[-1] <= _LONGEST:
                 steps.append(2 * steps[-1])
         return steps

@@ -16,7 +16,7 @@ from clvol.march.empty import warn_if_empty
 from clvol.march.options import OUTPUTS, Fineness, Output, PictureOptions, RendererOptions, as_outputs, chosen_mode, require_room
 from clvol.march.recipe import staged
 from clvol.march.refine import Asked
-from clvol.march.source import ByBricks, Source
+from clvol.march.source import ByBricks, Source, moving
 from clvol.march.tolerance import refined, with_step
 from clvol.march.uncertainty import noise_of
 from clvol.scene.mode import DEFAULT_MODE, Mode, as_mode
@@ -200,12 +200,12 @@ class Renderer:
         step : float
             Most voxels between samples of a ray: by default 0.5, or what a `tolerance` allows. Exact surfaces take no samples.
         outputs : str or sequence of str
-            Of "rgba", "depth", "normal", "position", "visited", "uncertainty"; several give a dictionary. Depth is the world
-            distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing; normals face
-            the viewer, those of the cut on its faces and caps; positions are in the world. They belong to the ray through the
-            pixel's middle: in "composite" where half of the light is stopped, in projections where the extreme lies; "mean" has
-            none. "visited" is the share of a ray's samples that was evaluated. "uncertainty", of "isosurface" alone, is the
-            distance within which the true surface lies, and the angle in degrees within which its normal lies: see the notes.
+            Of "rgba", "depth", "normal", "position", "visited", "value", "pose", "uncertainty"; several give a dictionary. Depth is
+            the world distance from the eye along the ray (orthographic: from its plane), inf where there is nothing; normals face
+            the viewer, also on faces of cuts; positions are in the world. All are of the ray through the pixel's middle: in
+            "composite" where half of the light is stopped, in projections at the extreme, of sums nowhere. "visited" is the share
+            of a ray's samples that was evaluated, "value" what projections show; "pose" is of `Integral`. "uncertainty", of
+            "isosurface" alone, bounds the distance of the true surface, and the angle of its normal in degrees: see the notes.
         progress : callable, optional
             Called with the fraction done.
         **options
@@ -216,8 +216,8 @@ class Renderer:
         -------
         Picture, an ndarray of float32, shape (height, width, 4), or a dictionary
             Red, green, blue in sRGB, not premultiplied, and opacity, in 0..1; row 0 is the top. Notebooks show it; it has `save`
-            and `show`. Depth and visited have shape (height, width), normals and positions (height, width, 3), uncertainty (height,
-            width, 2); NaN where there is nothing. Positions are float64, exact to float32 as seen from the volume's centre.
+            and `show`. Depth, visited and value have shape (height, width), normals and positions 3 numbers,
+            uncertainty 2; NaN where there is nothing. Positions are float64, exact to float32 as seen from the volume's centre.
 
         Raises
         ------
@@ -256,7 +256,7 @@ class Renderer:
             uncertainty = self._source.uncertainty(chosen) if noise else None
             shown = watched("the picture", progress)
             stage = with_step(staged(self._source, camera, chosen, fine, options), self._source, part_of(shown, 0, 0))
-            pictures = self._source.draw(stage.drawn, stage.fine, wanted != ("rgba",), shown)
+            pictures = self._source.draw(moving(self._source, stage.drawn, wanted), stage.fine, wanted != ("rgba",), shown)
             warn_if_empty(stage.drawn, fine.step if fine.tolerance is None else None, self._source, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = stage.look.central or not self._source.filter_of(chosen).has_gradient

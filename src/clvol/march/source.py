@@ -30,7 +30,7 @@ from clvol.march.mixed import mixed, nearest, over
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.shadow import Body, Matter, Shadows
 from clvol.march.uncertainty import Uncertainty
-from clvol.scene.mode import CURVATURES, colored_by, outlined, virtual_samples
+from clvol.scene.mode import CURVATURES, colored_by, moved, outlined, virtual_samples
 from clvol.scene.scene import Medium, Scene
 from clvol.spline.evaluator import DIRECT, choose_evaluator, require_direct
 from clvol.spline.field import Field
@@ -52,7 +52,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.scene.mode import Mode
     from clvol.spline.evaluator import Evaluator
 
-__all__ = ["ByBricks", "Drawable", "InMemory", "Several", "Source"]
+__all__ = ["ByBricks", "Drawable", "InMemory", "Several", "Source", "moving"]
 
 Drawable: TypeAlias = Scene | Medium | Volume | Volumes | LazyVolume | Field | BrickedField | ArrayLike
 """Inputs of a `Renderer`."""
@@ -108,7 +108,7 @@ class Source(ABC):
             return self.field.filter
         return filter_for(medium.volume, None, mode.picture_filter)  # one that is given is that of smooth boundaries
 
-    def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:  # noqa: ARG002
+    def require_heard(self, mode: Mode, options: RefineOptions, outputs: Collection[str] = ("rgba",)) -> None:
         """Raise `OptionError` if an option of a picture changes nothing for this function, or an output does not exist."""
         medium = self.scene.media[0]
         mode = medium.shown_in(mode)
@@ -129,6 +129,8 @@ class Source(ABC):
             raise OptionError(f"virtual takes a filter with slopes, such as bspline3, and its own gradient; got {how}")
         if options.get("lod", "auto") != "auto" and not self.sizes:
             raise OptionError("lod changes nothing for a volume of one size; leave it out, or store several by clvol.pyramid")
+        if "value" in outputs and mode.shows in ("matter", "surface"):
+            raise OptionError(f'the output "value" is of projections, such as mip and integral; got {mode.name!r}')
 
     def _no_regions(self) -> str:
         """What of it keeps the regions of labels from being drawn; "" if nothing does."""
@@ -537,8 +539,9 @@ class Several(Source):
             part.require_heard(mode, options)
         if mode.shows == "surface" and not mode.finished_there:
             raise OptionError(f"mode {mode.name!r} draws one medium: surfaces of several would hide each other out of order")
-        projected = "depth", "normal", "position", "visited"
-        without = {"matter": ("normal", "visited"), "surface": ("visited",)}.get(mode.shows, projected)
+        projected = "depth", "normal", "position", "visited", "value", "pose"
+        alone = "visited", "value", "pose"
+        without = {"matter": ("normal", *alone), "surface": alone}.get(mode.shows, projected)
         refused = [name for name in outputs if name in without]
         if refused:
             raise OptionError(f"{' and '.join(refused)} of several media in {mode.name} would be of which? Draw one of them")
@@ -628,6 +631,22 @@ class Several(Source):
     ) -> Pictures:
         level = self._level(look, fine, look.view(fine.size), coarsest)
         return self._own(look).drawn(look, fine, level, guides, lit, progress)
+
+
+def moving(source: Source, look: ResolvedLook, outputs: Collection[str]) -> ResolvedLook:
+    """The same look, which has the output "pose" if it is wanted: `OptionError` unless that is known."""
+    if "pose" not in outputs:
+        return look
+    row = source.filter_of(look.mode)
+    if look.mode.shows != "integral":
+        raise OptionError(f'the output "pose" is of line integrals: mode must be integral; got {look.mode.name!r}')
+    if not row.has_gradient or look.central:
+        raise OptionError(f'the output "pose" takes a filter with slopes, and its own gradient; got {row.name} or central ones')
+    if not isinstance(source.field, Field) or source.field.gaps is not None:
+        raise OptionError('the output "pose" takes a volume in memory that lacks no samples')
+    if look.clip is not None:
+        raise OptionError('the output "pose" is of whole volumes: clip must be None')
+    return replace(look, mode=moved(look.mode))
 
 
 def _together(seen: Sequence[Seen]) -> Subject:

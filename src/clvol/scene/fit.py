@@ -158,6 +158,8 @@ def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, cli
     more than 2 % of the transfer function's largest; in projections, where colour times opacity is more than
     5 % of the brightest. A few isolated visible samples are noise, and do not count.
     """
+    if mode.shows == "integral":  # to which all matter counts
+        return Sphere(tuple(map(float, volume.center)), volume.radius)  # type: ignore[arg-type]  # three
     known = _known.setdefault(volume, {})
     box = cuts_of(clip).box
     key = (mode.isovalues, None, box) if mode.isovalues else (mode.shows == "matter", transfer, box)

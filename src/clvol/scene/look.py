@@ -67,7 +67,7 @@ def look(
         row = as_preset(preset)
         if chosen.shows == "matter" or row.unit == "labels":
             transfer = TransferFunction(*row.points(volume, ends), unit_of(volume))
-        elif chosen.shows == "mean" and row.unit == "matter":  # means reach no such values
+        elif (chosen.shows == "mean" and row.unit == "matter") or chosen.shows == "integral":  # which reach no such values
             transfer = chosen.transfer_within(volume, ends)
         else:
             transfer = chosen.transfer_within(volume, ends or row.span(volume))

@@ -15,10 +15,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.base.checks import did_you_mean, number, one_of, whole
 from clvol.base.color import color_of
-from clvol.base.errors import OptionError
+from clvol.base.errors import DataError, OptionError
 from clvol.base.scaling import share_of
 from clvol.base.shown import Named
 from clvol.base.srgb import as_light
@@ -26,7 +27,7 @@ from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, REGION_FILTER, as_filter
 from clvol.scene.preset import diverging
 from clvol.scene.transfer import TransferFunction
-from clvol.volume.histogram import Projection, clims_of, isovalue_of, matter_of, spread_of
+from clvol.volume.histogram import Projection, clims_of, integrals_of, isovalue_of, matter_of, spread_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume
 
@@ -37,6 +38,7 @@ __all__ = [
     "DEFAULT_MODE",
     "Attenuated",
     "Composite",
+    "Integral",
     "Isosurface",
     "Mean",
     "Minip",
@@ -52,6 +54,8 @@ __all__ = [
     "in_linear_light",
     "mode_options",
     "modes",
+    "moved",
+    "moves",
     "opacities_of",
     "outlined",
     "require_heard",
@@ -78,7 +82,11 @@ BY_LABEL = "label"
 _LOOKS: dict[str, Any] = {"cap": INT, "cap_color": (FLOAT, 3), "outline": FLOAT, "curvature": INT}  # of modes that show surfaces
 _BENT = 1 / 8  # the curvature of the strongest colours, times the spacing
 _BONE, _RED = (0.93, 0.87, 0.76), (0.80, 0.25, 0.20)
-_SHOWN = ("matter", "surface", "max", "min", "mean")
+_SHOWN = ("matter", "surface", "max", "min", "mean", "integral")
+_AIR = -1000.0  # Hounsfield units
+_LARGEST = 1e36  # integrals
+_RESIDUE = 2.0**-24  # a share of the largest value that a sum in float32 does not have
+_ROUNDING = 2.0**-14  # a share of values that bounds of blocks may be off by, of cubic splines
 _SOUGHT = ("largest", "smallest", "any")
 
 
@@ -106,9 +114,9 @@ class Mode:
     picture_filter : str
         Default filter of its pictures. It smooths noise, except in modes that show extremes: smoothing lowers
         those of thin vessels.
-    shows : {"matter", "surface", "max", "min", "mean"}
+    shows : {"matter", "surface", "max", "min", "mean", "integral"}
         What a pixel shows of a ray's samples: all of them, by opacity; the first crossing of the isovalue, `surface`; or a
-        projection, which the default transfer function shows from black to white.
+        projection, which the default transfer function shows from black to white. An "integral" is no value of the data.
     seeks : {"largest", "smallest", "any"}
         Which values decide its pixels. Bricks that may contain them come first in the access order; "any": front to back.
     ramp : float
@@ -192,11 +200,12 @@ class Mode:
         """The default transfer function for this volume.
 
         Labels have a colour each, but where values are blended or fade along the ray. A projection's range is the volume's own
-        (`Volume.clim`), or else from the projections of its samples along the axes; a volume's `clim` is not for means. Curvatures
+        (`Volume.clim`), or else from the projections of its samples along the axes; a volume's `clim` is not for means and
+        integrals. Curvatures
         are shown from blue, where a surface is hollow, to red, both in full where it bends like a ball of 8 samples; distances in
         viridis.
         """
-        if volume.is_labels and self.shows != "mean" and self.ramp == 1:
+        if volume.is_labels and self.shows not in ("mean", "integral") and self.ramp == 1:
             return TransferFunction.preset("labels", volume)
         return self.transfer_within(volume, None)
 
@@ -204,6 +213,8 @@ class Mode:
         """The same for values, from black to white between `clim`, (low, high), if it is given."""
         if self.shows == "matter":
             return TransferFunction.automatic(volume, clim)
+        if isinstance(self, Integral):
+            return TransferFunction.ramp(clim or integrals_of(volume, self.height), volume.color or (1.0, 1.0, 1.0))
         if colored_by(self) in CURVATURES:
             most = (_BENT / volume.mean_spacing) ** (2 if colored_by(self) == _GAUSSIAN else 1)
             return TransferFunction.from_cmap("matplotlib:coolwarm", clim or (-most, most))
@@ -662,8 +673,96 @@ class Mean(_Opaque):
     shows: ClassVar[Literal["matter", "surface"] | Projection] = "mean"
 
 
+@dataclass(frozen=True)
+class Integral(_Opaque):
+    """The line integral along the ray: a digitally reconstructed radiograph.
+
+    Its unit is that of the data times that of lengths. Missing samples, and what is cut away, count nothing. The transfer function
+    is of integrals; by default 0 is black.
+
+    The output "value" has the integrals as numbers, 0 where a ray misses the volume. "pose", (height, width, 6), has their
+    derivatives as the volume moves, while the camera stays: by a translation along x, y and z of the world, and by a rotation about
+    x, y and z through the volume's centre, in radians (`Radiograph`). It is of volumes in memory that are whole, without cuts.
+
+    Parameters
+    ----------
+    mu_water : float, optional
+        The linear attenuation of water, per world unit (0.0193 per mm at 70 keV): values are Hounsfield units, of which the
+        linear attenuation ``mu_water * (1 + HU / 1000)``, and at least 0, is integrated. The result is the absorbance, -log of the
+        share of the rays that gets through. By default values are integrated as they are.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> ball = clvol.phantoms.sphere(64)
+    >>> picture, thickness = clvol.render(ball, mode="integral", size=(64, 64), outputs=["rgba", "value"]).values()
+    """
+
+    mu_water: float | None = None
+
+    name: ClassVar[str] = "integral"
+    description: ClassVar[str] = "the line integral along the ray, as in a radiograph"
+    state_fields: ClassVar[int] = 1
+    shows: ClassVar[Literal["matter", "surface"] | Projection] = "integral"
+    BLOCK: ClassVar[Block] = Block("mode_block", zero=FLOAT, least=FLOAT, scale=FLOAT, clamped=INT)
+
+    def __post_init__(self) -> None:
+        if self.mu_water is not None:
+            _set(self, mu_water=number("mu_water", self.mu_water, above=0))
+
+    @property
+    def unheard(self) -> Mapping[str, str]:
+        return {**super().unheard, "preset": "integrals are no values of the data"}
+
+    def height(self, values: NDArray[Any]) -> NDArray[np.float64]:
+        """What is integrated, of values."""
+        values = np.asarray(values, np.float64)
+        return values if self.mu_water is None else self.mu_water * np.maximum(1 - values / _AIR, 0)
+
+    def interval_matters(self, low: float, high: float, transfer: TransferFunction) -> bool:  # noqa: ARG002
+        return (low, high) != (0, 0) if self.mu_water is None else high > _AIR
+
+    def settled(self, volume: Volume) -> Self:
+        if volume.is_labels and self.mu_water is not None:
+            raise OptionError(
+                "mu_water takes Hounsfield units, and labels are names; leave it out, or give Volume(..., labels=False)"
+            )
+        if not 2 * volume.radius * max(map(abs, volume.value_range)) <= _LARGEST:
+            raise DataError(f"integrals must be within ±{_LARGEST:g}, as float32 has them; samples are from {volume.value_range}")
+        return self
+
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:
+        zero, per_value = (0.0, 1.0) if self.mu_water is None else (_AIR, self.mu_water / -_AIR)
+        scale = math.ldexp(per_value * volume.mean_spacing, stored.exponent)
+        own, largest = float(stored(zero)), float(np.abs(stored(volume.value_range)).max())
+        least = _RESIDUE * largest if self.mu_water is None else _ROUNDING * abs(own)
+        return self.BLOCK(zero=own, least=least, scale=scale, clamped=self.mu_water is not None)
+
+
+@dataclass(frozen=True)
+class _Moved(Integral):
+    """The same, and how it changes as the volume moves."""
+
+    state_fields: ClassVar[int] = 7
+
+    @property
+    def file(self) -> str:
+        return "modes/moved.cl"
+
+
+def moved(mode: Mode) -> Mode:
+    """A settled mode, an `Integral`, whose kernel also writes how it changes as the volume moves."""
+    assert isinstance(mode, Integral)
+    return _Moved(mode.mu_water)
+
+
+def moves(mode: Mode) -> bool:
+    """Whether its kernel writes how values change as the volume moves, in place of normals and positions."""
+    return isinstance(mode, _Moved)
+
+
 _TABLE: dict[str, type[Mode]] = {
-    mode.name: mode for mode in (Composite, Isosurface, Surfaces, Regions, Mip, Attenuated, Minip, Mean)
+    mode.name: mode for mode in (Composite, Isosurface, Surfaces, Regions, Mip, Attenuated, Minip, Mean, Integral)
 }
 
 

@@ -64,8 +64,8 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
     array : array-like, shape (height, width) or (height, width, channels)
         Viewed, not copied.
     kind : str
-        Meaning of its numbers, an output of `clvol.render`: "rgba" (colours in 0..1), "depth", "normal", "position", "visited" or
-        "uncertainty". Affects only how it is shown.
+        Meaning of its numbers, an output of `clvol.render`: "rgba" (colours in 0..1), "depth", "normal", "position", "visited",
+        "value", "uncertainty" or "pose". Affects only how it is shown.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
 
     @property
     def _shows(self) -> bool:
-        channels = {"depth": (), "visited": (), "normal": (3,), "position": (3,), "uncertainty": (2,)}
+        channels = {"depth": (), "visited": (), "normal": (3,), "position": (3,), "value": (), "uncertainty": (2,)}
         if self.size == 0 or self.dtype.kind not in "fbu":
             return False
         if self.kind in channels:
@@ -164,7 +164,8 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
         """The colours to display, (height, width, 3 or 4): the array itself if it holds colours.
 
         Depth is grey, with the nearest white; normals and positions show x, y and z as red, green and blue. Both are transparent
-        where the ray hits nothing. "visited" and "uncertainty" are heat maps; the latter shows distances, with a scale.
+        where the ray hits nothing. Values are grey, the largest white. "visited" and "uncertainty" are heat maps; the latter shows
+        distances, with a scale.
         """
         array = np.asarray(self)
         if not self._shows or self.kind not in _SHOWN:
@@ -186,6 +187,12 @@ def _depth_shown(depth: NDArray[Any]) -> NDArray[Any]:
     near, far = (depth[met].min(), depth[met].max()) if met.any() else (0, 1)
     share = (np.where(met, depth, far) - near) / ((far - near) or 1)
     return np.stack([1 - (1 - _FARTHEST) * share] * 3 + [met], -1)
+
+
+def _value_shown(value: NDArray[Any]) -> NDArray[Any]:
+    met = np.isfinite(value)
+    low, high = (value[met].min(), value[met].max()) if met.any() else (0, 1)
+    return np.stack([(np.where(met, value, low) - low) / ((high - low) or 1)] * 3 + [met], -1)
 
 
 def _normal_shown(normal: NDArray[Any]) -> NDArray[Any]:
@@ -407,6 +414,7 @@ _SHOWN: Mapping[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
     "normal": _normal_shown,
     "position": _position_shown,
     "visited": heat,
+    "value": _value_shown,
     "uncertainty": lambda within: heat_with_scale(within[..., 0]),
 }
 

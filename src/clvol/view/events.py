@@ -69,7 +69,7 @@ _PINCH = 60.0  # likewise of a pinch
 _SLICE_NOTCH = 100.0  # dy per slice
 _HELD = {"i": "isovalue", "w": "window", "c": "crop"}
 _THINNEST = 1e-3  # least thickness of the crop box, relative to the volume's
-_MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean", "surfaces", "regions")
+_MODES = ("composite", "isosurface", "mip", "attenuated", "minip", "mean", "surfaces", "regions", "integral")
 
 
 @dataclass(frozen=True)

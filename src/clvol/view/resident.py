@@ -46,7 +46,13 @@ _COLOR_MAPS = (
 )  # fmt: skip
 _KINDS = ("color", "surfaces")  # controls of their own
 _CHOICES: Mapping[str, list[str]] = {"method": ["exact", "stepped"], "color_by": ["none", *CURVATURES, BY_DISTANCE]}
-_RANGES: Mapping[str, list[float]] = {"termination": [0, 0.5], "tolerance": [0, 1], "attenuation": [0, 40], "virtual": [0, 16]}
+_RANGES: Mapping[str, list[float]] = {
+    "termination": [0, 0.5],
+    "tolerance": [0, 1],
+    "attenuation": [0, 40],
+    "mu_water": [0.001, 0.1],
+    "virtual": [0, 16],
+}
 _KEPT = 64  # descriptions of volumes
 _BESIDE = ("gradient", "rays", "pixel_filter", "skipping")  # passed on, and in no state
 

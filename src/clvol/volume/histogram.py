@@ -39,7 +39,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Made = TypeVar("Made")
-Projection = Literal["max", "min", "mean"]
+Projection = Literal["max", "min", "mean", "integral"]
 
 _SAMPLE = 1 << 21  # voxels sampled for a histogram: enough for its bins, and fast
 _BINS = 512
@@ -305,6 +305,20 @@ def clims_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
             ends = bottom, float(scaled(high, exponent))
         found[name] = unscaled(ends[0], exponent), unscaled(ends[1], exponent)
     return found
+
+
+def integrals_of(volume: Volume, height: Callable[[NDArray[Any]], Array]) -> tuple[float, float]:
+    """Black and white of line integrals of `height` of the values: 0, or less, to nearly that of the brightest column of samples.
+
+    The columns are those along the axes; missing samples count nothing.
+    """
+    samples = _thinned(volume, _COLUMNS_OF)
+    heights = np.where(np.isfinite(samples), height(samples), 0.0)
+    lengths = zip(volume.spacing[::-1], volume.shape, strict=True)
+    columns = [(heights.mean(axis) * spacing * n).ravel() for axis, (spacing, n) in enumerate(lengths)]
+    low, high = _clim(np.sort(np.concatenate(columns)))
+    low, high = min(low, 0.0), max(high, 0.0)
+    return (low, high) if low < high else (0.0, 1.0)
 
 
 def may_be_hounsfield(volume: Volume) -> bool:

@@ -40,6 +40,7 @@ from clvol.scene.mode import (
     DEFAULT_MODE,
     Attenuated,
     Composite,
+    Integral,
     Isosurface,
     Mode,
     Regions,
@@ -347,6 +348,8 @@ def render(
 
     ``mip``, ``minip``: the extreme sample, the first if several are equal; ``mean``: the mean of all, by the lengths of their
     stretches.
+
+    ``integral``: the sum of all, or of what they are of water's attenuation, times the lengths of their stretches.
 
     ``regions``: the value of a sample is the label of its region (`labels_at`); boundaries between two samples by bisection.
 
@@ -851,6 +854,17 @@ def _mean(scene: _Scene, mode: Mode, samples: _Samples) -> _Gathered:  # noqa: A
     return color * some[:, None], some.astype(float), np.full(length.size, math.inf)
 
 
+def _integral(scene: _Scene, mode: Integral, samples: _Samples) -> _Gathered:
+    lengths = samples.far - samples.near
+    heights = np.where(samples.there, samples.values, 0.0)
+    if mode.mu_water is not None:
+        heights = np.maximum(mode.mu_water * (1 + heights / 1000), 0)
+    integral = (heights * lengths).sum(1)
+    some = np.any([part.rays.enter <= part.rays.leave for part in samples.parts], axis=0)
+    color = scene.transfer(integral)[:, :3]
+    return color * some[:, None], some.astype(float), np.full(integral.size, math.inf)
+
+
 MODES: dict[str, Callable[[_Scene, Any, _Samples], _Gathered]] = {
     "composite": _composite,
     "isosurface": _isosurface,
@@ -860,4 +874,5 @@ MODES: dict[str, Callable[[_Scene, Any, _Samples], _Gathered]] = {
     "attenuated": _attenuated,
     "minip": _minip,
     "mean": _mean,
+    "integral": _integral,
 }
