@@ -41,7 +41,7 @@ def test_calls_are_replaced_and_counted() -> None:
     assert unpatched()
     assert report.taken == {"zoom": 2, "rotate": 1}
     assert not report.not_taken
-    assert str(report).splitlines()[1:] == [f"{'rotate':20}{1:>8}{0:>11}", f"{'zoom':20}{2:>8}{0:>11}"]
+    assert str(report).splitlines()[1:] == [f"{'rotate':20}{1:>8}{1:>8}{0:>11}", f"{'zoom':20}{2:>8}{2:>8}{0:>11}"]
 
 
 @on_a_device
@@ -209,9 +209,9 @@ def test_verbose_reports_each_call(capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.warns(UserWarning, match="computed by SciPy"):
             scipy.ndimage.map_coordinates(DEEP, coordinates=AT_DEEP)
     said = capsys.readouterr().err.splitlines()
-    assert said[0].startswith("clvol.ndimage: zoom of float64 (6, 7) taken, ")
+    assert said[0].startswith("clvol.ndimage: zoom of float64 (6, 7) small, by SciPy, ")
     assert said[1].startswith("clvol.ndimage: map_coordinates of float64 (2, 2, 2, 2) by SciPy: points must have coordinates")
-    assert said[2].split() == ["clvol.ndimage", "taken", "not", "taken"]
+    assert said[2].split() == ["clvol.ndimage", "taken", "small", "not", "taken"]
 
 
 # -- python -m clvol.ndimage ----------------------------------------------------------------------------------

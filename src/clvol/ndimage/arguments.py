@@ -232,6 +232,8 @@ def as_axes(axes: object, ndim: int) -> list[int]:
 
 def finite(what: str, value: object) -> float:
     """A finite real number."""
+    if isinstance(value, float) and math.isfinite(value):
+        return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if not isinstance(value, (Real, np.bool_)) or isinstance(value, np.timedelta64):
@@ -247,6 +249,8 @@ def finite(what: str, value: object) -> float:
 
 def per_axis(what: str, value: object, ndim: int) -> list[Any]:
     """One finite number for each axis, of the type given, or the same number for all."""
+    if isinstance(value, float):
+        return [finite(what, value)] * ndim
     alone = isinstance(value, (str, bytes)) or not np.iterable(value)
     values: list[Any] = [value] * ndim if alone else list(value)  # type: ignore[call-overload]  # it can be iterated
     if len(values) != ndim:
@@ -271,7 +275,7 @@ def as_matrix(matrix: ArrayLike) -> NDArray[np.float64]:
         raise OptionTypeError(f"matrix must be real numbers; got {matrix!r}") from error
     if array.ndim not in (1, 2) or array.shape[0] < 1:
         raise RefusedError(f"matrix must have one or two axes, and not be empty; got shape {array.shape}")
-    if not np.isfinite(array).all():
+    if not (math.isfinite(np.vdot(array, array)) or np.isfinite(array).all()):
         raise NotFiniteError(f"matrix must be finite; got {array.tolist()}")
     return array
 
@@ -351,7 +355,7 @@ def _require_kind(dtype: np.dtype[Any], given: np.dtype[Any], copied: bool) -> N
 
 def require_addressable(shape: Sequence[int], itemsize: int = 1) -> None:
     """Refuse a result of more bytes than an index can count."""
-    if math.prod(shape) * itemsize > np.iinfo(np.intp).max:
+    if math.prod(shape) * itemsize > sys.maxsize:
         raise OutOfMemoryError(f"out of memory: the result must have a size that can be addressed; got shape {shape}")
 
 

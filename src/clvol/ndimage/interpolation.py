@@ -15,6 +15,7 @@ from clvol.ndimage.arguments import AnyDevice, Array, Nan, Order, Progress, as_a
 from clvol.ndimage.geometry import diagonal, magnified, placed, require_rank, shifted, turned, zoomed
 from clvol.ndimage.in_memory import InMemory, require_few
 from clvol.ndimage.plan import Affine, Coefficients, Grid, Mapped, Points, Substrate
+from clvol.ndimage.small import Small, coefficients, plain
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 
@@ -33,6 +34,7 @@ __all__ = [
 def spline_filter1d(
     input: ArrayLike, order: int = 3, axis: int = -1, output: Any = np.float64, mode: str = "mirror", *,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
+    small: str = "scipy",
 ) -> Array:  # fmt: skip
     """The coefficients of an array's spline along one axis: `scipy.ndimage.spline_filter1d`.
 
@@ -63,6 +65,8 @@ def spline_filter1d(
     DtypeError
         `input` holds objects, strings, dates or long doubles.
     """
+    if plain(small, nan, precision, device, progress) and (done := coefficients(input, output, order, mode, axis)) is not None:
+        return done
     on = _substrate(input)
     spline = on.spline(order, mode, 0.0, True, precision, device, nan, progress)
     axes = [as_axis(axis, on.ndim)] if spline.order > 1 else []
@@ -72,6 +76,7 @@ def spline_filter1d(
 def spline_filter(
     input: ArrayLike, order: int = 3, output: Any = np.float64, mode: str = "mirror", *,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
+    small: str = "scipy",
 ) -> Array:  # fmt: skip
     """The coefficients of an array's spline along all axes: `scipy.ndimage.spline_filter`.
 
@@ -93,6 +98,8 @@ def spline_filter(
     RefusedError, DtypeError
         As for `spline_filter1d`; `order` is from 2 to 5.
     """
+    if plain(small, nan, precision, device, progress) and (done := coefficients(input, output, order, mode)) is not None:
+        return done
     on = _substrate(input)
     spline = on.spline(as_order(order, minimum=2), mode, 0.0, True, precision, device, nan, progress)
     return on.evaluate(Coefficients("spline_filter", spline, output, on.shape, range(on.ndim)))
@@ -103,6 +110,7 @@ def geometric_transform(
     output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True,
     extra_arguments: tuple[Any, ...] = (), extra_keywords: Mapping[str, Any] | None = None, *, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
+    small: str = "scipy",
 ) -> Array:  # fmt: skip
     """An array at the positions that a function returns: `scipy.ndimage.geometric_transform`.
 
@@ -134,9 +142,6 @@ def geometric_transform(
     -----
     A position that is not finite has the value `cval`, in every mode.
     """
-    on = _substrate(input, chunks)
-    shape = on.shape if output_shape is None else as_shape(output_shape)
-    require_rank(on.ndim, len(shape))
     if not isinstance(extra_arguments, tuple):
         raise RefusedError(f"extra_arguments must be a tuple; got {extra_arguments!r}")
     if not isinstance(extra_keywords, (dict, type(None))):
@@ -147,8 +152,18 @@ def geometric_transform(
         if isinstance(mapping, LowLevelCallable):
             raise UnsupportedError("mapping must be a function of Python here; got a scipy.LowLevelCallable")
         raise RefusedError(f"mapping must be a function; got {mapping!r}")
+    extra = extra_keywords or {}
+    call = (lambda index: mapping(index, *extra_arguments, **extra)) if extra_arguments or extra else mapping
+    little = plain(small, nan, precision, device, progress, chunks) and Small.of(input, output, order, mode, cval, prefilter)
+    if little and (at := little.positions(call, output_shape)) is not None:
+        if (done := little.map_coordinates(at)) is not None:
+            return done
+        return map_coordinates(input, at, output, order, mode, cval, prefilter)
+    on = _substrate(input, chunks)
+    shape = on.shape if output_shape is None else as_shape(output_shape)
+    require_rank(on.ndim, len(shape))
     spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
-    return on.evaluate(Mapped("geometric_transform", spline, output, shape, mapping, extra_arguments, extra_keywords or {}))
+    return on.evaluate(Mapped("geometric_transform", spline, output, shape, mapping, extra_arguments, extra))
 
 
 def map_coordinates(
@@ -156,6 +171,7 @@ def map_coordinates(
     output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True, *,
     axes: int | Sequence[int] | None = None, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
+    small: str = "scipy",
 ) -> Array:  # fmt: skip
     """An array at points: `scipy.ndimage.map_coordinates`.
 
@@ -198,6 +214,11 @@ def map_coordinates(
     than the samples around them: samples too far away to count in float64 (23 to 47, depending on the order, where `input` is
     filtered) are not read, and a NaN there does not spread.
     """
+    little = plain(small, nan, precision, device, progress, chunks if axes is None else axes) and Small.of(
+        input, output, order, mode, cval, prefilter
+    )
+    if little and (done := little.map_coordinates(coordinates)) is not None:
+        return done
     on = _substrate(input, chunks, coordinates)
     along = as_axes(axes, on.ndim)
     at = on.as_coordinates(coordinates, len(along)) if on.ndim else np.empty(0)
@@ -215,6 +236,7 @@ def affine_transform(
     output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True,
     *, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
+    small: str = "scipy",
 ) -> Array:  # fmt: skip
     """An array on a grid that a matrix places: `scipy.ndimage.affine_transform`.
 
@@ -252,6 +274,9 @@ def affine_transform(
     A zero in a matrix of one axis means what SciPy's documentation says, the position `offset` along this axis; SciPy divides by it
     and gives `cval` everywhere.
     """
+    little = plain(small, nan, precision, device, progress, chunks) and Small.of(input, output, order, mode, cval, prefilter)
+    if little and (done := little.affine_transform(matrix, offset, output_shape)) is not None:
+        return done
     on = _substrate(input, chunks)
     like = output if isinstance(output, np.ndarray) else on
     shape = like.shape if output_shape is None else as_shape(output_shape)
@@ -268,6 +293,7 @@ def shift(
     output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True,
     *, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
+    small: str = "scipy",
 ) -> Array:  # fmt: skip
     """An array shifted: `scipy.ndimage.shift`.
 
@@ -290,6 +316,9 @@ def shift(
     RefusedError, OptionTypeError, DtypeError
         As for `map_coordinates`.
     """
+    little = plain(small, nan, precision, device, progress, chunks) and Small.of(input, output, order, mode, cval, prefilter)
+    if little and (done := little.shift(shift)) is not None:
+        return done
     on = _substrate(input, chunks)
     require_rank(on.ndim, on.ndim)
     spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)
@@ -301,6 +330,7 @@ def zoom(
     output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True, *,
     grid_mode: bool = False, anti_aliasing: AntiAliasing | bool = False, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
+    small: str = "scipy",
 ) -> Array:  # fmt: skip
     """An array on a grid of another density: `scipy.ndimage.zoom`.
 
@@ -334,6 +364,13 @@ def zoom(
     UserWarning
         `grid_mode` is used with a mode whose period or edge is at the centres of the outermost samples.
     """
+    little = (
+        plain(small, nan, precision, device, progress, chunks)
+        and not anti_aliasing
+        and Small.of(input, output, order, mode, cval, prefilter)
+    )
+    if little and (done := little.zoom(zoom, grid_mode)) is not None:
+        return done
     on = _substrate(input, chunks)
     shape, unchanged = zoomed(zoom, on.shape)
     spline, chosen = on.spline(order, mode, cval, prefilter, precision, device, nan, progress), as_anti_aliasing(anti_aliasing)
@@ -352,6 +389,7 @@ def rotate(
     output: Any = None, order: Order = 3, mode: str = "constant", cval: complex = 0.0, prefilter: bool = True,
     *, chunks: Any = None,
     precision: Precision | None = None, device: AnyDevice = None, nan: Nan = "propagate", progress: Progress = None,
+    small: str = "scipy",
 ) -> Array:  # fmt: skip
     """An array rotated in the plane of two of its axes: `scipy.ndimage.rotate`.
 
@@ -376,6 +414,9 @@ def rotate(
     RefusedError, OptionTypeError, DtypeError
         As for `map_coordinates`.
     """
+    little = plain(small, nan, precision, device, progress, chunks) and Small.of(input, output, order, mode, cval, prefilter)
+    if little and (done := little.rotate(angle, axes, reshape)) is not None:
+        return done
     on = _substrate(input, chunks)
     plane, matrix, offset, shape = turned(angle, axes, reshape, on.shape)
     spline = on.spline(order, mode, cval, prefilter, precision, device, nan, progress)

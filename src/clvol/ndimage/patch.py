@@ -22,6 +22,7 @@ import numpy as np
 from clvol.base.errors import ClvolError, MissingDependencyError, OptionError, RefusedError
 from clvol.interop.dispatch import is_lazy
 from clvol.ndimage import interpolation
+from clvol.ndimage.small import calls_by_scipy, count, originals
 
 __all__ = ["Report", "patched", "run"]
 
@@ -39,7 +40,9 @@ class Report:
     Attributes
     ----------
     taken : Counter of str
-        By function, the calls that clvol computed.
+        By function, the calls that clvol took.
+    small : Counter of str
+        By function, those of them that were so small that clvol had SciPy compute them.
     not_taken : Counter of str
         By function, the calls that it refused, those that went to SciPy among them.
     reasons : dict of str to Counter of str
@@ -48,6 +51,7 @@ class Report:
 
     def __init__(self) -> None:
         self.taken: Counter[str] = Counter()
+        self.small: Counter[str] = Counter()
         self.not_taken: Counter[str] = Counter()
         self.reasons: dict[str, Counter[str]] = {}
         self._lock = threading.Lock()
@@ -56,15 +60,16 @@ class Report:
         names = [name for name in _NAMES if self.taken[name] or self.not_taken[name]]
         if not names:
             return "clvol.ndimage: no call of SciPy's interpolation was made"
-        lines = [f"{'clvol.ndimage':20}{'taken':>8}{'not taken':>11}"]
+        lines = [f"{'clvol.ndimage':20}{'taken':>8}{'small':>8}{'not taken':>11}"]
         for name in names:
-            lines.append(f"{name:20}{self.taken[name]:>8}{self.not_taken[name]:>11}")
+            lines.append(f"{name:20}{self.taken[name]:>8}{self.small[name]:>8}{self.not_taken[name]:>11}")
             lines += [f"    {count} x {reason}" for reason, count in self.reasons.get(name, Counter()).items()]
         return "\n".join(lines)
 
-    def _took(self, name: str) -> None:
+    def _took(self, name: str, small: bool) -> None:
         with self._lock:
             self.taken[name] += 1
+            self.small[name] += small
 
     def _left(self, name: str, reason: str) -> bool:
         """Count a call that was not taken; return whether it is the first for this reason."""
@@ -128,12 +133,14 @@ def patched(*packages: str, fallback: bool = False, verbose: bool = False) -> It
     try:
         report = Report()
         patch = _Patch(report, bool(fallback), bool(verbose))
+        count(True)
         try:
             for name in named:
                 patch.enter(name)
             yield report
         finally:
             patch.leave()
+            count(False)
         if verbose:
             print(report, file=sys.stderr)
     finally:
@@ -147,7 +154,7 @@ class _Patch:
         self.report, self.fallback, self.verbose = report, fallback, verbose
         self.ndimage = ndimage
         self.on = True
-        self.originals: dict[str, Callable[..., Any]] = {name: getattr(ndimage, name) for name in _NAMES}
+        self.originals = {name: originals()[name] for name in _NAMES}
         self.ours = {name: self.taking(name) for name in _NAMES}
         self.namespace = _Namespace("scipy.ndimage", ndimage.__doc__)
         vars(self.namespace).update(self.ours)
@@ -161,7 +168,7 @@ class _Patch:
         def replacement(*arguments: Any, **options: Any) -> Any:
             if not self.on:
                 return original(*arguments, **options)
-            start = time.perf_counter()
+            start, before = time.perf_counter(), calls_by_scipy()
             try:  # arrays of dask are computed, as SciPy does
                 computed = {key: _computed(value) for key, value in options.items()}
                 result = ours(*map(_computed, arguments), **computed)
@@ -175,8 +182,10 @@ class _Patch:
                     raise
                 refused = str(error)
             else:
-                self.report._took(name)
-                self.say(name, arguments, options, f"taken, {1e3 * (time.perf_counter() - start):.1f} ms")
+                small = calls_by_scipy() > before
+                self.report._took(name, small)
+                how = "small, by SciPy" if small else "taken"
+                self.say(name, arguments, options, f"{how}, {1e3 * (time.perf_counter() - start):.1f} ms")
                 return result
             result = original(*arguments, **options)  # which may refuse it too
             self.say(name, arguments, options, f"by SciPy: {refused}")

@@ -1,0 +1,345 @@
+"""Small calls: what SciPy computes sooner than a kernel starts.
+
+A call goes to SciPy by its size alone, never by a measured time, so that its result is the same on every machine and in every run.
+Differences between the two are kept out: axes up to `_SHORT` samples are filtered here, by the matrix of their boundary rule, which
+is exact for "reflect" too; whatever SciPy treats in another way (see "What differs" in docs/scipy.md) is left to clvol, and so is
+every result that is not finite. What depends on shapes, types and options alone is kept in plans.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from math import isfinite, prod
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base.checks import one_of
+from clvol.filter.boundary import as_boundary
+from clvol.ndimage.arguments import BOUNDARIES, Array, as_array, as_shape, per_axis
+from clvol.ndimage.engine import FILTERED_AS, row_of
+from clvol.ndimage.geometry import diagonal, placed, turned
+from clvol.ndimage.in_memory import as_rows
+
+__all__ = ["ALL", "BY", "Small", "calls_by_scipy", "coefficients", "count", "originals", "plain"]
+
+BY = ("scipy", "opencl")
+"""What may compute small calls."""
+_TAPS = 1 << 16
+"""Samples times weights of a result up to which SciPy computes it."""
+_SAMPLES = 1 << 13
+"""Samples up to which SciPy filters."""
+_SHORT = 32
+"""Samples along an axis up to which it is filtered by a matrix."""
+_FEW = 64
+"""Samples up to which all axes are filtered together, by one matrix."""
+_PLANS = 256
+ALL = object()
+"""All axes."""
+_PADDED = ("nearest", "grid-constant")
+"""Modes in which SciPy pads the samples before it filters them."""
+_DOUBLE = np.dtype(np.float64)
+_FLOATS = frozenset({np.dtype(np.float32), _DOUBLE})
+_KNOWN = _FLOATS | frozenset(np.dtype(f"{kind}{size}") for kind in "iu" for size in (1, 2, 4)) | {np.dtype("i8")}
+"""Native types that both round and clip alike."""
+_ARRAYS = (np.ndarray, list, tuple)
+_MOST = 1e300  # of `cval`
+_WIDEST = 1 << 60
+"""Magnitudes of int64 up to which conversions of float64 cannot overflow."""
+
+_Floats = NDArray[np.float64]
+
+
+_here = threading.local()
+_counted = False
+
+
+def plain(small: object, nan: object, precision: object, device: object, progress: object, other: object = None) -> bool:
+    """Whether a call leaves to clvol how it is computed: options of clvol's own, `other` among them, are as by default."""
+    if small == "scipy":
+        return nan == "propagate" and precision is None and device is None and progress is None and other is None
+    if small not in BY:
+        raise one_of("small", small, BY)
+    return False
+
+
+def count(on: bool) -> None:
+    """Start or end counting the calls that go to SciPy: it would take a twentieth of the smallest ones' time."""
+    global _counted
+    _counted = on
+
+
+def calls_by_scipy() -> int:
+    """How many calls of this thread went to SciPy while they were counted."""
+    return getattr(_here, "calls", 0)
+
+
+@lru_cache(maxsize=1)
+def originals() -> dict[str, Callable[..., Any]]:
+    """SciPy's functions. `clvol.ndimage.patched` has them looked up before it replaces them."""
+    from scipy import ndimage
+
+    return {name: getattr(ndimage, name) for name in ndimage.__all__}
+
+
+class _Plan(NamedTuple):
+    """What follows from the shape and type of the input and from the options: `kind` of the result, how axes are filtered."""
+
+    kind: np.dtype[Any]
+    order: int
+    mode: str
+    whole: _Floats | None  # the matrix that filters all axes together
+    steps: tuple[_Step, ...]  # of what is not filtered so, nor by SciPy
+    filtered: bool
+    by_scipy: bool
+    most: int  # elements of a result
+
+
+class _Step(NamedTuple):
+    """How an axis is filtered: by a matrix, or by SciPy if there is none."""
+
+    axis: int
+    inverse: _Floats | None
+
+
+def coefficients(given: object, output: Any, order: object, mode: object, axis: object = ALL) -> Array | None:
+    """The coefficients along an axis, or along `ALL`, as `clvol.ndimage.spline_filter1d`; None if the call is not small."""
+    if type(given) is not np.ndarray:
+        if not isinstance(given, _ARRAYS):
+            return None
+        given = as_array(given)
+    if type(output) is np.ndarray:
+        if output.shape != given.shape or not _writable(output, given):
+            return None
+        found = coefficients(given, output.dtype, order, mode, axis)
+        if found is not None:
+            output[...] = found
+        return found if found is None else output
+    try:
+        plan = _coefficients_plan(given.shape, given.dtype, output, order, mode, axis)
+    except TypeError:  # what cannot be hashed
+        return None
+    if plan is None:
+        return None
+    if plan.whole is None:
+        data = _filtered(given, plan)
+        flat = data.ravel()
+    else:
+        flat = plan.whole.dot(given.ravel())
+        data = flat.reshape(given.shape)
+    if not isfinite(flat.dot(flat)):
+        return None
+    if _counted:
+        _here.calls = calls_by_scipy() + 1
+    return data if plan.kind is _DOUBLE and data is not given else data.astype(plan.kind)
+
+
+class Small:
+    """The input and the options of a call that both would compute; its methods return None where the call is not small."""
+
+    __slots__ = ("cval", "data", "output", "plan")
+
+    def __init__(self, data: Array, output: Array | np.dtype[Any], cval: float, plan: _Plan) -> None:
+        self.data, self.output, self.cval, self.plan = data, output, cval, plan
+
+    @classmethod
+    def of(cls, given: object, output: Any, order: object, mode: object, cval: object, prefilter: object) -> Small | None:
+        """None if the input is large or anything is not of the simplest kind."""
+        if not isinstance(cval, (float, int)) or not -_MOST < cval < _MOST:
+            return None
+        if type(given) is not np.ndarray:
+            if not isinstance(given, _ARRAYS):
+                return None
+            given = as_array(given)
+        into = output if type(output) is np.ndarray and _writable(output, given) else None
+        try:
+            plan = _plan(given.shape, given.dtype, output if into is None else into.dtype, order, mode, prefilter)
+        except TypeError:  # what cannot be hashed
+            return None
+        return None if plan is None else cls(given, plan.kind if into is None else into, cval, plan)
+
+    def few(self, count: int) -> bool:
+        """Whether SciPy computes a result of so many elements."""
+        return 0 < count <= self.plan.most
+
+    def map_coordinates(self, coordinates: Any) -> Array | None:
+        """As `clvol.ndimage.map_coordinates`."""
+        if type(coordinates) is not np.ndarray:
+            if not isinstance(coordinates, (list, tuple)):
+                return None
+            try:
+                coordinates = np.asarray(coordinates)
+            except ValueError:
+                return None
+        ndim = self.data.ndim
+        if coordinates.dtype not in _KNOWN or coordinates.ndim < 2 or len(coordinates) != ndim:
+            return None
+        if not self.few(coordinates.size // ndim) or not _finite(coordinates):
+            return None
+        if type(self.output) is np.ndarray and np.may_share_memory(coordinates, self.output):
+            return None
+        return self._by("map_coordinates", coordinates)
+
+    def positions(self, mapping: Callable[..., Sequence[float]], output_shape: Any) -> _Floats | None:
+        """Where a function of the index says, as `map_coordinates` takes them."""
+        shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
+        if not shape or not self.few(prod(shape)):
+            return None
+        answers = list(map(mapping, itertools.product(*map(range, shape))))
+        return as_rows(answers, ndim).T.reshape(ndim, *shape)
+
+    def affine_transform(self, matrix: Any, offset: Any, output_shape: Any) -> Array | None:
+        """As `clvol.ndimage.affine_transform`."""
+        data = self.data
+        like = self.output if type(self.output) is np.ndarray else data
+        shape = like.shape if output_shape is None else as_shape(output_shape)
+        if len(shape) != data.ndim or not self.few(prod(shape)):
+            return None
+        simple = type(matrix) is np.ndarray and matrix.shape == (data.ndim,) * 2 and matrix.dtype in _FLOATS
+        if simple and _finite(matrix) and type(offset) is float and isfinite(offset):
+            return self._by("affine_transform", matrix, offset, shape)
+        table, start = placed(matrix, offset, data.ndim, len(shape))
+        if table.ndim == 2:
+            return self._by("affine_transform", table, start, shape)
+        along = diagonal(table, start, data.shape, shape)  # SciPy would warn of such a matrix
+        at = [np.arange(n, dtype=np.float64) if one is None else one for one, n in zip(along, shape, strict=True)]
+        return self.map_coordinates(np.array(np.meshgrid(*at, indexing="ij")))
+
+    def shift(self, shift: Any) -> Array | None:
+        """As `clvol.ndimage.shift`."""
+        if not self.few(self.data.size):
+            return None
+        return self._by("shift", per_axis("shift", shift, self.data.ndim))
+
+    def zoom(self, zoom: Any, grid_mode: object) -> Array | None:
+        """As `clvol.ndimage.zoom`."""
+        if grid_mode and self.plan.mode in ("constant", "wrap"):  # which warns, of the caller's line
+            return None
+        shape = self.data.shape
+        factors = per_axis("zoom", zoom, len(shape))
+        if min(factors) < 0 or factors.count(1) == len(shape):
+            return None
+        if not self.few(prod([round(n * factor) for n, factor in zip(shape, factors, strict=True)])):
+            return None
+        return self._by("zoom", factors, grid_mode=bool(grid_mode))
+
+    def rotate(self, angle: Any, axes: Any, reshape: Any) -> Array | None:
+        """As `clvol.ndimage.rotate`: one slice of a volume after the other takes SciPy longer than all together."""
+        data, plan = self.data, self.plan
+        if not self.few(data.size) or (data.ndim > 2 and plan.order > 1 and not plan.filtered):
+            return None
+        plane, turn, start, shape = turned(angle, axes, reshape, data.shape)
+        if not self.few(prod(shape)):
+            return None
+        if data.ndim == 2:
+            return self._by("affine_transform", turn, start, shape)
+        matrix, offset = np.eye(data.ndim), np.zeros(data.ndim)
+        matrix[np.ix_(plane, plane)], offset[plane] = turn, start
+        return self._by("affine_transform", matrix, offset, shape)
+
+    def _by(self, name: str, *arguments: Any, **options: Any) -> Array | None:
+        """The result of a function of SciPy's; what it refuses is left to clvol, whose error tells more."""
+        plan, data = self.plan, self.data
+        if plan.by_scipy:
+            data = data.astype(np.float64, copy=False)  # which holds every `cval`
+        elif plan.filtered:
+            data = _filtered(data, plan)
+        function = originals()[name]
+        try:
+            result: Array = function(data, *arguments, self.output, plan.order, plan.mode, self.cval, plan.by_scipy, **options)
+        except (RuntimeError, ValueError, TypeError):
+            return None
+        if result.dtype in _FLOATS:
+            if not _finite(result):
+                return None
+        elif result.itemsize == 8 and not (result.min() > -_WIDEST and result.max() < _WIDEST):
+            return None
+        if _counted:
+            _here.calls = calls_by_scipy() + 1
+        return result
+
+
+def _finite(numbers: Array) -> bool:
+    """Whether all numbers are finite, and their squares are: the fastest question to ask."""
+    flat = numbers.ravel()
+    return isfinite(flat.dot(flat))
+
+
+def _writable(output: Array, input: Array) -> bool:
+    return output.flags.writeable and not np.may_share_memory(input, output)
+
+
+@lru_cache(maxsize=_PLANS, typed=True)
+def _plan(
+    shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: object, mode: object, prefilter: object
+) -> _Plan | None:
+    """The plan of an interpolation; None if it is not for SciPy. Types count: 3.0 and True are no orders."""
+    if dtype not in _KNOWN or not 0 < len(shape) <= 3 or not prod(shape):
+        return None
+    if type(order) is not int or not 0 <= order <= 5 or type(mode) is not str or mode not in BOUNDARIES:
+        return None
+    kind = dtype if output is None else np.dtype(output)
+    if kind not in _FLOATS and (kind not in _KNOWN or dtype in _FLOATS):  # NaN as an integer is not the same by both
+        return None
+    filtered = order > 1 and bool(prefilter)
+    if filtered and prod(shape) > _SAMPLES:
+        return None
+    by_scipy = filtered and mode in _PADDED
+    plan = _Plan(kind, order, mode, None, (), filtered, by_scipy, _TAPS // (order + 1) ** len(shape))
+    return _filtering(plan, shape, range(len(shape))) if filtered and not by_scipy else plan
+
+
+@lru_cache(maxsize=_PLANS, typed=True)
+def _coefficients_plan(
+    shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: object, mode: object, axis: object
+) -> _Plan | None:
+    """The plan of a filter along an axis, or along all of them."""
+    plan = _plan(shape, dtype, output, order, mode, False)
+    if plan is None or plan.kind not in _FLOATS or prod(shape) > _SAMPLES:
+        return None
+    ndim = len(shape)
+    if axis is ALL:
+        return _filtering(plan, shape, range(ndim)) if plan.order > 1 else None
+    if type(axis) is not int or not -ndim <= axis < ndim:
+        return None
+    return _filtering(plan, shape, [axis % ndim]) if plan.order > 1 else plan
+
+
+def _filtering(plan: _Plan, shape: Sequence[int], axes: Sequence[int]) -> _Plan:
+    """A plan that filters some axes."""
+    order, mode = plan.order, plan.mode
+    if prod(shape) <= _FEW:
+        whole: Array = np.ones((1, 1))
+        for axis, n in enumerate(shape):
+            whole = np.kron(whole, _inverse(order, mode, n) if axis in axes and n > 1 else np.eye(n))
+        return plan._replace(whole=whole)
+    long = [axis for axis in axes if shape[axis] > 1]
+    return plan._replace(
+        steps=tuple(_Step(axis, _inverse(order, mode, shape[axis]) if shape[axis] <= _SHORT else None) for axis in long)
+    )
+
+
+def _filtered(data: Array, plan: _Plan) -> Array:
+    """The coefficients of an array, along the axes of a plan."""
+    if plan.whole is not None:
+        filtered: Array = plan.whole.dot(data.ravel()).reshape(data.shape)
+        return filtered
+    for axis, inverse in plan.steps:
+        if inverse is None:
+            data = originals()["spline_filter1d"](data, plan.order, axis, np.float64, plan.mode)
+        elif axis == 0:
+            data = inverse.dot(data.reshape(len(data), -1)).reshape(data.shape)
+        else:
+            data = inverse @ data if axis < data.ndim - 1 else data.dot(inverse.T)
+    return data
+
+
+@lru_cache(maxsize=_PLANS)
+def _inverse(order: int, mode: str, n: int) -> _Floats:
+    """The matrix that turns `n` samples into coefficients: the inverse of eq. (11) of the paper, by the rule of a mode."""
+    rule = as_boundary(FILTERED_AS.get(mode, BOUNDARIES[mode])).ends
+    return np.asarray(np.linalg.inv(rule.matrix(row_of(order, True).undone, n)), np.float64)
