@@ -6,12 +6,11 @@ import atexit
 import os
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cached_property
+from types import TracebackType
 from typing import Any, TypeVar
 
-from clvol.base.errors import DeviceError, OutOfMemoryError
+from clvol.base.errors import ClvolError, DeviceError, OutOfMemoryError
 from clvol.device.opencl import kernel_cache, opencl, why_not
 from clvol.device.runtimes import processor
 
@@ -169,29 +168,46 @@ class Driver(Identity, ABC):
         That happens with drivers that failed their trial, and in forked processes. PoCL is given a name for a processor that it
         does not know.
         """
-        require_unforked(self._process)
-        if self._gone:
-            raise DeviceError(self._gone)
+        self.require_present()
         if self.fault:
             linker = "linker" in self.fault or "build kernels here" in self.fault
             raise DeviceError(self.fault + (_LINKER if linker else ""))
         if self.is_pocl and self.kind == "cpu":
             self.compiled_for  # noqa: B018  # before the first kernel is built
 
-    @property
-    @contextmanager
-    def errors(self) -> Iterator[None]:
+    @cached_property
+    def errors(self) -> Errors:
         """Context manager that translates OpenCL's errors into clvol's."""
+        return Errors(self)
+
+    def require_present(self) -> None:
+        """Raise `DeviceError` if the device is gone, or in a fork of the process that owns it."""
         require_unforked(self._process)
         if self._gone:
             raise DeviceError(self._gone)
+
+    def translated(self, error: BaseException | None) -> ClvolError | None:
+        """The error in place of one of OpenCL's; None for all others."""
         cl = opencl()
-        try:
-            yield
-        except cl.MemoryError as error:
-            raise OutOfMemoryError(f"{self.name} is out of memory: {error}") from error
-        except cl.Error as error:
-            if any(name in str(error) for name in _GONE):
-                self._gone = f"{self.name} is gone, or its driver was restarted ({error}); start the program again to use it"
-                raise DeviceError(self._gone) from error
-            raise DeviceError(f"{self.name} failed: {error}") from error
+        if isinstance(error, cl.MemoryError):
+            return OutOfMemoryError(f"{self.name} is out of memory: {error}")
+        if not isinstance(error, cl.Error):
+            return None
+        if any(name in str(error) for name in _GONE):
+            self._gone = f"{self.name} is gone, or its driver was restarted ({error}); start the program again to use it"
+            return DeviceError(self._gone)
+        return DeviceError(f"{self.name} failed: {error}")
+
+
+class Errors:
+    """Translates OpenCL's errors within a ``with`` block; one for each device, for any number of blocks at a time."""
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+
+    def __enter__(self) -> None:
+        self._driver.require_present()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if error is not None and (instead := self._driver.translated(error)) is not None:
+            raise instead from error

@@ -116,10 +116,15 @@ def _forget_sources() -> None:
 
 
 class Kernel:
-    """A kernel of one thread, called as pyopencl's."""
+    """A kernel of one thread, called as pyopencl's: its arguments are memory, NumPy scalars, and arrays for vectors.
+
+    Those of the first call tell the types of all: pyopencl finds out a type that it was not told in 16 µs, for each argument and
+    call. Programs are told neither by PoCL nor by stored binaries what their arguments are.
+    """
 
     def __init__(self, handle: Any, name: str, variants: Variants) -> None:
         self._handle, self._name, self._variants = handle, name, variants
+        self._typed = False
 
     def __call__(self, queue: Any, size: Any, local: Any, *arguments: Any, global_offset: Any = None) -> Any:
         if global_offset is not None and len(size) < 3:
@@ -127,7 +132,18 @@ class Kernel:
             # makes all of them others
             size, local, global_offset = (*size, 1), local and (*local, 1), (*global_offset, 1)
         self._variants.prepare(self._name, size, local, global_offset)
+        if not self._typed:
+            self._handle.set_scalar_arg_dtypes([_type_of(argument) for argument in arguments])
+            _forget_sources()
+            self._typed = True
         return self._handle(queue, size, local, *arguments, global_offset=global_offset)
+
+
+def _type_of(argument: Any) -> Any:
+    """The type of an argument as pyopencl takes it; None for memory."""
+    if isinstance(argument, np.ndarray):
+        return np.dtype((np.void, argument.nbytes))
+    return argument.dtype if isinstance(argument, np.generic) else None
 
 
 class Variants:

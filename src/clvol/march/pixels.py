@@ -39,7 +39,11 @@ _FINE = 4096  # pieces of a pixel, for integrals of the filter
 
 def as_pixel_filter(choice: str | Filter) -> Filter:
     """The filter of this name; `OptionError` if it has a prefilter, is not even, or does not have a positive sum."""
-    row = as_filter(choice)
+    return _checked(as_filter(choice))
+
+
+@lru_cache
+def _checked(row: Filter) -> Filter:
     if row.prefilter or row.magnified_by:
         raise OptionError(f"pixel_filter must be a filter without a prefilter, such as 'bspline3-approx'; got {row.name!r}")
     _, values = _kernel(row)

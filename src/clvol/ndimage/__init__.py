@@ -1,9 +1,9 @@
 """SciPy's interpolation of arrays, on OpenCL: ``from clvol import ndimage`` in place of ``from scipy import ndimage``.
 
 `spline_filter1d`, `spline_filter`, `map_coordinates`, `affine_transform`, `zoom`, `shift`, `rotate` and `geometric_transform` have
-SciPy's signatures and rules, and a few more keywords (`precision`, `device`, `nan`, `progress`, `chunks`). What they cannot do they
-refuse; they never pass a call on to SciPy. All other names of `scipy.ndimage` (`gaussian_filter`, `label`, ...) are SciPy's own
-functions, which this module looks up there.
+SciPy's signatures and rules, and a few more keywords (`precision`, `device`, `nan`, `progress`, `small`, `chunks`). What they
+cannot do they refuse. Small arrays, for which a kernel's start would take longest, SciPy computes, unless ``small="opencl"``. All
+other names of `scipy.ndimage` (`gaussian_filter`, `label`, ...) are SciPy's own functions, which this module looks up there.
 
 ``order="labels"`` is for label maps: whole numbers are kept, never blended, and their boundaries are smooth, as by `clvol.resample`
 with ``smooth=True``: an element gets the label whose indicator is largest there, reconstructed by unprefiltered quintic B-splines,

@@ -50,6 +50,8 @@ def spline_filter1d(
         "error" refuses samples that are NaN or infinite; "propagate" computes with them, as SciPy does.
     progress : callable, optional
         Called with the fraction done.
+    small : {"scipy", "opencl"}
+        What computes a small array, as the page on SciPy says: SciPy, which is done before a kernel has started, or the device.
 
     Returns
     -------
@@ -85,7 +87,7 @@ def spline_filter(
     input, order, output, mode
         As in SciPy. Between two axes coefficients are cut off to the dtype of `output` where that is an integer one, as in SciPy;
         otherwise axes are filtered three at a time, in `precision`.
-    precision, device, nan, progress
+    precision, device, nan, progress, small
         As for `spline_filter1d`.
 
     Returns
@@ -121,7 +123,7 @@ def geometric_transform(
         element of the result, in order, also where `input` is complex; about a million positions, or a quarter as many as there
         are samples, are in memory at a time. Calls of Python take most of the time: `map_coordinates` of an array of positions is
         many times as fast. With dask, each block of the result reads every chunk, and `mapping` goes to the workers.
-    precision, device, nan, progress, chunks
+    precision, device, nan, progress, small, chunks
         As for `affine_transform`.
 
     Returns
@@ -184,7 +186,7 @@ def map_coordinates(
         The axes of `input` that `coordinates` are along; all by default. Each index of the others is computed separately, and they
         come first in the result: points in each image of a series are ``map_coordinates(series, points, axes=(1, 2, 3))``, of
         shape ``(len(series), *points.shape[1:])``.
-    precision, device, nan, progress
+    precision, device, nan, progress, small
         As for `affine_transform`.
     chunks : as of `dask.array.normalize_chunks`, optional
         Of the points, where `input` is an array of dask and `coordinates` are not; by default about a million.
@@ -245,7 +247,7 @@ def affine_transform(
     input, matrix, offset, output_shape, output, order, mode, cval, prefilter
         As in SciPy: the element at index ``o`` of the result has the position ``matrix @ o + offset`` in `input`. Axes whose
         row and column are those of the identity are not interpolated along; each index of them is computed separately.
-    precision, device, progress
+    precision, device, progress, small
         As for `spline_filter1d`.
     nan : {"propagate", "error", "local"}
         As for `spline_filter1d`; "local": exactly those results are NaN in which a missing sample has weight (see `clvol.Missing`).
@@ -301,7 +303,7 @@ def shift(
     ----------
     input, shift, output, order, mode, cval, prefilter
         As in SciPy. Axes whose shift is 0 are not interpolated along; each index of them is computed separately.
-    precision, device, nan, progress, chunks
+    precision, device, nan, progress, small, chunks
         As for `affine_transform`.
 
     Returns
@@ -342,7 +344,7 @@ def zoom(
     anti_aliasing : {False, True, "gaussian", "least-squares"}
         Where axes get shorter. "gaussian" (and True): after a Gaussian of standard deviation (n / m - 1) / 2 samples along an axis
         that goes from n samples to m. "least-squares": the spline on the new grid that is nearest to that of `input`.
-    precision, device, nan, progress, chunks
+    precision, device, nan, progress, small, chunks
         As for `affine_transform`.
 
     Returns
@@ -397,7 +399,7 @@ def rotate(
     ----------
     input, angle, axes, reshape, output, order, mode, cval, prefilter
         As in SciPy; the angle is in degrees.
-    precision, device, nan, progress, chunks
+    precision, device, nan, progress, small, chunks
         As for `affine_transform`.
 
     Returns

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import one_of
-from clvol.filter.boundary import as_boundary
+from clvol.filter.boundary import Boundary, as_boundary
 from clvol.ndimage.arguments import BOUNDARIES, Array, as_array, as_shape, per_axis
 from clvol.ndimage.engine import FILTERED_AS, row_of
 from clvol.ndimage.geometry import diagonal, placed, turned
@@ -29,12 +29,17 @@ __all__ = ["ALL", "BY", "Small", "calls_by_scipy", "coefficients", "count", "ori
 
 BY = ("scipy", "opencl")
 """What may compute small calls."""
-_TAPS = 1 << 16
-"""Samples times weights of a result up to which SciPy computes it."""
-_SAMPLES = 1 << 13
-"""Samples up to which SciPy filters."""
+_OPERATIONS = 3 << 16
+"""What SciPy computes in about the time in which kernels start: the weights of each element, and `_ELEMENT` more, and `_SAMPLE` for
+each sample and axis that is filtered."""
+_LINE = 8
+"""Times as many of one axis: kernels share work between cores by rows."""
+_ELEMENT = 4
+_SAMPLE = 2
 _SHORT = 32
 """Samples along an axis up to which it is filtered by a matrix."""
+_ALONE = 1 << 13
+"""Numbers up to which BLAS starts no threads, which may take longer than all the rest."""
 _FEW = 64
 """Samples up to which all axes are filtered together, by one matrix."""
 _PLANS = 256
@@ -125,13 +130,8 @@ def coefficients(given: object, output: Any, order: object, mode: object, axis: 
         return None
     if plan is None:
         return None
-    if plan.whole is None:
-        data = _filtered(given, plan)
-        flat = data.ravel()
-    else:
-        flat = plan.whole.dot(given.ravel())
-        data = flat.reshape(given.shape)
-    if not isfinite(flat.dot(flat)):
+    data = _filtered(given, plan)
+    if not _finite(data):
         return None
     if _counted:
         _here.calls = calls_by_scipy() + 1
@@ -264,7 +264,9 @@ class Small:
 
 
 def _finite(numbers: Array) -> bool:
-    """Whether all numbers are finite, and their squares are: the fastest question to ask."""
+    """Whether all numbers are finite, and of a few also their squares, which is faster to ask."""
+    if numbers.size > _ALONE:
+        return bool(np.isfinite(numbers).all())
     flat = numbers.ravel()
     return isfinite(flat.dot(flat))
 
@@ -286,10 +288,11 @@ def _plan(
     if kind not in _FLOATS and (kind not in _KNOWN or dtype in _FLOATS):  # NaN as an integer is not the same by both
         return None
     filtered = order > 1 and bool(prefilter)
-    if filtered and prod(shape) > _SAMPLES:
+    left = _most(len(shape)) - (_SAMPLE * len(shape) * prod(shape) if filtered else 0)
+    if left < 0:
         return None
     by_scipy = filtered and mode in _PADDED
-    plan = _Plan(kind, order, mode, None, (), filtered, by_scipy, _TAPS // (order + 1) ** len(shape))
+    plan = _Plan(kind, order, mode, None, (), filtered, by_scipy, left // ((order + 1) ** len(shape) + _ELEMENT))
     return _filtering(plan, shape, range(len(shape))) if filtered and not by_scipy else plan
 
 
@@ -299,28 +302,47 @@ def _coefficients_plan(
 ) -> _Plan | None:
     """The plan of a filter along an axis, or along all of them."""
     plan = _plan(shape, dtype, output, order, mode, False)
-    if plan is None or plan.kind not in _FLOATS or prod(shape) > _SAMPLES:
-        return None
     ndim = len(shape)
-    if axis is ALL:
-        return _filtering(plan, shape, range(ndim)) if plan.order > 1 else None
-    if type(axis) is not int or not -ndim <= axis < ndim:
+    if plan is None or plan.kind not in _FLOATS:
         return None
-    return _filtering(plan, shape, [axis % ndim]) if plan.order > 1 else plan
+    if axis is ALL:
+        axes = list(range(ndim))
+    elif type(axis) is int and -ndim <= axis < ndim:
+        axes = [axis % ndim]
+    else:
+        return None
+    if _SAMPLE * len(axes) * prod(shape) > _most(ndim) or (axis is ALL and plan.order < 2):
+        return None
+    return _filtering(plan, shape, axes) if plan.order > 1 else plan
 
 
-def _filtering(plan: _Plan, shape: Sequence[int], axes: Sequence[int]) -> _Plan:
-    """A plan that filters some axes."""
+def _most(ndim: int) -> int:
+    """Operations of a small call."""
+    return _OPERATIONS * _LINE if ndim == 1 else _OPERATIONS
+
+
+def _filtering(plan: _Plan, shape: Sequence[int], axes: Sequence[int]) -> _Plan | None:
+    """A plan that filters some axes; None if SciPy would, inexactly."""
     order, mode = plan.order, plan.mode
     if prod(shape) <= _FEW:
         whole: Array = np.ones((1, 1))
         for axis, n in enumerate(shape):
             whole = np.kron(whole, _inverse(order, mode, n) if axis in axes and n > 1 else np.eye(n))
         return plan._replace(whole=whole)
-    long = [axis for axis in axes if shape[axis] > 1]
-    return plan._replace(
-        steps=tuple(_Step(axis, _inverse(order, mode, shape[axis]) if shape[axis] <= _SHORT else None) for axis in long)
-    )
+    alone = prod(shape) <= _ALONE
+    if not alone and _rule(mode).name == "reflect" and any(1 < shape[axis] <= _SHORT for axis in axes):
+        return None
+    steps = [
+        _Step(axis, _inverse(order, mode, shape[axis]) if alone and shape[axis] <= _SHORT else None)
+        for axis in axes
+        if shape[axis] > 1
+    ]
+    return plan._replace(steps=tuple(steps))
+
+
+def _rule(mode: str) -> Boundary:
+    """The boundary rule by which a mode filters."""
+    return as_boundary(FILTERED_AS.get(mode, BOUNDARIES[mode]))
 
 
 def _filtered(data: Array, plan: _Plan) -> Array:
@@ -341,5 +363,4 @@ def _filtered(data: Array, plan: _Plan) -> Array:
 @lru_cache(maxsize=_PLANS)
 def _inverse(order: int, mode: str, n: int) -> _Floats:
     """The matrix that turns `n` samples into coefficients: the inverse of eq. (11) of the paper, by the rule of a mode."""
-    rule = as_boundary(FILTERED_AS.get(mode, BOUNDARIES[mode])).ends
-    return np.asarray(np.linalg.inv(rule.matrix(row_of(order, True).undone, n)), np.float64)
+    return np.asarray(np.linalg.inv(_rule(mode).ends.matrix(row_of(order, True).undone, n)), np.float64)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DeviceError, OptionError, OutOfMemoryError
+from clvol.device.plan import Plans
 from clvol.device.program import LANES
 from clvol.spline.build import evaluator_defines, filter_defines, row_reach, scalar_defines
 from clvol.spline.lease import release
@@ -92,7 +93,7 @@ class Coefficients:
 
     `buffer` is [z, y, x], halo included; None once released. Kernels take `extent`: row pitch, rows, slices and halo; `size`:
     samples along (x, y, z), then 0; and `period`, that of the boundary rule along (x, y, z), 0 if it has none. The function is
-    constant from `reach` samples past the padding, `pad`, on.
+    constant from `reach` samples past the padding, `pad`, on. `plans` are those of calls that read these coefficients.
     """
 
     def __init__(
@@ -131,6 +132,7 @@ class Coefficients:
         device.buffers.clear(self.buffer, math.prod(self.shape), LANES, kind)  # bounds read vectors past the last row
         self._image: Any = None
         self._uploaded: dict[int, Any] = {}
+        self.plans: Plans[Any] = Plans()
         self._lock = threading.RLock()  # a signal handler may re-enter
 
     @property
@@ -332,6 +334,7 @@ class Coefficients:
             memory = self.buffer, self._image
             self.buffer = self._image = None
         release(self.device, *memory)
+        self.plans.clear()
 
     def __enter__(self) -> Self:
         return self

@@ -373,8 +373,6 @@ def points_in_world(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[
 def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
     """Warn of points outside the volume that would be inside with their coordinates in the order of the array's axes."""
     some = np.asarray(points[:: max(1, len(points) // _CHECKED)], np.float64)
-    if not len(some) or not np.isfinite(some).all():
-        return
     low, high = -0.5, np.asarray(volume.size) - 0.5
 
     def inside(at: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -382,6 +380,8 @@ def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
         return np.asarray(((index >= low) & (index <= high)).all(-1))
 
     outside = ~inside(some)
+    if not outside.any() or not np.isfinite(some).all():
+        return
     if 2 * np.count_nonzero(outside) > len(some) and inside(some[outside][:, ::-1]).all():
         names = "(x, y)" if volume.ndim == 2 else "(x, y, z)"
         low, high = (end.round(3).tolist() for end in (volume.corners.min(0), volume.corners.max(0)))

@@ -1,0 +1,40 @@
+"""Plans: what calls of one kind need besides their data, kept from one for the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+__all__ = ["Plans"]
+
+T = TypeVar("T")
+
+_KINDS = 16
+
+
+class Plans(Generic[T]):
+    """Idle plans, such as buffers and arguments of a kernel, of up to 16 kinds of calls.
+
+    A call takes a plan and gives it back once its kernels are done, so that no two threads use one at a time. A call that fails
+    must not give it back. The owner clears them when it is closed.
+    """
+
+    def __init__(self) -> None:
+        self._idle: dict[Hashable, list[T]] = {}
+
+    def take(self, kind: Hashable, make: Callable[[], T]) -> T:
+        """An idle plan for a kind of call, else a new one."""
+        try:
+            return self._idle[kind].pop()
+        except LookupError:
+            return make()
+
+    def give(self, kind: Hashable, plan: T) -> None:
+        """Keep a plan for the next call."""
+        if kind not in self._idle and len(self._idle) >= _KINDS:
+            self.clear()
+        self._idle.setdefault(kind, []).append(plan)
+
+    def clear(self) -> None:
+        """Forget all idle plans."""
+        self._idle = {}
