@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base import memory
-from clvol.base.checks import whole
+from clvol.base.checks import flag, number, several, whole
 from clvol.base.errors import DataError, MissingDependencyError, OptionError
 from clvol.base.files import staged
 from clvol.base.progress import Progress, part_of
@@ -74,9 +74,9 @@ def resample_to_shape(
     Raises
     ------
     DataError
-        `data` has not four axes.
+        `data` has not four axes, or an empty one.
     OptionError
-        `new_shape` is not three whole numbers, or there is no such order.
+        `new_shape` is not three whole numbers, spacings are not three numbers above 0, or there is no such order.
 
     Notes
     -----
@@ -95,6 +95,7 @@ def resample_to_shape(
     if shape == array.shape[1:]:
         return array
     axis = _separate_axis(force_separate_z, current_spacing, new_spacing, separate_z_anisotropy_threshold)
+    whole("order_z", order_z, 0, 5)
     result = memory.empty((len(array), *shape), array.dtype, f"a result of {' × '.join(map(str, (len(array), *shape)))} samples")
     for channel, target in zip(array, result, strict=True):
         if is_seg:
@@ -153,13 +154,13 @@ def labels_from_logits(
     if len(array) > 65536:
         raise DataError(f"logits must have at most 65536 classes; got {len(array)}")
     axis = _separate_axis(force_separate_z, current_spacing, new_spacing, separate_z_anisotropy_threshold)
+    whole("order_z", order_z, 0, 5)
     given = device, progress
     if axis is None:
         return _largest(array, shape, None, order, *given)
     plane = _plane(array.shape[1:], shape, axis)
     if plane == shape or order_z == 0:
         return _nearest_slices(_largest(array, plane, axis, order, *given), shape[axis], axis)
-    whole("order_z", order_z, 0, 5)
     return _largest(_Resampled(array, plane, axis, order, device), shape, None, order_z, *given)
 
 
@@ -194,24 +195,38 @@ def install() -> Path:
 def _as_channels(data: Any) -> NDArray[Any]:
     """Channels of a volume, from an array or a Tensor."""
     array = np.asarray(data)
-    if array.ndim != 4 or array.dtype.kind not in "biuf":
-        raise DataError(f"data must be real numbers with four axes, (c, x, y, z); got {array.dtype} of shape {array.shape}")
+    if array.ndim != 4 or array.dtype.kind not in "biuf" or not array.size:
+        rule = "real numbers with four axes, (c, x, y, z), none empty"
+        raise DataError(f"data must be {rule}; got {array.dtype} of shape {array.shape}")
     return array
 
 
 def _as_shape(shape: Sequence[int]) -> tuple[int, ...]:
-    if len(shape) != 3:
-        raise OptionError(f"new_shape must be three whole numbers; got {shape!r}")
-    return tuple(whole("each number of new_shape", n, 1, np.iinfo(np.int32).max) for n in shape)
+    three = _three("new_shape", shape, "three whole numbers")
+    return tuple(whole("each number of new_shape", n, 1, np.iinfo(np.int32).max) for n in three)
+
+
+def _as_spacing(what: str, spacing: Sequence[float]) -> list[float]:
+    return [number(f"each number of {what}", step, above=0) for step in _three(what, spacing, "three numbers")]
+
+
+def _three(what: str, value: object, rule: str) -> list[Any]:
+    given = several(what, value, rule)
+    if len(given) != 3:
+        raise OptionError(f"{what} must be {rule}; got {value!r}")
+    return given
 
 
 def _separate_axis(
     force: bool | None, current_spacing: Sequence[float], new_spacing: Sequence[float], threshold: float
 ) -> int | None:
     """The axis that is resampled separately, if one is: nnU-Net's rule."""
+    if force is not None:
+        flag("force_separate_z", force)
+    given = [_as_spacing("current_spacing", current_spacing), _as_spacing("new_spacing", new_spacing)]
     if force is False:
         return None
-    for spacing in (current_spacing, new_spacing):
+    for spacing in given:
         if force or max(spacing) / min(spacing) > threshold:
             coarse = [axis for axis, step in enumerate(spacing) if step == max(spacing)]
             return coarse[0] if len(coarse) == 1 else None

@@ -86,9 +86,28 @@ def test_a_plans_file_finds_it_once_installed() -> None:
 
 
 def test_wrong_arguments_are_refused() -> None:
-    with pytest.raises(DataError, match=r"four axes, \(c, x, y, z\); got float64 of shape \(2, 3\)"):
+    with pytest.raises(DataError, match=r"four axes, \(c, x, y, z\), none empty; got float64 of shape \(2, 3\)"):
         resample_to_shape(np.zeros((2, 3)), (1, 2, 3), (1, 1, 1), (1, 1, 1))
     with pytest.raises(OptionError, match="new_shape must be three whole numbers"):
         resample_to_shape(np.zeros((1, 2, 3, 4)), (2, 3), (1, 1, 1), (1, 1, 1))
     with pytest.raises(OptionError, match="order"):
         labels_from_logits(np.zeros((1, 2, 3, 4)), (2, 3, 5), (1, 1, 1), (1, 1, 1), order=6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"current_spacing": (0, 1, 1)}, "each number of current_spacing must be a finite number, greater than 0; got 0"),
+        ({"new_spacing": (1, 1)}, r"new_spacing must be three numbers; got \(1, 1\)"),
+        ({"force_separate_z": "x"}, "force_separate_z must be"),
+        ({"order_z": 7}, "order_z must be a whole number"),
+        ({"new_shape": None}, "new_shape must be three whole numbers; got None"),
+    ],
+)
+def test_wrong_options_are_named(options: dict[str, object], message: str) -> None:
+    given = {"new_shape": (4, 4, 4), "current_spacing": (1, 1, 1), "new_spacing": (1, 1, 1)} | options
+    for function in (resample_to_shape, labels_from_logits):
+        with pytest.raises(OptionError, match=message):
+            function(np.ones((2, 3, 3, 3), np.float32), **given)  # type: ignore[operator]
+    with pytest.raises(DataError, match="none empty"):
+        labels_from_logits(np.ones((0, 3, 3, 3)), (4, 4, 4), (1, 1, 1), (1, 1, 1))

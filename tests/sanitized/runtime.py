@@ -226,6 +226,11 @@ class Kernel:
         self._library, self._parameters = program.library, program.kernels[name]
         self._run, self._width = (getattr(program.library, f"clvol_{what}_{name}") for what in ("run", "width"))
 
+    def set_scalar_arg_dtypes(self, types: Sequence[Any]) -> None:
+        """As of pyopencl, for the number of arguments; their types are those of the source."""
+        if len(types) != len(self._parameters):
+            raise real.LogicError(f"{len(self._parameters)} arguments; got {len(types)}")
+
     def __call__(
         self, queue: Any, sizes: Sequence[int], local: Sequence[int] | None, *given: Any, global_offset: Sequence[int] | None = None
     ) -> Any:

@@ -37,6 +37,13 @@ def test_it_shows_the_scene_and_copies_it(mode: str, device: Device) -> None:  #
     assert_array_equal(names["picture"], want)
 
 
+def test_functions_of_gradients_are_left_out_where_there_is_no_matter(device: Device) -> None:  # noqa: ARG001
+    graded = clvol.TransferFunction2D([((0.1, 0.5), (0.01, None), "tan", 0.5)])
+    view = View(clvol.Scene([clvol.Medium(SHELL, graded), clvol.Medium(CORE, graded)]), mode="mip")
+    want = clvol.render(clvol.Scene([clvol.Medium(SHELL), clvol.Medium(CORE)]), camera_of(view.state), "mip", SIZE)
+    assert_array_equal(view.picture(SIZE), want)
+
+
 ALONE: dict[str, dict[str, Any]] = {
     "clip": {"clip": clvol.Corner((0, 0, 0), SHELL.center), "transfer": TISSUE},
     "surfaces": {"surfaces": [(0.2, "tan", 0.5)]},

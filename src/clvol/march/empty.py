@@ -69,9 +69,7 @@ def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapp
         chosen = look.scene.media[0].transfer is not None or any(options.get(name) is not None for name in _CHOICES)
         return "" if chosen else f"the picture shows no structure: all samples are {low:g}"
     mode, transfer = look.mode, look.transfer
-    if (
-        mode.isovalues or mode.shows == "integral" or (mode.ramp < 1 and high > transfer.value_range[0])
-    ):  # which shows smaller values, too
+    if mode.isovalues or (mode.ramp < 1 and high > transfer.value_range[0]):  # which shows smaller values, too
         return ""
     first, last = transfer.value_range
     if mode.shows == "matter" and not transfer.opacity_within(low, high):

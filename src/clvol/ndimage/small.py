@@ -130,9 +130,9 @@ def coefficients(given: object, output: Any, order: object, mode: object, axis: 
         return None
     if plan is None:
         return None
-    data = _filtered(given, plan)
-    if not _finite(data):
+    if not isfinite(np.vdot(given, given)):  # a matrix times infinity warns
         return None
+    data = _filtered(given, plan)
     if _counted:
         _here.calls = calls_by_scipy() + 1
     return data if plan.kind is _DOUBLE and data is not given else data.astype(plan.kind)
@@ -247,6 +247,8 @@ class Small:
         if plan.by_scipy:
             data = data.astype(np.float64, copy=False)  # which holds every `cval`
         elif plan.filtered:
+            if not isfinite(np.vdot(data, data)):
+                return None
             data = _filtered(data, plan)
         function = originals()[name]
         try:
@@ -267,8 +269,7 @@ def _finite(numbers: Array) -> bool:
     """Whether all numbers are finite, and of a few also their squares, which is faster to ask."""
     if numbers.size > _ALONE:
         return bool(np.isfinite(numbers).all())
-    flat = numbers.ravel()
-    return isfinite(flat.dot(flat))
+    return isfinite(np.vdot(numbers, numbers))  # which, other than `dot`, does not warn
 
 
 def _writable(output: Array, input: Array) -> bool:

@@ -70,7 +70,7 @@ def joint_histogram(
     Returns
     -------
     JointHistogram
-        Counts, and the edges of values and gradients; both ranges are those of the volume.
+        Counts, and the edges of values and gradients; values are all of those at the points, gradients up to the .999 quantile.
 
     Raises
     ------

@@ -25,9 +25,11 @@ def of_state(media: Sequence[Medium], state: State) -> tuple[Medium, ...]:
 
 
 def _ungraded(medium: Medium) -> Medium:
-    """The same without factors of its opacity, which other modes lack."""
+    """The same without factors of its opacity, and without a function of gradients, which other modes lack."""
     none: dict[str, Any] = dict.fromkeys(FACTORS)
-    transfer = None if medium.transfer is None else replace(medium.transfer, **none)
+    transfer = medium.transfer
+    if transfer is not None:
+        transfer = None if isinstance(transfer, TransferFunction2D) else replace(transfer, **none)
     return replace(medium, transfer=transfer, **none)
 
 

@@ -48,7 +48,7 @@ _KINDS = ("color", "surfaces")  # controls of their own
 _CHOICES: Mapping[str, list[str]] = {"method": ["exact", "stepped"], "color_by": ["none", *CURVATURES, BY_DISTANCE]}
 _RANGES: Mapping[str, list[float]] = {
     "termination": [0, 0.5],
-    "tolerance": [0, 1],
+    "tolerance": [0.001, 1],
     "attenuation": [0, 40],
     "mu_water": [0.001, 0.1],
     "virtual": [0, 16],
