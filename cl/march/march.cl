@@ -259,7 +259,7 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
         mask wanted[PACKETS];
         for (int g = 0; g < PACKETS; ++g) {
             wanted[g] = lanes_within(tile->rays + g, tile->going[g], start, stop);
-            if (PACKETS > 1 && !WHOLE_TILES && frame->minmax.skipping && any_lane(wanted[g])) {
+            if ((WHOLE_TILES ? 0 : PACKETS > 1) && frame->minmax.skipping && any_lane(wanted[g])) {
                 const bounds_t bounds = bounds_of(minmax, frame, extent.w, tile, g, 1, start, stop);
                 if (!packet_matters(frame, table, tile, g, &bounds, start, stop))
                     wanted[g] = NONE;

@@ -215,7 +215,7 @@ def test_coarse_pictures_show_the_same_part_of_the_world(device: Device) -> None
 def test_steps_are_longer_only_where_all_samples_count(renderer: Renderer) -> None:
     for mode in cases.MODES:
         first, *_, last = renderer.refine(CAMERA, mode, (200, 200), seconds=TINY)
-        assert first.step == (2.0 if mode in ("composite", "mean") else 0.5)
+        assert first.step == (2.0 if mode in ("composite", "mean", "integral") else 0.5)
         assert last.step == 0.5
     first, *_ = renderer.refine(CAMERA, size=(200, 200), step=3.0, seconds=TINY)
     assert first.step == 3.0

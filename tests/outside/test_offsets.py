@@ -435,7 +435,7 @@ def test_pictures_do_not_depend_on_the_offset(device: Device, filter: str) -> No
 def test_default_looks_do_not_depend_on_the_offset(device: Device) -> None:
     options: dict[str, Any] = {"size": (41, 37), "rays": 1, "camera": clvol.Camera.orbit(30, 20, fit="volume")}
     with clvol.Renderer(smooth(), device=device) as near, clvol.Renderer(smooth() + FAR, device=device) as far:
-        for mode in MODES:
+        for mode in sorted(set(MODES) - {"integral"}):  # integrals of the offset are seen
             assert_allclose(far.render(mode=mode, **options), near.render(mode=mode, **options), rtol=0, atol=1e-5, err_msg=mode)
 
 

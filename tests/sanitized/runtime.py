@@ -264,6 +264,8 @@ class Kernel:
 def enqueue_copy(queue: Any, to: Any, source: Any, **where: Any) -> Any:
     if isinstance(to, Image):
         ctypes.memmove(to.texels.address, source.address + where["offset"], to.texels.size)
+    elif isinstance(to, Buffer):
+        to.view(0, source.nbytes)[:] = source.reshape(-1).view(np.uint8)
     else:
         ctypes.memmove(to.ctypes.data, source.address, to.nbytes)
     return SimpleNamespace(wait=lambda: None)

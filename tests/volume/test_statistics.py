@@ -51,7 +51,7 @@ def test_isovalue_windows_noise_and_smoothing_are_those_of_the_whole(pair: tuple
     assert not store.estimated
     assert store.noise == whole.noise
     assert choose(store.part()) == choose(whole)
-    for mode in cases.MODES:
+    for mode in sorted(set(cases.MODES) - {"integral"}):  # whose range is that of the samples' sums
         assert as_mode(mode).transfer(small).colors == as_mode(mode).transfer(whole).colors
         assert look(small, mode, preset="mr-default").opacities == look(whole, mode, preset="mr-default").opacities
     if store.bounds is not None:
