@@ -415,7 +415,8 @@ def test_integers_are_rounded_as_in_one_piece() -> None:
     whole = samples((40, 30, 20), "u1")
     blocks = da.from_array(whole, chunks=9)
     np.testing.assert_array_equal(  # halves away from zero, in SciPy's functions
-        ndimage.zoom(blocks, 0.5, order=1, mode="mirror").compute(), ndimage.zoom(whole, 0.5, order=1, mode="mirror", small="opencl")
+        ndimage.zoom(blocks, 0.5, order=1, mode="mirror").compute(),
+        ndimage.zoom(whole, 0.5, order=1, mode="mirror", small="opencl"),
     )
     halves = clvol.resample(whole, spacing=2.0, filter="linear", dtype="same").data  # and to even, in clvol's
     np.testing.assert_array_equal(clvol.resample(blocks, spacing=2.0, filter="linear", dtype="same").compute(), halves)
