@@ -16,11 +16,11 @@ The input is one of
 - a `LazyVolume` or a `BrickedField`, which is read brick by brick, in single precision. Values differ by less than 10⁻⁶ of the
   samples' range (order 5: 4 · 10⁻⁶) from those computed in memory;
 - an array of dask, and so is the result, which is evaluated block by block. `output` is then a dtype, `nan` not "local", and
-  `progress` is dask's own. Without a prefilter (orders 0 and 1, or ``prefilter=False``) the result is bit for bit that in memory, of
-  calls that are not small, but for the last bits of positions: where a matrix mixes axes, and within a margin of the seam under "grid-wrap". (Samples far
-  from zero compared with their range are computed in double precision; each block decides that for itself.) With a prefilter,
-  coefficients differ as those of `clvol.prefilter` do, and integers cut off from them by 1 where a coefficient is that near to
-  one.
+  `progress` is dask's own. Without a prefilter (orders 0 and 1, or ``prefilter=False``) the result is bit for bit that in memory,
+  of calls that are not small, but for the last bits of positions: where a matrix mixes axes, and within a margin of the seam under
+  "grid-wrap". (Samples far from zero compared with their range are computed in double precision; each block decides that for
+  itself.) With a prefilter, coefficients differ as those of `clvol.prefilter` do, and integers cut off from them by 1 where a
+  coefficient is that near to one.
 
 `patched` puts the functions into SciPy's place for programs that cannot be changed, as does ``python -m clvol.ndimage script.py``.
 """
