@@ -16,7 +16,7 @@ from clvol.base.errors import DataError, MissingDependencyError, OptionError
 from clvol.base.files import staged
 from clvol.base.progress import Progress, part_of
 from clvol.device import Device, as_device
-from clvol.interfaces.resize import resize
+from clvol.interfaces.resize import places, resize
 from clvol.ndimage.arguments import Spline
 from clvol.ndimage.engine import row_of
 from clvol.spline.coefficients import Coefficients
@@ -238,15 +238,10 @@ def _plane(before: tuple[int, ...], after: tuple[int, ...], axis: int) -> tuple[
     return tuple(n if k == axis else m for k, (n, m) in enumerate(zip(before, after, strict=True)))
 
 
-def _at(n: int, m: int) -> NDArray[np.float64]:
-    """The positions of m samples in those of an axis of n."""
-    return np.asarray((np.arange(m) + 0.5) * (n / m) - 0.5)
-
-
 def _nearest_slices(values: NDArray[Any], count: int, axis: int) -> NDArray[Any]:
     """The nearest slice for each of `count` along an axis."""
     n = values.shape[axis]
-    return values if n == count else values.take(np.clip(np.floor(_at(n, count) + 0.5), 0, n - 1).astype(np.intp), axis)
+    return values if n == count else values.take(np.clip(np.floor(places(n, count) + 0.5), 0, n - 1).astype(np.intp), axis)
 
 
 def _resized(values: NDArray[Any], shape: tuple[int, ...], order: int, device: Any, **options: Any) -> NDArray[Any]:
@@ -333,7 +328,7 @@ def _largest(
     kind: type[np.generic] = np.float64 if first.dtype == np.float64 and chosen.has_double else np.float32
     before, after = (tuple(sizes[k] for k in turned) for sizes in (first.shape, shape))
     separate = 0 if axis is None else 1
-    positions = [_at(n, m) for n, m in zip(before[separate:], after[separate:], strict=True)][::-1]
+    positions = [places(n, m) for n, m in zip(before[separate:], after[separate:], strict=True)][::-1]
     largest = Largest(after, len(channels), kind, chosen, None if nearest is None else nearest.transpose(turned))
     boundary = Spline(order, "nearest", 0.0, True, "single").boundary
     size = before[separate:][::-1]

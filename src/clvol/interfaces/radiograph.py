@@ -152,21 +152,21 @@ def _across(vector: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _rotation(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The matrix of a rotation vector (Rodrigues)."""
-    angle, across = float(np.linalg.norm(vector)), _across(vector)
-    sine, cosine = _factors(angle)[:2]
-    return np.asarray(np.eye(3) + sine * across + cosine * across @ across)
+    """The matrix of a rotation vector."""
+    from scipy.spatial.transform import Rotation  # which takes long to import
+
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def _turned(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """How fast a body turns, in its own frame, as each number of its rotation vector changes: the right Jacobian."""
     across = _across(vector)
-    _, cosine, rest = _factors(float(np.linalg.norm(vector)))
+    cosine, rest = _factors(float(np.linalg.norm(vector)))
     return np.asarray(np.eye(3) - cosine * across + rest * across @ across)
 
 
-def _factors(angle: float) -> tuple[float, float, float]:
-    """The series sin a / a, (1 - cos a) / a² and (a - sin a) / a³."""
+def _factors(angle: float) -> tuple[float, float]:
+    """The series (1 - cos a) / a² and (a - sin a) / a³."""
     if angle < _SMALL:
-        return 1 - angle**2 / 6, 0.5 - angle**2 / 24, 1 / 6 - angle**2 / 120
-    return float(np.sin(angle)) / angle, float(1 - np.cos(angle)) / angle**2, float(angle - np.sin(angle)) / angle**3
+        return 0.5 - angle**2 / 24, 1 / 6 - angle**2 / 120
+    return float(1 - np.cos(angle)) / angle**2, float(angle - np.sin(angle)) / angle**3

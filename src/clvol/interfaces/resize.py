@@ -22,7 +22,7 @@ from clvol.ndimage.in_memory import along_axes
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 
-__all__ = ["resize"]
+__all__ = ["places", "resize"]
 
 _MODES = {"constant": "grid-constant", "edge": "nearest", "symmetric": "reflect", "reflect": "mirror", "wrap": "grid-wrap"}
 
@@ -226,14 +226,17 @@ def _sigma(
     return sigma
 
 
+def places(n: int, m: int) -> NDArray[np.float64]:
+    """The positions of m samples in those of an axis of n."""
+    return np.asarray((np.arange(m) + 0.5) * (n / m) - 0.5)
+
+
 def _resized(
     array: NDArray[Any], shape: tuple[int, ...], kind: np.dtype[Any], spline: Spline, chosen: AntiAliasing, sigma: dict[int, float]
 ) -> NDArray[Any]:
     """Values in the array's units."""
     memory.require(24 * max(shape), f"the positions of {max(shape)} samples along an axis")
-    positions = {
-        axis: (np.arange(m) + 0.5) * (n / m) - 0.5 for axis, (n, m) in enumerate(zip(array.shape, shape, strict=True)) if n != m
-    }
+    positions = {axis: places(n, m) for axis, (n, m) in enumerate(zip(array.shape, shape, strict=True)) if n != m}
     result = memory.empty(shape, kind, f"a result of {' × '.join(map(str, shape))} samples")
     if chosen == "least-squares" and positions:
         nearest_splines(array, positions, result, spline)

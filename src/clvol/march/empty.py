@@ -32,11 +32,11 @@ _CHOICES = ("transfer", "isovalue", *WORDS)
 
 
 def warn_if_empty(
-    look: ResolvedLook, step: float | None, source: Source, options: Mapping[str, Any], rgba: NDArray[np.floating[Any]]
+    look: ResolvedLook, fine: Fineness, source: Source, options: Mapping[str, Any], rgba: NDArray[np.floating[Any]]
 ) -> None:
     """Warn if a picture shows nothing of what is drawn, cannot tell its samples apart, or misses a band of values between them.
 
-    `options` were given for the picture; `step` is None where a tolerance chose it.
+    `options` were given for the picture, and so was `fine`: bands are not missed where a tolerance chooses the step.
     """
     alike = (_alike(one, one.preview.limits, options) for one in (look, *look.others)) if look.others else ()
     if found := next(filter(None, alike), ""):
@@ -45,7 +45,7 @@ def warn_if_empty(
     for one in () if reason else (look, *look.others):
         if said := _beyond(one):
             warn(said)
-    missed = () if step is None else (_missed(one, step) for one in (look, *look.others))
+    missed = () if fine.tolerance is not None else (_missed(one, fine.step) for one in (look, *look.others))
     if reason or (reason := next(filter(None, missed), "")):
         warn(reason)
 
@@ -57,7 +57,7 @@ def warn_of_refined(
     source, chosen = renderer._source, chosen_mode(mode, options)
     fine = Fineness.of(chosen, picture.shape[1::-1], step, options)  # type: ignore[arg-type]
     look = ResolvedLook.of(source.scene, source.part, camera, chosen, options)  # type: ignore[arg-type]
-    warn_if_empty(look, fine.step if fine.tolerance is None else None, source, options, picture)
+    warn_if_empty(look, fine, source, options, picture)
 
 
 def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapping[str, Any]) -> str:

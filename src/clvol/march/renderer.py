@@ -258,7 +258,7 @@ class Renderer:
             stage = with_step(staged(self._source, camera, chosen, fine, options), self._source, part_of(shown, 0, 0))
             pictures = self._source.draw(moving(self._source, stage.drawn, wanted), stage.fine, wanted != ("rgba",), shown)
             if "rgba" in wanted or chosen.shows != "integral":  # an integral of 0 is an answer, not an empty picture
-                warn_if_empty(stage.drawn, fine.step if fine.tolerance is None else None, self._source, options, pictures["rgba"])
+                warn_if_empty(stage.drawn, fine, self._source, options, pictures["rgba"])
             if uncertainty is not None and noise is not None:
                 central = stage.look.central or not self._source.filter_of(chosen).has_gradient
                 pictures["uncertainty"] = uncertainty(pictures["position"], noise, central=central)

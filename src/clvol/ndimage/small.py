@@ -130,9 +130,9 @@ def coefficients(given: object, output: Any, order: object, mode: object, axis: 
         return None
     if plan is None:
         return None
-    if not isfinite(np.vdot(given, given)):  # a matrix times infinity warns
-        return None
     data = _filtered(given, plan)
+    if data is None:
+        return None
     if _counted:
         _here.calls = calls_by_scipy() + 1
     return data if plan.kind is _DOUBLE and data is not given else data.astype(plan.kind)
@@ -247,9 +247,10 @@ class Small:
         if plan.by_scipy:
             data = data.astype(np.float64, copy=False)  # which holds every `cval`
         elif plan.filtered:
-            if not isfinite(np.vdot(data, data)):
+            filtered = _filtered(data, plan)
+            if filtered is None:
                 return None
-            data = _filtered(data, plan)
+            data = filtered
         function = originals()[name]
         try:
             result: Array = function(data, *arguments, self.output, plan.order, plan.mode, self.cval, plan.by_scipy, **options)
@@ -346,8 +347,10 @@ def _rule(mode: str) -> Boundary:
     return as_boundary(FILTERED_AS.get(mode, BOUNDARIES[mode]))
 
 
-def _filtered(data: Array, plan: _Plan) -> Array:
-    """The coefficients of an array, along the axes of a plan."""
+def _filtered(data: Array, plan: _Plan) -> Array | None:
+    """The coefficients of an array, along the axes of a plan; None if they may not be finite: a matrix times infinity warns."""
+    if not isfinite(np.vdot(data, data)):
+        return None
     if plan.whole is not None:
         filtered: Array = plan.whole.dot(data.ravel()).reshape(data.shape)
         return filtered

@@ -14,7 +14,7 @@ from clvol.scene.scene import Medium
 from clvol.scene.transfer import FACTORS, TransferFunction, is_curve
 from clvol.view.state import MediumState, State
 
-__all__ = ["changes", "described", "of_state", "require"]
+__all__ = ["changes", "described", "of_state", "require", "ungraded"]
 
 
 def of_state(media: Sequence[Medium], state: State) -> tuple[Medium, ...]:
@@ -25,12 +25,15 @@ def of_state(media: Sequence[Medium], state: State) -> tuple[Medium, ...]:
 
 
 def _ungraded(medium: Medium) -> Medium:
-    """The same without factors of its opacity, and without a function of gradients, which other modes lack."""
+    """The same without what modes without matter lack."""
     none: dict[str, Any] = dict.fromkeys(FACTORS)
-    transfer = medium.transfer
-    if transfer is not None:
-        transfer = None if isinstance(transfer, TransferFunction2D) else replace(transfer, **none)
-    return replace(medium, transfer=transfer, **none)
+    return replace(medium, transfer=ungraded(medium.transfer), **none)
+
+
+def ungraded(transfer: TransferFunction | None) -> TransferFunction | None:
+    """A function without the factors of its opacity, which modes without matter lack, as they do one of gradients: None."""
+    none: dict[str, Any] = dict.fromkeys(FACTORS)
+    return None if transfer is None or isinstance(transfer, TransferFunction2D) else replace(transfer, **none)
 
 
 def changes(medium: Medium, shown: MediumState) -> dict[str, Any]:

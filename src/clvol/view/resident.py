@@ -24,7 +24,7 @@ from clvol.scene.look import look
 from clvol.scene.mode import BY_DISTANCE, CURVATURES, Mode, as_mode, colored_by, mode_options, modes, tolerance_of
 from clvol.scene.preset import presets
 from clvol.scene.scene import Medium
-from clvol.scene.transfer import FACTORS, TransferFunction
+from clvol.scene.transfer import TransferFunction
 from clvol.view import media
 from clvol.view.catalog import Catalog, Which, labelled
 from clvol.view.events import KEYS
@@ -158,7 +158,7 @@ class Resident:
         left_out |= {"gradient_opacity"} if self._ungraded else set()
         transfer = given.get("transfer")
         if transfer and transfer.graded and not mode.grades:
-            given = given | {"transfer": replace(transfer, **dict.fromkeys(FACTORS))}
+            given = given | {"transfer": media.ungraded(transfer)}
         graded = "gradient_opacity" in given.keys() - left_out or (transfer and transfer.graded)
         graded = graded or any(one.factors or (one.transfer and one.transfer.graded) for one in self.catalog.media[1:])
         smooth = "smooth" in self.beyond or any(medium.smooth for medium in self.catalog.media)
