@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import tifffile
 import zarr
+from rich.console import Console
 
 import clvol
 from clvol import cli
@@ -1294,7 +1295,7 @@ def test_the_version_is_printed(clvol_command: Command) -> None:
 
 
 def test_help_states_the_defaults_of_each_command(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(app, "console", Console(width=200))  # the first help of a process keeps its console
     assert "[default: composite]" in clvol_command("render", "--help").out
     assert "[default: isosurface]" in clvol_command("compare", "--help").out
     assert "[default: the six of Figure 6]" in clvol_command("compare", "--help").out

@@ -94,7 +94,8 @@ def test_kernels_write_contiguous_arrays_themselves(device: Device, monkeypatch:
         return lent(self, array, write=write)
 
     with clvol.Field(DATA.astype(np.float32), device=device) as field:
-        points, out, grid = np.float32(POINTS.reshape(-1, 3)), np.empty(30, np.float32), np.empty((9, 20, 11), np.float32)
+        points = np.tile(np.float32(POINTS.reshape(-1, 3)), (20, 1))  # more than a plan's
+        out, grid = np.empty(600, np.float32), np.empty((9, 20, 11), np.float32)
         field(points)
         monkeypatch.setattr(Buffers, "lent", noted)
         field(points, out=out)
