@@ -19,6 +19,16 @@ INLINE int matters(const state_t *s, constant frame_t *frame, global const float
     return 1;   // every sample counts
 }
 
+// The step of a ray: that of its planes, or its own. A part of it that has one sample, in its middle, counts in steps as all others do.
+INLINE real whole_step(constant frame_t *frame, const ray_t *ray)
+{
+    constant planes_block *planes = &frame->planes;
+    const real across = magnitude(axis_of(ray->direction, planes->axis));
+    const real planar = planes->spacing / choose(ray->planar, across, (real)(1.0f));
+    const real own = choose(ray->planar, planar, planes->stride / square_root(dot3(ray->direction, ray->direction)));
+    return choose(ray->alone, own, ray->step);
+}
+
 INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
     const ray_t *ray = sample->ray;
@@ -29,7 +39,7 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     uneven = 1;
 #endif
     if (uneven)
-        steps = (before + behind) / choose(ray->alone, (real)(1.0f), ray->step);
+        steps = (before + behind) / whole_step(sample->frame, ray);
     s->sum = choose(active, madd(steps, value, s->sum), s->sum);
     s->steps = choose(active, s->steps + steps, s->steps);
     return NONE;

@@ -294,6 +294,17 @@ def test_a_corner_leaves_two_parts_of_a_ray(device: Device) -> None:
         np.testing.assert_allclose(got[4, 4, 3], 1 - 0.9**length, atol=1e-5)
 
 
+def test_a_part_shorter_than_a_step_counts_in_a_mean_as_much_as_it_is_long(device: Device) -> None:
+    """1.1 voxels of zeros in front of a gap, and 6.4 of ones behind it, in memory and by bricks."""
+    volume = Volume(np.repeat(np.float32([0, 1]), 8)[:, None] * np.ones((16, 1, 16), np.float32))
+    view = Camera(direction=(0, 1, 0), projection="orthographic", fit="volume")
+    look: dict[str, Any] = {"clip": Corner((-INF, 0.6, -INF), (INF, 9.1, INF)), "transfer": TransferFunction.ramp((0, 1))}
+    for field in (clvol.Field(volume, "linear", device=device), BrickedField(volume, "linear", edge=8, device=device)):
+        with field, Renderer(field) as made:
+            got = made.render(view, "mean", (9, 9), step=16 / 6, rays=1, **look)
+        np.testing.assert_allclose(got[4, 4, 0], 6.4 / 7.5, rtol=1e-5)
+
+
 def test_cut_open_by_dask_and_as_listed_rays(device: Device) -> None:
     """A lazy volume, and rays on edges, which are listed: as in memory."""
     lazy = LazyVolume(da.from_array(VOLUME.data, 9), VOLUME.spacing, VOLUME.origin, VOLUME.direction)
