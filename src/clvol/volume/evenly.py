@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 from numpy.typing import NDArray
 
-from clvol.volume.volume import Volume
+if TYPE_CHECKING:
+    from clvol.volume.volume import Volume
 
 __all__ = ["MOST", "Evenly", "evenly", "places_of", "remember_evenly"]
 

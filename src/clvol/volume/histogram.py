@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.scaling import exponent_of, scaled, unscaled
+from clvol.volume.evenly import evenly
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = [
@@ -310,11 +311,11 @@ def clims_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
 def integrals_of(volume: Volume, height: Callable[[NDArray[Any]], Array]) -> tuple[float, float]:
     """Black and white of line integrals of `height` of the values: 0, or less, to nearly that of the brightest column of samples.
 
-    The columns are those along the axes; missing samples count nothing.
+    The columns are those along the axes, of evenly spaced samples, which stores keep too; missing ones count nothing.
     """
-    samples = _thinned(volume, _COLUMNS_OF)
+    samples, grid = evenly(volume)
     heights = np.where(np.isfinite(samples), height(samples), 0.0)
-    lengths = zip(volume.spacing[::-1], volume.shape, strict=True)
+    lengths = zip(grid.spacing[::-1], grid.shape, strict=True)
     columns = [(heights.mean(axis) * spacing * n).ravel() for axis, (spacing, n) in enumerate(lengths)]
     low, high = _clim(np.sort(np.concatenate(columns)))
     low, high = min(low, 0.0), max(high, 0.0)
