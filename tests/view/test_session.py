@@ -233,6 +233,8 @@ def test_planes_and_corners_cut_a_view_open(volume: Volume, device: Device) -> N
         ({"clip": ((1, 1, 1), (0, 2, 2))}, "clip must be two corners"),
         ({"preset": "labels", "window": (0, 1)}, "window"),
         ({"theme": "dark"}, "theme must be one of screen, print"),
+        ({"tolerance": 0.01, "step": 0.5}, "tolerance chooses the step"),
+        ({"shadow_rays": True}, "shadow_rays changes nothing without shadow"),
     ],
     ids=str,
 )

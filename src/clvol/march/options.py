@@ -67,6 +67,7 @@ __all__ = [
     "as_outputs",
     "chosen_mode",
     "covering",
+    "require_one_step",
     "require_room",
     "step_times",
     "transfer_of",
@@ -383,8 +384,7 @@ class Fineness:
     @classmethod
     def of(cls, mode: Mode, size: tuple[int, int], step: float | None, options: RefineOptions) -> Fineness:
         """As the options say."""
-        if step is not None and (tolerance := tolerance_of(mode)) is not None:
-            raise OptionError(f"tolerance chooses the step, which must be left out beside it; got {tolerance:g} and step={step!r}")
+        require_one_step(mode, step)
         rays, lod = options.get("rays", "auto"), options.get("lod", "auto")
         if rays != "auto":
             rays = whole("rays", rays, minimum=1, maximum=4096)
@@ -398,6 +398,12 @@ class Fineness:
             1.0 if isinstance(lod, str) and lod == "auto" else number("lod", lod, minimum=0),
             tolerance_of(mode),
         )
+
+
+def require_one_step(mode: Mode, step: float | None) -> None:
+    """Raise `OptionError` for a step beside a tolerance, which chooses it."""
+    if step is not None and (tolerance := tolerance_of(mode)) is not None:
+        raise OptionError(f"tolerance chooses the step, which must be left out beside it; got {tolerance:g} and step={step!r}")
 
 
 def step_times(step: float | None, factor: float, mode: Mode) -> float | None:

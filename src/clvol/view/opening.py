@@ -16,7 +16,7 @@ from clvol.bricks.source import LazyVolume
 from clvol.device import Device
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.choose import without_masked
-from clvol.march.options import KEYWORDS, FurnitureOptions
+from clvol.march.options import KEYWORDS, FurnitureOptions, require_one_step
 from clvol.scene.camera import Camera
 from clvol.scene.clip import as_clip, cuts_of
 from clvol.scene.factor import as_factors
@@ -135,6 +135,7 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
     chosen = as_mode("composite" if mode is None else mode, given, (*KEYWORDS, "filter", "boundary", "device"))
     if chosen.name not in modes():
         raise OptionError(f"mode must be one of {', '.join(modes())} in a view; got {chosen.name!r}")
+    require_one_step(chosen, values.get("step"))
     default = type(chosen)()
     options = {f.name: getattr(chosen, f.name) for f in fields(chosen) if getattr(chosen, f.name) != getattr(default, f.name)}
     if is_curve(values.get("opacity")):
@@ -156,6 +157,7 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
     for name in (*FACTORS, *_OF_LIGHT):
         if values.get(name) is None:
             values.pop(name, None)
+    Scene((Medium(volume),), **{name: values[name] for name in _OF_LIGHT if name in values})  # refuses what changes nothing
     lights = values.get("lights")
     if lights is not None and not isinstance(lights, (list, tuple)):
         values["lights"] = (lights,)
