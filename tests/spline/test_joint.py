@@ -28,3 +28,5 @@ def test_what_has_no_slopes_is_refused(device: Device) -> None:
         clvol.joint_histogram(np.zeros((4, 4)), device=device)
     with pytest.raises(OptionError, match="bins must be"):
         clvol.joint_histogram(np.zeros((4, 4, 4)), 7, device=device)  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="range and gradients are within that of float64; got values from"):
+        clvol.joint_histogram(1.7e308 * np.random.default_rng(0).uniform(-1, 1, (6, 6, 6)), device=device)

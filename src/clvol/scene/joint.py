@@ -110,9 +110,10 @@ class TransferFunction2D(TransferFunction):
         Boundaries between two materials of these values. In the plane of values and gradients a blurred step lies on an arch: from
         no slope at the one value, over the `peak` in the middle, the largest magnitude, to none at the other. Opacity is largest on
         the arch, and falls to 0 three tenths of the peak to either side and at places without slope.
-    image : (array, (value, value), gradient), optional
+    image : (array, (value, value), gradient) or dict, optional
         In place of shapes, colours and opacities of shape (rows, columns, 4) at equally spaced nodes: rows from magnitude 0 to
-        `gradient`, columns between the values; up to 1024 each. What lies outside has those of the edge.
+        `gradient`, columns between the values; up to 1024 each. What lies outside has those of the edge. A dict is the "image" of
+        the function's `json`, as programs have it that a viewer copies.
     unit_distance, gradient_opacity, curvature_opacity : optional
         As of `TransferFunction`, by name.
 

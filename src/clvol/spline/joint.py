@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -76,6 +77,8 @@ def joint_histogram(
     ------
     OptionError
         `bins` is not as above, or the filter has no slopes.
+    DataError
+        There are no finite samples, or differences of them are out of the range of float64.
     DataError, DeviceError, OutOfMemoryError
         As `clvol.Field` raises them.
 
@@ -100,12 +103,19 @@ def joint_histogram(
     points = field.grid.index_to_world(share * (np.array(field.grid.shape[::-1]) - 1))
     values, slopes = np.asarray(field(points), np.float64), np.asarray(field.gradient(points), np.float64)
     largest = float(np.max(np.abs(slopes), initial=0.0, where=np.isfinite(slopes))) or 1.0
-    steep = largest * np.linalg.norm(slopes / largest, axis=-1)
-    known = np.isfinite(values) & np.isfinite(steep)
+    with np.errstate(over="ignore"):
+        steep = largest * np.linalg.norm(slopes / largest, axis=-1)
+    known = ~(np.isnan(values) | np.isnan(steep))
     if not known.any():
         raise DataError("a joint histogram takes a volume with finite samples; got none")
     values, steep = values[known], steep[known]
-    low, high, top = float(values.min()), float(values.max()), float(np.quantile(steep, _STEEPEST)) or 1.0
+    low, high, steepest = float(values.min()), float(values.max()), float(steep.max())
+    if not math.isfinite(high - low + steepest):
+        raise DataError(
+            "a joint histogram takes a volume whose range and gradients are within that of float64; got values from "
+            f"{low:g} to {high:g}, and gradients up to {steepest:g}"
+        )
+    top = float(np.quantile(steep, _STEEPEST)) or 1.0
     span = (low, high) if low < high else (low - 0.5, high + 0.5)
     counts, gradients, edges = np.histogram2d(np.minimum(steep, top), values, (rows, columns), ((0.0, top), span))
     return JointHistogram(counts.astype(np.int64), edges, gradients)
