@@ -14,7 +14,7 @@ from PIL import Image
 
 import clvol
 from clvol import cli
-from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
+from clvol.base.errors import ClvolError, ClvolWarning, DataError, FormatError, OptionError
 from clvol.bricks.field import as_lazy
 from clvol.show.picture import to_bytes
 from clvol.volume.histogram import isovalue_of
@@ -45,6 +45,13 @@ def pictures(folder: Path) -> list[NDArray[np.uint8]]:
 
 def rgb(picture: Any) -> NDArray[np.uint8]:
     return to_bytes(picture)[..., :3]
+
+
+def test_a_warning_comes_once_a_film(tmp_path: Path) -> None:
+    """That colours are off by more than the tolerance: by how much differs from picture to picture."""
+    with pytest.warns(ClvolWarning, match="tolerance 1e-09 is not reached") as warned:
+        clvol.movie(blobs(2, 6), tmp_path / "film", tolerance=1e-9, camera=STILL, rays=1, size=(6, 6))
+    assert len(warned) == 1
 
 
 @pytest.mark.parametrize("lazy", [False, True])

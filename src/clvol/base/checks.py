@@ -11,6 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import wraps
 from numbers import Integral, Real
 from pathlib import Path
@@ -36,6 +37,7 @@ __all__ = [
     "several",
     "suggests_options",
     "warn",
+    "warned_once",
     "whole",
 ]
 
@@ -233,12 +235,29 @@ def require_room(what: str, samples: int, value: object) -> None:
         raise OutOfMemoryError(f"out of memory: {what} must give at most {_MAX_SAMPLES} samples; got {value!r}")
 
 
-def warn(message: str) -> None:
-    """Warn, pointing at the first caller outside clvol."""
+def warn(message: str, kind: str = "") -> None:
+    """Warn, pointing at the first caller outside clvol; once of a `kind`, or with a message, in a context of `warned_once`."""
+    if (told := _TOLD.get()) is not None:
+        if (kind or message) in told:
+            return
+        told.add(kind or message)
     frame, level = sys._getframe(), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, ClvolWarning, stacklevel=level)
+
+
+@contextmanager
+def warned_once(told: set[str]) -> Iterator[None]:
+    """A context for one of several pictures, which repeats no warning that is `told`, and adds its own."""
+    token = _TOLD.set(told)
+    try:
+        yield
+    finally:
+        _TOLD.reset(token)
+
+
+_TOLD: ContextVar[set[str] | None] = ContextVar("_TOLD", default=None)
 
 
 def as_path(value: object) -> Path:

@@ -14,7 +14,7 @@ from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING, Any, Unpack
 
-from clvol.base.checks import instance
+from clvol.base.checks import instance, warned_once
 from clvol.base.errors import ClvolError, OptionError
 from clvol.base.progress import Progress, part_of
 from clvol.bricks.source import LazyVolume, by_bricks
@@ -203,7 +203,8 @@ def frames(
 ) -> Generator[Picture, None, None]:
     """Yield the pictures of a movie, in order, for example for `movies.write`.
 
-    A renderer is kept from one picture to the next of the same source. The workers of a cluster hold only a few pictures at a time.
+    A renderer is kept from one picture to the next of the same source, and each warning comes once. The workers of a cluster hold
+    only a few pictures at a time.
 
     Parameters
     ----------
@@ -225,12 +226,14 @@ def frames(
     ClusterError
         The scheduler or all of its workers are gone.
     """
-    count, request = len(shots), _Request({}, None, {**options}, dict(limits or {}))
+    count, request, told = len(shots), _Request({}, None, {**options}, dict(limits or {})), set[str]()
     if cluster is None:
         with closing(_LastRenderer()) as last:
             for number, shot in enumerate(shots):
                 part = part_of(progress, number / count, (number + 1) / count)
-                yield last.drawn(shot.source, request, shot.changes, progress=part)
+                with warned_once(told):
+                    picture = last.drawn(shot.source, request, shot.changes, progress=part)
+                yield picture
         return
     with _workers_of(cluster) as (workers, token):
         left, tasks = iter(shots), deque[Any]()

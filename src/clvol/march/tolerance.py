@@ -71,7 +71,8 @@ def with_step(stage: Staged, source: Source, progress: Progress | None = None) -
 
     step, error = _allowed(tolerance, probe, np.array([*look.scene.background, 1.0] if look.scene.background else [0.0] * 4))
     if error > tolerance:
-        warn(f"tolerance {tolerance:g} is not reached: with the shortest step, 1/64 voxel, colours are off by some {error:.2g}")
+        off = f"with the shortest step, 1/64 voxel, colours are off by some {error:.2g}"
+        warn(f"tolerance {tolerance:g} is not reached: {off}", f"tolerance {tolerance:g}")
     return stage._replace(look=look, drawn=drawn, fine=replace(stage.fine, step=step))
 
 
