@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -165,11 +166,14 @@ def test_skipping_changes_no_bit_on_any_path(
 
 
 def test_even_matter_is_skipped(device: Device) -> None:
-    """Where only boundaries are seen, both of what is on their sides."""
+    """Where only boundaries are seen, both of what is on their sides; bounds of values alone, which were made before, are left."""
     volume = Volume((np.indices((64, 64, 64))[0] < 32).astype(np.float32))
     transfer = TransferFunction(((0.0, "red"), (1.0, "white")), ((0.0, 0.5),), gradient_opacity=((0.1, 0.0), (0.3, 1.0)))
     with Renderer(volume, device=device) as renderer:
+        renderer.render(size=(8, 8), rays=1)
+        (plain,) = map(weakref.ref, renderer._source.pyramids.values())
         got = renderer.render(mode="composite", size=(60, 45), transfer=transfer, outputs="visited")
+        assert plain() is None
     assert np.mean(got[np.isfinite(got)]) < 0.25
 
 

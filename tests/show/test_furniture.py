@@ -14,7 +14,8 @@ import pytest
 
 import clvol
 from clvol.base.errors import MissingDependencyError, OptionError
-from clvol.show.furniture import Area, Furniture, Line, Stage, Strip, Words, letters_of, luminance, marks_of, over, ticks_of
+from clvol.base.srgb import over
+from clvol.show.furniture import Area, Furniture, Line, Stage, Strip, Words, letters_of, luminance, marks_of, ticks_of
 
 pytest.importorskip("matplotlib")
 SIZE = (240, 180)

@@ -13,7 +13,7 @@ from clvol.base.srgb import as_light, as_shown
 if TYPE_CHECKING:
     from clvol.march.launch import Picture
 
-__all__ = ["mixed", "nearest", "over"]
+__all__ = ["mixed", "nearest"]
 
 
 def mixed(pictures: Sequence[Picture], rule: Literal["add", "over"]) -> Picture:
@@ -49,20 +49,6 @@ def nearest(pictures: Sequence[Mapping[str, Picture]], *, linear: bool) -> dict[
         opacity = opacity + share
     together = {name: at(name, 0) for name in pictures[0] if name not in ("rgba", "visited")}
     return {"rgba": _parted(total, opacity, linear=linear), **together}
-
-
-def over(background: tuple[float, float, float] | None, picture: Picture, *, linear: bool) -> Picture:
-    """A picture over its background, if it has one; `linear`: they mix in linear light."""
-    if background is None:
-        return picture
-    opacity = picture[..., 3:]
-    top, below = picture[..., :3], np.asarray(background, np.float32)
-    if linear:
-        mixed = as_shown(as_light(top) * opacity + (1 - opacity) * as_light(below))
-        colors = np.where(opacity > 0, mixed, below).astype(np.float32)
-    else:
-        colors = top * opacity + (1 - opacity) * below
-    return np.concatenate([colors, np.ones_like(opacity)], -1)
 
 
 def _parted(colors: NDArray[Any], opacity: NDArray[Any], *, linear: bool = False) -> Picture:

@@ -14,6 +14,7 @@ import clvol
 from clvol.base import serial
 from clvol.base.checks import instance
 from clvol.base.errors import FormatError, OptionError
+from clvol.base.srgb import on
 from clvol.filter import boundary
 from clvol.filter import filter as filters
 from clvol.march.options import OF_SCENE, ResolvedLook
@@ -21,7 +22,7 @@ from clvol.march.refine import Refined
 from clvol.scene import camera, clip, joint, light, mode, scene, transfer
 from clvol.scene.fit import box_around
 from clvol.scene.mode import BY_LABEL, colored_by
-from clvol.show.furniture import Bar, Furnished, Furniture, Stage, furnished, on
+from clvol.show.furniture import Bar, Furnished, Furniture, Stage, furnished
 from clvol.show.picture import as_pictures
 from clvol.volume.histogram import label_numbers
 from clvol.volume.provenance import facts_of, provenance_of, recognise

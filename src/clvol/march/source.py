@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 from clvol.base.checks import whole
 from clvol.base.errors import ChunkError, MissingSampleError, OptionError
 from clvol.base.progress import part_of
+from clvol.base.srgb import on
 from clvol.bricks.continued import continued
 from clvol.bricks.field import BrickedField, BrickedLabels
 from clvol.bricks.source import LazyVolume
@@ -26,7 +28,7 @@ from clvol.march.frame import Subject
 from clvol.march.function import regions_of, row_for, single
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
-from clvol.march.mixed import mixed, nearest, over
+from clvol.march.mixed import mixed, nearest
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.shadow import Body, Matter, Shadows
 from clvol.march.uncertainty import Uncertainty
@@ -256,6 +258,7 @@ class InMemory(OneMedium):
     def __init__(self, scene: Scene, field: Field, preview: Volume, arguments: tuple[Any, ...]) -> None:
         super().__init__(scene, field, preview, arguments)
         self.pyramids: dict[tuple[Filter, Evaluator, bool, bool], MinMax] = {}
+        self.lease.frees(partial(_released, self.pyramids))
         self._gaps = None if field.gaps is None else Gaps(field.gaps.volume.data, field.device)
         if self._gaps is not None:
             self.lease.frees(self._gaps.release)
@@ -315,11 +318,12 @@ class InMemory(OneMedium):
 
     def _pyramid(self, field: Field, evaluator: Evaluator, names: bool, slopes: bool) -> MinMax:
         with self._lock:
-            steep = (field.filter, evaluator, names, True)  # which has all that one without slopes has
-            key = steep if slopes or steep in self.pyramids else (*steep[:3], False)
+            plain, steep = ((field.filter, evaluator, names, which) for which in (False, True))
+            key = steep if slopes or steep in self.pyramids else plain
             if key not in self.pyramids:
                 self.pyramids[key] = MinMax(field.coefficients, evaluator, names=names, slopes=slopes)
-                self.lease.frees(self.pyramids[key].release)
+            if key == steep:  # which has all that the plain one has: that goes with the last picture which is drawn with it
+                self.pyramids.pop(plain, None)
             return self.pyramids[key]
 
     def uncertainty(self, mode: Mode) -> Uncertainty:
@@ -335,6 +339,11 @@ class InMemory(OneMedium):
                 self._uncertainty = Uncertainty(field)
                 self.lease.frees(self._uncertainty.release)
             return self._uncertainty
+
+
+def _released(pyramids: dict[Any, MinMax]) -> None:
+    for pyramid in pyramids.values():
+        pyramid.release()
 
 
 class ByBricks(OneMedium):
@@ -592,7 +601,7 @@ class Several(Source):
             if surfaces
             else {"rgba": mixed([one["rgba"] for one in pictures], self.scene.mix)}
         )
-        return {**together, "rgba": over(background, together["rgba"], linear=look.linear)}
+        return {**together, "rgba": on(background, together["rgba"], linear=look.linear)}
 
     def refine(self, look: ResolvedLook, fine: Fineness, asked: Asked) -> Iterator[Refined]:
         looks = look, *look.others

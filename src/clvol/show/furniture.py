@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from clvol.base.checks import flag, number, one_of
 from clvol.base.errors import MissingDependencyError, OptionError
-from clvol.base.srgb import as_light, as_shown
+from clvol.base.srgb import on, over
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +46,6 @@ __all__ = [
     "letters_of",
     "luminance",
     "marks_of",
-    "on",
     "require_matplotlib",
     "ticks_of",
     "vectors",
@@ -546,31 +545,6 @@ def furnished(bare: NDArray[np.float32], furniture: Furniture, stage: Stage) -> 
         behind = on(stage.background, drawn([mark for mark in made.marks if _behind(mark)], stage))
         picture = over(bare, behind, linear=stage.linear)
     return over(drawn([mark for mark in made.marks if not _behind(mark)], stage), picture), made
-
-
-def on(background: Color | None, picture: NDArray[np.float32], *, linear: bool = False) -> NDArray[np.float32]:
-    """A picture over its background."""
-    if background is None:
-        return picture
-    ground = np.empty_like(picture)
-    ground[...] = (*np.clip(background, 0, 1), 1)
-    return over(picture, ground, linear=linear)
-
-
-def over(top: NDArray[np.float32], below: NDArray[np.float32], *, linear: bool = False) -> NDArray[np.float32]:
-    """One picture over another, neither premultiplied; where nothing is on top, it is the lower one to the bit.
-
-    `linear`: their colours mix in linear light.
-    """
-    upper, lower = (as_light(colors) if linear else colors for colors in (top[..., :3], below[..., :3]))
-    share = top[..., 3:]
-    rest = (1 - share) * below[..., 3:]
-    opacity = share + rest
-    with np.errstate(invalid="ignore", divide="ignore"):
-        colors = (upper * share + lower * rest) / opacity
-    colors = np.where(opacity > 0, colors, 0)
-    made = np.concatenate([as_shown(colors) if linear else colors, opacity], -1).astype(np.float32)
-    return np.asarray(np.where(share > 0, made, below))
 
 
 def drawn(marks: Sequence[Mark], stage: Stage) -> NDArray[np.float32]:

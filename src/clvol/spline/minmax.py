@@ -242,7 +242,7 @@ def _metric(coefficients: Coefficients) -> NDArray[np.float32]:
 
 
 def bytes_beside(shape: tuple[int, ...]) -> int:
-    """An upper bound of the bytes of the pyramid for `shape` stored coefficients, and of the cached sides of a surface."""
+    """An upper bound of the bytes of a pyramid without slopes for `shape` stored coefficients, and of the sides of a surface."""
     cells = math.prod(shape)
     return cells * 8 // BLOCK**3 * 8 // 7 + cells // 4
 
