@@ -104,6 +104,7 @@ def _line(how: Mapping[str, float]) -> str:
 def draw(measured: Mapping[str, Mapping[str, Sequence[_Point]]], path: Path) -> None:
     """Error against time, a panel for each volume, shaded above unshaded."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator
 
     figure = Figure((3 * (len(measured) // 2), 6), layout="constrained")
     panels = figure.subplots(2, len(measured) // 2, squeeze=False, sharey=True).T.ravel()
@@ -113,6 +114,9 @@ def draw(measured: Mapping[str, Mapping[str, Sequence[_Point]]], path: Path) -> 
                 panel.loglog(*zip(*points, strict=True), "o-", markersize=3, label=label)
         panel.axhline(0.01, color="gray", linewidth=0.5)
         panel.set_title(title, fontsize=9)
+        panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter("")
     for panel in panels[1::2]:
         panel.set_xlabel("processor seconds, 256²")
     for panel in panels[:2]:

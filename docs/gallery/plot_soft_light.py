@@ -3,7 +3,7 @@ Soft light
 ==========
 
 A head from CT, a bonsai and a confocal stack in the light of a studio: a warm lamp that stands still, a cool and weak one, shadow,
-occlusion and linear light. The three volumes are computed here; ``clvol.read("scan.nii.gz")`` goes in their place.
+occlusion and linear light. All volumes are computed here; ``clvol.read("scan.nii.gz")`` goes in place of one.
 """
 
 import numpy as np
@@ -20,16 +20,18 @@ def from_azimuth(azimuth, elevation, color):
 
 
 def shown(volume, azimuth, elevation, **look):
+    """A picture in soft light."""
     lamp, sky = (from_azimuth(azimuth - 50, 45, (1, 0.95, 0.87)), from_azimuth(azimuth + 60, 10, (0.1, 0.12, 0.17)))
-    light = {"lights": [lamp, sky, clvol.Light(None, (0.1, 0.1, 0.11))], "material": clvol.Material(0.28, 0.72, 0.06, 20)}
+    light = {"lights": [lamp, sky, clvol.Light(None, (0.1, 0.1, 0.11))]}
     light |= {"shadow": 0.9, "occlusion": 1, "linear_light": True}
     return clvol.render(volume, clvol.Camera.orbit(azimuth, elevation), size=(420, 420), rays=4, **light, **look)
 
 
 # %%
-# The head: translucent skin on bone, at isovalues in Hounsfield units. Thick slices are smoothed by about half of their distance.
+# The head: bone as CT shows it, cut open above the ears, and in it the brain and its vessels, three media of a scene. Folds are
+# where noise of one size of detail is zero, and vessels walk over the brain.
 
-z, y, x = np.mgrid[-110:110:88j, -100:100:80j, -85:85:68j]  # mm
+z, y, x = np.mgrid[-92:108:101j, -104:112:109j, -84:84:85j]  # mm
 
 
 def ball(at, radii):
@@ -37,34 +39,66 @@ def ball(at, radii):
     return np.sqrt(sum(((p - q) / r) ** 2 for p, q, r in zip((x, y, z), at, radii, strict=True)))
 
 
-def joined(*distances):
+def joined(*distances, sharp):
     """The distance within any of them, round where they meet."""
-    return -np.log(sum(np.exp(-9 * d) for d in distances)) / 9
+    return -np.log(sum(np.exp(-sharp * d) for d in distances)) / sharp
 
 
-def within(distance, edge=0.05):
+def within(distance, edge):
     """1 within a distance of 1, 0 outside."""
     return np.clip((1 - distance) / edge + 0.5, 0, 1)
 
 
-def both(side, *place):
-    """An ellipsoid on the left, and one on the right."""
-    return np.minimum(ball((-side, *place[:2]), place[2:]), ball((side, *place[:2]), place[2:]))
+def scanned(data, blur):
+    return clvol.Volume(data, (2, 2, 2), (-84, -104, -92), units="mm", space="LPS").gaussian(blur)
 
 
-skull = joined(ball((0, 10, 32), (66, 86, 66)), ball((0, -26, -26), (47, 58, 62)))
-hollow = np.minimum(both(66, -36, 8, 13, 30, 24), both(23, -82, 2, 15, 26, 13))  # temples and eyes
-hollow = np.minimum(hollow, np.minimum(ball((0, -86, -26), (9, 24, 14)), ball((0, -84, -56), (25, 20, 2.5))))  # nose and mouth
-hollow = np.minimum(hollow, both(50, -10, -40, 10, 20, 26))  # behind the jaw
-bone = within(skull) * (1 - within(joined(skull / 0.88, ball((0, 0, -46), (26, 62, 44))))) * (1 - within(hollow, 0.15))
-neck = np.maximum(np.hypot(x / 44, (y - 18) / 46), abs(z + 75) / 60)
-face = joined(ball((0, 10, 32), (71, 91, 71)), ball((0, -28, -28), (54, 64, 68)), neck, ball((0, -90, -24), (11, 18, 17)))
-skin = within(np.minimum(face, both(70, 12, -6, 10, 14, 24)))
-spine = within(np.maximum(np.hypot(x / 15, (y - 24) / 15), abs(z + 70) / 40) + 0.12 * np.cos(z / 3))
-hu = -1000 + 1040 * skin + 1200 * np.maximum(bone, spine) + rng.normal(0, 15, x.shape)
-head = clvol.Volume(hu, (170 / 67, 200 / 79, 220 / 87), (-85, -100, -110), units="mm", space="LPS").gaussian(2)
-surfaces = [(-250, "#d9a184", 0.2), (300, "#f1e6cf", 1)]
-portrait = shown(head, 25, 8, mode="surfaces", surfaces=surfaces, background="#15181f")
+def grain(size):
+    data = scanned(rng.normal(size=x.shape), size).data
+    return data / data.std()
+
+
+case = joined(ball((0, 12, 32), (68, 88, 68)), ball((0, -20, -22), (48, 62, 56)), ball((0, 40, -8), (60, 56, 46)), sharp=5)
+bone = scanned(-1000 + 2400 * within(case, 0.06) * (1 - within(case / 0.91, 0.06)) + rng.normal(0, 12, x.shape), 2.2)
+sides = [
+    ball((side * u, 8 - v, w), radii)
+    for side in (-1, 1)
+    for u, v, w, radii in ((21, 0, 34, (39, 74, 54)), (32, 2, 6, (26, 52, 32)))
+]
+detail = grain(4.4) - 0.8 * grain(7)
+folds = np.exp(-((detail / (0.3 * detail.std())) ** 2))
+cortex = joined(*sides, sharp=10) + 0.13 * folds + 0.35 * np.exp(-((x / 3) ** 2)) * (z > 2)
+brain = scanned(100 * within(np.minimum(cortex, ball((0, 52, -14), (46, 30, 24))), 0.14), 1.5)
+blood = np.zeros(x.shape)
+
+
+def walk(at, way, steps, radius):
+    """A vessel over the brain, and those that leave it."""
+    middle, radii = np.array([np.sign(at[0]) * 21, 8, 30]), np.array([40, 75, 57])
+    for left in range(steps, 0, -1):
+        unit = (at - middle) / radii / np.linalg.norm((at - middle) / radii)
+        out = unit / radii / np.linalg.norm(unit / radii)
+        way = way + rng.normal(0, 0.16, 3)
+        way -= out * (way @ out)
+        way /= np.linalg.norm(way)
+        at = middle + radii * unit + 1.5 * way
+        low = np.maximum((at - (-84, -104, -92)) / 2 - 2, 0).astype(int)
+        near = tuple(slice(n, n + 6) for n in low[::-1])
+        apart = np.sqrt((x[near] - at[0]) ** 2 + (y[near] - at[1]) ** 2 + (z[near] - at[2]) ** 2)
+        blood[near] = np.maximum(blood[near], 100 * np.clip((radius - apart) / 2 + 0.5, 0, 1))
+        if radius > 0.9 and rng.random() < 0.03:
+            walk(at, way + 0.8 * rng.choice((-1, 1)) * np.cross(out, way), left // 2, 0.8 * radius)
+
+
+for side, turn in [(side, turn) for side in (-1, 1) for turn in np.radians((-75, -35, 5, 45))]:
+    walk(np.array([side * (21 + 40 * np.cos(turn)), 8 + 75 * np.sin(turn), 20]), np.array([0, rng.normal(0, 0.3), 1]), 70, 1.4)
+ivory = clvol.TransferFunction([(0, "#cdb89a"), (900, "#efe3cb")], [(100, 0), (350, 0.95)])
+rose = clvol.TransferFunction([(20, "#8f3f3b"), (60, "#d98f82"), (95, "#f2c4b4")], [(28, 0), (60, 0.9)])
+red = clvol.TransferFunction([(0, "#8e1216")], [(25, 0), (55, 0.95)])
+matte, wet = clvol.Material(0.28, 0.72, 0.06, 20), clvol.Material(0.28, 0.72, 0.22, 30)
+skull = clvol.Medium(bone, ivory, clip=clvol.Corner((-999, -999, 26), (999, 999, 999)), material=matte)
+study = clvol.Scene([skull, clvol.Medium(brain, rose, material=wet), clvol.Medium(scanned(blood, 0.7), red, material=wet)])
+portrait = shown(study, 140, 38, background="#15181f")
 
 # %%
 # The bonsai: "composite" with its automatic transfer function, on a light background.
@@ -95,7 +129,7 @@ pot = np.maximum(pot, (wide < 0.75) & (abs(c - 6) < 3))
 stones = clvol.Volume(rng.normal(size=grid.shape)).gaussian(1.6).data
 soil = (wide < 0.7 + 0.011 * c) & (c > 6) & (c < 21 + 45 * stones)
 grid = np.maximum(grid, np.where(soil, 130.0 + 200 * stones, 190 * pot))
-tree = shown(clvol.Volume(grid).gaussian(0.7), 35, 20, background="#cfd3d2")
+tree = shown(clvol.Volume(grid).gaussian(0.7), 35, 20, background="#cfd3d2", material=matte)
 
 # %%
 # The confocal stack: a transfer function from deep blue to white, whose opacity begins above the background of the dye.
@@ -112,5 +146,12 @@ for k in range(24):
     stack = np.maximum(stack, inside * rng.uniform(2600, 4200) * (1 + 1.2 * texture))
 cells = clvol.Volume(stack, (0.26, 0.26, 0.4), units="um").gaussian(0.2)
 blue = [(1200, "#123f8c"), (2600, "#4b9be0"), (4000, "#bdeaf5"), (5500, "white")]
-nuclei = shown(cells, 25, 42, transfer=clvol.TransferFunction(blue, [(1400, 0), (2400, 0.4), (4500, 0.8)]), background="#070a12")
+nuclei = shown(
+    cells,
+    25,
+    42,
+    transfer=clvol.TransferFunction(blue, [(1400, 0), (2400, 0.4), (4500, 0.8)]),
+    background="#070a12",
+    material=matte,
+)
 picture = np.hstack([portrait, tree, nuclei])
