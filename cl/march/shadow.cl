@@ -24,24 +24,30 @@ INLINE float exponents_up_to(global const float *matter, const int4 many, const 
 
 #else
 
-// The integral of the extinction over values up to `at`, which counts the nodes of `matter`: past its ends extinction is constant.
+// The integral of the extinction over values up to `at`, which counts the nodes of `matter` from the second on: past the ends
+// extinction is constant.
 INLINE float exponents_up_to(global const float *matter, const int4 many, const float at)
 {
     const int last = many.w - 2;
-    const float inside = MIN(MAX(at, 0.0f), (float)(last + 1));
+    const float inside = MIN(MAX(at + 1.0f, 0.0f), (float)(last + 1));
     const int i = MIN((int)inside, last);
-    return madd(at - (float)i, matter[i + 1] - matter[i], matter[i]);
+    return madd(at + 1.0f - (float)i, matter[i + 1] - matter[i], matter[i]);
 }
 
 #endif
 
 // The mean extinction of eight parts of each cell. In a part, values are taken as spread evenly from the smallest of its
-// corners to the largest, so that thin layers of matter are not missed between them. `matrix` is from slopes between corners to those
-// in the world, of surfaces, whose area in a volume it is.
+// corners to the largest, so that thin layers of matter are not missed between them; equal ones have what is just below them, as
+// the value of a jump has in pictures. `matrix` is from slopes between corners to those in the world, of surfaces, whose area in a
+// volume it is: all of it, or what light of the direction `way` sees of it.
 kernel void extinction(global const float *values, const int4 many, global const float *matter, const float first, const float scale,
-                       constant float *matrix, global float *result)
+                       constant float *matrix, const float4 way, global float *result)
 {
     const int y = get_global_id(0), z = get_global_id(1);
+#if SHEETS
+    const float ways[3] = { way.x, way.y, way.z };
+    const bool seen = way.x != 0.0f || way.y != 0.0f || way.z != 0.0f;
+#endif
     const size_t row = 2 * many.x + 1, plane = row * (2 * many.y + 1);
     for (int x = 0; x < many.x; ++x) {
         float sum = 0.0f;
@@ -60,12 +66,13 @@ kernel void extinction(global const float *values, const int4 many, global const
                 for (int i = 0; i < 8; ++i)
                     for (int axis = 0; axis < 3; ++axis)
                         slopes[axis] += (i >> axis & 1 ? 0.25f : -0.25f) * corners[i];
-                float squared = 0.0f;
+                float squared = 0.0f, along = 0.0f;
                 for (int axis = 0; axis < 3; ++axis) {
                     const float slope = madd(matrix[axis], slopes[0], madd(matrix[axis + 3], slopes[1], matrix[axis + 6] * slopes[2]));
                     squared = madd(slope, slope, squared);
+                    along = madd(slope, ways[axis], along);
                 }
-                sum += crossed * sqrt(squared) / (high - low);
+                sum += crossed * (seen ? fabs(along) : sqrt(squared)) / (high - low);
             }
 #elif NAMES
             for (int i = 0; i < 8; ++i) {
@@ -73,8 +80,8 @@ kernel void extinction(global const float *values, const int4 many, global const
                 sum += 0.125f * (exponents_up_to(matter, many, name + 0.5f) - exponents_up_to(matter, many, name - 0.5f));
             }
 #else
-            const float middle = (0.5f * (low + high) - first) * scale, half_width = MAX(0.5f * (high - low) * scale, 0.5f);
-            sum += 0.5f * (exponents_up_to(matter, many, middle + half_width) - exponents_up_to(matter, many, middle - half_width)) / half_width;
+            const float top = (high - first) * scale, width = MAX((high - low) * scale, 1.0f);
+            sum += (exponents_up_to(matter, many, top) - exponents_up_to(matter, many, top - width)) / width;
 #endif
         }
         result[((size_t)z * many.y + y) * many.x + x] = 0.125f * sum;

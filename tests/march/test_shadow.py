@@ -89,6 +89,35 @@ def test_light_is_that_of_the_function(device: Device) -> None:
     assert want.min() < 0.4
 
 
+@pytest.mark.parametrize(
+    "points", [[(1.0, 0.0), (1.0, 0.5)], [(0.0, 0.0), (1.0, 0.0), (1.0, 0.5)], [(-1e6, 0.0), (1.0, 0.0), (1.0, 0.5), (1e6, 0.5)]]
+)
+def test_a_jump_of_opacity_stops_light_above_it_alone(device: Device, points: list[tuple[float, float]]) -> None:
+    """Wherever the function's other points are; the value of the jump has the opacity before it, as in pictures."""
+    data = np.ones((12, 12, 12), np.float32)
+    data[4:8] = 3
+    with clvol.Field(Volume(data), "linear", device=device) as field:
+        made, cells = Shadows(field.device), Cells.over([field.volume])
+        found = made.extinction(cells, Body.of(field.coefficients, Matter(tuple(points), 1.0, (), Cuts())))
+        made.release()
+    np.testing.assert_allclose(found[:, 5, 5][[0, 1, 2, 5, 6, 9, 10, 11]], [0, 0, 0, 1, 1, 0, 0, 0], atol=1e-3)
+
+
+@pytest.mark.parametrize("capped", [False, True])
+def test_a_surface_stops_its_share_of_light_of_any_slant_and_a_cap_all(device: Device, capped: bool) -> None:
+    data = np.broadcast_to(np.clip(np.arange(24.0) - 11.5, -4, 4)[:, None, None], (24, 24, 24)).astype(np.float32)
+    way = np.array([0.6, 0, 0.8])
+    with clvol.Field(Volume(data), "linear", device=device) as field:
+        made, cells = Shadows(field.device), Cells.over([field.volume])
+        cut = cuts_of(Corner((-np.inf,) * 2 + (18.2,), (np.inf,) * 3))
+        body = Body.of(field.coefficients, Matter((), 1.0, ((0.0, 0.5),), cut, capped))
+        light = made.light(cells, [body], (tuple(way),), occlusion=False)[0, ..., 0]
+        made.release()
+    node = np.rint(cells.nodes.world_to_index(np.array([[3.0, 12, 4], [3, 12, 14], [3, 12, 21]]))).astype(int) + BEYOND
+    above = 2 ** (-OPAQUE / way[2]) if capped else 1.0
+    np.testing.assert_allclose(light[tuple(node.T[::-1])], [0.5 * above, above, 1], rtol=0.02)
+
+
 def test_ratio_tracking_converges_to_the_closed_form(device: Device) -> None:
     """Its mean is exp(-integral) within its standard error, and the same to the bit again; surfaces leave what crossings do."""
     x, y, z = np.mgrid[-1:1:20j, -1:1:20j, -1:1:20j]

@@ -506,7 +506,7 @@ class ResolvedLook:
             scene = scene.of_media([medium := replace(medium, color_by=_settled_colors(medium.color_by))])
         words = medium.words if options.get("transfer") is None and not any(map(options.get, WORDS)) else {}
         scene = _changed(scene, transfer_of(preview, mode, {**options, **words}), options)
-        if shown.regions:
+        if shown.regions and leading is None:
             require_heard(shown, [name for name in ("shadow", "occlusion") if getattr(scene, name)])
         linear = scene.linear_light and "linear_light" not in mode.unheard
         scene = replace(scene, lights=usual_lights(scene.lights, linear=linear))
@@ -539,6 +539,8 @@ class ResolvedLook:
             (part_of(one).preview for one in media), key=lambda volume: (volume.mean_spacing, *volume.size, *volume.origin)
         )
         looks = [cls._of_one(replace(scene, media=(one,)), part_of, camera, mode, options, finest) for one in media]
+        if all(look.mode.regions for look in looks):
+            require_heard(looks[0].mode, [name for name in ("shadow", "occlusion") if getattr(looks[0].scene, name)])
         if any(look.sends_rays for look in looks):
             raise OptionError("shadow_rays must be left out in a scene of several media: rays cross the surfaces of one")
         if mode.shows == "matter":

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
 
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device.program import LANES
@@ -100,13 +101,15 @@ class Matter(NamedTuple):
     unit: float  # world units of matter that have this opacity
     surfaces: tuple[tuple[float, float], ...]  # or in place of them surfaces, of a value and an opacity
     cuts: Cuts
+    capped: bool = False  # cut faces close what is not below the lowest surface
 
     @classmethod
     def of(cls, look: ResolvedLook) -> Matter:
         """That of a look of one medium."""
         mode, transfer = look.mode, look.transfer
         if mode.isovalues:
-            return cls((), 1.0, tuple(zip(mode.isovalues, opacities_of(mode), strict=True)), cuts_of(look.clip))
+            surfaces = tuple(zip(mode.isovalues, opacities_of(mode), strict=True))
+            return cls((), 1.0, surfaces, cuts_of(look.clip), mode.capped)
         unit = transfer.unit_distance or look.scene.media[0].volume.mean_spacing
         return cls(transfer.opacities, unit, (), cuts_of(look.clip))
 
@@ -228,7 +231,7 @@ class Shadows:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._kept: dict[tuple[Any, ...], Lit] = {}
-        self._values: dict[tuple[Coefficients | Whole, Cells], Any] = {}
+        self._values: dict[tuple[Coefficients | Whole, Cells], tuple[Any, tuple[float, float]]] = {}
         self._cells: tuple[tuple[Volume, ...], Cells] | None = None
         self._lock = threading.RLock()  # a signal handler may re-enter
 
@@ -252,11 +255,13 @@ class Shadows:
             self._cells = volumes, Cells.over(volumes)
         return self._cells[1]
 
-    def extinction(self, cells: Cells, body: Body) -> NDArray[np.float32]:
-        """The mean extinction of each cell, [z, y, x], in base-2 exponents for each world unit."""
+    def extinction(self, cells: Cells, body: Body, way: tuple[float, ...] | None = None) -> NDArray[np.float32]:
+        """The mean extinction of each cell, [z, y, x], in base-2 exponents for each world unit; of surfaces that for light of a
+        direction, or for light along their normals everywhere.
+        """
         device, (nx, ny, nz), coefficients, matter = self._device, cells.nodes.size, body.coefficients, body.matter
-        values = self._values_of(cells, body)
-        numbers, count, first, scale = _integral(matter, coefficients.stored, cells.edge)
+        values, limits = self._values_of(cells, body)
+        numbers, count, first, scale = _integral(matter, coefficients.stored, cells.edge, limits)
         slopes = (cells.nodes.world_to_index_matrix * _PARTS).astype(np.float32)
         defines = {
             "LANES": LANES,
@@ -276,31 +281,49 @@ class Shadows:
                 np.float32(first),
                 np.float32(scale),
                 device.buffers.upload(slopes),
+                np.array([*(way or (0, 0, 0)), 0], np.float32),
                 result,
             )
-        found *= _share_there(cells, body)
+        places = _places(cells)
+        found *= _share_there(cells, body, places)
+        if matter.capped and matter.cuts != Cuts():
+            kept = matter.cuts.kept_share(places, cells.edge) > 0
+            with device.buffers.mapped(values, cells.parts(0).shape, write=False) as corners:
+                inside = corners[1::2, 1::2, 1::2] >= coefficients.stored(min(matter.surfaces)[0])
+            found[kept & inside & ~binary_erosion(kept, border_value=1)] = OPAQUE / cells.edge
         return found
 
-    def _values_of(self, cells: Cells, body: Body) -> Any:
-        """Stored values at the corners of parts of cells."""
-        key = body.coefficients, cells
+    def _values_of(self, cells: Cells, body: Body) -> tuple[Any, tuple[float, float]]:
+        """Stored values at the corners of parts of cells, and the smallest and the largest of them."""
+        key, buffers = (body.coefficients, cells), self._device.buffers
         if key not in self._values:
             corners = cells.parts(0)
-            self._values[key] = self._device.buffers.allocate(4 * math.prod(corners.shape))
-            body.on(corners, self._values[key])
+            made = buffers.allocate(4 * math.prod(corners.shape))
+            self._values[key] = made, (0.0, 0.0)
+            body.on(corners, made)
+            with buffers.mapped(made, corners.shape, write=False) as values:
+                self._values[key] = made, (float(values.min()), float(values.max()))
         return self._values[key]
 
     def light(
         self, cells: Cells, bodies: Sequence[Body], directions: Sequence[tuple[float, ...]], *, occlusion: bool
     ) -> NDArray[np.float32]:
         """The channels of all nodes: what is left of light from each direction, then that from everywhere."""
-        found = np.pad(np.sum([self.extinction(cells, body) for body in bodies], 0), BEYOND)
-        to_nodes = cells.nodes.world_to_index_matrix
-        with _Sweeps(self._device, found) as sweeps:
-            channels = [sweeps.light(to_nodes @ np.array([direction]).T, math.inf) for direction in directions]
-            if occlusion:
-                channels.append(np.minimum(sweeps.light(to_nodes @ everywhere().T, FAR * cells.diagonal) / OPEN, 1))
-        light = np.ones((-(-len(channels) // ROW), *found.shape, ROW), np.float32)
+        sheets = [body for body in bodies if body.matter.surfaces]
+        matter = [self.extinction(cells, body) for body in bodies if not body.matter.surfaces]
+        to_nodes, channels = cells.nodes.world_to_index_matrix, []
+
+        def sweeps(way: tuple[float, ...] | None) -> _Sweeps:
+            each = [*matter, *(self.extinction(cells, body, way) for body in sheets)]
+            return _Sweeps(self._device, np.pad(np.sum(each, 0), BEYOND))
+
+        for alike in [(way,) for way in directions] if sheets else [tuple(directions)] * bool(directions):
+            with sweeps(alike[0]) as through:
+                channels += [through.light(to_nodes @ np.array([way]).T, math.inf) for way in alike]
+        if occlusion:
+            with sweeps(None) as through:
+                channels.append(np.minimum(through.light(to_nodes @ everywhere().T, FAR * cells.diagonal) / OPEN, 1))
+        light = np.ones((-(-len(channels) // ROW), *channels[0].shape, ROW), np.float32)
         for k, channel in enumerate(channels):
             light[k // ROW, ..., k % ROW] = channel
         return light
@@ -312,10 +335,16 @@ class Shadows:
 
     def _free(self) -> None:
         values, self._values = self._values, {}
-        release(self._device, *values.values())
+        release(self._device, *(buffer for buffer, _ in values.values()))
 
 
-def _share_there(cells: Cells, body: Body) -> NDArray[np.float32] | float:
+def _places(cells: Cells) -> NDArray[np.float64]:
+    """Where the nodes are in the world, [z, y, x]."""
+    x, y, z = np.meshgrid(*map(np.arange, cells.nodes.shape), indexing="ij")[::-1]
+    return cells.nodes.index_to_world(np.stack([x, y, z], -1).reshape(-1, 3)).reshape(*x.shape, 3)
+
+
+def _share_there(cells: Cells, body: Body, points: NDArray[np.float64]) -> NDArray[np.float32] | float:
     """The share of each cell that is in the function's domain and not cut away, and whose samples are there."""
     nodes, volume, cuts = cells.nodes, body.coefficients.volume, body.matter.cuts
     share: Any = np.float32(1) if body.gaps is None else _samples_there(cells, volume, body.gaps)
@@ -324,8 +353,6 @@ def _share_there(cells: Cells, body: Body) -> NDArray[np.float32] | float:
     within = bool(((ends > low - _SLACK) & (ends < high + _SLACK)).all())
     if within and cuts == Cuts():
         return share  # type: ignore[no-any-return]
-    x, y, z = np.meshgrid(*map(np.arange, nodes.shape), indexing="ij")[::-1]
-    points = nodes.index_to_world(np.stack([x, y, z], -1).reshape(-1, 3)).reshape(*x.shape, 3)
     if not within:
         matrix, _ = between(volume, nodes)
         share = share * Cuts((triple(low), triple(high))).kept_share(
@@ -349,20 +376,24 @@ def _samples_there(cells: Cells, volume: Volume, gaps: Gaps) -> NDArray[np.float
     return np.asarray(there.reshape(nz, _PARTS, ny, _PARTS, nx, _PARTS).mean((1, 3, 5), dtype=np.float32))
 
 
-def _integral(matter: Matter, stored: Stored, edge: float) -> tuple[NDArray[np.float32], int, float, float]:
-    """The integral of the extinction over stored values at equal nodes, how many, the first and nodes for each value; of surfaces
+def _integral(
+    matter: Matter, stored: Stored, edge: float, limits: tuple[float, float]
+) -> tuple[NDArray[np.float32], int, float, float]:
+    """The integral of the extinction over stored values at equal nodes, how many, the second and nodes for each value; of surfaces
     their values and exponents, and how many there are.
     """
     if matter.surfaces:
         pairs = [(float(stored(value)), min(exponent(opacity), OPAQUE)) for value, opacity in matter.surfaces]
         return np.array(pairs, np.float32).ravel(), len(pairs), 0.0, 0.0
-    at, opacities = (np.array(numbers) for numbers in zip(*matter.opacities, strict=True))
-    width = (at[-1] - at[0]) / (_NODES - 3) or 1e-3 * (1 + abs(at[0]))
-    values = at[0] + width * np.arange(-1, _NODES - 1)  # up to a node past each end
-    extinction = np.minimum(exponent(np.interp(values, at, opacities)) / matter.unit, OPAQUE / edge)
-    integral = np.append(0, np.cumsum((extinction[1:] + extinction[:-1]) / 2))
-    first, last = float(stored(values[0])), float(stored(values[-1]))
-    return integral.astype(np.float32), _NODES, first, (_NODES - 1) / (last - first)
+    at, opacities = (np.array(numbers, np.float64) for numbers in zip(*matter.opacities, strict=True))
+    at = stored(at)
+    low, high = np.clip(limits, at[0], at[-1])
+    width = (high - low or limits[1] - limits[0] or 1e-3 * (1 + abs(low))) / (_NODES - 3)
+    nodes = low + width * np.arange(-1, _NODES - 1)  # up to a node past each end
+    ends = np.sort(np.concatenate([nodes, at[(at > nodes[0]) & (at < nodes[-1])]]))
+    extinction = np.minimum(exponent(np.interp((ends[1:] + ends[:-1]) / 2, at, opacities)) / matter.unit, OPAQUE / edge)
+    integral = np.append(0, np.cumsum(extinction * np.diff(ends)))
+    return (np.interp(nodes, ends, integral) / width).astype(np.float32), _NODES, float(low), 1 / float(width)
 
 
 def exponent(opacity: Any) -> Any:
