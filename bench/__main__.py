@@ -148,7 +148,7 @@ def footnotes(rows: list[dict[str, Any]], limits: Limits) -> list[str]:
     for row in rows:
         lines += [f"[yellow]{row['name']}: {name} failed: {why}[/yellow]" for name, why in row.get("failed", {}).items()]
         for name, difference in row.get("differs_by", {}).items():
-            if difference > 1e-4 and "trilinear" not in name and not row["name"].startswith("frame"):
+            if difference > 1e-4 and not name.endswith(("trilinear", "tricubic")) and not row["name"].startswith("frame"):
                 lines.append(f"[yellow]{row['name']}: {name} differs by {difference:.1e} of the range[/yellow]")
     lines.append(
         f"[dim]limits: {limits.copy / 1e9:.0f} GB/s copied, {limits.update / 1e9:.0f} GB/s in place, "

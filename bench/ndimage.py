@@ -464,20 +464,12 @@ def _torch_zoom(data: Array) -> dict[str, Peer]:
 
 
 def _torch_affine(data: Array, matrix: Array, offset: Array) -> dict[str, Peer]:
-    """A cube on a rotated grid; PyTorch's positions range from -1 to 1."""
+    """A cube on a rotated grid."""
     if not _has("torch"):
         return {}
-    functional, tensor = importlib.import_module("torch.nn.functional"), _tensor(data)
-    half = (len(data) - 1) / 2
-    shift = (matrix @ np.full(3, half) + offset) / half - 1
-    table = _torch().from_numpy(np.column_stack([matrix[::-1, ::-1], shift[::-1]]).astype(np.float32))[None]
-
-    def run() -> Array:
-        grid = functional.affine_grid(table, tensor.shape, align_corners=True)
-        found: Array = functional.grid_sample(tensor, grid, align_corners=True).numpy()[0, 0]
-        return found
-
-    return {"torch": Peer(run)}
+    sample, tensor = importlib.import_module("torch.nn.functional").grid_sample, _tensor(data)
+    grid = peers.torch_grid(matrix, offset, len(data))
+    return {"torch": Peer(lambda: sample(tensor, grid(), align_corners=True).numpy()[0, 0])}
 
 
 def _itk_affine(data: Array, table: Array, shape: tuple[int, ...], order: int) -> dict[str, Peer]:

@@ -21,7 +21,7 @@ from scipy import ndimage
 
 import clvol
 
-__all__ = ["TASKS", "Peer", "Points", "Shot", "itk_resampled", "missing", "of", "renderer_of_opengl"]
+__all__ = ["TASKS", "Grid", "Peer", "Points", "Shot", "itk_resampled", "missing", "of", "renderer_of_opengl", "torch_grid"]
 
 Array = NDArray[Any]
 
@@ -61,6 +61,26 @@ class Points:
     coefficients: Array
     at: Array
     lattice: tuple[tuple[int, int, int], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A resampling from array to array, the prefilter included, as `scipy.ndimage.affine_transform` has it.
+
+    Attributes
+    ----------
+    data : ndarray of float32, shape (n, n) or (n, n, n)
+        The samples.
+    matrix, offset : ndarray
+        From places of the result to those of `data`; a diagonal matrix keeps the outer samples in place.
+    m : int
+        Samples of the result along each axis.
+    """
+
+    data: Array
+    matrix: Array
+    offset: Array
+    m: int
 
 
 @dataclass(frozen=True)
@@ -120,6 +140,8 @@ _TRIALS = {
     "SimpleITK": "import SimpleITK",
     "drjit": "import drjit as dr; from drjit.llvm import Float; assert dr.sum(dr.arange(Float, 9))[0] == 36",
     "numba": "import numba",
+    "splineops": "import splineops",
+    "torch": "import torch",
 }
 
 
@@ -149,6 +171,16 @@ def _scipy_magnify(data: Array) -> Peer:
         )
 
     return Peer(run)
+
+
+def _scipy_grid(work: Grid) -> Peer:
+    shape = (work.m,) * work.data.ndim
+    matrix = np.diag(work.matrix) if _along_axes(work.matrix) else work.matrix
+    return Peer(lambda: ndimage.affine_transform(work.data, matrix, work.offset, shape, mode="mirror"))
+
+
+def _along_axes(matrix: Array) -> bool:
+    return np.array_equal(matrix, np.diag(np.diag(matrix)))
 
 
 # -- VTK: threads of its own --------------------------------------------------------------------------------
@@ -198,7 +230,7 @@ def _vtk_reslice(size: tuple[int, ...], matrix: Array) -> Any:
     step = vtk.vtkImageReslice()
     step.SetInterpolator(spline)
     step.SetOutputExtent(0, size[0] - 1, 0, size[1] - 1, 0, size[2] - 1)
-    if np.array_equal(matrix[:, :3], np.diag(np.diag(matrix[:, :3]))):
+    if _along_axes(matrix[:, :3]):
         step.SetOutputSpacing(*np.diag(matrix[:, :3]))  # it is faster along the axes
         step.SetOutputOrigin(*matrix[:, 3])
     else:
@@ -354,6 +386,102 @@ def _drjit(work: Points, call: str) -> Peer:
     return Peer(run)
 
 
+# -- splineops: one thread, but `resize` -----------------------------------------------------------------------
+
+
+def _splineops_sample(work: Points) -> Peer:
+    few = work.at[: 1 << 17]  # slow, proportional to the size
+    axes = tuple(np.arange(n, dtype=np.float32) for n in work.data.shape)
+    spline = importlib.import_module("splineops.spline_interpolation").TensorSpline(work.data, axes, "bspline3", "mirror")
+    at = tuple(np.ascontiguousarray(few[:, ::-1].T))
+    return Peer(lambda: spline(at, grid=False), len(work.at) / len(few))
+
+
+def _splineops_grid(work: Grid) -> Peer:
+    if _along_axes(work.matrix):
+        resize, size = importlib.import_module("splineops.resize").resize, (work.m,) * work.data.ndim
+        return Peer(lambda: resize(work.data, output_size=size, method="cubic"))
+    turn = importlib.import_module("splineops.affine").affine_transform
+    return Peer(lambda: turn(work.data, work.matrix, work.offset, mode="mirror"))
+
+
+# -- PyTorch: bicubics by Keys' kernel, a = -3/4, without a prefilter; threads of its own ------------------------
+
+
+def _torch() -> tuple[Any, Any]:
+    return importlib.import_module("torch"), importlib.import_module("torch.nn.functional")
+
+
+def torch_grid(matrix: Array, offset: Array, n: int) -> Callable[[], Any]:
+    """PyTorch's positions for a cube or a square of n samples along each axis, which range from -1 to 1."""
+    torch, functional = _torch()
+    half, axes = (n - 1) / 2, len(matrix)
+    shift = (matrix @ np.full(axes, half) + offset) / half - 1
+    table = torch.from_numpy(np.column_stack([matrix[::-1, ::-1], shift[::-1]]).astype(np.float32))[None]
+    return lambda: functional.affine_grid(table, (1, 1, *(n,) * axes), align_corners=True)
+
+
+def _torch_tricubic(data: Array) -> Callable[[Any], Any]:
+    """Tricubic values at positions (..., (x, y, z)) in samples: those of four bicubics by the same kernel, as it has none.
+
+    A point has slices of its own, so that they are one image, below each other, with the rows that a kernel needs beside them.
+    """
+    torch, functional = _torch()
+    tall = functional.pad(torch.from_numpy(data)[None], (0, 0, 2, 2), "replicate").reshape(1, 1, -1, data.shape[2])
+    scale = torch.tensor([data.shape[2] - 1, tall.shape[2] - 1]) / 2
+    beside, a = torch.arange(-1, 3), -0.75
+
+    def run(at: Any) -> Any:
+        below = at[..., 2].floor()
+        far = (at[..., 2] - below - beside.view(-1, *(1,) * below.ndim)).abs()
+        inner, outer = ((a + 2) * far - (a + 3)) * far**2 + 1, ((far - 5) * far + 8) * a * far - 4 * a
+        slices = (below + beside.view(-1, *(1,) * below.ndim)).clamp(0, len(data) - 1)
+        rows = slices * (data.shape[1] + 4) + at[..., 1] + 2
+        grid = torch.stack([at[..., 0].expand(rows.shape), rows], -1) / scale - 1
+        found = functional.grid_sample(
+            tall.expand(4, -1, -1, -1), grid.view(4, 1, -1, 2), mode="bicubic", padding_mode="border", align_corners=True
+        )
+        return (found.view(far.shape) * torch.where(far < 1, inner, outer)).sum(0)
+
+    return run
+
+
+def _torch_sample(work: Points) -> Peer:
+    tricubic, at = _torch_tricubic(work.data), _torch()[0].from_numpy(work.at)
+    return Peer(lambda: np.asarray(tricubic(at).numpy()))
+
+
+def _torch_grid_sample(work: Grid) -> Peer:
+    (torch, functional), n = _torch(), len(work.data)
+    tensor = torch.from_numpy(work.data)[None, None]
+    grid = torch_grid(work.matrix, work.offset, n)
+
+    def image() -> Array:
+        found = functional.grid_sample(tensor, grid(), mode="bicubic", padding_mode="reflection", align_corners=True)
+        return np.asarray(found[0, 0].numpy())
+
+    def volume() -> Array:
+        return np.asarray(_torch_tricubic(work.data)((grid()[0] + 1) * ((n - 1) / 2)).numpy())
+
+    return Peer(image if work.data.ndim == 2 else volume)
+
+
+def _torch_grid(work: Grid) -> Peer:
+    if not _along_axes(work.matrix):
+        return _torch_grid_sample(work)
+    (torch, functional), m = _torch(), work.m
+    options = {"mode": "bicubic", "align_corners": True}
+    tensor = torch.from_numpy(work.data.reshape(1, -1, *work.data.shape[-2:]))
+
+    def run() -> Array:
+        found = functional.interpolate(tensor, (m, m), **options)
+        if work.data.ndim == 3:  # then across the slices
+            found = functional.interpolate(found.view(1, 1, -1, m * m), (m, m * m), **options)
+        return np.asarray(found.view((m,) * work.data.ndim).numpy())
+
+    return Peer(run)
+
+
 # -- numba: plain.py, all cores --------------------------------------------------------------------------------
 
 
@@ -405,6 +533,8 @@ TASKS: dict[str, dict[str, tuple[str | None, Prepare]]] = {
         "SimpleITK": ("SimpleITK", _itk_sample),
         "drjit": ("drjit", lambda work: _drjit(work, "eval_cubic")),
         "numba": ("numba", _numba_points("sample")),
+        "splineops": ("splineops", _splineops_sample),
+        "torch, tricubic": ("torch", _torch_sample),
         "drjit, trilinear": ("drjit", lambda work: _drjit(work, "eval")),
         "numba, trilinear": ("numba", _numba_points("sample_linear", "data")),
     },
@@ -418,6 +548,7 @@ TASKS: dict[str, dict[str, tuple[str | None, Prepare]]] = {
         "SimpleITK": ("SimpleITK", _itk_magnify),
         "numba": ("numba", _numba_volume("magnify")),
     },
+    "grid": {"SciPy": (None, _scipy_grid), "splineops": ("splineops", _splineops_grid), "PyTorch": ("torch", _torch_grid)},
     "frame": {
         "VTK ray cast, trilinear": ("VTK drawing", _vtk_frame("vtkFixedPointVolumeRayCastMapper")),
         "VTK OpenGL, trilinear": ("VTK drawing", _vtk_frame("vtkOpenGLGPUVolumeRayCastMapper")),

@@ -1,10 +1,12 @@
 """`clvol.ndimage` beside SciPy from one sample on: ratios of times by function, size, order and mode.
 
-    python -m bench.small [--quick] [--only WORD] [--markdown] [--small {scipy,opencl}]
+    python -m bench.small [--quick] [--only WORD] [--markdown] [--picture FILE] [--small {scipy,opencl}]
 
 A ratio is SciPy's time by clvol's: below 1 clvol is slower. Calls alternate in short batches, and the median of the batches' ratios
 counts, so that a busy machine lengthens both. The table has the lowest ratio of all modes and orders for each function and size,
-and names them. `--small opencl` measures what the same calls take on the device.
+and names them. `--small opencl` measures what the same calls take on the device. `--picture` measures arrays of one sample to 16
+million instead (of one axis, to 1 million), the largest ones once, and draws the median and the lowest ratio of orders and modes.
+It needs matplotlib.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ import argparse
 import itertools
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +28,7 @@ from rich.table import Table
 from scipy import ndimage as scipy_ndimage
 
 from clvol import ndimage
+from clvol.figures.style import INK, Drawing, legend_above, new_figure, styled
 from clvol.ndimage.arguments import MODES
 
 __all__ = ["Cell", "cells", "ratio"]
@@ -33,7 +38,11 @@ Call = Callable[[Any], Any]  # of `clvol.ndimage` or `scipy.ndimage`
 
 SIDES = {1: (1, 4, 16, 64, 256, 512), 2: (1, 4, 16, 64, 128, 256), 3: (1, 4, 8, 16, 24, 32)}
 """Samples along each axis, by the number of axes."""
+DRAWN = {1: tuple(16**k for k in range(6)), 2: tuple(4**k for k in range(7)), 3: tuple(2**k for k in range(9))}
+"""Those of a picture."""
 _LARGE = 1 << 12  # samples from which not every order and mode is measured
+_HUGE = 1 << 18  # from which one mode is, and no function of Python's
+_ONCE = 1 << 20  # above which order 3 is, once
 _BATCH = 1e-3  # seconds that a batch of SciPy's calls takes, at least
 _TOLERATED = 0.9
 
@@ -65,6 +74,8 @@ class Cell(NamedTuple):
         return lambda module: getattr(module, name)(data, *at.get(self.function, ()), **options)
 
 
+Found = tuple[float, float, float, Cell]  # SciPy's time by clvol's, both times in seconds, what was called
+
 _FUNCTIONS = (
     "spline_filter1d",
     "spline_filter",
@@ -78,27 +89,37 @@ _FUNCTIONS = (
 )
 
 
-def cells(*, quick: bool) -> Iterator[Cell]:
+def cells(*, quick: bool, drawn: bool = False) -> Iterator[Cell]:
     """All calls, those of one function and size together."""
-    for function, ndim in itertools.product(_FUNCTIONS, SIDES):
-        for side in SIDES[ndim][: 3 if quick else None]:
-            large = side**ndim >= _LARGE
-            orders = (1, 3) if quick else (1, 3) if large else range(6)
-            modes = ("mirror", "reflect") if quick else ("mirror", "constant") if large else MODES
-            for order, mode in itertools.product(orders, modes):
+    sides = DRAWN if drawn else SIDES
+    for function, ndim in itertools.product(_FUNCTIONS, sides):
+        for side in sides[ndim][: 3 if quick else None]:
+            count = side**ndim
+            if function == "geometric_transform" and count >= _HUGE:
+                continue
+            orders = (3,) if count > _ONCE else (1, 3) if quick or count >= _LARGE else range(6)
+            for order, mode in itertools.product(orders, _modes(count, quick=quick, drawn=drawn)):
                 if order >= (function == "spline_filter") * 2 and ndim >= (function == "rotate") * 2:
                     yield Cell(function, ndim, side, order, mode)
+
+
+def _modes(count: int, *, quick: bool, drawn: bool) -> Sequence[str]:
+    if count >= _HUGE:
+        return ("mirror",)
+    if quick:
+        return "mirror", "reflect"
+    return ("mirror", "constant") if drawn or count >= _LARGE else MODES
 
 
 def ratio(call: Call, small: str, batches: int) -> tuple[float, float, float]:
     """SciPy's time by clvol's, and the seconds that a call of each takes."""
     ours = partial(call, ndimage if small == "scipy" else _OnDevice())
     theirs = partial(call, scipy_ndimage)
-    ours(), theirs()
-    start = time.perf_counter()
-    theirs()
     ours()
-    count = max(1, round(_BATCH / (time.perf_counter() - start)))
+    count = 1
+    if batches > 1:
+        theirs()
+        count = max(1, round(_BATCH / (_seconds(theirs, 1) + _seconds(ours, 1))))
     pairs = [(_seconds(theirs, count), _seconds(ours, count)) for _ in range(batches)]
     return (
         statistics.median(them / us for them, us in pairs),
@@ -126,24 +147,54 @@ def main() -> None:
     arguments.add_argument("--quick", action="store_true", help="smaller work: a check that all of it runs")
     arguments.add_argument("--only", default="", metavar="WORD", help="only functions whose name holds this")
     arguments.add_argument("--markdown", action="store_true", help="print the table in Markdown")
+    arguments.add_argument("--picture", type=Path, metavar="FILE", help="draw ratios against the number of samples")
     arguments.add_argument("--small", choices=("scipy", "opencl"), default="scipy", help="what computes small calls")
     options = arguments.parse_args()
-    batches = 3 if options.quick else 9
-    worst: dict[tuple[str, int, int], tuple[float, float, float, Cell]] = {}
-    below = 0
-    for cell in cells(quick=options.quick):
+    found: dict[tuple[str, int, int], list[Found]] = defaultdict(list)
+    for cell in cells(quick=options.quick, drawn=bool(options.picture)):
         if options.only in cell.function:
-            found = ratio(cell.call(), options.small, batches)
-            if found[0] < _TOLERATED:  # once more: another program may have interfered
-                found = max(found, ratio(cell.call(), options.small, 3 * batches))
-            below += found[0] < _TOLERATED
-            key = cell[:3]
-            worst[key] = min(worst.get(key, (np.inf, 0.0, 0.0, cell)), (*found, cell))
+            count = cell.side**cell.ndim
+            batches = 1 if count > _ONCE else 3 if options.quick or options.picture else 9
+            one = ratio(cell.call(), options.small, batches)
+            if one[0] < _TOLERATED and count <= _ONCE:  # once more: another program may have interfered
+                one = max(one, ratio(cell.call(), options.small, 3 * batches))
+            found[cell[:3]].append((*one, cell))
+    worst = {key: min(each) for key, each in found.items()}
     _print(worst, markdown=options.markdown)
+    below = sum(one[0] < _TOLERATED for each in found.values() for one in each)
     print(f"{below} calls below {_TOLERATED}; the lowest: {min(worst.values())}")
+    if options.picture:
+        draw(found, options.picture)
 
 
-def _print(worst: dict[tuple[str, int, int], tuple[float, float, float, Cell]], *, markdown: bool) -> None:
+def draw(found: Mapping[tuple[str, int, int], Sequence[Found]], path: Path) -> None:
+    """Ratios against the number of samples: a line for each function, columns for the number of axes, medians above the lowest."""
+    axes = sorted({ndim for _, ndim, _ in found})
+    with styled():
+        figure = new_figure(12, 8)
+        panels = figure.subplots(2, len(axes), sharex=True, sharey=True, squeeze=False)
+        ways: dict[str, Callable[[Iterable[float]], float]] = {"median": statistics.median, "lowest": min}
+        for (row, what), (column, ndim) in itertools.product(enumerate(ways), enumerate(axes)):
+            panel = panels[row, column]
+            for number, function in enumerate(_FUNCTIONS):
+                points = [
+                    (side**ndim, ways[what](one[0] for one in each))
+                    for (name, n, side), each in found.items()
+                    if (name, n) == (function, ndim)
+                ]
+                if points:
+                    panel.loglog(*zip(*points, strict=True), "o-", markersize=3, color=f"C{number}", label=function)
+            panel.axhline(1, color=INK, linewidth=1)
+            panel.set_title(f"{ndim} {'axis' if ndim == 1 else 'axes'}, {what} of orders and modes")
+        for panel in panels[-1]:
+            panel.set_xlabel("samples")
+        for panel in panels[:, 0]:
+            panel.set_ylabel("SciPy's time by clvol's")
+        legend_above(figure, panels[0, -1])
+        Drawing(figure, []).save(path)
+
+
+def _print(worst: dict[tuple[str, int, int], Found], *, markdown: bool) -> None:
     """The lowest ratio of each function and size."""
     rows = [
         (

@@ -101,6 +101,17 @@ def test_quick_run_writes_a_report(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
+def test_errors_against_functions_that_are_known_are_those_of_scipy() -> None:
+    done = command("bench.truth", "--quick", "--markdown")
+    assert done.returncode == 0, done.stderr
+    rows = [line.strip("| ").split(" | ") for line in done.stdout.splitlines()[2:]]
+    errors = {(work, program): row[-1] for work, program, *row in rows}
+    works = {work for work, _ in errors}
+    assert len(works) == 4
+    assert all(errors[work, "clvol"] == errors[work, "SciPy"] for work in works)
+
+
+@pytest.mark.thorough
 def test_ndimage_is_measured_beside_scipy_which_agrees(tmp_path: Path) -> None:
     output = tmp_path / "report.json"
     done = command("bench.ndimage", "--quick", "--only", "affine_transform", "--markdown", "--output", str(output))
