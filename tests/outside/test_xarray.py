@@ -230,6 +230,7 @@ def uneven(n: int, seed: int, low: float = 0.3) -> Array:
     return np.cumsum(np.random.default_rng(seed).uniform(low, 2, n))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(("name", "order"), [("bspline2", 2), ("bspline3", 3), ("bspline5", 5)])
 @pytest.mark.parametrize("lazy", [False, True], ids=["in memory", "dask"])
 def test_uneven_splines_match_scipy(name: str, order: int, lazy: bool) -> None:
@@ -265,6 +266,13 @@ def test_uneven_cubic_matches_xarray() -> None:
     data = cube().assign_coords(x=3 + uneven(6, 0))
     new = np.linspace(*data.x.values[[0, -1]], 13)
     assert_allclose(data.clvol.interp(x=new).values, data.interp(x=new, method="cubic").values, **SAME)
+    three = data[..., [0, 1, 3]]  # the parabola
+    x, at = three.x.values, float(three.x[1]) + 0.1
+    weights = [(at - x[j]) * (at - x[k]) / ((x[i] - x[j]) * (x[i] - x[k])) for i, j, k in ((0, 1, 2), (1, 0, 2), (2, 0, 1))]
+    assert_allclose(three.clvol.interp(x=at).values, three.values @ weights, **SAME)
+    assert_allclose(
+        three.clvol.interp(x=along("p", [at, at]), t=along("p", [1.0, 2.0])).values[1], three.values[2] @ weights, **SAME
+    )
 
 
 def test_cubic_polynomials_are_exact_on_uneven_axes_and_beyond() -> None:
