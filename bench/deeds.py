@@ -620,8 +620,8 @@ def labelled_arrays(world: World, random: Random) -> Any:
 
     import clvol.xarray  # noqa: F401  # the accessor
 
-    array = xarray.DataArray(random.normal(size=(9, 10)), dims=("y", "x"), coords={"y": np.arange(9.0), "x": np.arange(10.0)})
-    return array.clvol.interp(x=random.uniform(0, 9, 7)).values
+    array = xarray.DataArray(random.normal(size=(9, 10)), dims=("y", "x"), coords={"y": np.arange(9.0) ** 2, "x": np.arange(10.0)})
+    return array.clvol.interp(x=random.uniform(0, 9, 7), y=random.uniform(0, 64, 5)).values
 
 
 # -- filters, noise, measures -----------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import pytest
         ("torch", "import clvol.torch; clvol.torch.sample(None, None)"),
         ("xarray", "import clvol.xarray"),
         ("monai", "import clvol.monai"),
+        ("nitransforms", "import clvol.nitransforms"),
         ("torchio", "import clvol.torchio"),
         ("nnunet", "import clvol.nnunet; sys.modules['nnunetv2'] = None; clvol.nnunet.install()"),
         ("dask", "import clvol.dask"),

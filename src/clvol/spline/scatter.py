@@ -108,7 +108,7 @@ def adjoint(
         raise OptionError("values must be finite; got NaN or infinite ones")
     (row, rule), kind, chosen = linear(filter, boundary), precision_kind(precision), as_device(device)
     require_kind(kind, chosen)
-    stored = _scattered(added.reshape(-1, d**derivative), at.reshape(-1, d), grid, row, rule, derivative, kind, chosen)
+    stored = _scattered(added.reshape(-1, d**derivative), at.reshape(-1, d), grid, row, rule, kind, chosen)
     for axis, n in enumerate(grid.shape):
         stored = _brought_back(stored, axis, n, row.support + 1, rule)
     if not row.prefilter:
@@ -143,19 +143,12 @@ def linear(filter: str | Filter, boundary: str | Boundary) -> tuple[Filter, Boun
 
 
 def _scattered(
-    added: Samples,
-    points: Samples,
-    grid: Volume,
-    row: Filter,
-    rule: Boundary,
-    derivative: int,
-    scalar: type[np.generic],
-    device: Device,
+    added: Samples, points: Samples, grid: Volume, row: Filter, rule: Boundary, scalar: type[np.generic], device: Device
 ) -> Samples:
-    """Values times the weights of their points' taps, on a grid with a margin of taps + 1 coefficients (scatter.cl)."""
+    """Values or gradients times the weights of their points' taps, on a grid with a margin of taps + 1 (scatter.cl)."""
     from scipy import sparse
 
-    taps, d, count = row.support, grid.ndim, points.shape[0]
+    taps, d, (count, components) = row.support, grid.ndim, added.shape
     margin = taps + 1
     if count > _MOST_POINTS:
         raise OptionError(f"points must be at most {_MOST_POINTS}; got {count}")
@@ -166,7 +159,7 @@ def _scattered(
     period = np.array([*(rule.length(n) for n in grid.size), 0, 0][:4], np.int32)
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
     shape = tuple(n + 2 * margin for n in grid.shape)
-    taken = np.dtype(scalar).itemsize * (2 * math.prod(shape) + count * (2 * d + d**derivative)) + count * 40
+    taken = np.dtype(scalar).itemsize * (2 * math.prod(shape) + count * (2 * d + components)) + count * 40
     memory.require(taken, f"{count} points on a grid of {' × '.join(map(str, grid.shape))} samples")
     result = np.zeros(shape, scalar)
     if count == 0:
@@ -178,7 +171,7 @@ def _scattered(
             **boundary_defines(rule, 0, rule.reach(taps)),
             **point_defines(kind),
             "DIMENSIONS": d,
-            "DERIVATIVE": derivative,
+            "DERIVATIVE": int(components > 1),
             "BRICK": brick,
             "LANES": 1,
             "COORD_DOUBLE": int(device.has_double),
@@ -188,7 +181,7 @@ def _scattered(
     if not device.has_double:
         points, transform = transform.indices(points), transform.after_indices
     matrix = transform.upload(device)
-    item, components = np.dtype(scalar).itemsize, d**derivative
+    item = np.dtype(scalar).itemsize
     places, fractions, weights = (device.buffers.allocate(n * count) for n in (8, item * d, item * components))
     brick_of = np.empty(count, np.uint32)
     with (
