@@ -8,6 +8,7 @@ import math
 import os
 import re
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -36,6 +37,7 @@ __all__ = [
     "several",
     "suggests_options",
     "warn",
+    "warned",
     "whole",
 ]
 
@@ -91,6 +93,7 @@ _WORDS = {
 }
 """Our names, and what other programs call the same."""
 
+_here = threading.local()
 _MAX_SAMPLES = 1 << 36  # samples; no machine holds the float64 positions of more
 
 
@@ -233,8 +236,14 @@ def require_room(what: str, samples: int, value: object) -> None:
         raise OutOfMemoryError(f"out of memory: {what} must give at most {_MAX_SAMPLES} samples; got {value!r}")
 
 
+def warned() -> int:
+    """How many times `warn` was called in this thread."""
+    return getattr(_here, "warned", 0)
+
+
 def warn(message: str) -> None:
     """Warn, pointing at the first caller outside clvol."""
+    _here.warned = warned() + 1
     frame, level = sys._getframe(), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
         frame, level = frame.f_back, level + 1

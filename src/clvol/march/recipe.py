@@ -222,7 +222,7 @@ class Staged(NamedTuple):
         """What makes the picture."""
         look, fine = self.look, self.fine
         looks = look, *look.others
-        settled = look.scene.of_media([_settled(one, source) for one in looks])
+        settled = look.once("recipe", lambda: look.scene.of_media([_settled(one, source) for one in looks]))
         parts = [source.part(one.scene.media[0]) for one in looks]
         device = source.field.device
         forced = {name: value for name in _FORCED if (value := getattr(device.limits, name)) != "auto"}
@@ -252,7 +252,7 @@ def staged(source: Source, camera: camera.Camera | None, mode: mode.Mode, fine: 
 
     `OptionError` if what is wanted around the picture does not apply to it, `MissingDependencyError` without matplotlib.
     """
-    look = ResolvedLook.of(source.scene, source.part, camera, mode, options)
+    look = source.look(camera, mode, options)
     around: Mapping[str, Any] = options
     given = {name: around[name] for name in Furniture.__dataclass_fields__ if around.get(name) is not None}
     furniture = Furniture(**given) if given else None

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.base.checks import whole
+from clvol.base.checks import instance, whole
 from clvol.base.errors import ChunkError, MissingSampleError, OptionError
+from clvol.base.kept import Kept, Once, Same
 from clvol.base.progress import part_of
 from clvol.bricks.continued import continued
 from clvol.bricks.field import BrickedField, BrickedLabels
@@ -22,14 +23,16 @@ from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of, level_within
 from clvol.march.colored import Other
-from clvol.march.frame import Subject
+from clvol.march.frame import Frame, Subject
 from clvol.march.function import regions_of, row_for, single
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
+from clvol.march.options import ResolvedLook
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.shadow import Body, Matter, Shadows
 from clvol.march.uncertainty import Uncertainty
+from clvol.scene.camera import Camera
 from clvol.scene.mode import CURVATURES, colored_by, moved, outlined, virtual_samples
 from clvol.scene.scene import Medium, Scene
 from clvol.spline.evaluator import DIRECT, choose_evaluator, require_direct
@@ -45,7 +48,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.base.progress import Progress
     from clvol.filter.filter import Filter
     from clvol.march.cluster import Workers
-    from clvol.march.options import Fineness, RefineOptions, ResolvedLook
+    from clvol.march.options import Fineness, RefineOptions
     from clvol.march.refine import Asked, Refined
     from clvol.march.shadow import Lit
     from clvol.scene.camera import Viewpoint
@@ -79,6 +82,8 @@ class Source(ABC):
         self.shown = field
         self.lease = Lease(_CLOSED)
         self._lock = threading.RLock()  # a signal handler may re-enter
+        self._looks: Kept[ResolvedLook] = Kept()
+        self.lease.frees(self._looks.clear)
         self._unsmoothed: Any = None
         self._levels: dict[tuple[int, str, bool], BrickedField] = {}
         self._colored: dict[tuple[Any, ...], Other] = {}
@@ -93,6 +98,12 @@ class Source(ABC):
         """A context in which nothing is freed."""
         with self.lease.held(), self.field.in_use():
             yield
+
+    def look(self, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
+        """The look of its scene with these options; see `ResolvedLook.of`."""
+        instance("camera", camera, Camera, type(None))
+        found = self._looks.of(lambda: ResolvedLook.of(self.scene, self.part, camera, mode, options), mode, options, camera is None)
+        return found if camera is None or camera is found.camera else found.seen_by(camera)
 
     @property
     def _free(self) -> bool:
@@ -201,9 +212,6 @@ class OneMedium(Source):
     def part(self, medium: Medium) -> OneMedium:  # noqa: ARG002  # it has one
         return self
 
-    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
-        return self.drawn(look, fine, self.level(fine, look.view(fine.size)), guides, self._lit, progress)
-
     def regions(self) -> Regions:
         """The smooth regions of its labels, which slices show; they are freed with the source."""
         raise OptionError(
@@ -262,6 +270,8 @@ class InMemory(OneMedium):
         self._uncertainty: Uncertainty | None = None
         self._regions: Regions | None = None
         self._rates: dict[tuple[Any, ...], Rate] = {}
+        self._frames: Once[Frame] = Once(1)
+        self.lease.frees(self._frames.clear)
 
     def function(self, mode: Mode, level: int = 0) -> Field:
         whole("level", level, 0, 0)
@@ -285,11 +295,17 @@ class InMemory(OneMedium):
                 self.lease.frees(self._regions.release)
             return self._regions
 
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        return self.drawn(look, fine, 0, guides, self._lit, progress)
+
     def drawn(
         self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting, progress: Progress | None
     ) -> Pictures:
         seen = self.seen(look, fine, level, guides, lit)
-        pictures = launch.draw(seen.subject.frame(fine.size, fine.step, guides=guides), fine.rays, fine.filter, progress)
+        subject = seen.subject
+        key = Same(subject.look), *subject.parts, fine.size, fine.step, guides
+        frame = self._frames(key, lambda: subject.frame(fine.size, fine.step, guides=guides))
+        pictures = launch.draw(frame, fine.rays, fine.filter, progress)
         self.shown = seen.field
         return pictures
 
@@ -401,6 +417,9 @@ class ByBricks(OneMedium):
 
     def level(self, fine: Fineness, view: Viewpoint) -> int:
         return level_of(self.field.volume, view, fine.size, fine.lod)
+
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        return self.drawn(look, fine, self.level(fine, look.view(fine.size)), guides, self._lit, progress)
 
     def drawn(
         self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting, progress: Progress | None
@@ -566,7 +585,7 @@ class Several(Source):
 
     def _drawn(self, look: ResolvedLook, fine: Fineness, coarsest: int, guides: bool, progress: Progress | None) -> Pictures:
         camera, view = look.placed(fine.size[0] / fine.size[1]).camera, look.view(fine.size)
-        looks = tuple(replace(one, camera=camera) for one in (look, *look.others))  # in place, whatever the level of a medium
+        looks = tuple(one.seen_by(camera) for one in (look, *look.others))  # in place, whatever the level of a medium
         surfaces = look.mode.shows == "surface"
 
         def lit(_: ResolvedLook) -> Lit | None:
