@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import warn
-from clvol.march.options import WORDS, Fineness, ResolvedLook, chosen_mode
+from clvol.march.options import WORDS, Fineness, chosen_mode
+from clvol.march.recipe import look_of
 from clvol.scene.clip import Cuts, cuts_of
 from clvol.scene.mode import virtual_samples
 
 if TYPE_CHECKING:
+    from clvol.march.options import ResolvedLook
     from clvol.march.renderer import Renderer
     from clvol.march.source import Source
     from clvol.scene.camera import Camera
@@ -60,7 +62,7 @@ def warn_of_refined(
     """Warn of the last picture by `Renderer.refine` as `render` warns of its own."""
     source, chosen = renderer._source, chosen_mode(mode, options)
     fine = Fineness.of(chosen, picture.shape[1::-1], step, options)  # type: ignore[arg-type]
-    warn_if_empty(source.look(camera, chosen, options), fine, source, options, picture)  # type: ignore[arg-type]  # by name
+    warn_if_empty(look_of(source, camera, chosen, options), fine, source, options, picture)  # type: ignore[arg-type]  # by name
 
 
 def _alike(look: ResolvedLook, limits: tuple[float, float] | None, given: bool) -> str:

@@ -100,8 +100,7 @@ class Renderer:
         source = scene
         if not isinstance(source, Source):
             source = source_of(source, filter, boundary, device, memory=memory, mask=mask, cluster=cluster, merge=merge)
-        self._source, self._lease = source, source.lease
-        self._modes: Kept[Mode] = Kept()
+        self._source, self._lease, self._modes = source, source.lease, Kept[Mode]()
         self.scene: Scene = source.scene
         self.field: Field | BrickedField = source.field
         self.device: Device = source.field.device

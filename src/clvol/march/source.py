@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.base.checks import instance, whole
+from clvol.base.checks import whole
 from clvol.base.errors import ChunkError, MissingSampleError, OptionError
 from clvol.base.kept import Kept, Once, Same
 from clvol.base.progress import part_of
@@ -28,11 +28,9 @@ from clvol.march.function import regions_of, row_for, single
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
 from clvol.march.mixed import mixed, nearest, over
-from clvol.march.options import ResolvedLook
 from clvol.march.refine import Rate, Refinement, Wanted, refined_by_levels
 from clvol.march.shadow import Body, Matter, Shadows
 from clvol.march.uncertainty import Uncertainty
-from clvol.scene.camera import Camera
 from clvol.scene.mode import CURVATURES, colored_by, moved, outlined, virtual_samples
 from clvol.scene.scene import Medium, Scene
 from clvol.spline.evaluator import DIRECT, choose_evaluator, require_direct
@@ -48,7 +46,7 @@ if TYPE_CHECKING:  # clusters need dask
     from clvol.base.progress import Progress
     from clvol.filter.filter import Filter
     from clvol.march.cluster import Workers
-    from clvol.march.options import Fineness, RefineOptions
+    from clvol.march.options import Fineness, RefineOptions, ResolvedLook
     from clvol.march.refine import Asked, Refined
     from clvol.march.shadow import Lit
     from clvol.scene.camera import Viewpoint
@@ -82,8 +80,8 @@ class Source(ABC):
         self.shown = field
         self.lease = Lease(_CLOSED)
         self._lock = threading.RLock()  # a signal handler may re-enter
-        self._looks: Kept[ResolvedLook] = Kept()
-        self.lease.frees(self._looks.clear)
+        self.looks: Kept[ResolvedLook] = Kept()
+        self.lease.frees(self.looks.clear)
         self._unsmoothed: Any = None
         self._levels: dict[tuple[int, str, bool], BrickedField] = {}
         self._colored: dict[tuple[Any, ...], Other] = {}
@@ -98,12 +96,6 @@ class Source(ABC):
         """A context in which nothing is freed."""
         with self.lease.held(), self.field.in_use():
             yield
-
-    def look(self, camera: Camera | None, mode: Mode, options: RefineOptions) -> ResolvedLook:
-        """The look of its scene with these options; see `ResolvedLook.of`."""
-        instance("camera", camera, Camera, type(None))
-        found = self._looks.of(lambda: ResolvedLook.of(self.scene, self.part, camera, mode, options), mode, options, camera is None)
-        return found if camera is None or camera is found.camera else found.seen_by(camera)
 
     @property
     def _free(self) -> bool:
@@ -212,6 +204,10 @@ class OneMedium(Source):
     def part(self, medium: Medium) -> OneMedium:  # noqa: ARG002  # it has one
         return self
 
+    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
+        level = self.level(fine, look.view(fine.size)) if self.by_bricks else 0
+        return self.drawn(look, fine, level, guides, self._lit, progress)
+
     def regions(self) -> Regions:
         """The smooth regions of its labels, which slices show; they are freed with the source."""
         raise OptionError(
@@ -294,9 +290,6 @@ class InMemory(OneMedium):
                 self._regions = regions_of(medium.volume, medium.filter, region_boundary(medium.boundary), self.field.device)
                 self.lease.frees(self._regions.release)
             return self._regions
-
-    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
-        return self.drawn(look, fine, 0, guides, self._lit, progress)
 
     def drawn(
         self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting, progress: Progress | None
@@ -417,9 +410,6 @@ class ByBricks(OneMedium):
 
     def level(self, fine: Fineness, view: Viewpoint) -> int:
         return level_of(self.field.volume, view, fine.size, fine.lod)
-
-    def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
-        return self.drawn(look, fine, self.level(fine, look.view(fine.size)), guides, self._lit, progress)
 
     def drawn(
         self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting, progress: Progress | None
