@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clvol.base import memory
 from clvol.base.errors import ClvolError, DataError, OptionError
 
-__all__ = ["Array", "as_array", "as_output", "memory_of", "reals"]
+__all__ = ["Array", "as_array", "as_output", "is_triple", "memory_of", "reals"]
 
 Array: TypeAlias = NDArray[np.float64]
 _ON_HOST = {1, 3, 11, 13}  # DLPack device types whose memory the host can read: CPU, pinned and managed memory
@@ -31,6 +31,8 @@ def as_array(
     """
     if type(source) is np.ndarray:
         return source
+    if type(source) is tuple and set(map(type, source)) == {float}:  # far sooner than by what follows
+        return np.array(source)
     if np.ma.is_masked(source):
         raise error(f"{what} must be {rule} with no masked element; replace them with .filled(value) of the masked array")
     if not _on_host(source):
@@ -135,16 +137,22 @@ def _of_tensor(tensor: Any) -> NDArray[Any]:
     return np.asarray((plain.float() if str(plain.dtype) == "torch.bfloat16" else plain).numpy())
 
 
+def is_triple(value: object) -> bool:
+    """Whether it is a tuple of three finite floats, as almost all that are asked about."""
+    return type(value) is tuple and len(value) == 3 and set(map(type, value)) == {float} and all(map(math.isfinite, value))
+
+
 def reals(what: str, value: object, rule: str = "real numbers", error: type[ClvolError] = OptionError) -> NDArray[np.float64]:
     """`value` as a float64 array, without a copy if it is one; raises `error` for strings, complex and masked numbers."""
     try:
         array = as_array(value, what, error, rule)
+        if array.dtype == np.float64:
+            return array
         known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))
         if known:
-            if array.dtype != np.float64:
-                memory.require(8 * array.size, f"{what} in float64, {array.size} numbers,")
+            memory.require(8 * array.size, f"{what} in float64, {array.size} numbers,")
             with np.errstate(over="ignore"):
-                return array.astype(np.float64, copy=False)
+                return array.astype(np.float64)
     except OverflowError:  # beyond float64
         pass
     raise error(f"{what} must be {rule}; got {value!r}")

@@ -8,6 +8,7 @@ import math
 import os
 import re
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -37,6 +38,7 @@ __all__ = [
     "several",
     "suggests_options",
     "warn",
+    "warned",
     "warned_once",
     "whole",
 ]
@@ -93,6 +95,7 @@ _WORDS = {
 }
 """Our names, and what other programs call the same."""
 
+_here = threading.local()
 _MAX_SAMPLES = 1 << 36  # samples; no machine holds the float64 positions of more
 
 
@@ -235,8 +238,14 @@ def require_room(what: str, samples: int, value: object) -> None:
         raise OutOfMemoryError(f"out of memory: {what} must give at most {_MAX_SAMPLES} samples; got {value!r}")
 
 
+def warned() -> int:
+    """How many times `warn` was called in this thread."""
+    return getattr(_here, "warned", 0)
+
+
 def warn(message: str, kind: str = "") -> None:
     """Warn, pointing at the first caller outside clvol; once of a `kind`, or with a message, in a context of `warned_once`."""
+    _here.warned = warned() + 1
     if (told := _TOLD.get()) is not None:
         if (kind or message) in told:
             return

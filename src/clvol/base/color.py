@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.arrays import reals
+from clvol.base.arrays import is_triple, reals
 from clvol.base.errors import OptionError
 from clvol.base.srgb import as_light
 
@@ -46,10 +46,10 @@ def color_of(what: str, value: Sequence[float] | str) -> tuple[float, float, flo
             raise OptionError(f"{what} must be three numbers, or the name or hex code of a colour; got {value!r}") from None
         return float(rgba.rgba.r), float(rgba.rgba.g), float(rgba.rgba.b)
     rule = "three numbers, or the name of a colour"
-    rgb = reals(what, value, rule)
-    if rgb.shape != (3,):
+    rgb = value if is_triple(value) else reals(what, value, rule)
+    if np.shape(rgb) != (3,):
         raise OptionError(f"{what} must be {rule}; got {value!r}")
-    r, g, b = (float(v) for v in rgb)
+    r, g, b = map(float, rgb)
     if not all(math.isfinite(v) and v >= 0 for v in (r, g, b)):
         raise OptionError(f"{what} must be finite and not negative; got {value!r}")
     return r, g, b

@@ -6,13 +6,13 @@ four bytes, so that the layout is the same everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["FLOAT", "INT", "REACH", "Block", "Values"]
+__all__ = ["FLOAT", "INT", "REACH", "Block", "Values", "copied"]
 
 FLOAT, INT = np.float32, np.int32
 REACH = 1 << 18
@@ -31,14 +31,26 @@ class Block:
         self.fields = fields or {"unused": INT}  # C has no empty struct
         members: list[Any] = [(key, kind.dtype if isinstance(kind, Block) else kind) for key, kind in self.fields.items()]
         self.dtype: np.dtype[np.void] = np.dtype(members)
+        self._nested = {key: self.dtype.fields[key][1] for key, kind in self.fields.items() if isinstance(kind, Block)}  # type: ignore[index]
 
     def __call__(self, **values: ArrayLike) -> Values:
         """The block with a value for each field."""
         if values.keys() != self.fields.keys() and (values or "unused" not in self.fields):
             raise TypeError(f"{self.name} has the fields {', '.join(self.fields)}; got {', '.join(values)}")
-        result = np.zeros((), self.dtype)
+        return self._with(bytearray(self.dtype.itemsize), values)
+
+    def changed(self, values: Values, **changes: ArrayLike) -> Values:
+        """A copy of values with others for some fields."""
+        return self._with(bytearray(values.tobytes()), changes)
+
+    def _with(self, content: bytearray, values: Mapping[str, ArrayLike]) -> Values:
+        result: Values = np.ndarray((), self.dtype, content)
         for key, value in values.items():
-            result[key] = value
+            if key in self._nested:  # by bytes: NumPy would take 20 µs
+                start, inner = self._nested[key], value.tobytes()  # type: ignore[union-attr]  # values of that block
+                content[start : start + len(inner)] = inner
+            else:
+                result[key] = value
         return result
 
     def declaration(self) -> str:
@@ -50,6 +62,11 @@ class Block:
         members = "\n".join(f"    {_member(key, kind)};" for key, kind in self.fields.items())
         nested = {name: text for part in parts for name, text in part._structs().items()}
         return nested | {self.name: f"typedef struct {{\n{members}\n}} {self.name};\n"}
+
+
+def copied(values: Values) -> Values:
+    """A copy of a block's values; NumPy takes 300 µs for those of many nested blocks."""
+    return np.ndarray((), values.dtype, bytearray(values.tobytes()))
 
 
 def _member(key: str, kind: Any) -> str:

@@ -89,12 +89,6 @@ class Buffers:
             self._launches.settle()
             opencl().enqueue_copy(driver.queue, array, buffer)
 
-    def write(self, buffer: Any, array: np.ndarray[Any, Any]) -> None:
-        """Begin to copy a contiguous `array` to the start of `buffer`; it must be kept until the next wait."""
-        driver = self._driver
-        with driver.errors:
-            opencl().enqueue_copy(driver.queue, buffer, array, is_blocking=False)
-
     @contextlib.contextmanager
     def kept(self, memory: Any) -> Iterator[None]:
         """Keep memory for kernels that may still be using it when the block raises; at its end they must be done."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from clvol.base import memory
 from clvol.base.progress import part_of
+from clvol.base.uniform import copied
 from clvol.march.launch import Drawing, launched_over, lent_pictures, pictures_of
 from clvol.march.window import Area, boxes_of, brick_inputs, front_to_back, may_matter, pixels_of, pyramid_of, set_ends, share_of
 from clvol.spline.lease import release
@@ -243,7 +244,7 @@ class Pass:
 
     def asks_for(self, brick: Brick, ends: tuple[float, float] | None, area: Area) -> bool:
         """Whether any ray of an area meets a brick, and stored values between its `ends` could change the ray's result."""
-        device, values, found = self.frame.device, self.frame.values.copy(), np.zeros(1, np.int32)
+        device, values, found = self.frame.device, copied(self.frame.values), np.zeros(1, np.int32)
         set_ends(values, brick, self.frame)
         low, high = (-_ANY, _ANY) if ends is None else ends
         wanted = device.buffers.upload(found)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import warn
-from clvol.march.options import WORDS, Fineness, ResolvedLook, chosen_mode
+from clvol.march.options import WORDS, Fineness, chosen_mode
+from clvol.march.recipe import look_of
 from clvol.scene.clip import Cuts, cuts_of
 from clvol.scene.mode import virtual_samples
 
 if TYPE_CHECKING:
+    from clvol.march.options import ResolvedLook
     from clvol.march.renderer import Renderer
     from clvol.march.source import Source
     from clvol.scene.camera import Camera
@@ -38,15 +41,18 @@ def warn_if_empty(
 
     `options` were given for the picture, and so was `fine`: bands are not missed where a tolerance chooses the step.
     """
-    alike = (_alike(one, one.preview.limits, options) for one in (look, *look.others)) if look.others else ()
+    limits, given = source.limits, any(options.get(name) is not None for name in _CHOICES)
+    alike = (_alike(one, one.preview.limits, given) for one in (look, *look.others)) if look.others else ()
     if found := next(filter(None, alike), ""):
         warn(f"of a medium of the scene: {found}")
-    reason = _alike(look, source.limits, options) or (_unseen(look, source) if _is_empty(look, rgba) else "")
+    reason = look.once(("alike", limits, given), lambda: _alike(look, limits, given))
+    if not reason and _is_empty(look, rgba):
+        reason = _unseen(look, source)
     for one in () if reason else (look, *look.others):
         if said := _beyond(one):
             warn(said)
-    missed = () if fine.tolerance is not None else (_missed(one, fine.step) for one in (look, *look.others))
-    if reason or (reason := next(filter(None, missed), "")):
+    missed = (one.once(("missed", fine.step), partial(_missed, one, fine.step)) for one in (look, *look.others))
+    if reason or (fine.tolerance is None and (reason := next(filter(None, missed), ""))):
         warn(reason)
 
 
@@ -56,17 +62,19 @@ def warn_of_refined(
     """Warn of the last picture by `Renderer.refine` as `render` warns of its own."""
     source, chosen = renderer._source, chosen_mode(mode, options)
     fine = Fineness.of(chosen, picture.shape[1::-1], step, options)  # type: ignore[arg-type]
-    look = ResolvedLook.of(source.scene, source.part, camera, chosen, options)  # type: ignore[arg-type]
-    warn_if_empty(look, fine, source, options, picture)
+    warn_if_empty(look_of(source, camera, chosen, options), fine, source, options, picture)  # type: ignore[arg-type]  # by name
 
 
-def _alike(look: ResolvedLook, limits: tuple[float, float] | None, options: Mapping[str, Any]) -> str:
-    """That all samples look the same, if they do; "" for surfaces and integrals, which show where they are."""
+def _alike(look: ResolvedLook, limits: tuple[float, float] | None, given: bool) -> str:
+    """That all samples look the same, if they do; "" for surfaces and integrals, which show where they are.
+
+    `given`: an option says how samples look.
+    """
     if limits is None or look.scene.media[0].color_by is not None or look.mode.shows == "integral":
         return ""
     low, high = limits
     if low == high:
-        chosen = look.scene.media[0].transfer is not None or any(options.get(name) is not None for name in _CHOICES)
+        chosen = look.scene.media[0].transfer is not None or given
         return "" if chosen else f"the picture shows no structure: all samples are {low:g}"
     mode, transfer = look.mode, look.transfer
     if mode.isovalues or (mode.ramp < 1 and high > transfer.value_range[0]):  # which shows smaller values, too

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
+from clvol.base.kept import Once
 from clvol.base.srgb import as_light
-from clvol.base.uniform import FLOAT, INT, Block
+from clvol.base.uniform import FLOAT, INT, Block, copied
 from clvol.device import Tile
 from clvol.filter.filter import MAX_TAPS
 from clvol.march.behind import ROW
@@ -138,6 +139,7 @@ class Frame:
     several: bool = False  # whether samples lie on planes that several media share
     margin: float = 0.0  # the rounding error of positions in samples, at most ...
     stride: float = 0.0  # ... and the most of them that a ray advances at a step
+    once: Once[Any] = field(default_factory=Once, init=False, repr=False, compare=False)  # what its drawings have in common
 
     @property
     def device(self) -> Device:
@@ -181,7 +183,7 @@ class Frame:
 
     def _set(self, **changes: Any) -> Frame:
         """A copy with changes in its picture's block, and in those of its media."""
-        values = self.values.copy()
+        values = copied(self.values)
         for name, value in changes.items():
             values["picture"][name] = value
         return replace(self, values=values, media=tuple(medium._set(**changes) for medium in self.media))
@@ -208,6 +210,9 @@ class Frame:
         `windowed`: for one brick of the volume at a time; `added`: samples are added to those of other media, `media` of them at
         once.
         """
+        return self.once((name, windowed, added, media), lambda: self._built(name, windowed, added, media))  # type: ignore[no-any-return]
+
+    def _built(self, name: str, windowed: bool, added: bool, media: int) -> Program:
         _, declaration = frame_block(self.mode.BLOCK)
         defines = self.defines(windowed=windowed, added=added) | ({"MEDIA": media} if media else {})
         return self.device.build(name, defines, {"mode.cl": self.mode.file}, {"frame.cl": declaration})
@@ -250,6 +255,16 @@ class Frame:
         }
 
 
+class _Still(NamedTuple):
+    """What pictures of a look have in common, whatever their size and wherever it is seen from."""
+
+    block: Block
+    values: Values
+    picture: Values
+    table: NDArray[np.float32]
+    slope: float  # what kernels multiply gradients by
+
+
 @dataclass(frozen=True)
 class Subject:
     """A look of a resident function: everything for a frame except size and step."""
@@ -272,6 +287,11 @@ class Subject:
     def mode(self) -> Mode:
         """The mode of the picture: of several media, some may show surfaces in it."""
         return (self.look.unsettled if self.others else None) or self.look.mode
+
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        """What it is made of beside its look and others."""
+        return self.coefficients, self.minmax, self.evaluator, self.gaps, self.other, self.lit
 
     @property
     def medium(self) -> Medium:
@@ -302,7 +322,7 @@ class Subject:
             plain = look.scene.of_media([replace(self.medium, color_by=None)]) if self.other else look.scene
             unlit = replace(self, look=replace(look, mode=self.mode, scene=plain), lit=None)
             mixed = unlit._frame(size, guides, aspect, view, rails)
-            values = mixed.values.copy()
+            values = copied(mixed.values)
             values["geometry"]["low"], values["geometry"]["high"] = rails.low, rails.high
             values["clip"] = clip_block(look.scene.clip, volume, volume.mean_spacing)
             return replace(mixed, values=values, media=frames)
@@ -317,11 +337,48 @@ class Subject:
 
     def _frame(self, size: tuple[int, int], guides: bool, aspect: float, view: Viewpoint, rails: Rails) -> Frame:
         """The frame of this medium alone, with samples on these rails."""
-        look, coefficients, minmax = self.look, self.coefficients, self.minmax
-        scene, mode, stored, medium = look.scene, look.mode, coefficients.stored, self.medium
-        (width, height), volume, unit = size, medium.volume, rails.volume.mean_spacing
+        look, minmax, scene, volume = self.look, self.minmax, self.look.scene, self.medium.volume
+        (width, height), unit = size, rails.volume.mean_spacing
         margin = rails.margin(volume, view, aspect)
-        transfer, of_shape = look.transfer, colored_by(mode) in (*CURVATURES, BY_DISTANCE)
+        still = look.once((*self.parts, unit), lambda: self._still(unit))
+        values = still.block.changed(
+            still.values,
+            camera=view.block(volume, width, height, aspect, rails=rails.volume),
+            planes=rails.planes.block(),
+            rails=rails.block(volume, view, width, height, aspect),
+            lights=lights_block(scene.lights, view),
+            minmax=minmax_block(minmax, volume, margin, still.slope),
+            cast=cast_block(scene, unit, view.reach(volume, aspect)) if look.sends_rays else np.zeros((), CAST.dtype),
+            picture=PICTURE.changed(still.picture, width=width, height=height, kept=size),
+        )
+        return Frame(
+            self.coefficients,
+            minmax,
+            self.gaps,
+            None,
+            look.mode,
+            look.transfer,
+            self.evaluator,
+            rails.planes,
+            tile_of(self.coefficients.device, self.evaluator),
+            self.central,
+            volume.is_labels and not self.coefficients.filter.has_gradient,
+            guides,
+            values,
+            still.table,
+            other=self.other if self.medium.color_by is not None else None,
+            lit=self.lit,
+            casts=look.sends_rays,
+            several=rails.several,
+            margin=margin,
+            stride=rails.stride(volume),
+        )
+
+    def _still(self, unit: float) -> _Still:
+        """What frames of this medium have in common; `unit` is the kernels' unit of length."""
+        look, coefficients = self.look, self.coefficients
+        scene, mode, stored, medium = look.scene, look.mode, coefficients.stored, self.medium
+        volume, transfer, of_shape = medium.volume, look.transfer, colored_by(mode) in (*CURVATURES, BY_DISTANCE)
         shown = AS_THEY_ARE if of_shape or mode.shows == "integral" else stored  # values that colours are of
         if transfer.unit_distance is None:
             transfer = replace(transfer, unit_distance=volume.mean_spacing)
@@ -341,61 +398,34 @@ class Subject:
         lit = np.zeros((), LIT.dtype)
         if self.lit is not None:
             lit = self.lit.block(look.swept, table.size + -table.size % ROW + (self.other.size if self.other is not None else 0))
-        values = block(
-            camera=view.block(volume, width, height, aspect, rails=rails.volume),
+        picture = PICTURE(
+            offset=0.5,
+            background=scene.background or 0.0,
+            behind=as_light(scene.background or 0.0) if linear else scene.background or 0.0,
+            weight=1.0,
+            width=0,
+            height=0,
+            kept_from=0,
+            kept=0,
+            opaque=scene.background is not None,
+            linear=linear,
+            listed=0,
+            **{"pass": 0, "last_pass": 0},
+        )
+        values = block.changed(
+            np.zeros((), block.dtype),
             geometry=medium.block(stored, unit),
             clip=clip_block(look.clip, volume, unit),
-            planes=rails.planes.block(),
-            rails=rails.block(volume, view, width, height, aspect),
             transfer=transfer.block(unit, shown, linear=linear),
             factors=factors_block(((transfer.gradient_opacity, steepness), (transfer.curvature_opacity, 1.0))),
             joint=joint_block(transfer, stored, steepness, linear=linear),
             colored=colored,
             lit=lit,
-            cast=cast_block(scene, unit, view.reach(volume, aspect)) if look.sends_rays else np.zeros((), CAST.dtype),
             material=medium.material.block(linear=linear),
-            lights=lights_block(scene.lights, view),
             mode=(in_linear_light(mode) if linear else mode).block(volume, stored),
-            minmax=minmax_block(minmax, volume, margin, slope),
-            window=np.zeros((), WINDOW.dtype),
             gaps=gaps_block(self.gaps),
-            picture=PICTURE(
-                offset=0.5,
-                background=scene.background or 0.0,
-                behind=as_light(scene.background or 0.0) if linear else scene.background or 0.0,
-                weight=1.0,
-                width=width,
-                height=height,
-                kept_from=0,
-                kept=size,
-                opaque=scene.background is not None,
-                linear=linear,
-                listed=0,
-                **{"pass": 0, "last_pass": 0},
-            ),
         )
-        return Frame(
-            coefficients,
-            minmax,
-            self.gaps,
-            None,
-            mode,
-            look.transfer,
-            self.evaluator,
-            rails.planes,
-            tile_of(coefficients.device, self.evaluator),
-            self.central,
-            volume.is_labels and not coefficients.filter.has_gradient,
-            guides,
-            values,
-            table,
-            other=self.other if medium.color_by is not None else None,
-            lit=self.lit,
-            casts=look.sends_rays,
-            several=rails.several,
-            margin=margin,
-            stride=rails.stride(volume),
-        )
+        return _Still(block, values, picture, table, slope)
 
     def placed(self, aspect: float) -> Subject:
         """The same with a fitted camera, if its position was left open."""

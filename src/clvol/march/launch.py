@@ -6,6 +6,7 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
 
 import numpy as np
@@ -113,7 +114,9 @@ class Drawing:
 
     def _make_ready(self) -> None:
         """Build the kernel and upload its inputs."""
-        self._kernel, self._inputs = self.frame.program("march/draw.cl").kernel("draw"), Inputs(self.frame)
+        frame = self.frame
+        self._kernel = frame.program("march/draw.cl").kernel("draw")
+        self._inputs: Inputs = frame.once("inputs", lambda: Inputs(frame))
 
     def cast(self, rays: int, progress: Progress | None = None, until: float = math.inf) -> bool:
         """Cast `rays` more rays for each pixel; returns whether it finished.
@@ -125,7 +128,7 @@ class Drawing:
         with lent_pictures(frame, self.arrays, begun=self.cast_rays > 0 or self._areas is not None) as buffers:
             while self.cast_rays < last:
                 i = self.cast_rays
-                arguments = *self._inputs.of_rays(frame.sampled(*self._pattern[i], i, self.rays)), self._inputs.table, *buffers
+                arguments = *self._of_ray(i), self._inputs.table, *buffers
                 if self._areas is None:
                     self._areas = self._budget.tiles(width, height)
                 for x, y, w, h in _launched(frame, kernel, self._areas, self._budget, *arguments):
@@ -136,6 +139,13 @@ class Drawing:
                 self._areas = None
                 self.cast_rays += 1
         return True
+
+    def _of_ray(self, i: int) -> tuple[Any, ...]:
+        """The first arguments for a ray of each pixel; those of a single one are the frame's, however often it is drawn."""
+        frame, ray = self.frame, partial(self.frame.sampled, *self._pattern[i], i, self.rays)
+        if self.rays > 1:
+            return self._inputs.of_rays(ray())
+        return frame.once(("ray", self._filter), lambda: self._inputs.of_rays(ray()))  # type: ignore[no-any-return]
 
     def shown(self) -> Picture:
         """A copy of the picture by the rays that were cast; at least one."""
@@ -172,7 +182,7 @@ class Drawing:
         places = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
         width = frame.tile.width if frame.tile.shared else _GROUP  # so that neighbours share a tile or a group
         height = -(-len(places) // width)
-        rays = frame.of_rays(width, height)
+        rays = frame.once(("listed", width, height), lambda: frame.of_rays(width, height))
         arrays = self._cast_listed(rays, np.resize(places, (width * height, 2)), part_of(progress, _FINDING, 1))
         colors = arrays["rgba"].reshape(-1, 4)[: len(places)].reshape(len(pixels), -1, 4)
         where = tuple(pixels.T)
@@ -201,7 +211,8 @@ class Drawing:
         arrays = pictures_of(rays)
         budget.slow_down(_SCATTERED)
         with lent_pictures(rays, arrays) as buffers:
-            areas, arguments = budget.tiles(width, height), (*self._inputs.of_rays(rays), listed, *buffers)
+            inputs = rays.once("rays", lambda: self._inputs.of_rays(rays))
+            areas, arguments = budget.tiles(width, height), (*inputs, listed, *buffers)
             for _, y, _, h in _launched(rays, self._kernel, areas, budget, *arguments):
                 if progress:
                     progress((y + h) / height)
@@ -321,7 +332,7 @@ def pictures_of(frame: Frame) -> dict[str, Picture]:
 @contextlib.contextmanager
 def lent_pictures(frame: Frame, arrays: dict[str, Picture], *, begun: bool = False) -> Iterator[list[Any]]:
     """Buffers through which kernels write a frame's pictures; `begun` if these already have content."""
-    unused = [frame.device.buffers.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # never written
+    unused = [frame.once("unused", lambda: frame.device.buffers.allocate(4))] * (len(CHANNELS) - len(arrays))  # never written
     with contextlib.ExitStack() as lent:
         yield [lent.enter_context(frame.device.buffers.lent(array, write=True, begun=begun)) for array in arrays.values()] + unused
 

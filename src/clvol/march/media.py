@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.uniform import copied
 from clvol.march.launch import Drawing, Inputs, launch, launched_over, lent_pictures, pictures_of
 from clvol.march.window import boxes_of, brick_inputs, front_to_back, may_matter, pixels_of, pyramid_of, set_ends, share_of
 from clvol.spline.lease import release
@@ -296,7 +297,7 @@ class _ByBricks:
     def _span(self, rays: _Rays, brick: Brick, going: NDArray[np.uint8]) -> NDArray[np.float32]:
         """For each tile the numbers of the first and the last sample that its rays may have in a brick."""
         frame, own = rays.frame, rays.frame.device.buffers
-        values, span = frame.values.copy(), np.empty((*going.shape, 2), np.float32)
+        values, span = copied(frame.values), np.empty((*going.shape, 2), np.float32)
         span[..., 0], span[..., 1] = math.inf, -math.inf
         set_ends(values, brick, frame)
         found = own.upload(span)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from types import EllipsisType
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypedDict, get_args
 
@@ -12,6 +13,7 @@ import numpy as np
 from clvol.base import memory
 from clvol.base.checks import instance, number, one_of, whole
 from clvol.base.errors import OptionError
+from clvol.base.kept import Once, Same
 from clvol.filter.table import PICTURE_FILTER
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.scene.camera import Camera
@@ -450,6 +452,8 @@ class ResolvedLook:
     preview: Volume  # samples to which the camera is fitted
     others: tuple[ResolvedLook, ...] = ()  # of the scene's other visible media; the grid of the first one leads
     unsettled: Mode | None = None  # the mode of several, which is settled for each, or in which one shows surfaces or regions
+    once: Once[Any] = field(default_factory=Once, init=False, repr=False, compare=False)  # what is known of it from any place ...
+    there: Once[Any] = field(default_factory=partial(Once, 4), init=False, repr=False, compare=False)  # ... and from the last ones
 
     @classmethod
     def of(
@@ -562,13 +566,23 @@ class ResolvedLook:
         """What is cut away of its medium."""
         return self.scene.clip_of(self.scene.media[0])
 
+    def seen_by(self, camera: Camera) -> ResolvedLook:
+        """The same from another place."""
+        made = replace(self, camera=camera)
+        for name in ("once", "there"):
+            object.__setattr__(made, name, getattr(self, name))
+        return made
+
     def placed(self, aspect: float) -> ResolvedLook:
         """The same with the camera fitted to a picture of this aspect, if its position was left open."""
+        return self.there((Same(self.camera), aspect), lambda: self._placed(aspect))  # type: ignore[no-any-return]
+
+    def _placed(self, aspect: float) -> ResolvedLook:
         camera, others = self.camera, tuple((look.preview, look.mode, look.transfer, look.clip) for look in self.others)
         if others:
             camera = camera.in_world(max((self.preview, *(one.preview for one in self.others)), key=lambda volume: volume.space))
         camera = fitted(camera, self.preview, self.mode, self.transfer, self.clip, aspect, others=others)
-        return self if camera is self.camera else replace(self, camera=camera)
+        return self if camera is self.camera else self.seen_by(camera)
 
     @property
     def linear(self) -> bool:

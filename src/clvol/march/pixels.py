@@ -52,14 +52,15 @@ def _checked(row: Filter) -> Filter:
     return row
 
 
-def pixel_rays(count: int, filter: Filter, *, middle: bool) -> list[tuple[NDArray[np.float64], float]]:
+@lru_cache
+def pixel_rays(count: int, filter: Filter, *, middle: bool) -> tuple[tuple[NDArray[np.float64], float], ...]:
     """Offset, in pixels from its upper left corner, and weight of each ray of a pixel, those nearest its middle first.
 
     With `middle` the first lies in its middle, and may count nothing.
     """
     offsets, weights = _pattern(count, filter)
-    rays = [(offset, float(weight)) for offset, weight in zip(offsets, weights, strict=True)]
-    return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and count % 2 == 0 else rays
+    rays = tuple((offset, float(weight)) for offset, weight in zip(offsets, weights, strict=True))
+    return ((np.array([0.5, 0.5]), 0.0), *rays) if middle and count % 2 == 0 else rays
 
 
 def on_edges(picture: NDArray[np.float32], most: int = 20, progress: Callable[[float], object] | None = None) -> NDArray[np.intp]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from clvol.base.errors import OptionError
 from clvol.base.uniform import FLOAT, INT, Block
+from clvol.base.vectors import length
 from clvol.spline.minmax import BLOCK
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ class Planes:
         forward = inverse @ view.forward
         self.axis = int(np.argmax(np.abs(forward)))
         corners = view.corner_rays(inverse, aspect)
-        cosine = min(abs(float(d[self.axis])) / float(np.linalg.norm(d)) for d in corners)
+        cosine = min(abs(float(d[self.axis])) / length(d) for d in corners)
         if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
             cosine = 0.0  # so wide that some rays run backwards
         self._samples = volume.size[self.axis]

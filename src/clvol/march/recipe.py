@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from clvol.march.source import Source
     from clvol.show.picture import Picture
 
-__all__ = ["CLASSES", "Recipe", "Staged", "grid_of", "staged"]
+__all__ = ["CLASSES", "Recipe", "Staged", "grid_of", "look_of", "staged"]
 
 VERSION = 1
 """Of the text; another is refused."""
@@ -223,7 +223,7 @@ class Staged(NamedTuple):
         """What makes the picture."""
         look, fine = self.look, self.fine
         looks = look, *look.others
-        settled = look.scene.of_media([_settled(one, source) for one in looks])
+        settled = look.once("recipe", lambda: look.scene.of_media([_settled(one, source) for one in looks]))
         parts = [source.part(one.scene.media[0]) for one in looks]
         device = source.field.device
         forced = {name: value for name in _FORCED if (value := getattr(device.limits, name)) != "auto"}
@@ -248,12 +248,21 @@ def _settled(look: ResolvedLook, source: Source) -> scene.Medium:
     return replace(medium.with_transfer(shown), filter=row, boundary=part.field.boundary)
 
 
+def look_of(source: Source, seen_by: camera.Camera | None, shown_in: mode.Mode, options: RefineOptions) -> ResolvedLook:
+    """The look of a source's scene from a camera, in a mode with these options, made once for all cameras."""
+    instance("camera", seen_by, camera.Camera, type(None))
+    found = source.looks.of(
+        lambda: ResolvedLook.of(source.scene, source.part, seen_by, shown_in, options), shown_in, options, seen_by is None
+    )
+    return found if seen_by is None or seen_by is found.camera else found.seen_by(seen_by)
+
+
 def staged(source: Source, camera: camera.Camera | None, mode: mode.Mode, fine: Fineness, options: RefineOptions) -> Staged:
     """A look with its camera in place; with the box in view, if there is one and the place was left open; on white for print.
 
     `OptionError` if what is wanted around the picture does not apply to it, `MissingDependencyError` without matplotlib.
     """
-    look = ResolvedLook.of(source.scene, source.part, camera, mode, options)
+    look = look_of(source, camera, mode, options)
     around: Mapping[str, Any] = options
     given = {name: around[name] for name in Furniture.__dataclass_fields__ if around.get(name) is not None}
     furniture = Furniture(**given) if given else None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack, cast, overload
 
 from clvol.base.checks import number, suggests_options
 from clvol.base.errors import OptionError
+from clvol.base.kept import Kept
 from clvol.base.progress import part_of, require_callback, watched
 from clvol.march.choose import source_of
 from clvol.march.empty import warn_if_empty
@@ -99,7 +100,7 @@ class Renderer:
         source = scene
         if not isinstance(source, Source):
             source = source_of(source, filter, boundary, device, memory=memory, mask=mask, cluster=cluster, merge=merge)
-        self._source, self._lease = source, source.lease
+        self._source, self._lease, self._modes = source, source.lease, Kept[Mode]()
         self.scene: Scene = source.scene
         self.field: Field | BrickedField = source.field
         self.device: Device = source.field.device
@@ -245,7 +246,8 @@ class Renderer:
         samples and from the noise (see `clvol.march.uncertainty`). It is of first order, and too small where noise alone makes
         surfaces, and where smoothing or sparse samples lost a detail.
         """
-        chosen = chosen_mode(mode, options, wanted := as_outputs(outputs), scene=self.scene)
+        wanted = as_outputs(outputs)
+        chosen = self._modes.of(lambda: chosen_mode(mode, options, wanted, scene=self.scene), mode, options, wanted)
         self.device.require_usable()
         with self._source.in_use():
             require_callback("progress", progress)
@@ -331,7 +333,7 @@ class Renderer:
         refused = [name for name in ("outputs", "sigma") if name in options]
         if refused and (refused != ["outputs"] or options["outputs"] != "rgba"):  # type: ignore[typeddict-item]  # it has none
             raise OptionError(f"refine gives colours alone: leave out {' and '.join(refused)}, or use render")
-        chosen = chosen_mode(mode, options)
+        chosen = self._modes.of(lambda: chosen_mode(mode, options), mode, options)
         seconds = number("seconds", seconds, above=0)
         require_callback("cancelled", cancelled)
         require_callback("progress", progress)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from clvol.base.checks import whole
 from clvol.base.errors import ChunkError, MissingSampleError, OptionError
+from clvol.base.kept import Kept, Once, Same
 from clvol.base.progress import part_of
 from clvol.base.srgb import on
 from clvol.bricks.continued import continued
@@ -24,7 +25,7 @@ from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of, level_within
 from clvol.march.colored import Other
-from clvol.march.frame import Subject
+from clvol.march.frame import Frame, Subject
 from clvol.march.function import regions_of, row_for, single
 from clvol.march.gaps import Gaps
 from clvol.march.media import Bricked
@@ -81,6 +82,8 @@ class Source(ABC):
         self.shown = field
         self.lease = Lease(_CLOSED)
         self._lock = threading.RLock()  # a signal handler may re-enter
+        self.looks: Kept[ResolvedLook] = Kept()
+        self.lease.frees(self.looks.clear)
         self._unsmoothed: Any = None
         self._levels: dict[tuple[int, str, bool], BrickedField] = {}
         self._colored: dict[tuple[Any, ...], Other] = {}
@@ -205,7 +208,8 @@ class OneMedium(Source):
         return self
 
     def draw(self, look: ResolvedLook, fine: Fineness, guides: bool, progress: Progress | None) -> Pictures:
-        return self.drawn(look, fine, self.level(fine, look.view(fine.size)), guides, self._lit, progress)
+        level = self.level(fine, look.view(fine.size)) if self.by_bricks else 0
+        return self.drawn(look, fine, level, guides, self._lit, progress)
 
     def regions(self) -> Regions:
         """The smooth regions of its labels, which slices show; they are freed with the source."""
@@ -266,6 +270,8 @@ class InMemory(OneMedium):
         self._uncertainty: Uncertainty | None = None
         self._regions: Regions | None = None
         self._rates: dict[tuple[Any, ...], Rate] = {}
+        self._frames: Once[Frame] = Once(1)
+        self.lease.frees(self._frames.clear)
 
     def function(self, mode: Mode, level: int = 0) -> Field:
         whole("level", level, 0, 0)
@@ -293,7 +299,10 @@ class InMemory(OneMedium):
         self, look: ResolvedLook, fine: Fineness, level: int, guides: bool, lit: Lighting, progress: Progress | None
     ) -> Pictures:
         seen = self.seen(look, fine, level, guides, lit)
-        pictures = launch.draw(seen.subject.frame(fine.size, fine.step, guides=guides), fine.rays, fine.filter, progress)
+        subject = seen.subject
+        key = Same(subject.look), *subject.parts, fine.size, fine.step, guides
+        frame = self._frames(key, lambda: subject.frame(fine.size, fine.step, guides=guides))
+        pictures = launch.draw(frame, fine.rays, fine.filter, progress)
         self.shown = seen.field
         return pictures
 
@@ -576,7 +585,7 @@ class Several(Source):
 
     def _drawn(self, look: ResolvedLook, fine: Fineness, coarsest: int, guides: bool, progress: Progress | None) -> Pictures:
         camera, view = look.placed(fine.size[0] / fine.size[1]).camera, look.view(fine.size)
-        looks = tuple(replace(one, camera=camera) for one in (look, *look.others))  # in place, whatever the level of a medium
+        looks = tuple(one.seen_by(camera) for one in (look, *look.others))  # in place, whatever the level of a medium
         surfaces = look.mode.shows == "surface"
 
         def lit(_: ResolvedLook) -> Lit | None:

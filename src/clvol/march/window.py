@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.uniform import copied
 from clvol.spline.minmax import minmax_block
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def brick_inputs(
     frame: Frame, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField, table: Any
 ) -> tuple[Any, ...]:
     """The first arguments of kernels that march rays through a resident brick: as of `Inputs.of_rays`."""
-    values, made = frame.values.copy(), own.coefficients
+    values, made = copied(frame.values), own.coefficients
     _set_window(values, own, minmax, brick, field)
     set_ends(values, brick, frame)
     values["minmax"] = minmax_block(minmax, field.volume.grid, frame.margin)

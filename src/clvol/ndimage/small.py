@@ -40,6 +40,8 @@ _SHORT = 32
 """Samples along an axis up to which it is filtered by a matrix."""
 _ALONE = 1 << 13
 """Numbers up to which BLAS starts no threads, which may take longer than all the rest."""
+_SINGLE = 16
+"""Numbers up to which they are asked about one by one."""
 _FEW = 64
 """Samples up to which all axes are filtered together, by one matrix."""
 _PLANS = 256
@@ -99,6 +101,7 @@ class _Plan(NamedTuple):
     mode: str
     whole: _Floats | None  # the matrix that filters all axes together
     steps: tuple[_Step, ...]  # of what is not filtered so, nor by SciPy
+    line: bool  # whether SciPy filters it, of one axis
     filtered: bool
     by_scipy: bool
     most: int  # elements of a result
@@ -184,6 +187,23 @@ class Small:
             return None
         return self._by("map_coordinates", coordinates)
 
+    def geometric_transform(self, mapping: Callable[..., Sequence[float]], output_shape: Any) -> Array | None:
+        """As `clvol.ndimage.geometric_transform`, of few elements; of more `positions` are sooner there.
+
+        If an answer is not as SciPy needs it, `mapping` will be asked once more.
+        """
+        shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
+        if not shape or prod(shape) > _SINGLE or not self.few(prod(shape)):
+            return None
+
+        def sound(index: tuple[int, ...]) -> Sequence[float]:
+            at = mapping(index)
+            if type(at) is not tuple or len(at) != ndim or not all(map(isfinite, at)):
+                raise ValueError
+            return at
+
+        return self._by("geometric_transform", sound, shape)
+
     def positions(self, mapping: Callable[..., Sequence[float]], output_shape: Any) -> _Floats | None:
         """Where a function of the index says, as `map_coordinates` takes them."""
         shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
@@ -267,7 +287,9 @@ class Small:
 
 
 def _finite(numbers: Array) -> bool:
-    """Whether all numbers are finite, and of a few also their squares, which is faster to ask."""
+    """Whether all numbers are finite, and of some also their squares, which is faster to ask."""
+    if numbers.size <= _SINGLE:
+        return all(map(isfinite, numbers.ravel().tolist()))
     if numbers.size > _ALONE:
         return bool(np.isfinite(numbers).all())
     return isfinite(np.vdot(numbers, numbers))  # which, other than `dot`, does not warn
@@ -294,7 +316,7 @@ def _plan(
     if left < 0:
         return None
     by_scipy = filtered and mode in _PADDED
-    plan = _Plan(kind, order, mode, None, (), filtered, by_scipy, left // ((order + 1) ** len(shape) + _ELEMENT))
+    plan = _Plan(kind, order, mode, None, (), False, filtered, by_scipy, left // ((order + 1) ** len(shape) + _ELEMENT))
     return _filtering(plan, shape, range(len(shape))) if filtered and not by_scipy else plan
 
 
@@ -339,7 +361,7 @@ def _filtering(plan: _Plan, shape: Sequence[int], axes: Sequence[int]) -> _Plan 
         for axis in axes
         if shape[axis] > 1
     ]
-    return plan._replace(steps=tuple(steps))
+    return plan._replace(steps=tuple(steps), line=len(shape) == 1 and any(step.inverse is None for step in steps))
 
 
 def _rule(mode: str) -> Boundary:
@@ -349,10 +371,15 @@ def _rule(mode: str) -> Boundary:
 
 def _filtered(data: Array, plan: _Plan) -> Array | None:
     """The coefficients of an array, along the axes of a plan; None if they may not be finite: a matrix times infinity warns."""
-    if not isfinite(np.vdot(data, data)):
+    if plan.order < 2:
+        return data if plan.kind is _DOUBLE or _finite(data) else None
+    if plan.line:  # along which one sample that is not finite makes all coefficients so
+        data = originals()["spline_filter1d"](data, plan.order, 0, np.float64, plan.mode)
+        return data if isfinite(data[0]) else None
+    if not _finite(data):
         return None
     if plan.whole is not None:
-        filtered: Array = plan.whole.dot(data.ravel()).reshape(data.shape)
+        filtered: Array = plan.whole.dot(data) if data.ndim == 1 else plan.whole.dot(data.ravel()).reshape(data.shape)
         return filtered
     for axis, inverse in plan.steps:
         if inverse is None:

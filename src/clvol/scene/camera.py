@@ -6,15 +6,16 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.arrays import reals
+from clvol.base.arrays import is_triple, reals
 from clvol.base.checks import instance, number, one_of, suggests_options, whole
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
+from clvol.base.vectors import cross, length
 from clvol.volume.volume import Volume
 
 __all__ = ["Camera", "Viewpoint"]
@@ -86,10 +87,10 @@ class Viewpoint:
             return longest
         across = [inverse @ (self.half_height * (a * aspect * self.right + self.up)) for a in (-1, 1)]
         middle = inverse @ (to_center - ahead * self.forward)
-        reach = float(np.linalg.norm(middle)) + spread * max(float(np.linalg.norm(v)) for v in across)
+        reach = length(middle) + spread * max(map(length, across))
         # Each coordinate is rounded separately, which moves a point off its ray by the sine of its angle to that axis.
         off = self._turns(inverse, aspect)
-        astray = float(np.linalg.norm(off * middle)) + spread * max(float(np.linalg.norm(off * v)) for v in across)
+        astray = length(off * middle) + spread * max(length(off * v) for v in across)
         span = max(astray, reach / _ALONG)
         if not span <= REACH:
             raise GeometryError(
@@ -363,14 +364,14 @@ class Camera:
             if not np.isfinite(forward).all():
                 raise GeometryError(f"position must be within 1.8e308 of its target, the range of float64; got {self.position}")
             forward = np.ldexp(forward, -math.frexp(float(np.abs(forward).max()))[1])  # avoids overflow of squares
-            length = float(np.linalg.norm(forward))
-            if not length:
+            away = length(forward)
+            if not away:
                 raise GeometryError(f"position and target must differ, to define a direction of view; got {self.position} twice")
-            forward = forward / length
-        right = np.cross(forward, upright @ np.asarray(self.up) / math.hypot(*self.up))
-        if np.linalg.norm(right) < 1e-9:  # looking straight along `up`
-            right = np.cross(forward, np.eye(3)[int(np.argmin(np.abs(forward)))])
-        right = right / np.linalg.norm(right)
+            forward = forward / away
+        right = cross(forward, upright @ np.asarray(self.up) / math.hypot(*self.up))
+        if length(right) < 1e-9:  # looking straight along `up`
+            right = cross(forward, np.eye(3)[int(np.argmin(np.abs(forward)))])
+        right = right / length(right)
         half_angle = math.radians(self.fov) / 2
         narrow = min(1.0, aspect)  # the picture's shorter side must hold the sphere
         fitted = radius / math.sin(math.atan(math.tan(half_angle) * narrow))
@@ -378,10 +379,12 @@ class Camera:
         eye = target - distance * forward if self.position is None else np.asarray(self.position)
         orthographic = self.projection == "orthographic"
         half_height = radius / narrow if orthographic else math.tan(half_angle)
-        return Viewpoint(eye, right, np.cross(right, forward), forward, half_height / self.zoom, orthographic)
+        return Viewpoint(eye, right, cross(right, forward), forward, half_height / self.zoom, orthographic)
 
 
 def _vector(what: str, value: object) -> tuple[float, float, float]:
+    if is_triple(value):
+        return cast(tuple[float, float, float], value)
     rule = "three numbers (x, y, z)"
     vector = reals(what, value, rule, GeometryError)
     if vector.shape != (3,):

@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -52,6 +53,18 @@ class Sphere:
     radius: float
     outer: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
     """Vectors from the centre to the outermost visible samples, (n, 3); None for the sphere of the volume."""
+
+    @cached_property
+    def upright(self) -> NDArray[np.float64]:
+        """`outer` rotated around the vertical: see `_swept`."""
+        assert self.outer is not None  # the volume's is not rotated
+        return _swept(self.outer, np.array([0.0, 0.0, 1.0]))
+
+    @cached_property
+    def furthest(self) -> float:
+        """Length of the longest vector of `outer`."""
+        assert self.outer is not None
+        return float(np.linalg.norm(self.outer, axis=1).max())
 
 
 def usual_camera(volume: Volume) -> Camera:
@@ -101,8 +114,7 @@ def fitted(
     center, radius = np.asarray(sphere.center), sphere.radius
     if sphere.outer is not None:
         view = camera.view(volume, aspect)
-        axis = np.array([0.0, 0.0, 1.0]) if camera.upright else np.asarray(camera.up) / math.hypot(*camera.up)
-        swept = _swept(sphere.outer, axis)
+        swept = sphere.upright if camera.upright else _swept(sphere.outer, np.asarray(camera.up) / math.hypot(*camera.up))
         # distance from the centre to the planes through the eye and the picture's edges, for each rotation
         half = 0.0 if view.orthographic else math.atan(math.tan(math.radians(camera.fov) / 2) * min(1.0, aspect))
         depth = math.sin(half) * (swept @ view.forward)
@@ -112,9 +124,8 @@ def fitted(
         reach = max(float(above.max() + below.max()) / 2, beside)
         shift = np.clip((above - below).mean() / 2, above.max() - reach, reach - below.max())
         center = center + shift / math.cos(half) * view.up
-        furthest = float(np.linalg.norm(sphere.outer, axis=1).max())
-        if furthest > 0:  # a single sample shows as its whole voxel
-            radius *= min(1.0, reach / furthest)
+        if sphere.furthest > 0:  # a single sample shows as its whole voxel
+            radius *= min(1.0, reach / sphere.furthest)
     x, y, z = (float(v) for v in center)
     return replace(camera, target=(x, y, z), radius=radius)
 

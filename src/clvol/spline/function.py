@@ -375,14 +375,15 @@ def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
     some = np.asarray(points[:: max(1, len(points) // _CHECKED)], np.float64)
     low, high = -0.5, np.asarray(volume.size) - 0.5
 
-    def inside(at: NDArray[np.float64]) -> NDArray[np.bool_]:
-        index = volume.world_to_index(at)
-        return np.asarray(((index >= low) & (index <= high)).all(-1))
+    def within(at: NDArray[np.float64]) -> NDArray[np.bool_]:
+        with np.errstate(over="ignore", invalid="ignore"):  # positions may be infinite
+            index = (at - volume.origin) @ volume.world_to_index_matrix.T
+        return (index >= low) & (index <= high)
 
-    outside = ~inside(some)
-    if not outside.any() or not np.isfinite(some).all():
+    if (found := within(some)).all() or not np.isfinite(some).all():
         return
-    if 2 * np.count_nonzero(outside) > len(some) and inside(some[outside][:, ::-1]).all():
+    outside = ~found.all(-1)
+    if 2 * np.count_nonzero(outside) > len(some) and within(some[outside][:, ::-1]).all():
         names = "(x, y)" if volume.ndim == 2 else "(x, y, z)"
         low, high = (end.round(3).tolist() for end in (volume.corners.min(0), volume.corners.max(0)))
         warn(

@@ -143,28 +143,59 @@ def sample_coefficients(
     return given.in_units_of_data(coefficients, results, derivative)
 
 
-class _Few(NamedTuple):
-    """What a call at up to `_RUN` points needs besides them: see points.cl."""
+class _Call(NamedTuple):
+    """The kernel of points.cl with all arguments but points and results."""
 
     program: Program
-    launch: tuple[tuple[int, ...], tuple[int, ...]]
-    matrix: Any
-    points: Any
+    queue: Any
+    in_lanes: bool
+    function: tuple[Any, ...]
     values: NDArray[Any]
+
+    @classmethod
+    def of(
+        cls, program: Program, coefficients: Coefficients, evaluator: Evaluator, derivative: int, given: Given, matrix: Any
+    ) -> _Call:
+        """For a program of the same function, and a transform on the device."""
+        return cls(
+            program,
+            coefficients.device.queue,
+            _in_lanes(coefficients, evaluator, derivative),
+            (coefficients.argument(evaluator), coefficients.extent, coefficients.size, coefficients.period, matrix),
+            given.values(coefficients, derivative),
+        )
+
+    def launch(self, points: Any, planes: int, first: int, count: int, results: Any) -> None:
+        """Launch over `count` points, from number `first` on."""
+        self.program.kernel("sample_points")(
+            self.queue,
+            (-(-count // _RUN),) if self.in_lanes else (-(-count // 64) * 64,),
+            (1,) if self.in_lanes else (64,),
+            *self.function,
+            points,
+            np.uint64(planes),
+            np.uint64(first + count),
+            self.values,
+            results,
+            global_offset=(first // _RUN if self.in_lanes else first,),
+        )
+
+
+class _Few(NamedTuple):
+    """What a call at up to `_RUN` points needs besides them."""
+
+    call: _Call
     results: Any
 
     @classmethod
     def of(cls, coefficients: Coefficients, evaluator: Evaluator, derivative: int, given: Given, kind: type[np.generic]) -> _Few:
         """For points of a type."""
-        buffers, d = coefficients.device.buffers, coefficients.ndim
-        lanes = _in_lanes(coefficients, evaluator, derivative)
+        device = coefficients.device
+        program = _build(coefficients, evaluator, derivative, given, kind, planar=False, sorted=False)
+        matrix = Transform.into(coefficients.volume).upload(device)
         return cls(
-            _build(coefficients, evaluator, derivative, given, kind, planar=False, sorted=False),
-            ((1,), (1,)) if lanes else ((_RUN,), (64,)),
-            Transform.into(coefficients.volume).upload(coefficients.device),
-            buffers.allocate(_RUN * d * np.dtype(kind).itemsize),
-            given.values(coefficients, derivative),
-            buffers.allocate(_RUN * d**derivative * np.dtype(coefficients.kind).itemsize),
+            _Call.of(program, coefficients, evaluator, derivative, given, matrix),
+            device.buffers.allocate(_RUN * coefficients.ndim**derivative * np.dtype(coefficients.kind).itemsize),
         )
 
 
@@ -174,30 +205,13 @@ def _sample_few(
     """`sample_into` at up to `_RUN` points of the world, by a plan: two copies cost less than to lend the arrays."""
     device, plans = coefficients.device, coefficients.plans
     kind = np.float32 if points.dtype == np.float32 else np.float64
-    call = evaluator, derivative, given, kind
-    plan: _Few = plans.take(call, lambda: _Few.of(coefficients, evaluator, derivative, given, kind))
-    part = np.ascontiguousarray(points, dtype=kind)
-    size, local = plan.launch
+    asked = evaluator, derivative, given.fill, kind
+    plan: _Few = plans.take(asked, lambda: _Few.of(coefficients, evaluator, derivative, given, kind))
+    part = device.buffers.upload(np.ascontiguousarray(points, dtype=kind))  # sooner than a write to a buffer that is there
     with device.buffers.kept((plan, part, results)), device.errors:
-        device.buffers.write(plan.points, part)
-        plan.program.kernel("sample_points")(
-            device.queue,
-            size,
-            local,
-            coefficients.argument(evaluator),
-            coefficients.extent,
-            coefficients.size,
-            coefficients.period,
-            plan.matrix,
-            plan.points,
-            np.uint64(0),
-            np.uint64(len(part)),
-            plan.values,
-            plan.results,
-            global_offset=(0,),
-        )
+        plan.call.launch(part, 0, 0, len(points), plan.results)
         device.buffers.download(plan.results, results)
-    plans.give(call, plan)
+    plans.give(asked, plan)
 
 
 def sample_into(
@@ -221,11 +235,10 @@ def sample_into(
     steps = None if transform is None else transform.matrix
     sorting = lanes and (device.limits.sorting if device.limits.sorting is not None else scattered(coefficients, points, steps))
     sorter = Sorter(coefficients, kind, count, planar=planar) if sorting else None
-    source = coefficients.argument(evaluator)
     built = _build(coefficients, evaluator, derivative, given, kind, planar=planar, sorted=sorting)
-    kernel = built.kernel("sample_points")
     on_host = None if device.has_double else transform  # maps positions to indices before they are rounded
     matrix = (on_host.after_indices if on_host else transform or Transform(np.eye(d), np.zeros(d), np.eye(d))).upload(device)
+    call = _Call.of(built, coefficients, evaluator, derivative, given, matrix)
     launch = _launch_points(coefficients, evaluator)
     step = launch if sorter is None else sorter.room
     if planar and points.dtype == kind:
@@ -240,22 +253,7 @@ def sample_into(
             ready = lent if sorter is None else sorter.sort(lent, planes, some, matrix)
             for begin in range(0, some, launch):
                 now = min(launch, some - begin)
-                kernel(
-                    device.queue,
-                    (-(-now // _RUN),) if lanes else (-(-now // 64) * 64,),
-                    (1,) if lanes else (64,),
-                    source,
-                    coefficients.extent,
-                    coefficients.size,
-                    coefficients.period,
-                    matrix,
-                    ready,
-                    np.uint64(planes),
-                    np.uint64(begin + now),
-                    given.values(coefficients, derivative),
-                    wanted,
-                    global_offset=(begin // _RUN if lanes else begin,),
-                )
+                call.launch(ready, planes, begin, now, wanted)
                 device.finish()
                 if progress:
                     progress((first + begin + now) / count)

@@ -68,7 +68,7 @@ class Gridded:
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray((points - np.asarray(self.grid.origin)) @ self.world_to_index_matrix.T)
 
-    @property
+    @cached_property
     def mean_spacing(self) -> float:
         """The mean spacing in world units: the unit of length in kernels."""
         return float(np.mean(self.grid.spacing))

@@ -229,7 +229,7 @@ class Volume(Gridded):
     @property
     def shape(self) -> tuple[int, ...]:
         """Samples along each axis, in array order: (nz, ny, nx) or (ny, nx)."""
-        return tuple(int(n) for n in self.data.shape)
+        return self.data.shape
 
     @property
     def grid(self) -> Volume:
