@@ -38,7 +38,7 @@ autosummary_imported_members = True
 autosummary_ignore_module_all = False  # __all__ defines the public names
 autodoc_typehints = "none"  # docstrings describe them
 # clvol.monai and clvol.torchio, whose packages are too large to install for their docstrings
-autodoc_mock_imports = [name for name in ("monai", "torch", "torchio") if find_spec(name) is None]
+autodoc_mock_imports = [name for name in ("jax", "monai", "torch", "torchio") if find_spec(name) is None]
 autodoc_member_order = "bysource"
 toc_object_entries_show_parents = "hide"
 numpydoc_show_class_members = False  # autodoc does

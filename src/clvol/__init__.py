@@ -165,7 +165,15 @@ _PLACE = {name: place for place, names in _PLACES.items() for name in names.spli
 _MODULES = ("images", "ndimage", "phantoms")  # of `__all__`
 _PARTS = (*_MODULES, "analysis", "device", "figures", "formats", "labels", "noise", "reference", "reports", "view")
 # With what they need.
-_OPTIONAL = {"dask": "dask", "monai": "MONAI", "nnunet": "nnU-Net", "torch": "torch", "torchio": "TorchIO", "xarray": "xarray"}
+_OPTIONAL = {
+    "dask": "dask",
+    "jax": "JAX",
+    "monai": "MONAI",
+    "nnunet": "nnU-Net",
+    "torch": "torch",
+    "torchio": "TorchIO",
+    "xarray": "xarray",
+}
 
 __all__ = [*sorted([*_PLACE, *_MODULES])]
 
