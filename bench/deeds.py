@@ -592,6 +592,14 @@ def radiographs(world: World, random: Random) -> Any:
 
 
 @_deed(4)
+def vectors(_: World, random: Random) -> Any:
+    points = random.uniform(0, 7, (40, 3))
+    with clvol.VectorField(random.normal(size=(8, 9, 10, 3)).astype("f4")) as field:
+        lines = field.streamlines(points[:3], length=2)
+        return [field(points), field.hessian(points), field.curl(points), field.divergence(points), lines.points]
+
+
+@_deed(4)
 def tensors(world: World, random: Random) -> Any:
     if world.quick or importlib.util.find_spec("torch") is None:
         return None

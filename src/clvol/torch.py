@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from clvol.interfaces.radiograph import Radiograph
-    from clvol.spline.field import Field, Precision
+    from clvol.spline.field import Precision
+    from clvol.spline.vectors import VectorField
 
 __all__ = ["radiograph", "sample"]
 
@@ -131,13 +132,14 @@ def _require_tensor(what: str, tensor: Tensor) -> None:
 class _Kept:
     """Cache of a tensor's functions, shared by the gradients of one sampling."""
 
-    fields: list[Field] | None = None
+    made = False
+    field: VectorField | None
 
     def at(self, sampling: Sampling, values: Tensor, points: Tensor, derivative: int) -> Any:
         """The functions' values or derivatives as a tensor."""
-        if self.fields is None:
-            self.fields = sampling.fields(values.detach().numpy())
-        return _tensor(sampling.at(self.fields, points.detach().numpy(), derivative), values)
+        if not self.made:
+            self.field, self.made = sampling.field(values.detach().numpy()), True
+        return _tensor(sampling.at(self.field, points.detach().numpy(), derivative), values)
 
 
 def _spread(sampling: Sampling, given: Tensor, points: Tensor, shape: tuple[int, ...], derivative: int) -> Any:

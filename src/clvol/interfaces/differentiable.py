@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, TypedDict
 
@@ -15,10 +15,12 @@ from clvol.base.errors import OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
-from clvol.spline.field import Field, Precision
+from clvol.spline.field import Precision
 from clvol.spline.function import fill_value
 from clvol.spline.scatter import adjoint, linear
+from clvol.spline.vectors import VectorField
 from clvol.volume.volume import Volume
+from clvol.volume.volumes import Volumes
 
 __all__ = ["Sampling", "SamplingOptions"]
 
@@ -78,17 +80,20 @@ class Sampling:
         """The same with nothing but zeros outside, of which `spread` is the adjoint."""
         return replace(self, fill=None if self.fill is None else 0.0)
 
-    def fields(self, samples: Any) -> list[Field]:
-        """The functions of samples."""
-        return [Field(self._volume(each), self.filter, self.boundary, self.device, precision=self.precision) for each in samples]
+    def field(self, samples: Any) -> VectorField | None:
+        """The functions of samples, which are sampled together; None if there are none."""
+        if not len(samples):
+            return None
+        parts = Volumes(samples, spacing=self.spacing, origin=self.origin)
+        return VectorField(parts, self.filter, self.boundary, self.device, precision=self.precision)
 
-    def at(self, fields: list[Field], points: Array, derivative: int) -> Array:
+    def at(self, field: VectorField | None, points: Array, derivative: int) -> Array:
         """Values, gradients or Hessians of functions at points; (n, N), (n, N, d) or (n, N, d, d)."""
-        d = points.shape[-1]
-        results = [(field, field.gradient, field.hessian)[derivative](points) for field in fields]
-        found = np.stack(results) if results else np.empty((0, len(points)) + (d,) * derivative)
-        if self.fill is not None and fields:
-            found[:, ~self._inside(points, fields[0].volume.shape)] = 0.0 if derivative else self.fill
+        if field is None:
+            return np.empty((0, len(points)) + points.shape[1:] * derivative)
+        found = np.moveaxis((field, field.jacobian, field.hessian)[derivative](points), 1, 0)
+        if self.fill is not None:
+            found[:, ~self._inside(points, field.grid.shape)] = 0.0 if derivative else self.fill
         return found
 
     def computed(self, derivatives: tuple[int, ...], samples: Array, points: Array) -> list[Array]:
@@ -105,17 +110,16 @@ class Sampling:
         for index in np.ndindex(ahead):
             place = tuple(i if n > 1 else slice(None) for i, n in zip(index, ahead, strict=True))
             some = points[place]
-            with ExitStack() as opened:
-                fields = [opened.enter_context(field) for field in self.fields(samples[index])]
+            with self.field(samples[index]) or nullcontext() as field:
                 for result, derivative in zip(found, derivatives, strict=True):
-                    flat = self.at(fields, some.reshape(-1, d), derivative)
+                    flat = self.at(field, some.reshape(-1, d), derivative)
                     parts = flat.reshape(len(flat), *some.shape[:-1], *flat.shape[2:])
                     result[place] = np.moveaxis(parts, 0, some.ndim - 2)
         return found
 
     def spread(self, given: Array, points: Array, shape: tuple[int, ...], derivative: int) -> Array:
         """The adjoint of `at`, to samples on a grid of `shape`: from (n, N), or (n, N, d) for gradients."""
-        like = self._volume(np.broadcast_to(np.float32(0), shape))
+        like = Volume(np.broadcast_to(np.float32(0), shape), self.spacing, self.origin)
         if self.fill is not None:
             points = np.where(self._inside(points, shape)[:, None], points, np.nan)  # which adds nothing
         options: Any = {"device": self.device, "precision": self.precision}
@@ -125,9 +129,6 @@ class Sampling:
     def _inside(self, points: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         index = (np.asarray(points, np.float64) - self.origin) / self.spacing
         return np.asarray(((index >= -0.5) & (index <= np.array(shape[::-1]) - 0.5)).all(-1))
-
-    def _volume(self, samples: Any) -> Volume:
-        return Volume(samples, self.spacing, self.origin)
 
 
 def _along(value: Sequence[float] | float, d: int) -> tuple[float, ...]:
