@@ -620,7 +620,7 @@ def traced_arrays(world: World, random: Random) -> Any:
     import jax
 
     data, points = random.normal(size=(8, 9, 10)).astype("f4"), random.uniform(0, 7, (40, 3)).astype("f4")
-    return jax.jit(jax.value_and_grad(lambda values: jax_sample(values, points).sum()))(data)
+    return [np.asarray(one) for one in jax.jit(jax.value_and_grad(lambda values: jax_sample(values, points).sum()))(data)]
 
 
 @_deed(4)
