@@ -28,6 +28,7 @@ from clvol import analysis, figures, images, ndimage, phantoms, reference
 from clvol.device import as_device
 from clvol.filter.table import unregister_filter
 from clvol.formats import WRITTEN
+from clvol.jax import sample as jax_sample
 from clvol.march.options import unheard
 from clvol.nnunet import labels_from_logits, resample_to_shape
 from clvol.scene.mode import as_mode
@@ -591,6 +592,14 @@ def radiographs(world: World, random: Random) -> Any:
 
 
 @_deed(4)
+def vectors(_: World, random: Random) -> Any:
+    points = random.uniform(0, 7, (40, 3))
+    with clvol.VectorField(random.normal(size=(8, 9, 10, 3)).astype("f4")) as field:
+        lines = field.streamlines(points[:3], length=2)
+        return [field(points), field.hessian(points), field.curl(points), field.divergence(points), lines.points]
+
+
+@_deed(4)
 def tensors(world: World, random: Random) -> Any:
     if world.quick or importlib.util.find_spec("torch") is None:
         return None
@@ -602,6 +611,16 @@ def tensors(world: World, random: Random) -> Any:
     values.sum().backward()
     assert data.grad is not None
     return [values.detach().numpy(), data.grad.numpy()]
+
+
+@_deed(4)
+def traced_arrays(world: World, random: Random) -> Any:
+    if world.quick or importlib.util.find_spec("jax") is None:
+        return None
+    import jax
+
+    data, points = random.normal(size=(8, 9, 10)).astype("f4"), random.uniform(0, 7, (40, 3)).astype("f4")
+    return [np.asarray(one) for one in jax.jit(jax.value_and_grad(lambda values: jax_sample(values, points).sum()))(data)]
 
 
 @_deed(4)

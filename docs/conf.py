@@ -37,8 +37,8 @@ default_role = "autolink"  # `Volume` in a docstring is a link if the name exist
 autosummary_imported_members = True
 autosummary_ignore_module_all = False  # __all__ defines the public names
 autodoc_typehints = "none"  # docstrings describe them
-# clvol.monai, clvol.nitransforms and clvol.torchio, whose packages are too large to install for their docstrings
-autodoc_mock_imports = [name for name in ("monai", "nitransforms", "torch", "torchio") if find_spec(name) is None]
+# modules whose packages are too large to install for their docstrings
+autodoc_mock_imports = [name for name in ("jax", "monai", "nitransforms", "torch", "torchio") if find_spec(name) is None]
 autodoc_member_order = "bysource"
 toc_object_entries_show_parents = "hide"
 numpydoc_show_class_members = False  # autodoc does

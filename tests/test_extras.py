@@ -12,6 +12,7 @@ import pytest
     ("missing", "code"),
     [
         ("torch", "import clvol.torch; clvol.torch.sample(None, None)"),
+        ("jax", "import clvol.jax; clvol.jax.sample(None, None)"),
         ("xarray", "import clvol.xarray"),
         ("monai", "import clvol.monai"),
         ("nitransforms", "import clvol.nitransforms"),

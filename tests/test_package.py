@@ -88,6 +88,7 @@ def test_importing_is_cheap_and_needs_no_opencl(module: str) -> None:
         "cmap",
         "matplotlib",
         "torch",
+        "jax",
         "xarray",
         "dask",
         "aiohttp",

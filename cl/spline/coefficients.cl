@@ -49,3 +49,10 @@ kernel void fill_halo(global scalar *coefficients, const int4 extent, const int 
         row[x] = places[x] < 0 ? beyond : source[places[x]];
     }
 }
+
+// The coefficients of function f of several, to where they lie next to the others', `apart` from each other.
+kernel void interleave(global const scalar *restrict from, global scalar *restrict to, const int apart, const int f)
+{
+    const size_t i = get_global_id(0);
+    to[i * apart + f] = from[i];
+}

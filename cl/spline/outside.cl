@@ -2,18 +2,26 @@
 //
 // Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE, whether each gradient follows its value, for points on a grid; EDGE, the
 // distance from the outer samples to the domain's edge; FILL: 0, the boundary rule applies outside; 1, the result there is `fill`,
-// NaN at positions that are not finite; 2, `fill` applies only to these, and is then also the constant of rules that have one.
+// NaN at positions that are not finite; 2, `fill` applies only to these, and is then also the constant of rules that have one;
+// FUNCTIONS, how many are sampled together, with coefficients next to each other along x, and APART, how far those of one are apart;
+// both are 1 if they are not set.
 
 #include "spline/boundary.cl"
 #include "spline/position.cl"
 
-#if DERIVATIVE == 0
-#define COMPONENTS 1
-#elif DERIVATIVE == 1
-#define COMPONENTS (WITH_VALUE + DIMENSIONS)
-#else
-#define COMPONENTS (DIMENSIONS * DIMENSIONS)
+#ifndef FUNCTIONS
+#define FUNCTIONS 1
+#define APART 1
 #endif
+
+#if DERIVATIVE == 0
+#define OF_EACH 1
+#elif DERIVATIVE == 1
+#define OF_EACH (WITH_VALUE + DIMENSIONS)
+#else
+#define OF_EACH (DIMENSIONS * DIMENSIONS)
+#endif
+#define COMPONENTS (FUNCTIONS * OF_EACH)   // results of a point
 
 // A point outside: either moved inside, to be sampled there, or with a fixed value.
 #define SAMPLED 0

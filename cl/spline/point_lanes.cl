@@ -109,10 +109,10 @@ INLINE cells_t locate_points(positions_t p, constant coord *m, int4 size, int4 p
     c.tz = (real)(0.0f);
 #endif
 #if FEW
-    c.first.all = row * extent.x + x;
+    c.first.all = row * extent.x + x * APART;
 #else
-    c.first.halves[0] = CONVERT(row.lo, long4) * (long)extent.x + CONVERT(x.lo, long4);
-    c.first.halves[1] = CONVERT(row.hi, long4) * (long)extent.x + CONVERT(x.hi, long4);
+    c.first.halves[0] = CONVERT(row.lo, long4) * (long)extent.x + CONVERT(x.lo * APART, long4);
+    c.first.halves[1] = CONVERT(row.hi, long4) * (long)extent.x + CONVERT(x.hi * APART, long4);
 #endif
     return c;
 }
@@ -131,27 +131,30 @@ INLINE cursors_t cursors_at(COEFFICIENTS coefficients, const int4 extent, const 
 }
 #else
 #define UNROLL_LANES _Pragma("unroll 1")
-INLINE weight_t spread(real w, int i)
-{
-    lanes_u lanes;
-    lanes.all = w;
-    return lanes.each[i];
-}
 INLINE cursors_t cursors_at(COEFFICIENTS coefficients, const int4 extent, const cells_t *c, int i)
 {
     return coefficients + c->first.each[i];
 }
 #endif
 
+#if SIDE == 2
+#define SPREAD_TAP(from, tap, i) spread(from[tap], i)
+#else
+#define SPREAD_TAP(from, tap, i) ((const private scalar *)from)[(tap) * LANES + (i)]
+#endif
 #define SPREAD(count, to, from, i)                         \
     _Pragma("unroll") for (int tap = 0; tap < count; ++tap) \
-        to[tap] = spread(from[tap], i);
+        to[tap] = SPREAD_TAP(from, tap, i);
+
+// A row of the taps of all functions: tap k of function f is number k * APART + f. Storage has room for what is read past it.
+#define ALL_CHUNKS ((TAPS * APART + ROW - 1) / ROW)
+#define ALL_TAPS (ALL_CHUNKS * ROW)
 
 // Sums of rows to a vector for each tap.
-INLINE void rows_to_taps(const rows_t rows[CHUNKS][LANES / SIDE], real taps[WEIGHTS])
+INLINE void rows_to_taps(const rows_t rows[ALL_CHUNKS][LANES / SIDE], real taps[ALL_TAPS])
 {
 #pragma unroll
-    for (int h = 0; h < CHUNKS; ++h) {
+    for (int h = 0; h < ALL_CHUNKS; ++h) {
 #if SIDE == 2
         transpose_fourths(rows[h], taps + h * ROW);
 #else
@@ -160,12 +163,22 @@ INLINE void rows_to_taps(const rows_t rows[CHUNKS][LANES / SIDE], real taps[WEIG
     }
 }
 
+// As lane_dot, of function f.
+INLINE real component_dot(const real taps[ALL_TAPS], const real w[TAPS], int f)
+{
+    real sum = w[0] * taps[f];
+#pragma unroll
+    for (int k = 1; k < TAPS; ++k)
+        sum = madd(w[k], taps[k * APART + f], sum);
+    return sum;
+}
+
 #if DERIVATIVE == 0
 
-INLINE real lanes_value(COEFFICIENTS coefficients, const int4 extent, const cells_t *c)
+INLINE void lanes_value(COEFFICIENTS coefficients, const int4 extent, const cells_t *c, real values[FUNCTIONS])
 {
-    real wx[TAPS], wy[TAPS], wz[TAPS], taps[WEIGHTS];
-    rows_t rows[CHUNKS][LANES / SIDE];
+    real wx[TAPS], wy[TAPS], wz[TAPS], taps[ALL_TAPS];
+    rows_t rows[ALL_CHUNKS][LANES / SIDE];
     lane_weights(c->tx, wx);
     LINE(lane_weights, c->ty, wy, (real)(1.0f));
     SLICE(lane_weights, c->tz, wz, (real)(1.0f));
@@ -176,20 +189,22 @@ INLINE real lanes_value(COEFFICIENTS coefficients, const int4 extent, const cell
         SPREAD(LINES, y, wy, i)
         SPREAD(SLICES, z, wz, i)
 #pragma unroll
-        for (int h = 0; h < CHUNKS; ++h)
+        for (int h = 0; h < ALL_CHUNKS; ++h)
             rows[h][i] = sum_rows(coefficients, extent, first, h * ROW, y, z);
     }
     rows_to_taps(rows, taps);
-    return lane_dot(taps, wx);
+#pragma unroll
+    for (int f = 0; f < FUNCTIONS; ++f)
+        values[f] = component_dot(taps, wx, f);
 }
 
 #else
 
 // Per stored coefficient.
-INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const cells_t *c, real *value)
+INLINE void lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const cells_t *c, real *value, real3 g[FUNCTIONS])
 {
-    real wx[TAPS], sx[TAPS], wy[TAPS], sy[TAPS], wz[TAPS], sz[TAPS], taps[WEIGHTS];
-    rows_t rows[3][CHUNKS][LANES / SIDE];
+    real wx[TAPS], sx[TAPS], wy[TAPS], sy[TAPS], wz[TAPS], sz[TAPS], taps[ALL_TAPS];
+    rows_t rows[3][ALL_CHUNKS][LANES / SIDE];
     lane_weights(c->tx, wx);
     lane_slopes(c->tx, sx);
     LINE(lane_weights, c->ty, wy, (real)(1.0f));
@@ -205,24 +220,26 @@ INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const 
         SPREAD(SLICES, z, wz, i)
         SPREAD(SLICES, bz, sz, i)
 #pragma unroll
-        for (int h = 0; h < CHUNKS; ++h) {
+        for (int h = 0; h < ALL_CHUNKS; ++h) {
             const slopes_t s = sum_slopes(coefficients, extent, first, h * ROW, y, by, z, bz);
             rows[0][h][i] = s.sum;
             rows[1][h][i] = s.sum_y;
             rows[2][h][i] = s.sum_z;
         }
     }
-    real3 g;
+#define OF_ALL(axis, weights)           \
+    _Pragma("unroll") for (int f = 0; f < FUNCTIONS; ++f) \
+        g[f].axis = component_dot(taps, weights, f);
     rows_to_taps(rows[0], taps);
-    g.x = lane_dot(taps, sx);
+    OF_ALL(x, sx)
 #if WITH_VALUE
-    *value = lane_dot(taps, wx);
+    *value = component_dot(taps, wx, 0);
 #endif
     rows_to_taps(rows[1], taps);
-    g.y = lane_dot(taps, wx);
+    OF_ALL(y, wx)
     rows_to_taps(rows[2], taps);
-    g.z = lane_dot(taps, wx);
-    return g;
+    OF_ALL(z, wx)
+#undef OF_ALL
 }
 
 #endif
@@ -231,38 +248,38 @@ INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const 
 INLINE void lanes_into(COEFFICIENTS coefficients, const int4 extent, const cells_t *cells, source_t source, int n, int count,
                        constant coord *w, global scalar *results)
 {
-    union { real all[COMPONENTS]; scalar each[COMPONENTS * LANES]; } u;
+    lanes_u found[COMPONENTS];
 #if DERIVATIVE == 0
-    u.all[0] = lanes_value(coefficients, extent, cells);
+    real values[FUNCTIONS];
+    lanes_value(coefficients, extent, cells, values);
+#pragma unroll
+    for (int f = 0; f < FUNCTIONS; ++f)
+        found[f].all = values[f];
 #else
-    lanes_u along;
-    real3 g = lanes_gradient(coefficients, extent, cells, &along.all);
-#if WITH_VALUE
+    real3 slopes[FUNCTIONS];
+    lanes_gradient(coefficients, extent, cells, &found[0].all, slopes);
 #pragma unroll
-    for (int i = 0; i < LANES; ++i)
-        u.each[COMPONENTS * i] = along.each[i];
-#endif
-    g.x *= cells->along.x, g.y *= cells->along.y, g.z *= cells->along.z;
+    for (int f = 0; f < FUNCTIONS; ++f) {
+        real3 g = slopes[f];
+        g.x *= cells->along.x, g.y *= cells->along.y, g.z *= cells->along.z;
 #pragma unroll
-    for (int k = 0; k < DIMENSIONS; ++k) {
-        along.all = GRID_SCALE * ((scalar)w[k] * g.x + (scalar)w[3 + k] * g.y + (scalar)w[6 + k] * g.z);
-#pragma unroll
-        for (int i = 0; i < LANES; ++i)
-            u.each[COMPONENTS * i + WITH_VALUE + k] = along.each[i];
+        for (int k = 0; k < DIMENSIONS; ++k)
+            found[f * OF_EACH + WITH_VALUE + k].all =
+                GRID_SCALE * ((scalar)w[k] * g.x + (scalar)w[3 + k] * g.y + (scalar)w[6 + k] * g.z);
     }
 #endif
-#if !SORTED
+#if !SORTED && COMPONENTS == 1
     if (count >= LANES) {
-#pragma unroll
-        for (int i = 0; i < COMPONENTS; ++i)
-            *(global real_at *)(results + COMPONENTS * place_of(source, n) + i * LANES) = u.all[i];
+        *(global real_at *)(results + place_of(source, n)) = found[0].all;
         return;
     }
 #endif
-    for (int i = 0; i < MIN(LANES, count); ++i)
+    for (int i = 0; i < MIN(LANES, count); ++i) {
+        global scalar *result = results + COMPONENTS * place_of(source, n + i);
 #pragma unroll
         for (int k = 0; k < COMPONENTS; ++k)
-            results[COMPONENTS * place_of(source, n + i) + k] = u.each[COMPONENTS * i + k];
+            result[k] = found[k].each[i];
+    }
 }
 
 INLINE void run_into(COEFFICIENTS coefficients, const int4 extent, source_t source, int count, const int4 size, const int4 period,

@@ -21,6 +21,9 @@
 #include "spline/taps.cl"
 #include "spline/pairs.cl"
 #include "spline/outside.cl"
+#if LANES == 1 && FUNCTIONS > 1
+#include "spline/components.cl"
+#endif
 
 // -- results of `count` points ----------------------------------------------------------------------------
 
@@ -65,17 +68,24 @@ INLINE void sample_into(COEFFICIENTS coefficients, const int4 extent, position_t
         }
     }
     const cell_t c = locate_inner(at.x, at.y, at.z, extent.w);
-#if DERIVATIVE == 0
-    value = sample_value(coefficients, extent, c);
+    for (int f = 0; f < FUNCTIONS; ++f) {
+#if FUNCTIONS > 1
+        sample_component(coefficients, extent, c, f, &value, &g, &h);
+#elif DERIVATIVE == 0
+        value = sample_value(coefficients, extent, c);
 #elif DERIVATIVE == 1
-    g = sample_gradient(coefficients, extent, c, &value);
-    g.x *= along.x, g.y *= along.y, g.z *= along.z;
+        g = sample_gradient(coefficients, extent, c, &value);
 #else
-    h = taps_hessian(coefficients, extent, c);
-    h.xx *= along.x * along.x, h.yy *= along.y * along.y, h.zz *= along.z * along.z;
-    h.xy *= along.x * along.y, h.xz *= along.x * along.z, h.yz *= along.y * along.z;
+        h = taps_hessian(coefficients, extent, c);
 #endif
-    to_world(value, g, h, w, result);
+#if DERIVATIVE == 1
+        g.x *= along.x, g.y *= along.y, g.z *= along.z;
+#elif DERIVATIVE == 2
+        h.xx *= along.x * along.x, h.yy *= along.y * along.y, h.zz *= along.z * along.z;
+        h.xy *= along.x * along.y, h.xz *= along.x * along.z, h.yz *= along.y * along.z;
+#endif
+        to_world(value, g, h, w, result + f * OF_EACH);
+    }
 }
 
 INLINE void run_into(COEFFICIENTS coefficients, const int4 extent, source_t source, int count, const int4 size, const int4 period,

@@ -104,6 +104,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.spline.joint import joint_histogram as joint_histogram
     from clvol.spline.scatter import adjoint as adjoint
     from clvol.spline.scores import resample_scores as resample_scores
+    from clvol.spline.vectors import VectorField as VectorField
     from clvol.spline.warp import Warped as Warped
     from clvol.spline.warp import resample_series as resample_series
     from clvol.spline.warp import warp as warp
@@ -155,6 +156,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "spline.joint": "joint_histogram",
     "spline.scatter": "adjoint",
     "spline.scores": "resample_scores",
+    "spline.vectors": "VectorField",
     "spline.warp": "Warped resample_series warp",
     "volume.missing": "Missing",
     "volume.transform": "AffineTransform BSplineTransform DisplacementField",
@@ -166,9 +168,15 @@ _MODULES = ("images", "ndimage", "phantoms")  # of `__all__`
 _PARTS = (*_MODULES, "analysis", "device", "figures", "formats", "labels", "noise", "reference", "reports", "view")
 # With what they need.
 _OPTIONAL = {
-    "dask": "dask", "monai": "MONAI", "nitransforms": "NiTransforms", "nnunet": "nnU-Net", "torch": "torch", "torchio": "TorchIO",
+    "dask": "dask",
+    "jax": "JAX",
+    "monai": "MONAI",
+    "nitransforms": "NiTransforms",
+    "nnunet": "nnU-Net",
+    "torch": "torch",
+    "torchio": "TorchIO",
     "xarray": "xarray",
-}  # fmt: skip
+}
 
 __all__ = [*sorted([*_PLACE, *_MODULES])]
 

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from clvol.base.checks import number
 from clvol.base.errors import MissingDependencyError, OptionError
-from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER
-from clvol.spline.field import Field, Precision
-from clvol.spline.function import fill_value
-from clvol.spline.scatter import adjoint, linear
-from clvol.volume.volume import Volume
+from clvol.interfaces.differentiable import Sampling, SamplingOptions
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from clvol.interfaces.radiograph import Radiograph
+    from clvol.spline.field import Precision
+    from clvol.spline.vectors import VectorField
 
 __all__ = ["radiograph", "sample"]
 
@@ -34,11 +29,7 @@ def sample(
     points: Tensor,
     filter: str | Filter = DEFAULT_FILTER,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
-    *,
-    spacing: Sequence[float] | float = 1.0,
-    origin: Sequence[float] | float = 0.0,
-    fill: float | None = None,
-    device: Device | str | int | None = None,
+    **options: Unpack[SamplingOptions],
 ) -> Tensor:
     """Evaluate the spline through samples at points, as `clvol.sample` does, differentiable in both.
 
@@ -89,25 +80,11 @@ def sample(
     torch = _torch()
     for what, tensor in (("values", values), ("points", points)):
         _require_tensor(what, tensor)
-    d = points.shape[-1] if points.ndim else 0
-    if d not in (2, 3):
-        raise OptionError(f"points must have shape (..., 2) or (..., 3); got {tuple(points.shape)}")
-    if values.ndim < d:
-        raise OptionError(f"values must have at least the {d} axes that points have coordinates; got shape {tuple(values.shape)}")
     precision: Precision = "double" if values.dtype == torch.float64 else "single"
-    grid = _Sampling(*linear(filter, boundary), as_device(device), _along(spacing, d), _along(origin, d), precision)
-    at, outside = points, fill_value(fill)
-    if outside is not None:
-        index = (points.detach().double() - torch.tensor(grid.origin)) / torch.tensor(grid.spacing)
-        size = torch.tensor(tuple(values.shape[-d:][::-1]))
-        inside = ((index >= -0.5) & (index <= size - 0.5)).all(-1)
-        # outside, sample a dummy point in the domain, whose result and gradient are discarded
-        at = torch.where(inside[..., None], points, torch.tensor(grid.origin, dtype=points.dtype))
-    functions = values.reshape(-1, *values.shape[-d:])
-    each = [_functions().Value.apply(function, at, grid, _Kept()) for function in functions]
-    result = torch.stack(each) if each else values.new_zeros((0, *points.shape[:-1]))
-    result = result.reshape(values.shape[:-d] + points.shape[:-1])
-    return result if outside is None else torch.where(inside, result, outside)
+    sampling = Sampling.of(tuple(values.shape), tuple(points.shape), precision, filter, boundary, **options)
+    d = points.shape[-1]
+    flat = _functions().Value.apply(values.reshape(-1, *values.shape[-d:]), points.reshape(-1, d), sampling, _Kept())
+    return flat.reshape(values.shape[:-d] + points.shape[:-1])
 
 
 def radiograph(pose: Tensor, of: Radiograph) -> Tensor:
@@ -152,33 +129,25 @@ def _require_tensor(what: str, tensor: Tensor) -> None:
         raise OptionError(f"{what} must lie in the host's memory; got a tensor on {tensor.device}: copy it first, tensor.cpu()")
 
 
-@dataclass(frozen=True)
-class _Sampling:
-    """What is sampled, but for the samples."""
-
-    filter: Filter
-    boundary: Boundary
-    device: Device
-    spacing: tuple[float, ...]
-    origin: tuple[float, ...]
-    precision: Precision
-
-    def volume(self, data: Any) -> Volume:
-        return Volume(data, self.spacing, self.origin)
-
-    def field(self, values: Tensor) -> Field:
-        return Field(self.volume(values), self.filter, self.boundary, self.device, precision=self.precision)
-
-
 class _Kept:
-    """Cache of a tensor's field, shared by the gradients of one sampling."""
+    """Cache of a tensor's functions, shared by the gradients of one sampling."""
 
-    field: Field | None = None
+    made = False
+    field: VectorField | None
 
-    def of(self, grid: _Sampling, values: Tensor) -> Field:
-        if self.field is None:
-            self.field = grid.field(values)
-        return self.field
+    def at(self, sampling: Sampling, values: Tensor, points: Tensor, derivative: int) -> Any:
+        """The functions' values or derivatives as a tensor."""
+        if not self.made:
+            self.field, self.made = sampling.field(values.detach().numpy()), True
+        return _tensor(sampling.at(self.field, points.detach().numpy(), derivative), values)
+
+
+def _spread(sampling: Sampling, given: Tensor, points: Tensor, shape: tuple[int, ...], derivative: int) -> Any:
+    return _tensor(sampling.spread(given.detach().numpy(), points.detach().numpy(), shape[1:], derivative), given)
+
+
+def _tensor(array: Any, like: Tensor) -> Any:
+    return _torch().from_numpy(np.ascontiguousarray(array)).to(like.dtype)
 
 
 @cache
@@ -199,63 +168,64 @@ def _functions() -> SimpleNamespace:
     """
     torch = _torch()
 
-    def tensor(array: Any, like: Tensor) -> Any:
-        return torch.from_numpy(np.ascontiguousarray(array)).to(like.dtype)
+    def along(given: Tensor, gradients: Tensor, points: Tensor) -> Any:
+        """Gradients times the numbers given for their functions, summed over these."""
+        return torch.einsum("fn,fni->ni", given, gradients).to(points.dtype)
 
     class Value(torch.autograd.Function):  # type: ignore[misc, name-defined]  # PyTorch is imported late
         """Samples, points → values."""
 
         @staticmethod
-        def forward(ctx: Any, values: Tensor, points: Tensor, grid: _Sampling, kept: _Kept) -> Any:
+        def forward(ctx: Any, values: Tensor, points: Tensor, sampling: Sampling, kept: _Kept) -> Any:
             ctx.save_for_backward(values, points)
-            ctx.grid, ctx.kept = grid, kept
-            return tensor(kept.of(grid, values)(points), values)
+            ctx.sampling, ctx.kept = sampling, kept
+            return kept.at(sampling, values, points, 0)
 
         @staticmethod
         def backward(ctx: Any, given: Tensor) -> Any:
-            (values, points), grid, for_values, for_points = ctx.saved_tensors, ctx.grid, None, None
+            (values, points), sampling, for_values, for_points = ctx.saved_tensors, ctx.sampling, None, None
             if ctx.needs_input_grad[0]:
-                for_values = Spread.apply(given, points, grid, tuple(values.shape))
+                for_values = Spread.apply(given, points, sampling, tuple(values.shape))
             if ctx.needs_input_grad[1]:
-                for_points = (given[..., None] * Gradient.apply(values, points, grid, ctx.kept)).to(points.dtype)
+                for_points = along(given, Gradient.apply(values, points, sampling, ctx.kept), points)
             return for_values, for_points, None, None
 
     class Spread(torch.autograd.Function):  # type: ignore[misc, name-defined]
         """Values, points → samples: the adjoint of `Value`, linear in the values."""
 
         @staticmethod
-        def forward(ctx: Any, given: Tensor, points: Tensor, grid: _Sampling, shape: tuple[int, ...]) -> Any:
+        def forward(ctx: Any, given: Tensor, points: Tensor, sampling: Sampling, shape: tuple[int, ...]) -> Any:
             ctx.save_for_backward(given, points)
-            ctx.grid = grid
-            return _spread(grid, given, points, shape, 0)
+            ctx.sampling = sampling.linear
+            return _spread(sampling, given, points, shape, 0)
 
         @staticmethod
         def backward(ctx: Any, samples: Tensor) -> Any:
-            (given, points), grid, kept = ctx.saved_tensors, ctx.grid, _Kept()
+            (given, points), sampling, kept = ctx.saved_tensors, ctx.sampling, _Kept()
             for_given = for_points = None
             if ctx.needs_input_grad[0]:
-                for_given = Value.apply(samples, points, grid, kept)
+                for_given = Value.apply(samples, points, sampling, kept)
             if ctx.needs_input_grad[1]:
-                for_points = (given[..., None] * Gradient.apply(samples, points, grid, kept)).to(points.dtype)
+                for_points = along(given, Gradient.apply(samples, points, sampling, kept), points)
             return for_given, for_points, None, None
 
     class Gradient(torch.autograd.Function):  # type: ignore[misc, name-defined]
-        """Samples, points → gradients of the function; their gradients cannot be differentiated again."""
+        """Samples, points → gradients of the functions; their gradients cannot be differentiated again."""
 
         @staticmethod
-        def forward(ctx: Any, values: Tensor, points: Tensor, grid: _Sampling, kept: _Kept) -> Any:
+        def forward(ctx: Any, values: Tensor, points: Tensor, sampling: Sampling, kept: _Kept) -> Any:
             ctx.save_for_backward(values, points)
-            ctx.grid, ctx.kept = grid, kept
-            return tensor(kept.of(grid, values).gradient(points), values)
+            ctx.sampling, ctx.kept = sampling, kept
+            return kept.at(sampling, values, points, 1)
 
         @staticmethod
         def _backward(ctx: Any, given: Tensor) -> Any:
-            (values, points), grid, for_values, for_points = ctx.saved_tensors, ctx.grid, None, None
+            (values, points), sampling, for_values, for_points = ctx.saved_tensors, ctx.sampling, None, None
             if ctx.needs_input_grad[0]:
-                for_values = _spread(grid, given, points, tuple(values.shape), 1)
+                for_values = _spread(sampling, given, points, tuple(values.shape), 1)
             if ctx.needs_input_grad[1]:
-                hessian = tensor(ctx.kept.of(grid, values).hessian(points), values)
-                for_points = (hessian @ given[..., None])[..., 0].to(points.dtype)
+                hessian = ctx.kept.at(sampling, values, points, 2)
+                for_points = torch.einsum("fni,fnij->nj", given, hessian).to(points.dtype)
             return for_values, for_points, None, None
 
         backward = staticmethod(torch.autograd.function.once_differentiable(_backward))
@@ -267,10 +237,10 @@ def _functions() -> SimpleNamespace:
         def forward(ctx: Any, pose: Tensor, of: Any) -> Any:
             six = pose.detach().numpy()
             if not ctx.needs_input_grad[0]:
-                return tensor(of(six), pose)
+                return _tensor(of(six), pose)
             picture, slopes = of.gradient(six)
-            ctx.save_for_backward(tensor(slopes, pose))
-            return tensor(picture, pose)
+            ctx.save_for_backward(_tensor(slopes, pose))
+            return _tensor(picture, pose)
 
         @staticmethod
         def _backward(ctx: Any, given: Tensor) -> Any:
@@ -279,14 +249,4 @@ def _functions() -> SimpleNamespace:
 
         backward = staticmethod(torch.autograd.function.once_differentiable(_backward))
 
-    def _spread(grid: _Sampling, given: Tensor, points: Tensor, shape: tuple[int, ...], derivative: int) -> Any:
-        like = grid.volume(np.broadcast_to(np.float32(0), shape))
-        spread = adjoint(given, points, like, grid.filter, grid.boundary, derivative, device=grid.device, precision=grid.precision)
-        return tensor(spread, given)
-
     return SimpleNamespace(Value=Value, Spread=Spread, Gradient=Gradient, Radiograph=Radiograph)
-
-
-def _along(value: Sequence[float] | float, d: int) -> tuple[float, ...]:
-    """One number per axis; a single number applies to all."""
-    return tuple(np.asarray(value).tolist()) if np.ndim(value) == 1 else (number("spacing or origin", value),) * d

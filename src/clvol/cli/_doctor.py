@@ -31,6 +31,7 @@ _USES = {
     "xarray": "labelled arrays",
     "dask": "arrays larger than memory, clusters",
     "torch": "gradients of tensors",
+    "jax": "gradients of JAX arrays",
     "bench": "benchmarks against other libraries",
 }
 _TOOLS = ("pocl", "intel", "test", "dev", "docs")  # not needed to use clvol; the first two show up as devices

@@ -155,7 +155,7 @@ def _rotation(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """The matrix of a rotation vector."""
     from scipy.spatial.transform import Rotation  # which takes long to import
 
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+    return np.asarray(Rotation.from_rotvec(vector.copy()).as_matrix())  # SciPy refuses arrays that are read-only
 
 
 def _turned(vector: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -36,14 +36,15 @@ DefineDict: TypeAlias = dict[str, str | int | float]
 _MAJORITY = 0.51  # of weights, with reserve for their rounding
 
 
-def row_width(filter: Filter) -> int:
-    """The width of the vectors for a row of taps: 1, 2, 4 or 8."""
-    return min(8, int(1 << (filter.support - 1).bit_length()))
+def row_width(filter: Filter, functions: int = 1) -> int:
+    """The width of the vectors for a row of the taps of so many functions: 1, 2, 4 or 8."""
+    return min(8, int(1 << (functions * filter.support - 1).bit_length()))
 
 
-def row_reach(filter: Filter) -> int:
-    """The number of coefficients in the vectors of a row: the taps, rounded up."""
-    return -(-filter.support // row_width(filter)) * row_width(filter)
+def row_reach(filter: Filter, functions: int = 1) -> int:
+    """The number of taps of a function that a whole number of these vectors holds, at least the filter's."""
+    width = row_width(filter, functions)
+    return -(-filter.support // width) * width
 
 
 def literals(table: np.ndarray[tuple[int, int], np.dtype[np.float64]], write: Callable[[float], str] = literal) -> str:
@@ -51,14 +52,14 @@ def literals(table: np.ndarray[tuple[int, int], np.dtype[np.float64]], write: Ca
     return "{" + ",".join("{" + ",".join(map(write, row)) + "}" for row in table.tolist()) + "}"
 
 
-def filter_defines(filter: Filter, kind: type[np.generic] = np.float32) -> DefineDict:
-    """The `#define`s of filter.cl and cell.cl for a filter and coefficients of this type."""
-    return _filter_defines(filter, kind == np.float64)
+def filter_defines(filter: Filter, kind: type[np.generic] = np.float32, functions: int = 1) -> DefineDict:
+    """The `#define`s of filter.cl and cell.cl for a filter and coefficients of this type, of so many functions side by side."""
+    return _filter_defines(filter, kind == np.float64, functions)
 
 
 @lru_cache(maxsize=256)
-def _filter_defines(filter: Filter, double: bool) -> DefineDict:
-    width, reach = row_width(filter), row_reach(filter)
+def _filter_defines(filter: Filter, double: bool, functions: int) -> DefineDict:
+    width, reach = row_width(filter, functions), row_reach(filter, functions)
     columns = np.zeros((filter.degree + 1, reach))
     columns[:, : filter.support] = filter.matrix.T
     number, write = ("double", repr) if double else ("float", literal)

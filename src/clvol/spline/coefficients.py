@@ -91,10 +91,14 @@ class Coefficients:
     two axes, is stored as slices. Coefficients are those of ``(sample - offset) * 2**-exponent``, as `stored` says, in numbers of
     `kind`, np.float32 or np.float64.
 
+    `functions` of them lie next to each other along x: 1, but see `clvol.spline.vectors`.
+
     `buffer` is [z, y, x], halo included; None once released. Kernels take `extent`: row pitch, rows, slices and halo; `size`:
     samples along (x, y, z), then 0; and `period`, that of the boundary rule along (x, y, z), 0 if it has none. The function is
     constant from `reach` samples past the padding, `pad`, on. `plans` are those of calls that read these coefficients.
     """
+
+    functions = 1
 
     def __init__(
         self,

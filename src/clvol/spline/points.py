@@ -127,11 +127,14 @@ def sample_coefficients(
 ) -> Reals:
     """The function or its derivatives at world positions (N, d), in units of the data, per world unit: (N,), (N, d) or (N, d * d).
 
+    Of several functions next to each other (`coefficients.functions`): those of each, (N, n), (N, n * d) or (N, n * d * d).
+
     float64 if samples are not stored unchanged. Positions in float32 are used as they are, others as float64 if the device
     supports it. Second derivatives always use direct taps. Kernels write into `out`, contiguous and of the coefficients' type; it
     is returned if nothing has to be converted.
     """
-    shape = points.shape[:1] + (() if derivative == 0 else (coefficients.ndim**derivative,))
+    components = coefficients.functions * coefficients.ndim**derivative
+    shape = points.shape[:1] + ((components,) if components > 1 else ())
     results = np.empty(shape, coefficients.kind) if out is None else out.reshape(shape)
     given, device = Given(fill), coefficients.device
     if 0 < len(points) <= _RUN and device.has_double and not device.limits.sorting:
@@ -195,7 +198,9 @@ class _Few(NamedTuple):
         matrix = Transform.into(coefficients.volume).upload(device)
         return cls(
             _Call.of(program, coefficients, evaluator, derivative, given, matrix),
-            device.buffers.allocate(_RUN * coefficients.ndim**derivative * np.dtype(coefficients.kind).itemsize),
+            device.buffers.allocate(
+                _RUN * coefficients.functions * coefficients.ndim**derivative * np.dtype(coefficients.kind).itemsize
+            ),
         )
 
 
@@ -243,7 +248,7 @@ def sample_into(
     step = launch if sorter is None else sorter.room
     if planar and points.dtype == kind:
         step = count if sorter is None else step
-    flat = results.reshape(count, d**derivative)
+    flat = results.reshape(count, coefficients.functions * d**derivative)
     for first in range(0, count, step):
         given_part = points[:, first : first + step] if planar else points[first : first + step]
         part = np.ascontiguousarray(on_host.indices(given_part) if on_host else given_part, dtype=kind)
