@@ -14,6 +14,7 @@ from hypothesis import settings
 from clvol.base.errors import DeviceError
 from clvol.device import Device, devices
 from clvol.filter.table import filters, register_filter, unregister_filter
+from tests.declared import declare_few
 
 # Files with few, slow tests
 _LONG = {
@@ -34,6 +35,7 @@ if not os.environ.get("POCL_CACHE_DIR"):
 # this at each build, also in subprocesses. `POCL_EXTRA_BUILD_FLAGS= pytest` tests what users build.
 if not os.environ.get("CLVOL_TEST_THOROUGH"):
     os.environ.setdefault("POCL_EXTRA_BUILD_FLAGS", "-cl-opt-disable")
+declare_few()
 
 # the same examples in every run of the continuous integration; new ones on a developer's machine
 settings.register_profile("ci", derandomize=True, deadline=None)

@@ -25,6 +25,7 @@ from clvol.device.driver import Driver
 
 sys.path.append(str(Path(__file__).parents[1]))
 from tests import edges
+from tests.declared import declare_few
 
 GUARD = 64 << 20  # bytes before and after
 _READ_PAST = """kernel void read_past(global const float *given, const int at, global float *got) { got[0] = given[at]; }"""
@@ -113,6 +114,7 @@ def main(side: str, *more: str) -> None:
         read_past(int(more[0]))
     else:
         guard(side)
+        declare_few()
         edges.run(edges.ALL if more else edges.GUARDED)
     print("done")
 

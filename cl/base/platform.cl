@@ -12,7 +12,12 @@
 
 // Code that runs for every sample or tap is inlined and calls no built-in function: if PoCL does not know the CPU (3.0 on
 // AMD's Zen 4, say) every vload, floor and select remains a call. Rarely needed code stays out of the loops.
+// Kernels that are not optimised build in half the time if its functions stay apart, and give the same bits.
+#ifdef __NO_INLINE__
+#define INLINE static inline
+#else
 #define INLINE static inline __attribute__((always_inline))
+#endif
 #define OUT_OF_LINE static __attribute__((noinline))
 
 // Of numbers, or of vectors element by element; the second where neither comparison holds.

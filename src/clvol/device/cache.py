@@ -21,7 +21,7 @@ ROOM = 3 << 20
 """Bytes that building a kernel may take: a linked file and what it is made of; some hundred thousand are usual."""
 
 _DIGEST = hashlib.sha256
-_MOST = 256 << 20  # bytes in a store; a program takes some hundred thousand
+_MOST = 1 << 30  # bytes in a store; a program takes some hundred thousand
 _LOOK = 16 << 20  # bytes that a process writes before it checks the size of the store again
 
 
