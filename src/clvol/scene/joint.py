@@ -25,7 +25,7 @@ from clvol.volume.histogram import slopes_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["JOINT", "Image", "TransferFunction2D", "joint_block"]
+__all__ = ["JOINT", "Image", "TransferFunction2D", "joint_block", "opacity_at"]
 
 JOINT = Block("joint_block", at=INT, columns=INT, rows=INT, low=FLOAT, scale=FLOAT, per_slope=FLOAT)
 
@@ -247,6 +247,21 @@ def joint_block(transfer: TransferFunction, stored: Stored, steepness: float, *,
         scale=(columns - 1) / (high - low),
         per_slope=(rows - 1) / (image.steepest * steepness),
     )
+
+
+def opacity_at(transfer: TransferFunction, values: NDArray[Any], steepness: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Opacity by value and by magnitude of the gradient, in units of the data per world unit; without the factor of curvature."""
+    seen = transfer(values)[..., 3]
+    if isinstance(transfer, TransferFunction2D):
+        from scipy.ndimage import map_coordinates
+
+        image, (low, high) = transfer.nodes, transfer.nodes.values
+        place = np.stack([steepness / image.steepest, (values.astype(np.float64) - low) / (high - low)])
+        ends = np.reshape(image.shape, (2, *[1] * values.ndim)) - 1
+        seen = map_coordinates(image.array[..., 3], np.clip(place, 0, 1) * ends, np.float64, order=1, mode="nearest")
+    if transfer.gradient_opacity is not None:
+        seen = seen * np.interp(steepness, *np.array(transfer.gradient_opacity).T)
+    return np.asarray(seen)
 
 
 # -- shapes ------------------------------------------------------------------------------------------------------
