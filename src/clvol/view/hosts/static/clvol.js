@@ -152,6 +152,11 @@ function slider(label, { low, high, step = "any" }, changed, hint) {
   const control = {
     element: make("div", { class: "clvol-row clvol-slider", title: hint }, make("span", {}, label), range, number),
     range,
+    /** Without `reason` it is live; else it is not, and says why. */
+    unheard(reason) {
+      range.disabled = number.disabled = Boolean(reason);
+      control.element.title = reason || hint || "";
+    },
     limit(least, most) {
       const by = step === "any" ? (most - least) / 200 || 1 : step; // with "any", arrow keys step by a whole unit
       attributes(range, { min: least, max: most, step: by });
@@ -1672,7 +1677,13 @@ class Panel {
     this.zoom.show(Math.log2(state.camera.zoom ?? 1));
     this.light.show(this.lightName(state.lights));
     for (const [name, control] of this.material) control.show(state.material?.[name] ?? MATERIAL[name][2]);
-    for (const [name, control] of this.dark) control.show(state[name]);
+    const factors = state.transfer?.gradient_opacity || state.transfer?.curvature_opacity;
+    const graded = state.mode === "composite" && (state.gradient_opacity > 0 || joint || factors);
+    const passes = graded || !viewer.info.stops_light ? "light is stopped by values alone: not beside Edges, or opacity by the gradient too" : "";
+    for (const [name, control] of this.dark) {
+      control.show(state[name]);
+      control.unheard(passes);
+    }
     this.rays.show(state.shadow_rays);
     this.linear.show(state.linear_light);
     this.background.show(state.background ?? [0, 0, 0]);
