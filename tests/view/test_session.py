@@ -267,6 +267,8 @@ def test_the_first_messages_to_a_client(client: Client, volume: Volume) -> None:
         "choices": ["exact", "stepped"],
         "help": "",
     }
+    composite = info["modes"]["composite"]
+    assert [composite[name].get(part) for name, part in (("virtual", "step"), ("tolerance", "scale"))] == [1, "log"]
     assert "bspline3(auto)" in info["filters"]
     assert state["effective"]["transfer"]["points"]
     assert [state["can_undo"], state["can_redo"]] == [False, False]

@@ -53,6 +53,7 @@ _RANGES: Mapping[str, list[float]] = {
     "mu_water": [0.001, 0.1],
     "virtual": [0, 16],
 }
+_SCALES: Mapping[str, dict[str, Any]] = {"virtual": {"step": 1}, "tolerance": {"scale": "log"}, "mu_water": {"scale": "log"}}
 _KEPT = 64  # descriptions of volumes
 _BESIDE = ("gradient", "rays", "pixel_filter", "skipping")  # passed on, and in no state
 
@@ -338,7 +339,7 @@ def _option(default: Any, name: str, says: str) -> dict[str, Any]:
         option["choices"] = _CHOICES[name]
     if name in _RANGES:
         option["range"] = _RANGES[name]
-    return option
+    return option | _SCALES.get(name, {})
 
 
 def _histogram(volume: Volume) -> tuple[list[int], list[float]]:
