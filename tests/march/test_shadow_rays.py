@@ -90,3 +90,10 @@ def test_it_is_refused_where_it_changes_nothing_or_is_not_there() -> None:
         clvol.render(Scene([Medium(volume), Medium(block())]), mode="isosurface", **exact)
     with pytest.raises(OptionError, match="shadow_rays must be left out for a volume that is read by bricks"):
         clvol.render(clvol.LazyVolume(volume.data), mode="isosurface", **exact)
+
+
+def test_they_go_with_the_shadows_of_a_scene(device: Device) -> None:
+    """A picture that leaves out a scene's shadows is that of a scene without any."""
+    how: dict[str, Any] = {"mode": "isosurface", "size": (8, 8), "device": device}
+    scene = Scene([Medium(block())], shadow=0.5, shadow_rays=True)
+    assert np.array_equal(clvol.render(scene, shadow=0, **how), clvol.render(block(), **how))

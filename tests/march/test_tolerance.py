@@ -48,7 +48,7 @@ def test_narrow_bands_are_smooth_without_a_warning(device: Device) -> None:
     look: dict[str, Any] = {"transfer": clvol.TransferFunction(((0, (1, 1, 1)),), tuple(bands)), "size": SIZE, "rays": 1}
     with clvol.Renderer(clvol.Volume(np.sqrt(x**2 + y**2 + z**2)), device=device) as renderer:
         with pytest.warns(ClvolWarning, match="stippled"):
-            usual = renderer.render(**look)
+            usual = renderer.render(virtual=0, **look)
         fine = renderer.render(step=FINEST, **look)
         with warnings.catch_warnings():
             warnings.simplefilter("error")

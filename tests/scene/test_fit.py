@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from clvol import Camera, TransferFunction, Volume
 from clvol.base.errors import OptionError
 from clvol.scene.fit import fitted, sphere_of_matter
+from clvol.scene.joint import TransferFunction2D
 from clvol.scene.mode import as_mode
 
 TURNED = Rotation.from_euler("xyz", [20, -35, 50], True).as_matrix()
@@ -66,6 +67,24 @@ def test_only_visible_opacities_count() -> None:
     assert sphere_of_matter(ball(), as_mode("composite"), hazy).radius < 11.5
     thick = hazy.with_opacity(((-99.0, 0.1), (0.0, 0.1), (0.0, 0.5)))
     assert sphere_of_matter(ball(), as_mode("composite"), thick).radius == ball().radius
+
+
+@pytest.mark.parametrize("thinned", [False, True])
+@pytest.mark.parametrize(
+    "edges",
+    [
+        replace(SEEN, opacities=((0.0, 0.5),), gradient_opacity=((0.3, 0.0), (0.6, 1.0))),
+        TransferFunction2D([((-3.0, 3.0), (0.4, None), "white", 0.5)]),
+    ],
+    ids=["factor", "box"],
+)
+def test_opacity_by_the_gradient_counts(edges: TransferFunction, *, thinned: bool) -> None:
+    """Even matter, inside the ball and around it, is transparent; of a large volume, neighbours of samples say how steep it is."""
+    step = np.clip(ball().data, -1, 1)
+    volume = Volume(step.repeat(2, 2) if thinned else step, spacing=(0.5 if thinned else 1.0, 1.0, 1.0))
+    sphere = sphere_of_matter(volume, as_mode("composite"), edges)
+    np.testing.assert_allclose(sphere.center, (44, 20, 30), atol=0.8)
+    assert 9 < sphere.radius < 12.5
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import clvol
 from clvol import phantoms
 from clvol.base.errors import ClvolError, OptionError
 from clvol.base.srgb import as_light, as_shown
+from clvol.scene.factor import factors_block
 from clvol.scene.joint import TransferFunction2D
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.histogram import isovalue_of
@@ -160,6 +164,12 @@ WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "unit": (lambda: TransferFunction(((0, "red"),), unit_distance=0), OptionError, "unit_distance must be a finite number"),  # type: ignore[arg-type]
     "shapes of a map": (lambda: TransferFunction2D.from_cmap("gray", (0, 1)), OptionError, "made of boxes, arches or an image"),
     "narrow box": (lambda: TransferFunction2D([((0, 1), (1, 1), "red", 1)]), OptionError, "gradients of a box must be"),
+    "low arch": (
+        lambda: TransferFunction2D([((0, 1), (0, 1e308), "red", 1)], [((0, 1), 1e-300, "red", 1)]),
+        OptionError,
+        "an arch is too",
+    ),
+    "unknown image": (lambda: TransferFunction2D(image=(np.full((2, 2, 4), np.nan), (0, 1), 1)), OptionError, "NaN for 16 of 16"),  # type: ignore[arg-type]
     "damaged image": (lambda: TransferFunction2D(image=DAMAGED), OptionError, "one that clvol wrote"),  # type: ignore[arg-type]
     "map": (lambda: TransferFunction.from_cmap("nomap", (0, 1)), OptionError, "colour map 'nomap' is not known"),
     "map's range": (lambda: TransferFunction.from_cmap("gray", (1, 0)), OptionError, "value_range must be"),
@@ -228,3 +238,16 @@ def test_automatic_when_the_subsample_has_no_finite_value() -> None:
     data = np.full((2, 4_000_000), np.nan)
     data[1, 1::2] = [1, 2] * 1_000_000
     assert 1 <= isovalue_of(data)[0] <= 2
+
+
+def test_factors_of_tiny_samples() -> None:
+    """What kernels get depends on no unit of the data, even where that of a gradient is out of range."""
+    plain, tiny = (((1e-3, 0.2), (1.5, 1.0)), 1e5, 0), (((math.ldexp(1e-3, -1000), 0.2), (math.ldexp(1.5, -1000), 1.0)), 1e5, -1000)
+    assert factors_block((plain, (None, 1.0, 0))).tobytes() == factors_block((tiny, (None, 1.0, 0))).tobytes()
+
+
+@pytest.mark.parametrize("kind", [TransferFunction, TransferFunction2D])
+def test_automatic_functions_of_a_file_that_is_read_by_parts(kind: type[TransferFunction], tmp_path: Path) -> None:
+    volume = phantoms.sphere(8)
+    clvol.write(volume, tmp_path / "sphere.nrrd")
+    assert kind.automatic(clvol.open(tmp_path / "sphere.nrrd")) == kind.automatic(volume)

@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 import clvol
-from clvol import Light, Material, TransferFunction, Volume
+from clvol import Light, Material, TransferFunction, TransferFunction2D, Volume
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
 from clvol.show.picture import to_bytes
@@ -235,6 +235,8 @@ def test_planes_and_corners_cut_a_view_open(volume: Volume, device: Device) -> N
         ({"theme": "dark"}, "theme must be one of screen, print"),
         ({"tolerance": 0.01, "step": 0.5}, "tolerance chooses the step"),
         ({"shadow_rays": True}, "shadow_rays changes nothing without shadow"),
+        ({"shadow": 1.0, "occlusion": 0.5, "gradient_opacity": 0.5}, "shadow and occlusion must be left out beside opacity by"),
+        ({"shadow": 1.0, "transfer": TransferFunction2D([((0, 1), (0, None), "red", 1)])}, "shadow must be left out beside"),
     ],
     ids=str,
 )
@@ -265,6 +267,8 @@ def test_the_first_messages_to_a_client(client: Client, volume: Volume) -> None:
         "choices": ["exact", "stepped"],
         "help": "",
     }
+    composite = info["modes"]["composite"]
+    assert [composite[name].get(part) for name, part in (("virtual", "step"), ("tolerance", "scale"))] == [1, "log"]
     assert "bspline3(auto)" in info["filters"]
     assert state["effective"]["transfer"]["points"]
     assert [state["can_undo"], state["can_redo"]] == [False, False]

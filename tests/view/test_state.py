@@ -122,7 +122,9 @@ def test_invalid_urls_are_rejected(text: str) -> None:
 
 
 def test_options_of_the_old_mode_are_dropped() -> None:
-    state = State().changed({"mode": "isosurface", "options.isovalue": 3}).changed({"mode": "mip"})
+    surface = State().changed({"mode": "isosurface", "options.isovalue": 3})
+    assert surface.changed({"options.isovalue": None}).options == {}  # left open again
+    state = surface.changed({"mode": "mip"})
     assert state.options == {}
     assert state.changed({"mode": "mip"}) == state
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import warn
+from clvol.march.bands import narrow_bands
 from clvol.march.options import WORDS, Fineness, chosen_mode
 from clvol.march.recipe import look_of
 from clvol.scene.clip import Cuts, cuts_of
@@ -28,9 +29,6 @@ __all__ = ["warn_if_empty", "warn_of_refined"]
 
 _POINTS = 33  # along each axis, at which it is asked whether cuts keep anything
 _STEP = 16  # pixels between those that are looked at first
-_NARROW = 0.1  # of the range of the samples: wider bands are not looked at
-_PAIRS = 1 << 18  # neighbours that are compared along an axis
-_PASSES = 8
 _CHOICES = ("transfer", "isovalue", *WORDS)
 
 
@@ -124,47 +122,15 @@ def _unseen(look: ResolvedLook, source: Source) -> str:
 
 def _missed(look: ResolvedLook, step: float) -> str:
     """That values change by more from sample to sample of a ray than a band of opacity is wide: it is stippled then."""
-    if look.mode.shows != "matter":
-        return ""
-    low, high = look.preview.value_range
-    apart = look.preview.mean_spacing / look.scene.media[0].volume.mean_spacing
-    for first, last in _bands(look.transfer.opacities):
-        middle, wide = first / 2 + last / 2, last - first
-        if wide > _NARROW * (high - low) or not low < middle < high:
-            continue
-        change = step * _slope_at(look.preview, middle) / apart / max(1, virtual_samples(look.mode))
+    for first, last, change in narrow_bands(look, step):
+        wide, change = last - first, change / max(1, virtual_samples(look.mode))
         if wide < change:
             return (
                 f"the band of opacity from {first:.4g} to {last:.4g} is narrower than what values change by from sample to sample "
-                f"of a ray, {change:.2g}, and may be stippled: step={0.5 * step * wide / change:.1g} shows it whole"
+                f"of a ray, {change:.2g}, and may be stippled: step={0.5 * step * wide / change:.1g} or a tolerance, such as "
+                f"tolerance=0.01, shows it whole"
             )
     return ""
-
-
-def _bands(opacities: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
-    """Where opacity rises and falls again: from half of a maximum to half of it."""
-    values, seen = np.array(opacities, np.float64).T
-    for k in range(1, len(seen) - 1):
-        left, right = np.flatnonzero(seen[:k] <= seen[k] / 2), np.flatnonzero(seen[k + 1 :] <= seen[k] / 2)
-        if seen[k] == 0 or not len(left) or not len(right):
-            continue
-        i, j = int(left[-1]), k + 1 + int(right[0])
-        if seen[i : j + 1].max() == seen[k]:
-            rise, fall = slice(i, i + 2), slice(j, j - 2 if j > 1 else None, -1)
-            yield float(np.interp(seen[k] / 2, seen[rise], values[rise])), float(np.interp(seen[k] / 2, seen[fall], values[fall]))
-
-
-def _slope_at(volume: Volume, value: float) -> float:
-    """The usual change from sample to sample where they pass a value, along the axis where that is largest; 0 if few do."""
-    found = [0.0]
-    stride = max(1, round((volume.data.size / _PAIRS) ** 0.5))
-    for axis in range(3):
-        some = tuple(slice(None) if other == axis else slice(None, None, stride) for other in range(3))
-        lines = np.moveaxis(volume.data[some], axis, 0).astype(np.float64)
-        passes = (lines[1:] > value) != (lines[:-1] > value)
-        if np.count_nonzero(passes) >= _PASSES:
-            found.append(float(np.median(np.abs(lines[1:] - lines[:-1])[passes])))
-    return max(found)
 
 
 def _is_empty(look: ResolvedLook, rgba: NDArray[np.floating[Any]]) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -387,9 +386,7 @@ class Subject:
             raise OptionError(
                 f"curvature_opacity takes a filter with continuous slopes, such as bspline3; got {coefficients.filter.name}"
             )
-        slope = medium.gradient_scale(stored, unit)  # of kernels, for 1 of stored values in the world ...
-        with np.errstate(over="ignore"):
-            steepness = min(float(np.ldexp(slope, -stored.exponent)), sys.float_info.max)  # ... and of the data
+        slope = medium.gradient_scale(stored, unit)  # of kernels, for 1 of stored values in the world
         linear = look.linear
         table, colored = look.transfer.table(shown, linear=linear), np.zeros((), COLORED.dtype)
         if medium.color_by is not None:
@@ -417,8 +414,8 @@ class Subject:
             geometry=medium.block(stored, unit),
             clip=clip_block(look.clip, volume, unit),
             transfer=transfer.block(unit, shown, linear=linear),
-            factors=factors_block(((transfer.gradient_opacity, steepness), (transfer.curvature_opacity, 1.0))),
-            joint=joint_block(transfer, stored, steepness, linear=linear),
+            factors=factors_block(((transfer.gradient_opacity, slope, stored.exponent), (transfer.curvature_opacity, 1.0, 0))),
+            joint=joint_block(transfer, stored, slope, linear=linear),
             colored=colored,
             lit=lit,
             material=medium.material.block(linear=linear),

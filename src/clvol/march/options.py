@@ -694,6 +694,8 @@ def _changed(scene: Scene, transfer: TransferFunction | None, options: RefineOpt
     (medium,) = scene.media
     changes: dict[str, Any] = {name: value for name in ("background", "clip") if (value := options.get(name, ...)) is not ...}
     changes |= {name: value for name in OF_SCENE if (value := options.get(name)) is not None}
+    if changes.get("shadow") == 0:
+        changes.setdefault("shadow_rays", False)  # the scene's, of shadows that are left out
     if (material := options.get("material")) is not None:
         medium = replace(medium, material=material)
     if transfer is not None:

@@ -41,15 +41,19 @@ def as_factors(what: str, points: Sequence[tuple[float, float]]) -> Factors:
     return tuple(pairs)
 
 
-def factors_block(each: Sequence[tuple[Factors | None, float]]) -> Values:
-    """The block for kernels: of the factors by gradients and by curvature, each with what its numbers are multiplied by there."""
+def factors_block(each: Sequence[tuple[Factors | None, float, int]]) -> Values:
+    """The block for kernels: of the factors by gradients and by curvature, each with what its numbers are multiplied by there.
+
+    That is a scale and then ``2**-exponent``, whose product may be out of range.
+    """
     values: dict[str, Any] = {name: np.zeros((2, MOST_POINTS)) for name in ("start", "base", "slope")}
     counts = []
-    for row, (points, scale) in enumerate(each):
+    for row, (points, scale, exponent) in enumerate(each):
         counts.append(len(points or ()))
         if points:
             at, factor = np.array(points).T
-            start = _rounded_up(np.minimum(at * scale, _FARTHEST))
+            with np.errstate(over="ignore", under="ignore"):
+                start = _rounded_up(np.minimum(np.ldexp(at, -exponent) * scale, _FARTHEST))
             widths = np.diff(start)
             slopes = np.diff(factor) / np.maximum(widths, _NARROWEST)
             values["start"][row, : len(at)], values["base"][row, : len(at)] = start, factor

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip, cuts_of
+from clvol.scene.joint import opacity_at
 from clvol.scene.mode import Mode
 from clvol.scene.preset import thinness
 from clvol.scene.transfer import TransferFunction
@@ -165,9 +166,9 @@ def _swept(points: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np
 def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Clip | None = None) -> Sphere:
     """The sphere around the visible part of a 3-D volume in a settled mode; samples outside the box of `clip` do not count.
 
-    Surfaces are where neighbouring samples are on both sides of the isovalue. Matter is visible where its opacity is
-    more than 2 % of the transfer function's largest; in projections, where colour times opacity is more than
-    5 % of the brightest. A few isolated visible samples are noise, and do not count.
+    Surfaces are where neighbouring samples are on both sides of the isovalue. Matter is visible where its opacity, by the gradient
+    too (of differences of samples), is more than 2 % of the transfer function's largest; in projections, where colour times opacity
+    is more than 5 % of the brightest. A few isolated visible samples are noise, and do not count.
     """
     if mode.shows == "integral":  # to which all matter counts
         return Sphere(tuple(map(float, volume.center)), volume.radius)  # type: ignore[arg-type]  # three
@@ -195,7 +196,14 @@ def _sphere(
     some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
     surface = bool(mode.isovalues)
     present = np.isfinite(some)
-    seen = np.logical_or.reduce([_crossed(some >= v, present) for v in mode.isovalues]) if surface else _shown(some, mode, transfer)
+    if surface:
+        seen = np.logical_or.reduce([_crossed(some >= v, present) for v in mode.isovalues])
+    elif transfer.graded & 5:
+        opacity = opacity_at(transfer, some, found.steepness)
+        largest = max(seen for _, seen in transfer.opacities) * max(factor for _, factor in transfer.gradient_opacity or ((0, 1),))
+        seen = opacity > _FAINT * largest
+    else:
+        seen = _shown(some, mode, transfer)
     seen &= present
 
     unit = volume.mean_spacing  # relative to the volume's centre, so that no square overflows

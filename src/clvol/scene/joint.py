@@ -20,12 +20,12 @@ from clvol.base.errors import OptionError
 from clvol.base.srgb import as_light
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.scene.factor import Factors
-from clvol.scene.transfer import TransferFunction
+from clvol.scene.transfer import TransferFunction, previewed
 from clvol.volume.histogram import slopes_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
-from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volume import Volume
 
-__all__ = ["JOINT", "Image", "TransferFunction2D", "joint_block"]
+__all__ = ["JOINT", "Image", "TransferFunction2D", "joint_block", "opacity_at"]
 
 JOINT = Block("joint_block", at=INT, columns=INT, rows=INT, low=FLOAT, scale=FLOAT, per_slope=FLOAT)
 
@@ -38,6 +38,7 @@ _STEEP = 4  # part of the way from even matter to its boundaries, from which on 
 _ROOM = 0.02  # of their extent, left free around shapes
 _MOST_NODES = 1024  # along a side
 _MOST_SHAPES = 32
+_FINEST = 1e38  # most rows a unit of slope
 _WIDTH = 0.3  # of its peak, from an arch to where nothing is left of its opacity
 
 
@@ -61,8 +62,10 @@ class Image:
         given = reals("image", array, rule)
         if given.ndim != 3 or given.shape[2] != 4 or not all(2 <= n <= _MOST_NODES for n in given.shape[:2]):
             raise OptionError(f"image must be {rule}; got shape {given.shape}")
+        if count := np.count_nonzero(np.isnan(given)):
+            raise OptionError(f"image must be {rule}; got NaN for {count} of {given.size} numbers")
         if not ((given >= 0) & (given <= 1)).all():
-            raise OptionError(f"image must be {rule}; got {np.nanmin(given):g} to {np.nanmax(given):g}")
+            raise OptionError(f"image must be {rule}; got {given.min():g} to {given.max():g}")
         low, high = _span("values of an image", values)
         most = number("the largest gradient of an image", steepest, above=0)
         return cls(given.astype(np.float32).tobytes(), (given.shape[0], given.shape[1]), (low, high), most)
@@ -120,8 +123,8 @@ class TransferFunction2D(TransferFunction):
     Raises
     ------
     OptionError
-        There are no shapes and no image, or both; more than 32 shapes; a box is narrower than the nodes that shapes are drawn into
-        are apart, a 245th of the values and a 122nd of the magnitudes of all shapes.
+        There are no shapes and no image, or both; more than 32 shapes; a box or an arch is narrower than the nodes that shapes are
+        drawn into are apart, a 245th of the values and a 122nd of the magnitudes of all shapes.
 
     Notes
     -----
@@ -176,7 +179,7 @@ class TransferFunction2D(TransferFunction):
     @classmethod
     def automatic(cls, volume: Volume | ArrayLike, clim: tuple[float, float] | None = None) -> TransferFunction2D:
         """The colours and opacities of `TransferFunction.automatic`, in a few boxes over the boundaries of the volume's matter."""
-        volume = as_volume(volume)
+        volume = previewed(volume)
         by_value, (even, steep) = TransferFunction.automatic(volume, clim), slopes_of(volume)
         low, high = by_value.value_range
         ends = np.linspace(low, high if low < high else low + 1.0, _PARTS + 1)
@@ -232,21 +235,31 @@ def _rows(nodes: Image, linear: bool) -> NDArray[np.float32]:
     return np.concatenate([array.ravel(), before.ravel()])
 
 
-def joint_block(transfer: TransferFunction, stored: Stored, steepness: float, *, linear: bool) -> Values:
-    """The block of a function's image for kernels, whose gradients are `steepness` times those of stored values in the world."""
+def joint_block(transfer: TransferFunction, stored: Stored, scale: float, *, linear: bool) -> Values:
+    """The block of a function's image for kernels, whose gradients are `scale` times those of stored values in the world."""
     if not isinstance(transfer, TransferFunction2D):
         return np.zeros((), JOINT.dtype)
     image, (low, high) = transfer.nodes, (float(v) for v in stored(np.array(transfer.nodes.values)))
     rows, columns = image.shape
     own = TransferFunction.table(transfer, stored, linear=linear).size
-    return JOINT(
-        at=-(-own // 4),
-        columns=columns,
-        rows=rows,
-        low=low,
-        scale=(columns - 1) / (high - low),
-        per_slope=(rows - 1) / (image.steepest * steepness),
-    )
+    with np.errstate(all="ignore"):
+        per_slope = min(float((rows - 1) / (np.ldexp(image.steepest, -stored.exponent) * scale)), _FINEST)
+    return JOINT(at=-(-own // 4), columns=columns, rows=rows, low=low, scale=(columns - 1) / (high - low), per_slope=per_slope)
+
+
+def opacity_at(transfer: TransferFunction, values: NDArray[Any], steepness: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Opacity by value and by magnitude of the gradient, in units of the data per world unit; without the factor of curvature."""
+    seen = transfer(values)[..., 3]
+    if isinstance(transfer, TransferFunction2D):
+        from scipy.ndimage import map_coordinates
+
+        image, (low, high) = transfer.nodes, transfer.nodes.values
+        place = np.stack([steepness / image.steepest, (values.astype(np.float64) - low) / (high - low)])
+        ends = np.reshape(image.shape, (2, *[1] * values.ndim)) - 1
+        seen = map_coordinates(image.array[..., 3], np.clip(place, 0, 1) * ends, np.float64, order=1, mode="nearest")
+    if transfer.gradient_opacity is not None:
+        seen = seen * np.interp(steepness, *np.array(transfer.gradient_opacity).T)
+    return np.asarray(seen)
 
 
 # -- shapes ------------------------------------------------------------------------------------------------------
@@ -309,7 +322,10 @@ def _drawn(boxes: Sequence[_BoxShape], arches: Sequence[_Arch]) -> Image:
             raise OptionError(f"a box is too narrow to be drawn beside the other shapes; got {(a, b)} by {(bottom, top)}")
         draw(np.where(inside, opacity, 0.0), color)
     for (a, b), peak, color, opacity in arches:
-        draw(opacity * _on_arch(values, slopes, (a, b), peak), color)
+        near = _on_arch(values, slopes, (a, b), peak)
+        if not near.any():
+            raise OptionError(f"an arch is too narrow to be drawn beside the other shapes; got {(a, b)} by {peak:g}")
+        draw(opacity * near, color)
     return Image.of(array, (float(values[0]), float(values[-1])), steepest)
 
 
@@ -322,5 +338,6 @@ def _on_arch(
     share = 2 * (values - span[0]) / (span[1] - span[0]) - 1
     inside = np.abs(share) < 1
     arch = peak * np.exp(-(erfinv(np.where(inside, share, 0.0)) ** 2))
-    near = np.clip(1 - np.abs(slopes - arch) / (_WIDTH * peak), 0, 1) * np.minimum(1, slopes / (_WIDTH * peak))
+    with np.errstate(over="ignore"):  # beside shapes that are far steeper
+        near = np.clip(1 - np.abs(slopes - arch) / (_WIDTH * peak), 0, 1) * np.minimum(1, slopes / (_WIDTH * peak))
     return np.where(inside, near, 0.0)

@@ -36,6 +36,7 @@ __all__ = [
     "BY_LABEL",
     "CURVATURES",
     "DEFAULT_MODE",
+    "MOST_VIRTUAL",
     "Attenuated",
     "Composite",
     "Integral",
@@ -238,6 +239,10 @@ class Mode:
         return self.BLOCK()
 
 
+MOST_VIRTUAL = 16
+"""Most virtual samples between two."""
+
+
 @dataclass(frozen=True)
 class Composite(Mode):
     """Emission and absorption, front to back.
@@ -252,8 +257,9 @@ class Composite(Mode):
     cap : bool, optional
         Whether the faces of a cut (`clip`) show the slice: the colours of the values there, unlit, as opaque as matter of 16 unit
         distances. By default where matter is lit (`shading`): light has no meaning on such a face, and shows the noise.
-    virtual : int
-        Virtual samples between two of `step`, 0 to 16. With 0 each sample stands for its stretch of the ray, with one value and one
+    virtual : int, optional
+        Virtual samples between two of `step`, 0 to 16. By default 0, and as many as narrow bands of opacity need where `step` and
+        `tolerance` are left out, if there can be some. With 0 each sample stands for its stretch of the ray, with one value and one
         light. Else matter is that of the virtual ones: their values are Hermite's, from the values and slopes at both samples, and
         their gradients lie on the parabola through those of the last three, so that thin shells are smooth with any step. Of one
         volume in memory, with a filter that has a gradient.
@@ -267,7 +273,7 @@ class Composite(Mode):
     shading: bool = True
     termination: float = 1e-3
     cap: bool | None = None
-    virtual: int = 0
+    virtual: int | None = None
     tolerance: float | None = None
 
     name: ClassVar[str] = "composite"
@@ -286,7 +292,8 @@ class Composite(Mode):
         virtual: object = self.virtual  # shells and viewers have floats for all numbers of modes
         if isinstance(virtual, float) and virtual.is_integer():
             virtual = int(virtual)
-        _set(self, virtual=whole("virtual", virtual, minimum=0, maximum=16))
+        if virtual is not None:
+            _set(self, virtual=whole("virtual", virtual, minimum=0, maximum=MOST_VIRTUAL))
         if self.tolerance is not None:
             _set(self, tolerance=number("tolerance", self.tolerance, above=0, maximum=1))
         if self.virtual:
@@ -302,7 +309,7 @@ class Composite(Mode):
         return "the depth and normals of matter, which depend on transmittance" if guides else ""
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
-        return self.BLOCK(termination=self.termination, cap=self.capped, between=self.virtual)
+        return self.BLOCK(termination=self.termination, cap=self.capped, between=self.virtual or 0)
 
 
 @dataclass(frozen=True)
@@ -788,7 +795,7 @@ def colored_by(mode: Mode) -> str:
 
 def virtual_samples(mode: Mode) -> int:
     """How many there are between two samples of a ray, if matter is theirs; else 0."""
-    return int(getattr(mode, "virtual", 0))
+    return int(getattr(mode, "virtual", 0) or 0)
 
 
 def tolerance_of(mode: Mode) -> float | None:

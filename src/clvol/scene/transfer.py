@@ -22,13 +22,14 @@ from clvol.base.files import require_suffix, staged
 from clvol.base.scaling import exponent_of, scaled, unscaled
 from clvol.base.srgb import as_light
 from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.interop.dispatch import is_in_parts
 from clvol.scene.factor import Factors, as_factors
 from clvol.scene.points import points_of
 from clvol.scene.preset import as_preset, automatic, unit_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume, as_volume
 
-__all__ = ["FACTORS", "WORDS", "TransferFunction", "is_curve"]
+__all__ = ["FACTORS", "WORDS", "TransferFunction", "is_curve", "previewed"]
 
 WORDS = ("preset", "window", "cmap", "opacity")
 """Words by which a transfer function may be given: arguments of `clvol.scene.look.look`."""
@@ -157,7 +158,7 @@ class TransferFunction:
         `clim` is where opacity and colours reach their ends, as far as that shows no background; `clim`, (low, high), instead of
         it is where they begin and end.
         """
-        volume = as_volume(volume)
+        volume = previewed(volume)
         return TransferFunction(*automatic(volume, clim), unit_of(volume))
 
     @classmethod
@@ -174,7 +175,7 @@ class TransferFunction:
         ClvolWarning
             The preset is in Hounsfield units, but the data cannot be: its points are then spread over the volume's matter.
         """
-        volume = as_volume(volume)
+        volume = previewed(volume)
         return TransferFunction(*as_preset(name).points(volume), unit_of(volume))
 
     @property
@@ -247,6 +248,12 @@ class TransferFunction:
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
         """A copy with the same colours and other opacities."""
         return replace(self, opacities=opacities)  # type: ignore[arg-type]  # __post_init__ converts
+
+
+def previewed(volume: Volume | ArrayLike) -> Volume:
+    """The volume whose samples automatic functions are of: the preview of one that is read by parts."""
+    whole: Any = volume
+    return whole.preview() if is_in_parts(whole) else as_volume(volume)
 
 
 def is_curve(opacity: object) -> bool:

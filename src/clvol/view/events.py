@@ -41,7 +41,7 @@ KEYS: Mapping[str, str] = {
     "PageUp, PageDown": "next / previous slice",
     "+, -": "zoom",
     "[, ]": "roll by 15°",
-    "1 to 7": "the mode",
+    "1 to 9": "the mode",
     "x, y, z": "look along an axis; in slices: the slice across it",
     ", and .": "the previous / next of several volumes, along time if there are times",
     "f": "fit",

@@ -10,7 +10,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from clvol.base.errors import ClvolError
+from clvol.base.errors import ClvolError, OptionError
 from clvol.device import Device
 from clvol.filter.boundary import boundaries
 from clvol.filter.table import filters
@@ -53,6 +53,7 @@ _RANGES: Mapping[str, list[float]] = {
     "mu_water": [0.001, 0.1],
     "virtual": [0, 16],
 }
+_SCALES: Mapping[str, dict[str, Any]] = {"virtual": {"step": 1}, "tolerance": {"scale": "log"}, "mu_water": {"scale": "log"}}
 _KEPT = 64  # descriptions of volumes
 _BESIDE = ("gradient", "rays", "pixel_filter", "skipping")  # passed on, and in no state
 
@@ -94,6 +95,7 @@ class Resident:
         self.catalog.require(self.initial)
         if any(value is not None for value in self.initial.words.values()):
             self.transfer(self.initial)  # which only the volume can refuse
+        self._require_heard_light()
 
     @property
     def volume(self) -> Volume:
@@ -159,10 +161,8 @@ class Resident:
         transfer = given.get("transfer")
         if transfer and transfer.graded and not mode.grades:
             given = given | {"transfer": media.ungraded(transfer)}
-        graded = "gradient_opacity" in given.keys() - left_out or (transfer and transfer.graded)
-        graded = graded or any(one.factors or (one.transfer and one.transfer.graded) for one in self.catalog.media[1:])
-        smooth = "smooth" in self.beyond or any(medium.smooth for medium in self.catalog.media)
-        if smooth or graded:
+        graded = "gradient_opacity" in given.keys() - left_out or (transfer and transfer.graded) or self._others_graded
+        if graded or self._smooth:
             left_out |= {"shadow", "occlusion"}
         if several or "shadow" not in given.keys() - left_out:
             left_out |= {"shadow_rays"}
@@ -201,6 +201,24 @@ class Resident:
     def _ungraded(self) -> bool:
         """Whether the first medium's opacity depends on no gradient."""
         return bool(self.volume.is_labels or {"surfaces", "smooth"} & set(self.beyond))
+
+    @property
+    def _others_graded(self) -> bool:
+        return any(one.factors or (one.transfer and one.transfer.graded) for one in self.catalog.media[1:])
+
+    @property
+    def _smooth(self) -> bool:
+        return "smooth" in self.beyond or any(medium.smooth for medium in self.catalog.media)
+
+    def _require_heard_light(self) -> None:
+        """Raise `OptionError` for shadows of the first state that its picture would lack: light is stopped by values alone."""
+        state, dark = self.initial, [name for name in ("shadow", "occlusion") if getattr(self.initial, name)]
+        if dark and (mode := as_mode(state.mode, state.options)).shaded:
+            given = self.arguments(state)
+            graded = mode.grades and (given.get("gradient_opacity") or getattr(given.get("transfer"), "graded", 0))
+            if graded or self._others_graded or self._smooth:
+                what = "smooth surfaces of labels" if self._smooth and not graded else "opacity by the gradient or by curvature"
+                raise OptionError(f"{' and '.join(dark)} must be left out beside {what}: light is stopped by values alone")
 
     def placed(self, state: State, aspect: float) -> Camera:
         """The camera with its target, as a picture of this aspect ratio has it."""
@@ -263,6 +281,7 @@ class Resident:
                 volume = self.catalog.volume_at(Which(place))
                 described = _description(volume, self.name, self.catalog.axes(), self.catalog.labels(state))
                 described["media"] = media.described(self.catalog.media)
+                described["stops_light"] = not (self._others_graded or self._smooth)
                 while len(self._descriptions) >= _KEPT:
                     del self._descriptions[next(iter(self._descriptions))]
                 self._descriptions[place] = described
@@ -320,7 +339,7 @@ def _option(default: Any, name: str, says: str) -> dict[str, Any]:
         option["choices"] = _CHOICES[name]
     if name in _RANGES:
         option["range"] = _RANGES[name]
-    return option
+    return option | _SCALES.get(name, {})
 
 
 def _histogram(volume: Volume) -> tuple[list[int], list[float]]:

@@ -580,7 +580,7 @@ class State(_Checked):
     def changed(self, changes: Mapping[str, Any]) -> Self:
         """A copy with other values, in JSON, by dotted names such as "camera.zoom" or "options.isovalue".
 
-        A change of the mode drops options that are not given with it.
+        A change of the mode drops options that are not given with it; None leaves one open again.
 
         Raises
         ------
@@ -605,6 +605,8 @@ class State(_Checked):
                     raise OptionError(f"{name!s:.80} is no field; {key} has no parts of that name")
                 part, key = part[key], word
             part[key] = changes[name]
+            if part is result["options"] and part[key] is None:  # left open again
+                del part[key]
         return type(self).from_json(result)
 
 

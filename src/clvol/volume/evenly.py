@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakKeyDictionary
 
+import numpy as np
 from numpy.typing import NDArray
+
+from clvol.volume.steepness import steepness_at
 
 if TYPE_CHECKING:
     from clvol.volume.volume import Volume
@@ -27,6 +30,15 @@ class Evenly(NamedTuple):
     def steps(self) -> list[int]:
         """Samples of the grid from one to the next, along (x, y, z)."""
         return [-(-n // MOST) for n in self.grid.size]
+
+    @property
+    def steepness(self) -> NDArray[np.float64]:
+        """Magnitudes of gradients per world unit: by neighbours in the grid, or by neighbours among these if no others are here."""
+        if not np.may_share_memory(self.data, self.grid.data):
+            matrix = self.grid.world_to_index_matrix / np.array(self.steps)[:, None]
+            return steepness_at(self.data, [np.arange(n) for n in self.data.shape], matrix)
+        places = [np.arange(n)[place] for n, place in zip(self.grid.size, places_of(self.grid.size), strict=True)]
+        return steepness_at(self.grid.data, places[::-1], self.grid.world_to_index_matrix)
 
     @property
     def firsts(self) -> list[int]:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.scaling import exponent_of, scaled, unscaled
 from clvol.volume.evenly import evenly
+from clvol.volume.steepness import steepness_at
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = [
@@ -257,16 +258,9 @@ def slopes_of(volume: Volume) -> tuple[float, float]:
     """
     matter = matter_of(volume)
     step = max(1, round((volume.data.size / _SAMPLE) ** (1 / volume.ndim)))
-    ends = [(np.maximum(i - 1, 0), i, np.minimum(i + 1, n - 1)) for n in volume.shape for i in [np.arange(0, n, step)]]
-    middle = [own for _, own, _ in ends]
-    slopes = np.zeros((volume.ndim, *map(len, middle)))
-    for axis, (before, _, after) in enumerate(ends):
-        one, other = (volume.data[np.ix_(*middle[:axis], at, *middle[axis + 1 :])].astype(np.float64) for at in (before, after))
-        apart = np.maximum(after - before, 1).reshape(-1, *[1] * (volume.ndim - 1 - axis))
-        slopes[volume.ndim - 1 - axis] = (other - one) / apart
-    largest = float(np.max(np.abs(slopes), initial=0.0, where=np.isfinite(slopes))) or 1.0
-    steep = largest * np.sqrt((np.tensordot(volume.world_to_index_matrix.T, slopes / largest, 1) ** 2).sum(0))
-    shown = scaled(volume.data[np.ix_(*middle)], matter.exponent) - matter.origin
+    places = [np.arange(0, n, step) for n in volume.shape]
+    steep = steepness_at(volume.data, places, volume.world_to_index_matrix)
+    shown = scaled(volume.data[np.ix_(*places)], matter.exponent) - matter.origin
     shown = np.abs(shown) if matter.signed else matter.sign * shown
     steep = steep[np.isfinite(steep) & (shown >= matter.foot)]
     if not steep.size:

@@ -126,40 +126,52 @@ function toggle(label, changed, hint) {
   };
 }
 
-/** A number by slider and keyboard; `changed(value, live)`, live while the slider moves. */
-function slider(label, { low, high, step = "any" }, changed, hint) {
+/**
+ * A number by slider and keyboard; `changed(value, live)`, live while the slider moves. With `scale` "log" the slider stands at logarithms;
+ * with `open`, an emptied box is null: the session decides.
+ */
+function slider(label, { low, high, step = "any", scale = "linear", open = false }, changed, hint) {
   const range = make("input", { type: "range", min: low, max: high, step, "aria-label": label });
   const number = make("input", { type: "number", step: "any", "aria-label": `${label}, as a number` });
+  const [place, value] = scale === "log" ? [Math.log10, (at) => Number((10 ** at).toPrecision(2))] : [Number, Number];
   let held = false;
   let typing = false;
-  const moved = oncePerFrame((value) => changed(value, true));
+  const moved = oncePerFrame((to) => changed(to, true));
   range.addEventListener("pointerdown", () => (held = true));
   range.addEventListener("input", () => {
-    number.value = short(range.value);
-    moved(Number(range.value));
+    number.value = short(value(range.value));
+    moved(value(range.value));
   });
   range.addEventListener("change", () => {
     held = false;
     moved.drop();
-    changed(Number(range.value), false);
+    changed(value(range.value), false);
   });
   number.addEventListener("input", () => (typing = true));
   number.addEventListener("blur", () => (typing = false));
   number.addEventListener("change", () => {
     typing = false;
     if (number.value !== "" && Number.isFinite(Number(number.value))) changed(Number(number.value), false);
+    else if (open && number.validity.valid) changed(null, false);
   });
   const control = {
     element: make("div", { class: "clvol-row clvol-slider", title: hint }, make("span", {}, label), range, number),
     range,
-    limit(least, most) {
-      const by = step === "any" ? (most - least) / 200 || 1 : step; // with "any", arrow keys step by a whole unit
-      attributes(range, { min: least, max: most, step: by });
+    /** Without `reason` it is live; else it is not, and says why. */
+    unheard(reason) {
+      range.disabled = number.disabled = Boolean(reason);
+      control.element.title = reason || hint || "";
     },
-    show(value) {
+    limit(least, most) {
+      const [first, last] = [place(least), place(most)];
+      const by = step === "any" ? (last - first) / 200 || 1 : step; // with "any", arrow keys step by a whole unit
+      attributes(range, { min: first, max: last, step: by });
+    },
+    show(shown) {
       if (held || typing) return;
-      range.value = value ?? (Number(range.min) + Number(range.max)) / 2;
-      number.value = value === null || value === undefined ? "" : short(value, 5);
+      const unknown = shown === null || shown === undefined;
+      range.value = unknown ? (Number(range.min) + Number(range.max)) / 2 : place(shown);
+      number.value = unknown ? "" : short(shown, 5);
       number.placeholder = "auto";
     },
   };
@@ -1672,7 +1684,13 @@ class Panel {
     this.zoom.show(Math.log2(state.camera.zoom ?? 1));
     this.light.show(this.lightName(state.lights));
     for (const [name, control] of this.material) control.show(state.material?.[name] ?? MATERIAL[name][2]);
-    for (const [name, control] of this.dark) control.show(state[name]);
+    const factors = state.transfer?.gradient_opacity || state.transfer?.curvature_opacity;
+    const graded = state.mode === "composite" && (state.gradient_opacity > 0 || joint || factors);
+    const passes = graded || !viewer.info.stops_light ? "light is stopped by values alone: not beside Edges, or opacity by the gradient too" : "";
+    for (const [name, control] of this.dark) {
+      control.show(state[name]);
+      control.unheard(passes);
+    }
     this.rays.show(state.shadow_rays);
     this.linear.show(state.linear_light);
     this.background.show(state.background ?? [0, 0, 0]);
@@ -1724,7 +1742,7 @@ class Panel {
       return made;
     }
     const [low, high] = name === "isovalue" ? [edges[0], edges.at(-1)] : (about.range ?? [0, 1]);
-    return slider(name, { low, high }, change, about.help);
+    return slider(name, { low, high, step: about.step, scale: about.scale, open: true }, change, about.help);
   }
 
   /** `errors`: measured by the session for both filters. */
