@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion
 
 from clvol.base.uniform import FLOAT, INT, Block
 from clvol.device.program import LANES
@@ -287,6 +286,8 @@ class Shadows:
         places = _places(cells)
         found *= _share_there(cells, body, places)
         if matter.capped and matter.cuts != Cuts():
+            from scipy.ndimage import binary_erosion  # it takes a fifth of a second
+
             kept = matter.cuts.kept_share(places, cells.edge) > 0
             with device.buffers.mapped(values, cells.parts(0).shape, write=False) as corners:
                 inside = corners[1::2, 1::2, 1::2] >= coefficients.stored(min(matter.surfaces)[0])
