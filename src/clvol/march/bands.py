@@ -28,10 +28,10 @@ _IN_BAND = 2  # virtual samples in a band, at least
 def with_virtual(stage: Staged, source: Source, step: float | None) -> Staged:
     """A stage with the virtual samples that narrow bands need, where all of that is left open, and there can be some."""
     look = stage.look
-    open_ = step is None and stage.fine.tolerance is None and getattr(look.mode, "virtual", 0) is None
-    row = source.filter_of(look.mode)
-    possible = row.has_gradient and not (source.by_bricks or look.others or look.unsettled or look.central or look.transfer.graded)
-    if not (open_ and possible):
+    left_open = step is None and stage.fine.tolerance is None and getattr(look.mode, "virtual", 0) is None
+    if not left_open or source.by_bricks or look.others or look.unsettled or look.central or look.transfer.graded:
+        return stage
+    if not source.filter_of(look.mode).has_gradient:
         return stage
     step = stage.fine.step
     missed = look.once(("bands", step), lambda: max((c / (b - a) for a, b, c in narrow_bands(look, step) if a < b), default=0.0))

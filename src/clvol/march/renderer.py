@@ -233,8 +233,7 @@ class Renderer:
         DeviceError
             The device failed, or cannot do what its `limits` ask for: images, or paired fetches from a sampler that interpolates.
         OutOfMemoryError
-            The device has no room for the picture, the pyramid of minima and maxima, or the copy of the samples that "uncertainty"
-            takes.
+            The device has no room for the picture, the pyramid of minima and maxima, or the samples copied for "uncertainty".
 
         Warns
         -----

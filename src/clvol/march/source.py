@@ -332,8 +332,8 @@ class InMemory(OneMedium):
             key = steep if slopes or steep in self.pyramids else plain
             if key not in self.pyramids:
                 self.pyramids[key] = MinMax(field.coefficients, evaluator, names=names, slopes=slopes)
-            if key == steep:  # which has all that the plain one has: that goes with the last picture which is drawn with it
-                self.pyramids.pop(plain, None)
+            if key == steep and self.pyramids.pop(plain, None) is not None:
+                self.looks.clear()  # the plain one goes with the last picture which is drawn with it: this has all that it has
             return self.pyramids[key]
 
     def uncertainty(self, mode: Mode) -> Uncertainty:
