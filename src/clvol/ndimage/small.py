@@ -32,8 +32,10 @@ BY = ("scipy", "opencl")
 _OPERATIONS = 3 << 16
 """What SciPy computes in about the time in which kernels start: the weights of each element, and `_ELEMENT` more, and `_SAMPLE` for
 each sample and axis that is filtered."""
-_LINE = 8
-"""Times as many of one axis: kernels share work between cores by rows."""
+_LINE = 128
+"""Times as many of one axis: kernels share work between cores by rows, ..."""
+_POINTS = 16
+"""... and points wherever they are, of which that many times fewer are few."""
 _ELEMENT = 4
 _SAMPLE = 2
 _SHORT = 32
@@ -165,8 +167,10 @@ class Small:
             return None
         return None if plan is None else cls(given, plan.kind if into is None else into, cval, plan)
 
-    def few(self, count: int) -> bool:
+    def few(self, count: int, *, at_points: bool = False) -> bool:
         """Whether SciPy computes a result of so many elements."""
+        if at_points and self.data.ndim == 1:
+            count = _POINTS * (count + (self.data.size // _ELEMENT if self.plan.filtered and count else 0))
         return 0 < count <= self.plan.most
 
     def map_coordinates(self, coordinates: Any) -> Array | None:
@@ -181,7 +185,7 @@ class Small:
         ndim = self.data.ndim
         if coordinates.dtype not in _KNOWN or coordinates.ndim < 2 or len(coordinates) != ndim:
             return None
-        if not self.few(coordinates.size // ndim) or not _finite(coordinates):
+        if not self.few(coordinates.size // ndim, at_points=True) or not _finite(coordinates):
             return None
         if type(self.output) is np.ndarray and np.may_share_memory(coordinates, self.output):
             return None
@@ -193,7 +197,7 @@ class Small:
         If an answer is not as SciPy needs it, `mapping` will be asked once more.
         """
         shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
-        if not shape or prod(shape) > _SINGLE or not self.few(prod(shape)):
+        if not shape or prod(shape) > _SINGLE or not self.few(prod(shape), at_points=True):
             return None
 
         def sound(index: tuple[int, ...]) -> Sequence[float]:
@@ -207,7 +211,7 @@ class Small:
     def positions(self, mapping: Callable[..., Sequence[float]], output_shape: Any) -> _Floats | None:
         """Where a function of the index says, as `map_coordinates` takes them."""
         shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
-        if not shape or not self.few(prod(shape)):
+        if not shape or not self.few(prod(shape), at_points=True):
             return None
         answers = list(map(mapping, itertools.product(*map(range, shape))))
         return as_rows(answers, ndim).T.reshape(ndim, *shape)
