@@ -81,7 +81,13 @@ kernel void extinction(global const float *values, const int4 many, global const
             }
 #else
             const float top = (high - first) * scale, width = MAX((high - low) * scale, 1.0f);
-            sum += (exponents_up_to(matter, many, top) - exponents_up_to(matter, many, top - width)) / width;
+            // past the ends by themselves: differences of large numbers have no digits left
+            if (top - width >= (float)(many.w - 3))
+                sum += matter[many.w - 1] - matter[many.w - 2];
+            else if (top <= 0.0f)
+                sum += matter[1] - matter[0];
+            else
+                sum += (exponents_up_to(matter, many, top) - exponents_up_to(matter, many, top - width)) / width;
 #endif
         }
         result[((size_t)z * many.y + y) * many.x + x] = 0.125f * sum;

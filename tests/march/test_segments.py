@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import weakref
 from dataclasses import replace
@@ -173,6 +174,7 @@ def test_even_matter_is_skipped(device: Device) -> None:
         renderer.render(size=(8, 8), rays=1)
         (plain,) = map(weakref.ref, renderer._source.pyramids.values())
         got = renderer.render(mode="composite", size=(60, 45), transfer=transfer, outputs="visited")
+        gc.collect()
         assert plain() is None
     assert np.mean(got[np.isfinite(got)]) < 0.25
 

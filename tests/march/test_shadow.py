@@ -90,7 +90,13 @@ def test_light_is_that_of_the_function(device: Device) -> None:
 
 
 @pytest.mark.parametrize(
-    "points", [[(1.0, 0.0), (1.0, 0.5)], [(0.0, 0.0), (1.0, 0.0), (1.0, 0.5)], [(-1e6, 0.0), (1.0, 0.0), (1.0, 0.5), (1e6, 0.5)]]
+    "points",
+    [
+        [(1.0, 0.0), (1.0, 0.5)],
+        [(1.0, 0.0), (1.0001, 0.5)],
+        [(0.0, 0.0), (1.0, 0.0), (1.0, 0.5)],
+        [(-1e6, 0.0), (1.0, 0.0), (1.0, 0.5), (1e6, 0.5)],
+    ],
 )
 def test_a_jump_of_opacity_stops_light_above_it_alone(device: Device, points: list[tuple[float, float]]) -> None:
     """Wherever the function's other points are; the value of the jump has the opacity before it, as in pictures."""

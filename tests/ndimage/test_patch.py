@@ -291,3 +291,15 @@ def test_a_missing_script(tmp_path: Path) -> None:
 
 def test_the_package_is_available_without_an_import() -> None:
     assert clvol.ndimage.patched is patched
+
+
+def test_a_mapping_is_asked_once_for_each_element() -> None:
+    asked: list[tuple[int, ...]] = []
+
+    def mapping(index: tuple[int, ...]) -> list[float]:
+        asked.append(index)
+        return [index[0] + 0.5]
+
+    found = clvol.ndimage.geometric_transform(np.arange(8.0) ** 2, mapping, output_shape=(4,))
+    assert asked == [(0,), (1,), (2,), (3,)]
+    np.testing.assert_allclose(found, scipy.ndimage.shift(np.arange(8.0) ** 2, -0.5)[:4], atol=1e-12)

@@ -12,8 +12,7 @@ import numpy as np
 from clvol.scene.mode import MOST_VIRTUAL
 
 if TYPE_CHECKING:
-    from clvol.march.options import ResolvedLook
-    from clvol.march.recipe import Staged
+    from clvol.march.options import Fineness, ResolvedLook
     from clvol.march.source import Source
     from clvol.volume.volume import Volume
 
@@ -25,21 +24,24 @@ _PASSES = 8
 _IN_BAND = 2  # virtual samples in a band, at least
 
 
-def with_virtual(stage: Staged, source: Source, step: float | None) -> Staged:
-    """A stage with the virtual samples that narrow bands need, where all of that is left open, and there can be some."""
-    look = stage.look
-    left_open = step is None and stage.fine.tolerance is None and getattr(look.mode, "virtual", 0) is None
+def with_virtual(look: ResolvedLook, source: Source, fine: Fineness, step: float | None) -> ResolvedLook:
+    """A look with the virtual samples that narrow bands need, where all of that is left open, and there can be some.
+
+    `step`: the one that was asked for, if one was.
+    """
+    left_open = step is None and fine.tolerance is None and getattr(look.mode, "virtual", 0) is None
     if not left_open or source.by_bricks or look.others or look.unsettled or look.central or look.transfer.graded:
-        return stage
+        return look
     if not source.filter_of(look.mode).has_gradient:
-        return stage
-    step = stage.fine.step
-    missed = look.once(("bands", step), lambda: max((c / (b - a) for a, b, c in narrow_bands(look, step) if a < b), default=0.0))
-    if missed <= 1:
-        return stage
+        return look
+    found = look.once(("virtual", fine.step), lambda: _with_virtual(look, fine.step))
+    return look if found is None else found.seen_by(look.camera)
+
+
+def _with_virtual(look: ResolvedLook, step: float) -> ResolvedLook | None:
+    missed = max((change / (last - first) for first, last, change in narrow_bands(look, step) if first < last), default=0.0)
     between: dict[str, Any] = {"virtual": min(MOST_VIRTUAL, math.ceil(_IN_BAND * missed))}
-    mode = replace(look.mode, **between)
-    return stage._replace(look=replace(look, mode=mode), drawn=replace(stage.drawn, mode=mode))
+    return replace(look, mode=replace(look.mode, **between)) if missed > 1 else None
 
 
 def narrow_bands(look: ResolvedLook, step: float) -> Iterator[tuple[float, float, float]]:

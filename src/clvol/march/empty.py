@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import warn
-from clvol.march.bands import narrow_bands
+from clvol.march.bands import narrow_bands, with_virtual
 from clvol.march.options import WORDS, Fineness, chosen_mode
 from clvol.march.recipe import look_of
 from clvol.scene.clip import Cuts, cuts_of
@@ -60,7 +60,8 @@ def warn_of_refined(
     """Warn of the last picture by `Renderer.refine` as `render` warns of its own."""
     source, chosen = renderer._source, chosen_mode(mode, options)
     fine = Fineness.of(chosen, picture.shape[1::-1], step, options)  # type: ignore[arg-type]
-    warn_if_empty(look_of(source, camera, chosen, options), fine, source, options, picture)  # type: ignore[arg-type]  # by name
+    look = with_virtual(look_of(source, camera, chosen, options), source, fine, step)  # type: ignore[arg-type]  # by name
+    warn_if_empty(look, fine, source, options, picture)
 
 
 def _alike(look: ResolvedLook, limits: tuple[float, float] | None, given: bool) -> str:

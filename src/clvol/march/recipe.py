@@ -17,6 +17,7 @@ from clvol.base.errors import FormatError, OptionError
 from clvol.base.srgb import on
 from clvol.filter import boundary
 from clvol.filter import filter as filters
+from clvol.march.bands import with_virtual
 from clvol.march.options import OF_SCENE, ResolvedLook
 from clvol.march.refine import Refined
 from clvol.scene import camera, clip, joint, light, mode, scene, transfer
@@ -257,12 +258,15 @@ def look_of(source: Source, seen_by: camera.Camera | None, shown_in: mode.Mode, 
     return found if seen_by is None or seen_by is found.camera else found.seen_by(seen_by)
 
 
-def staged(source: Source, camera: camera.Camera | None, mode: mode.Mode, fine: Fineness, options: RefineOptions) -> Staged:
-    """A look with its camera in place; with the box in view, if there is one and the place was left open; on white for print.
+def staged(
+    source: Source, camera: camera.Camera | None, mode: mode.Mode, fine: Fineness, options: RefineOptions, step: float | None
+) -> Staged:
+    """A look with its camera in place; with the box in view, if there is one and the place was left open; on white for print;
+    with the virtual samples that narrow bands need, if no `step` was asked for.
 
     `OptionError` if what is wanted around the picture does not apply to it, `MissingDependencyError` without matplotlib.
     """
-    look = look_of(source, camera, mode, options)
+    look = with_virtual(look_of(source, camera, mode, options), source, fine, step)
     around: Mapping[str, Any] = options
     given = {name: around[name] for name in Furniture.__dataclass_fields__ if around.get(name) is not None}
     furniture = Furniture(**given) if given else None

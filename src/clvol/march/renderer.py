@@ -12,7 +12,6 @@ from clvol.base.checks import number, suggests_options
 from clvol.base.errors import OptionError
 from clvol.base.kept import Kept
 from clvol.base.progress import part_of, require_callback, watched
-from clvol.march.bands import with_virtual
 from clvol.march.choose import source_of
 from clvol.march.empty import warn_if_empty
 from clvol.march.options import OUTPUTS, Fineness, Output, PictureOptions, RendererOptions, as_outputs, chosen_mode, require_room
@@ -257,8 +256,7 @@ class Renderer:
             require_room(fine.size, wanted, edges=fine.rays == "auto")
             uncertainty = self._source.uncertainty(chosen) if noise else None
             shown = watched("the picture", progress)
-            stage = with_virtual(staged(self._source, camera, chosen, fine, options), self._source, step)
-            stage = with_step(stage, self._source, part_of(shown, 0, 0))
+            stage = with_step(staged(self._source, camera, chosen, fine, options, step), self._source, part_of(shown, 0, 0))
             pictures = self._source.draw(moving(self._source, stage.drawn, wanted), stage.fine, wanted != ("rgba",), shown)
             if "rgba" in wanted or chosen.shows != "integral":  # an integral of 0 is an answer, not an empty picture
                 warn_if_empty(stage.drawn, fine, self._source, options, pictures["rgba"])
@@ -343,7 +341,7 @@ class Renderer:
             self._source.require_heard(chosen, options)
             fine = Fineness.of(chosen, size, step, options)
             require_room(fine.size, ("rgba",), edges=fine.rays == "auto")
-            stage = with_virtual(staged(self._source, camera, chosen, fine, options), self._source, step)
+            stage = staged(self._source, camera, chosen, fine, options, step)
             return refined(stage, self._source, Asked(seconds, cancelled, progress, began))
 
 

@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from clvol.march.options import ResolvedLook
     from clvol.scene.scene import Scene
     from clvol.spline.coefficients import Coefficients, Whole
-    from clvol.volume.stored import Stored
     from clvol.volume.volume import Volume
 
 __all__ = [
@@ -86,6 +85,7 @@ _MOST_CELLS = 80**3  # of about a third of 256 samples
 _LONGEST = 256  # cells along an axis: lights from the side sweep planes of all lengths
 _DIRECTIONS = 48
 _NODES = 4096  # of the integral of extinction over values
+_LABELS = 1 << 20  # numbers of labels, of each of which extinction is known
 _KEPT = 4  # fields
 _BUNDLE = 8  # vectors of shadow.cl
 _PARTS = 2  # of a cell along an axis
@@ -130,6 +130,9 @@ class Body(NamedTuple):
             resample_coefficients(coefficients, how, *between(coefficients.volume, grid), grid.shape, buffer)
 
         return cls(matter, coefficients, write, gaps)
+
+
+_There: TypeAlias = tuple[NDArray[np.float32] | np.float32, NDArray[np.bool_] | None]
 
 
 class Cells(NamedTuple):
@@ -254,13 +257,18 @@ class Shadows:
             self._cells = volumes, Cells.over(volumes)
         return self._cells[1]
 
-    def extinction(self, cells: Cells, body: Body, way: tuple[float, ...] | None = None) -> NDArray[np.float32]:
+    def extinction(
+        self, cells: Cells, body: Body, way: tuple[float, ...] | None = None, there: _There | None = None
+    ) -> NDArray[np.float32]:
         """The mean extinction of each cell, [z, y, x], in base-2 exponents for each world unit; of surfaces that for light of a
         direction, or for light along their normals everywhere.
+
+        `there`: which cells are, if that is known.
         """
         device, (nx, ny, nz), coefficients, matter = self._device, cells.nodes.size, body.coefficients, body.matter
         values, limits = self._values_of(cells, body)
-        numbers, count, first, scale = _integral(matter, coefficients.stored, cells.edge, limits)
+        share, caps = there or self._there(cells, body)
+        numbers, count, first, scale = _integral(matter, coefficients, cells.edge, limits)
         slopes = (cells.nodes.world_to_index_matrix * _PARTS).astype(np.float32)
         defines = {
             "LANES": LANES,
@@ -283,16 +291,25 @@ class Shadows:
                 np.array([*(way or (0, 0, 0)), 0], np.float32),
                 result,
             )
-        places = _places(cells)
-        found *= _share_there(cells, body, places)
-        if matter.capped and matter.cuts != Cuts():
-            from scipy.ndimage import binary_erosion  # it takes a fifth of a second
-
-            kept = matter.cuts.kept_share(places, cells.edge) > 0
-            with device.buffers.mapped(values, cells.parts(0).shape, write=False) as corners:
-                inside = corners[1::2, 1::2, 1::2] >= coefficients.stored(min(matter.surfaces)[0])
-            found[kept & inside & ~binary_erosion(kept, border_value=1)] = OPAQUE / cells.edge
+        found *= share
+        if caps is not None:
+            found[caps] = OPAQUE / cells.edge
         return found
+
+    def _there(self, cells: Cells, body: Body) -> _There:
+        """The share of each cell that is there and not cut away, and the cells of caps, if there are some."""
+        matter, share = body.matter, _share_there(cells, body)
+        if matter.cuts == Cuts():
+            return share, None
+        kept = matter.cuts.kept_share(_places(cells), cells.edge).astype(np.float32)
+        if not matter.capped:
+            return share * kept, None
+        from scipy.ndimage import binary_erosion  # it takes a fifth of a second
+
+        with self._device.buffers.mapped(self._values_of(cells, body)[0], cells.parts(0).shape, write=False) as corners:
+            inside = corners[1::2, 1::2, 1::2] >= body.coefficients.stored(min(matter.surfaces)[0])
+        outermost = (kept > 0) & ~binary_erosion(kept > 0, border_value=1)
+        return share * kept, outermost & inside & (share > 0)
 
     def _values_of(self, cells: Cells, body: Body) -> tuple[Any, tuple[float, float]]:
         """Stored values at the corners of parts of cells, and the smallest and the largest of them."""
@@ -310,12 +327,12 @@ class Shadows:
         self, cells: Cells, bodies: Sequence[Body], directions: Sequence[tuple[float, ...]], *, occlusion: bool
     ) -> NDArray[np.float32]:
         """The channels of all nodes: what is left of light from each direction, then that from everywhere."""
-        sheets = [body for body in bodies if body.matter.surfaces]
+        sheets = [(body, self._there(cells, body)) for body in bodies if body.matter.surfaces]
         matter = [self.extinction(cells, body) for body in bodies if not body.matter.surfaces]
         to_nodes, channels = cells.nodes.world_to_index_matrix, []
 
         def sweeps(way: tuple[float, ...] | None) -> _Sweeps:
-            each = [*matter, *(self.extinction(cells, body, way) for body in sheets)]
+            each = [*matter, *(self.extinction(cells, body, way, there) for body, there in sheets)]
             return _Sweeps(self._device, np.pad(np.sum(each, 0), BEYOND))
 
         for alike in [(way,) for way in directions] if sheets else [tuple(directions)] * bool(directions):
@@ -345,21 +362,19 @@ def _places(cells: Cells) -> NDArray[np.float64]:
     return cells.nodes.index_to_world(np.stack([x, y, z], -1).reshape(-1, 3)).reshape(*x.shape, 3)
 
 
-def _share_there(cells: Cells, body: Body, points: NDArray[np.float64]) -> NDArray[np.float32] | float:
-    """The share of each cell that is in the function's domain and not cut away, and whose samples are there."""
-    nodes, volume, cuts = cells.nodes, body.coefficients.volume, body.matter.cuts
+def _share_there(cells: Cells, body: Body) -> NDArray[np.float32] | np.float32:
+    """The share of each cell that is in the function's domain, and whose samples are there."""
+    nodes, volume = cells.nodes, body.coefficients.volume
     share: Any = np.float32(1) if body.gaps is None else _samples_there(cells, volume, body.gaps)
     low, high = np.full(3, -0.5), np.asarray(volume.size) - 0.5
     ends = volume.world_to_index(nodes.corners)
-    within = bool(((ends > low - _SLACK) & (ends < high + _SLACK)).all())
-    if within and cuts == Cuts():
+    if ((ends > low - _SLACK) & (ends < high + _SLACK)).all():
         return share  # type: ignore[no-any-return]
-    if not within:
-        matrix, _ = between(volume, nodes)
-        share = share * Cuts((triple(low), triple(high))).kept_share(
-            volume.world_to_index(points.reshape(-1, 3)).reshape(points.shape), np.abs(matrix).sum(1)
-        )
-    return (share * cuts.kept_share(points, cells.edge)).astype(np.float32)  # type: ignore[no-any-return]
+    points, (matrix, _) = _places(cells), between(volume, nodes)
+    within = Cuts((triple(low), triple(high))).kept_share(
+        volume.world_to_index(points.reshape(-1, 3)).reshape(points.shape), np.abs(matrix).sum(1)
+    )
+    return (share * within).astype(np.float32)  # type: ignore[no-any-return]
 
 
 def _samples_there(cells: Cells, volume: Volume, gaps: Gaps) -> NDArray[np.float32]:
@@ -378,23 +393,32 @@ def _samples_there(cells: Cells, volume: Volume, gaps: Gaps) -> NDArray[np.float
 
 
 def _integral(
-    matter: Matter, stored: Stored, edge: float, limits: tuple[float, float]
+    matter: Matter, coefficients: Coefficients | Whole, edge: float, limits: tuple[float, float]
 ) -> tuple[NDArray[np.float32], int, float, float]:
     """The integral of the extinction over stored values at equal nodes, how many, the second and nodes for each value; of surfaces
     their values and exponents, and how many there are.
     """
+    stored = coefficients.stored
     if matter.surfaces:
         pairs = [(float(stored(value)), min(exponent(opacity), OPAQUE)) for value, opacity in matter.surfaces]
         return np.array(pairs, np.float32).ravel(), len(pairs), 0.0, 0.0
     at, opacities = (np.array(numbers, np.float64) for numbers in zip(*matter.opacities, strict=True))
     at = stored(at)
+    if coefficients.volume.is_labels and limits[1] - limits[0] < _LABELS:  # exactly that of each, whose name counts from a half
+        extinction = _extinction(np.interp(np.arange(limits[0], limits[1] + 1), at, opacities), matter, edge)
+        integral = np.concatenate([[0, 0], np.cumsum(extinction)])
+        return integral.astype(np.float32), len(integral), limits[0] - 0.5, 1.0
     low, high = np.clip(limits, at[0], at[-1])
     width = (high - low or limits[1] - limits[0] or 1e-3 * (1 + abs(low))) / (_NODES - 3)
     nodes = low + width * np.arange(-1, _NODES - 1)  # up to a node past each end
     ends = np.sort(np.concatenate([nodes, at[(at > nodes[0]) & (at < nodes[-1])]]))
-    extinction = np.minimum(exponent(np.interp((ends[1:] + ends[:-1]) / 2, at, opacities)) / matter.unit, OPAQUE / edge)
+    extinction = _extinction(np.interp((ends[1:] + ends[:-1]) / 2, at, opacities), matter, edge)
     integral = np.append(0, np.cumsum(extinction * np.diff(ends)))
     return (np.interp(nodes, ends, integral) / width).astype(np.float32), _NODES, float(low), 1 / float(width)
+
+
+def _extinction(opacities: NDArray[np.float64], matter: Matter, edge: float) -> NDArray[np.float64]:
+    return np.asarray(np.minimum(exponent(opacities) / matter.unit, OPAQUE / edge))
 
 
 def exponent(opacity: Any) -> Any:

@@ -82,7 +82,7 @@ class Source(ABC):
         self.shown = field
         self.lease = Lease(_CLOSED)
         self._lock = threading.RLock()  # a signal handler may re-enter
-        self.looks: Kept[ResolvedLook] = Kept()
+        self.looks: Kept[ResolvedLook] = Kept(4)  # they hold what pictures need, such as shadows
         self.lease.frees(self.looks.clear)
         self._unsmoothed: Any = None
         self._levels: dict[tuple[int, str, bool], BrickedField] = {}

@@ -157,9 +157,10 @@ def geometric_transform(
     extra = extra_keywords or {}
     call = (lambda index: mapping(index, *extra_arguments, **extra)) if extra_arguments or extra else mapping
     little = plain(small, nan, precision, device, progress, chunks) and Small.of(input, output, order, mode, cval, prefilter)
-    if little and (done := little.geometric_transform(call, output_shape)) is not None:
+    answers: list[Sequence[float]] = []
+    if little and (done := little.geometric_transform(call, output_shape, answers)) is not None:
         return done
-    if little and (at := little.positions(call, output_shape)) is not None:
+    if little and (at := little.positions(call, output_shape, answers)) is not None:
         if (done := little.map_coordinates(at)) is not None:
             return done
         return map_coordinates(input, at, output, order, mode, cval, prefilter)

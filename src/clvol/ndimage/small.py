@@ -33,9 +33,9 @@ _OPERATIONS = 3 << 16
 """What SciPy computes in about the time in which kernels start: the weights of each element, and `_ELEMENT` more, and `_SAMPLE` for
 each sample and axis that is filtered."""
 _LINE = 128
-"""Times as many of one axis: kernels share work between cores by rows, ..."""
+"""Times as many of one axis: kernels share work between cores by rows."""
 _POINTS = 16
-"""... and points wherever they are, of which that many times fewer are few."""
+"""Times fewer of these at given points, which kernels share between cores too."""
 _ELEMENT = 4
 _SAMPLE = 2
 _SHORT = 32
@@ -191,30 +191,34 @@ class Small:
             return None
         return self._by("map_coordinates", coordinates)
 
-    def geometric_transform(self, mapping: Callable[..., Sequence[float]], output_shape: Any) -> Array | None:
+    def geometric_transform(
+        self, mapping: Callable[..., Sequence[float]], output_shape: Any, answers: list[Sequence[float]]
+    ) -> Array | None:
         """As `clvol.ndimage.geometric_transform`, of few elements; of more `positions` are sooner there.
 
-        If an answer is not as SciPy needs it, `mapping` will be asked once more.
+        `answers` are filled, for those if an answer is not as SciPy needs it.
         """
         shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
         if not shape or prod(shape) > _SINGLE or not self.few(prod(shape), at_points=True):
             return None
 
         def sound(index: tuple[int, ...]) -> Sequence[float]:
-            at = mapping(index)
+            answers.append(at := mapping(index))
             if type(at) is not tuple or len(at) != ndim or not all(map(isfinite, at)):
                 raise ValueError
             return at
 
         return self._by("geometric_transform", sound, shape)
 
-    def positions(self, mapping: Callable[..., Sequence[float]], output_shape: Any) -> _Floats | None:
-        """Where a function of the index says, as `map_coordinates` takes them."""
+    def positions(
+        self, mapping: Callable[..., Sequence[float]], output_shape: Any, answers: list[Sequence[float]]
+    ) -> _Floats | None:
+        """Where a function of the index says, as `map_coordinates` takes them; its first `answers` are there."""
         shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
         if not shape or not self.few(prod(shape), at_points=True):
             return None
-        answers = list(map(mapping, itertools.product(*map(range, shape))))
-        return as_rows(answers, ndim).T.reshape(ndim, *shape)
+        rest = itertools.islice(itertools.product(*map(range, shape)), len(answers), None)
+        return as_rows([*answers, *map(mapping, rest)], ndim).T.reshape(ndim, *shape)
 
     def affine_transform(self, matrix: Any, offset: Any, output_shape: Any) -> Array | None:
         """As `clvol.ndimage.affine_transform`."""

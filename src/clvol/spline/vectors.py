@@ -257,7 +257,8 @@ class VectorField(Leased):
         seeds : array-like, shape (m, d)
             World positions (x, y) or (x, y, z). One outside the domain is a curve of no points.
         step : float, optional
-            A fixed step in world units. By default steps are chosen for the tolerance, up to half a voxel.
+            A fixed step in world units; a line ends up to one of them inside the domain. By default steps are chosen for the
+            tolerance, up to half a voxel.
         tolerance : float
             The estimated error of a chosen step, in voxels (of the smallest spacing).
         length : float, optional
