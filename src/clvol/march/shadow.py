@@ -317,7 +317,6 @@ class Shadows:
         if key not in self._values:
             corners = cells.parts(0)
             made = buffers.allocate(4 * math.prod(corners.shape))
-            self._values[key] = made, (0.0, 0.0)
             body.on(corners, made)
             with buffers.mapped(made, corners.shape, write=False) as values:
                 self._values[key] = made, (float(values.min()), float(values.max()))

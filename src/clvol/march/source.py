@@ -152,8 +152,8 @@ class Source(ABC):
             return None
         looks = look, *look.others
         volumes = [one.scene.media[0].volume for one in looks]
-        opaque = [one for one in looks if not one.mode.regions]  # these let all light through
-        return self._shadows.of(scene, volumes, lambda edge: [self.part(one.scene.media[0]).body(one, edge) for one in opaque])
+        casting = [one for one in looks if not one.mode.regions]  # regions let all light through
+        return self._shadows.of(scene, volumes, lambda edge: [self.part(one.scene.media[0]).body(one, edge) for one in casting])
 
     @property
     def limits(self) -> tuple[float, float] | None:
