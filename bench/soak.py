@@ -2,17 +2,18 @@
 
     python -m bench.soak --minutes N [--threads T] [--seed S] [--new SHARE] [--output FILE]
 
-Each deed of deeds.py gives the same result, to the last bit, for the same seed. The deeds of a catalogue are computed in
-advance, one after the other in the single thread of another process, then repeated by all threads of this one; some draws use
-new seeds, which the other process computes afterwards. From time to time all threads pause, and the process's resources are
-counted: resident memory, open descriptors, threads, files left behind, and buffers on the device. After a first quarter, in
-which caches fill, the median of the last third must not exceed that of the first: memory by 2 % or 20 MB at most, all else not
-at all. Memory is judged in runs of ten minutes or more, the time that caches need to fill, and of ``--new 0``: runtimes keep
-some memory of each program that they build (PoCL 3.0: 16 kB of one with 140 kB of text, even from its cache), and new arguments
-need new programs. Without new ones all programs are kept; otherwise the 128 most recently used are. With glibc, free heap memory
-is returned before memory is counted: how much of it remains depends on the mix of threads' requests, not on what is held. The
-resident memory before that is recorded too. Exit status 1 means that a result changed, a foreign exception occurred, or
-something grew; 2 that a deed did not finish.
+Each deed of deeds.py gives the same result, to the last bit, for the same seed. The deeds of a catalogue are computed in advance,
+one after the other in the single thread of another process, then repeated by all threads of this one; some draws use new seeds,
+which the other process computes afterwards. From time to time all threads pause, and the process's resources are counted: resident
+memory, open descriptors, threads, files left behind, and buffers on the device. After a first quarter, in which caches fill, the
+median of resident memory of the last third must not exceed that of the first by more than 2 % or 20 MB. All else must come back to
+what it was: the least of the last third must not exceed the most of the first, for renderers keep the buffers of their last frame,
+more for some modes than for others. Memory is judged in runs of ten minutes or more, the time that caches need to fill, and of
+``--new 0``: runtimes keep some memory of each program that they build (PoCL 3.0: 16 kB of one with 140 kB of text, even from its
+cache), and new arguments need new programs. Without new ones all programs are kept; otherwise the 128 most recently used are. With
+glibc, free heap memory is returned before memory is counted: how much of it remains depends on the mix of threads' requests, not
+on what is held. The resident memory before that is recorded too. Exit status 1 means that a result changed, a foreign exception
+occurred, or something grew; 2 that a deed did not finish.
 
 Kernels are rebuilt in a temporary cache unless POCL_CACHE_DIR names one.
 """
@@ -269,11 +270,25 @@ def grown(samples: Sequence[dict[str, float]]) -> dict[str, dict[str, Any]]:
     rows: dict[str, dict[str, Any]] = {}
     for name in HELD:
         if all(name in sample for sample in steady) and steady:
-            first, last = (median(s[name] for s in part) for part in (steady[:third], steady[-third:]))
-            slack = max(_SLACK, _SLACK_SHARE * first) if name == "resident" else 0.0
+            firsts, lasts = ([s[name] for s in part] for part in (steady[:third], steady[-third:]))
+            first, last = median(firsts), median(lasts)
+            grew = last > first + max(_SLACK, _SLACK_SHARE * first) if name == "resident" else min(lasts) > max(firsts)
             most = max(sample[name] for sample in samples)
-            rows[name] = {"what": HELD[name], "first": first, "last": last, "most": most, "grew": last > first + slack}
+            rows[name] = {"what": HELD[name], "first": first, "last": last, "most": most, "grew": grew}
     return rows
+
+
+def warm(world: Any) -> None:
+    """Ask everything that threads share once, so that it keeps what it will: draws of new arguments come to some of it late."""
+    from bench.deeds import MODES
+
+    for renderer in world.renderers:
+        for mode in MODES:
+            renderer.render(mode=mode, size=(16, 16))
+    for field in world.fields:
+        field([[1, 1, 1]])
+    for interpolator in world.interpolators:
+        interpolator([[1, 1, 1]])
 
 
 def _catalogue(
@@ -369,6 +384,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     catalogue, refusals = _catalogue(reference, options.without, options.quick, console)
     world = World(folder, options.quick)
     soak = Soak(world, reference, catalogue, options.seed, options.new)
+    warm(world)
     for _ in range(options.threads):  # else a second one would start when two threads first read files concurrently
         worker.prepare(())
     samples = soak.run(60 * options.minutes, options.threads, buffers)

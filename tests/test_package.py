@@ -192,7 +192,7 @@ def test_the_wheel_contains_what_runs(archives: tuple[Path, Path]) -> None:
     assert modules <= names
     assert {f"clvol/cl/{kernel}" for kernel in KERNELS} <= names
     assert KERNELS
-    assert {f"clvol/view/hosts/static/{name}" for name in ("index.html", "clvol.js", "clvol.css")} <= names
+    assert {f"clvol/view/hosts/static/{path.name}" for path in (ROOT / "src/clvol/view/hosts/static").iterdir()} <= names
     assert "clvol/py.typed" in names
     assert f"{info}/licenses/LICENSE" in names
     assert all(name.startswith(("clvol/", info)) for name in names)

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from importlib import resources
 from typing import Any
 
 from clvol.base.errors import MissingDependencyError, OptionError
+from clvol.view.hosts.assets import asset
 from clvol.view.protocol import Receiver, SessionFactory
 
 try:
@@ -30,15 +30,11 @@ _MOST_CLIENTS = 8  # places that show one widget: a page that is reloaded does n
 _LONGEST_NAME = 64
 
 
-def _static(name: str) -> str:
-    return (resources.files("clvol.view.hosts") / "static" / name).read_text(encoding="utf-8")
-
-
 class Widget(anywidget.AnyWidget):
     """A view as a widget; `close` ends its sessions."""
 
-    _esm = _static("clvol.js")
-    _css = _static("clvol.css")
+    _esm = asset("clvol.js")
+    _css = asset("clvol.css")
 
     def __init__(self, view: SessionFactory) -> None:
         super().__init__()

@@ -20,7 +20,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
@@ -28,6 +27,7 @@ from clvol.base.checks import whole
 from clvol.base.errors import ClvolError, MissingDependencyError, OptionError
 from clvol.view.background import Result, started
 from clvol.view.hosts.access import Access, Refused, from_another_site, is_any, is_loopback
+from clvol.view.hosts.assets import asset
 from clvol.view.hosts.outbox import Limits, Outbox, Rate
 from clvol.view.protocol import Message, Receiver, SessionFactory, status
 
@@ -425,9 +425,8 @@ class Server:
 
 def _static() -> Mapping[str, tuple[bytes, str]]:
     """The page's files by name, read once: requests choose only from these."""
-    folder = resources.files("clvol.view.hosts") / "static"
     kinds = {"clvol.js": "text/javascript", "clvol.css": "text/css", "index.html": "text/html"}
-    return {name: ((folder / name).read_bytes(), f"{kind}; charset=utf-8") for name, kind in kinds.items()}
+    return {name: (asset(name).encode(), f"{kind}; charset=utf-8") for name, kind in kinds.items()}
 
 
 def _headers(ancestors: list[str]) -> Mapping[str, str]:

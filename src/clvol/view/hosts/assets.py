@@ -1,0 +1,17 @@
+"""The page's files, as hosts give them to browsers."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+__all__ = ["asset"]
+
+# parts of one module: notebooks take a single file. What is used while a part is read stands in one before it
+_PARTS = ("controls", "pane", "transfer", "joint", "wiper", "panel", "viewer", "mount")
+
+
+def asset(name: str) -> str:
+    """The text of a file of the page: ``index.html``, ``clvol.css``, or ``clvol.js``, which its parts are joined to."""
+    folder = resources.files("clvol.view.hosts") / "static"
+    names = [f"{part}.js" for part in _PARTS] if name == "clvol.js" else [name]
+    return "\n".join((folder / part).read_text(encoding="utf-8") for part in names)

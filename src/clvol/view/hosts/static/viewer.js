@@ -1,0 +1,253 @@
+// -- the viewer: panes, panel, and the channel to the session ----------------------------------------------------
+
+class Viewer {
+  constructor(element, channel, { embedded = false, onLink = null } = {}) {
+    Object.assign(this, { channel, embedded, onLink });
+    this.info = null;
+    this.state = null;
+    this.confirmed = null; // the session's last state
+    this.unheard = []; // changes that it does not include
+    this.lastSet = 0;
+    this.effective = {}; // values where the state leaves them open
+    this.errors = null; // of the wiper's filters
+    this.overlays = new Map(); // the last message of each pane
+    this.panes = new Map();
+    this.asked = new Map();
+    this.lastId = 0;
+    this.gesture = 0; // number of the gesture, which is one step of undo
+    this.picture = NOTHING;
+    this.grid = make("div", { class: "clvol-panes" });
+    this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, WAITING);
+    this.panel = new Panel(this);
+    this.hide = button("Settings", () => this.togglePanel(), { kind: "clvol-hide", title: "show or hide the settings" });
+    this.hide.setAttribute("aria-expanded", "true");
+    const stage = make("div", { class: "clvol-stage" }, this.grid, make("div", { class: "clvol-foot" }, this.line, this.hide));
+    this.inner = make("div", { class: "clvol-frame" }, stage, this.panel.element);
+    this.root = make("div", { class: `clvol${embedded ? " clvol-embedded" : ""}` }, this.inner);
+    this.root.addEventListener("keydown", (event) => this.key(event));
+    element.replaceChildren(this.root);
+    channel.onmessage = (message, data) => this.receive(message, data);
+  }
+
+  close() {
+    this.channel.onmessage = () => {};
+    for (const pane of this.panes.values()) pane.close();
+    this.panes.clear();
+    this.panel.close();
+    for (const { refused } of this.asked.values()) refused(new Error("the viewer was closed"));
+    this.root.remove();
+  }
+
+  /** Undo and redo wherever the focus is, except in fields with their own. */
+  key(event) {
+    const key = event.key.toLowerCase();
+    if (!(event.ctrlKey || event.metaKey) || !["z", "y"].includes(key) || event.target.matches("input[type=number], textarea")) return;
+    event.preventDefault();
+    event.stopPropagation();
+    this.ask(key === "y" || event.shiftKey ? "redo" : "undo");
+  }
+
+  togglePanel() {
+    const hidden = this.inner.classList.toggle("clvol-alone");
+    this.hide.setAttribute("aria-expanded", String(!hidden));
+  }
+
+  paneName(name) {
+    return (this.info?.volume?.space === "LPS" ? PATIENT_PANES : PANE_NAMES)[name];
+  }
+
+  // From the session
+
+  receive(message, data) {
+    if (message.type === "frame") this.frame(message, data);
+    else if (message.type === "info") this.tell(message);
+    else if (message.type === "state") this.take(message);
+    else if (message.type === "stats") this.panel.stats({ ...message, picture: this.picture });
+    else if (message.type === "status") this.report(message);
+    else if (message.type === "reply") this.reply(message, data);
+    else if (message.type === "overlay") this.overlay(message);
+    else if (message.type === "joint") this.panel.joint.tell(message);
+    else if (message.type === "wiper") this.compared(message.errors);
+  }
+
+  tell(info) {
+    this.info = info;
+    if (this.onLink && info.title) document.title = `${info.title} · clvol`;
+    this.panel.tell(info);
+    if (this.state) this.show();
+  }
+
+  take(message) {
+    this.state = message.state;
+    this.confirmed = structuredClone(message.state);
+    this.unheard = this.unheard.filter(({ number }) => !(number <= message.heard));
+    for (const { changes, whole } of this.unheard) this.apply(changes, whole);
+    this.canUndo = message.can_undo;
+    this.canRedo = message.can_redo;
+    this.effective = message.effective ?? this.effective;
+    this.show();
+  }
+
+  overlay(message) {
+    this.overlays.set(message.pane, message);
+    this.panes.get(message.pane)?.decorate(message);
+  }
+
+  /** The measured errors of the two filters. */
+  compared(errors) {
+    this.errors = errors;
+    this.panel.tellErrors(errors);
+    this.show();
+  }
+
+  show() {
+    if (!this.state || !this.info) return;
+    this.arrange();
+    this.panel.show(this.state);
+    for (const pane of this.panes.values()) {
+      pane.wiper.show(this.state, this.effective.filter, this.errors?.filters);
+      pane.element.classList.toggle("clvol-active", this.panes.size > 1 && pane.name === this.state.active);
+    }
+  }
+
+  /** The panes of the layout; those that stay keep their pictures. */
+  arrange() {
+    const { layout, active } = this.state;
+    const wanted = layout === "slice" ? [active === "3d" ? "z" : active] : PANES[layout];
+    if (same([...this.panes.keys()], wanted)) return;
+    for (const [name, pane] of this.panes) {
+      if (wanted.includes(name)) continue;
+      pane.close();
+      this.panes.delete(name);
+    }
+    const panes = wanted.map((name) => [name, this.panes.get(name) ?? new Pane(this, name)]);
+    this.panes = new Map(panes);
+    this.grid.dataset.layout = layout;
+    this.grid.replaceChildren(...panes.map(([, pane]) => pane.element));
+    for (const [name, pane] of panes) pane.decorate(this.overlays.get(name));
+    for (const [name, pane] of panes) pane.element.setAttribute("aria-label", `${this.info.title ?? "volume"}, ${this.paneName(name)}`);
+  }
+
+  frame(message, data) {
+    if (this.line.textContent === WAITING) this.status(""); // in notebooks no connection clears it
+    const pane = this.panes.get(message.pane ?? "3d");
+    if (!pane || !data) return this.channel.send({ type: "ack", frame: message.number });
+    const step = message.step ? `, step ${short(message.step, 3)}` : "";
+    this.picture = `${message.width} × ${message.height}${step}, ${short(1000 * (message.seconds ?? 0), 3)} ms${message.final ? ", final" : ""}`;
+    return pane.take(message, data);
+  }
+
+  status(text, kind = "info") {
+    this.line.textContent = text ?? "";
+    this.line.dataset.kind = kind;
+  }
+
+  /** A status of the session; after an error, which may concern a change made here, its last state is shown. */
+  report({ text, kind }) {
+    this.status(text, kind);
+    if (kind !== "error" || !this.confirmed) return;
+    this.unheard = [];
+    this.state = structuredClone(this.confirmed);
+    this.show();
+  }
+
+  // To the session
+
+  /** Changes fields of the state by dotted names; changes while a control moves are `live`: one step of undo. */
+  set(changes, live = false) {
+    if (!this.state) return;
+    this.apply(changes);
+    this.tellSet({ changes, live, gesture: `panel-${this.gesture}` });
+    if (!live) this.gesture += 1;
+    this.show();
+  }
+
+  /** Sends the whole state to a session that does not have it. */
+  setAll() {
+    this.unheard = [];
+    if (this.state) this.tellSet({ changes: structuredClone(this.state), whole: true });
+  }
+
+  tellSet({ changes, whole, ...more }) {
+    this.lastSet += 1;
+    this.unheard.push({ number: this.lastSet, changes, whole });
+    this.channel.send({ type: "set", changes, whole, number: this.lastSet, ...more });
+  }
+
+  /** Applies changes to the state shown here. */
+  apply(changes, whole = false) {
+    if (whole) {
+      this.state = structuredClone(changes);
+      return;
+    }
+    if ("mode" in changes && changes.mode !== this.state.mode) this.state.options = {};
+    for (const [name, value] of Object.entries(changes)) {
+      const words = name.split(".");
+      let part = this.state;
+      for (const word of words.slice(0, -1)) part = part[word] ??= {};
+      part[words.at(-1)] = value;
+    }
+  }
+
+  /** Ends live changes: the next one is a new step of undo. */
+  settle() {
+    this.channel.send({ type: "set", changes: {}, gesture: `panel-${this.gesture++}` });
+  }
+
+  /** Sends a request; the promise is of {message, data}. */
+  ask(what, more = {}) {
+    const id = ++this.lastId;
+    const answer = new Promise((answered, refused) => this.asked.set(id, { answered, refused }));
+    this.channel.send({ type: "do", what, id, ...more });
+    answer.catch((error) => this.status(error.message, "error"));
+    return answer;
+  }
+
+  reply(message, data) {
+    if (message.what === "pick") return this.picked(message);
+    const waiting = this.asked.get(message.id);
+    this.asked.delete(message.id);
+    if (!waiting) return;
+    if (message.error) waiting.refused(new Error(message.error));
+    else waiting.answered({ message, data });
+  }
+
+  /** Shows what was picked. */
+  picked({ position, value, steepness, units, label }) {
+    if (!position) return this.status("nothing under the pointer");
+    const parts = [`(${position.map((c) => short(c, 5)).join(", ")}) ${units}`.trim(), `value ${short(value, 6)}${label ? `, ${label}` : ""}`];
+    if (steepness !== undefined) parts.push(`gradient ${short(steepness)}${units ? ` per ${units}` : ""}`);
+    return this.status(parts.join(" · "));
+  }
+
+  async copy(what, name) {
+    const answer = await this.ask(what).catch(() => null); // the error is shown already
+    if (!answer) return;
+    const { message } = answer;
+    let { text = message.url ?? "" } = message;
+    if (what === "copy_url" && this.onLink) text = this.onLink(text);
+    const copied = await toClipboard(text);
+    const box = this.panel.text;
+    Object.assign(box, { hidden: copied, value: text });
+    if (!copied) box.select();
+    this.status(copied ? `copied as ${name}` : "no access to the clipboard: copy the selected text", copied ? "info" : "error");
+  }
+
+  async save(what, more = {}) {
+    this.status(what === "movie" ? "drawing the movie" : "drawing the picture", "busy");
+    const answer = await this.ask(what, more).catch(() => null); // the error is shown already
+    if (!answer) return undefined;
+    const { message, data } = answer;
+    if (!data) return this.status(message.text ?? "no result", "error");
+    const kind = { mp4: "video/mp4", webm: "video/webm", zip: "application/zip" }[message.format] ?? `image/${message.format ?? "png"}`;
+    const name = message.name ?? `${(this.info.title ?? "clvol").replace(/[^\w.-]+/g, "-")}.${kind.split("/")[1]}`;
+    return this.download(new Blob([data], { type: kind }), name);
+  }
+
+  download(blob, name) {
+    const url = URL.createObjectURL(blob);
+    make("a", { href: url, download: name }).click();
+    setTimeout(() => URL.revokeObjectURL(url), 60_000);
+    this.status(`saved as ${name}`);
+  }
+}
