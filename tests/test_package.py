@@ -53,6 +53,8 @@ def test_extras_are_declared() -> None:
         ("figures", "matplotlib"),
         ("xarray", "xarray"),
         ("torch", "torch"),
+        ("jax", "jax"),
+        ("nitransforms", "nitransforms"),
         ("dask", "dask"),
         ("dask", "distributed"),
         ("hdf5", "h5py"),
