@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import shlex
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -79,6 +80,17 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
 def test_the_api_pages_list_all_public_names() -> None:
     listed = (DOCS / "api" / "index.rst").read_text(encoding="utf-8").split()
     assert [name for name in clvol.__all__ if name not in listed] == []
+
+
+def test_the_page_of_public_names_lists_them() -> None:
+    page = (DOCS / "public.md").read_text(encoding="utf-8")
+    here = {name: import_module(f"clvol.{name}") for name in (*clvol._MODULES, *clvol._PARTS) if name != "device"}
+    wanted = {f"clvol.{name}": sorted(module.__all__) for name, module in here.items()} | {"clvol": clvol.__all__}
+    listed = {
+        module: re.findall(r"`(\w+)`", names) for module, names in re.findall(r"^\| `([\w.]+)` \| (.+) \|$", page, re.MULTILINE)
+    }
+    assert listed.keys() == {*wanted, *(f"clvol.{name}" for name in clvol._OPTIONAL)}
+    assert {module: names for module, names in listed.items() if module in wanted} == wanted
 
 
 def test_the_commands_of_the_pages_parse() -> None:
