@@ -94,9 +94,8 @@ def _write_modules(_: Sphinx) -> None:
         for file in sorted(folder.glob("*.py")):
             said = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
             first = re.split(r"(?<=\.)\s|\n\n", said, maxsplit=1)[0]
-            lines.append(
-                f"| `{'the package' if file.stem == '__init__' else file.stem}` | {' '.join(first.split()).replace('|', chr(92) + '|')} |"
-            )
+            name, text = f"`{file.stem}`" if file.stem != "__init__" else "the package", " ".join(first.split())
+            lines.append(f"| {name} | {text} |")
     page = HERE / "api" / "generated" / "modules.md"
     page.parent.mkdir(parents=True, exist_ok=True)
     page.write_text("\n".join(lines) + "\n", encoding="utf-8")
