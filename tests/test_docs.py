@@ -5,6 +5,7 @@ Notebooks and the gallery run in `make docs`.
 
 from __future__ import annotations
 
+import doctest
 import re
 import shlex
 from concurrent.futures import ThreadPoolExecutor
@@ -74,6 +75,18 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
     here = given(page.stem)
     for block in BLOCK.findall(page.read_text(encoding="utf-8")):
         exec(block, here)  # one after the other, as a reader would
+    assert device is not None
+
+
+EXAMPLES = [name for name in clvol.__all__ if ">>> import " in (getattr(clvol, name).__doc__ or "")]
+
+
+@pytest.mark.one_in(6)
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_example_of_a_docstring_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+    monkeypatch.chdir(tmp_path)
+    (found,) = doctest.DocTestFinder(recurse=False).find(getattr(clvol, name), name, module=False, globs={})
+    assert doctest.DocTestRunner().run(found).failed == 0
     assert device is not None
 
 
