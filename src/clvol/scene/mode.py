@@ -471,15 +471,15 @@ class Surfaces(_OfSurfaces):
         the slice, in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
     color_by : {"k1", "k2", "mean curvature", "gaussian curvature", "distance"}, optional
         Colours all surfaces by their curvature or distance instead, as of `Isosurface`; opacities stay.
+    outline : float
+        Thickness in pixels of a dark line along their rims as they are seen, also in front of other parts of them; from their exact
+        curvature along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.
 
     Examples
     --------
     >>> import clvol
     >>> volume = clvol.phantoms.marschner_lobb(40)
     >>> picture = clvol.render(volume, mode="surfaces", surfaces=[(0.3, "bisque", 0.4), (0.6, "firebrick", 1)], size=(64, 64))
-    outline : float
-        Thickness in pixels of a dark line along their rims as they are seen, also in front of other parts of them; from their exact
-        curvature along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.
     """
 
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
