@@ -83,14 +83,6 @@ class Renderer:
         There is no device, or it cannot hold the volume (`OutOfMemoryError`).
     ClusterError
         No scheduler answers, it has no workers, or these have another version of clvol.
-
-    Examples
-    --------
-    >>> import clvol
-    >>> with clvol.Renderer(clvol.phantoms.marschner_lobb(32)) as renderer:  # prefiltered once
-    ...     turn = [renderer.render(camera, mode="mip", size=(48, 48)) for camera in clvol.Camera.turntable(3)]
-    >>> len(turn)
-    3
     """
 
     def __init__(
@@ -398,10 +390,7 @@ def render(
     Examples
     --------
     >>> import clvol
-    >>> volume = clvol.phantoms.marschner_lobb(32)
-    >>> picture = clvol.render(volume, clvol.Camera.orbit(30, 20), "isosurface", isovalue=0.5, size=(64, 64))
-    >>> picture.shape
-    (64, 64, 4)
+    >>> picture = clvol.render(clvol.phantoms.sphere(24), clvol.Camera.orbit(30, 20), "isosurface", isovalue=0.5, size=(64, 64))
     """
     held = {name: options.pop(name) for name in RendererOptions.__annotations__ if name in options}  # type: ignore[misc]
     chosen = chosen_mode(mode, options, as_outputs(outputs), scene=scene)  # before any work, and so is what follows

@@ -112,8 +112,6 @@ class Volume(Gridded):
     >>> volume = clvol.Volume(np.zeros((20, 30, 40), np.uint8), spacing=(0.5, 0.5, 2))  # samples (z, y, x), spacing (x, y, z)
     >>> volume.shape, volume.spacing
     ((20, 30, 40), (0.5, 0.5, 2.0))
-    >>> np.asarray(volume).dtype
-    dtype('uint8')
     """
 
     data: NDArray[Any]
