@@ -27,6 +27,7 @@ check: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/towncrier build --draft >/dev/null
 
 bench: $(VENV)/bench.stamp
 	$(BIN)/python -m bench

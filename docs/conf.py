@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 from importlib.util import find_spec
@@ -85,6 +86,21 @@ html_theme_options = {
 html_sidebars: dict[str, list[str]] = {"start": []}
 
 
+def _write_modules(_: Sphinx) -> None:
+    """Write the page of modules: the first sentence of each module's docstring, by package."""
+    root, lines = HERE.parent / "src" / "clvol", ["# Modules", "", "What each file holds, as its docstring says."]
+    for folder in sorted({file.parent for file in root.rglob("*.py")}):
+        lines += ["", f"## {'.'.join(('clvol', *folder.relative_to(root).parts))}", "", "| module | content |", "|---|---|"]
+        for file in sorted(folder.glob("*.py")):
+            said = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+            first = re.split(r"(?<=\.)\s|\n\n", said, maxsplit=1)[0]
+            name, text = f"`{file.stem}`" if file.stem != "__init__" else "the package", " ".join(first.split())
+            lines.append(f"| {name} | {text} |")
+    page = HERE / "api" / "generated" / "modules.md"
+    page.parent.mkdir(parents=True, exist_ok=True)
+    page.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
 def _require_no_requests(app: Sphinx, error: Exception | None) -> None:
     """Require that pages work offline: none loads a script, style, font or picture from elsewhere."""
     if error is not None or app.builder.format != "html":
@@ -99,5 +115,6 @@ def _require_no_requests(app: Sphinx, error: Exception | None) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Sphinx calls it."""
+    app.connect("builder-inited", _write_modules)
     app.connect("build-finished", _require_no_requests)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

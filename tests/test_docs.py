@@ -5,9 +5,11 @@ Notebooks and the gallery run in `make docs`.
 
 from __future__ import annotations
 
+import doctest
 import re
 import shlex
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -76,9 +78,32 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
     assert device is not None
 
 
+EXAMPLES = [name for name in clvol.__all__ if ">>> import " in (getattr(clvol, name).__doc__ or "")]
+
+
+@pytest.mark.one_in(6)
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_example_of_a_docstring_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+    monkeypatch.chdir(tmp_path)
+    (found,) = doctest.DocTestFinder(recurse=False).find(getattr(clvol, name), name, module=False, globs={})
+    assert doctest.DocTestRunner().run(found).failed == 0
+    assert device is not None
+
+
 def test_the_api_pages_list_all_public_names() -> None:
     listed = (DOCS / "api" / "index.rst").read_text(encoding="utf-8").split()
     assert [name for name in clvol.__all__ if name not in listed] == []
+
+
+def test_the_page_of_public_names_lists_them() -> None:
+    page = (DOCS / "public.md").read_text(encoding="utf-8")
+    here = {name: import_module(f"clvol.{name}") for name in (*clvol._MODULES, *clvol._PARTS) if name != "device"}
+    wanted = {f"clvol.{name}": sorted(module.__all__) for name, module in here.items()} | {"clvol": clvol.__all__}
+    listed = {
+        module: re.findall(r"`(\w+)`", names) for module, names in re.findall(r"^\| `([\w.]+)` \| (.+) \|$", page, re.MULTILINE)
+    }
+    assert listed.keys() == {*wanted, *(f"clvol.{name}" for name in clvol._OPTIONAL)}
+    assert {module: names for module, names in listed.items() if module in wanted} == wanted
 
 
 def test_the_commands_of_the_pages_parse() -> None:
@@ -94,9 +119,10 @@ def test_the_commands_of_the_pages_parse() -> None:
 RELIABILITY = DOCS / "reliability.md"
 
 
-def test_the_tests_named_in_reliability_exist() -> None:
-    named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", RELIABILITY.read_text(encoding="utf-8"))
-    assert len(named) > 30
+@pytest.mark.parametrize("page", [RELIABILITY, DOCS / "claims.md"], ids=lambda path: path.stem)
+def test_the_tests_named_on_a_page_exist(page: Path) -> None:
+    named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", page.read_text(encoding="utf-8"))
+    assert len(named) > 10
     text = {file: (DOCS.parent / file).read_text(encoding="utf-8") for file, _ in named}
     assert [f"{file}::{name}" for file, name in named if name and f"\ndef {name}(" not in text[file]] == []
 

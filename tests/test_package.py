@@ -31,6 +31,12 @@ def test_the_version_matches_the_metadata() -> None:
     assert clvol.__version__ == version("clvol")
 
 
+@in_a_checkout
+def test_the_citation_and_the_recipe_have_the_version() -> None:
+    for file in ("CITATION.cff", "packaging/conda/recipe.yaml"):
+        assert re.search(r"^ *version: (.+)$", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)[1] == clvol.__version__  # type: ignore[index]
+
+
 def test_the_command_is_an_entry_point() -> None:
     (command,) = entry_points(group="console_scripts", name="clvol")
     assert command.value == "clvol.cli:main"
@@ -255,6 +261,7 @@ def test_the_source_archive_contains_all_to_build_and_test(archives: tuple[Path,
         "README.md",
         "LICENSE",
         "CHANGELOG.md",
+        "changes/README.md",
         "Makefile",
         "src/clvol/py.typed",
         "tests/conftest.py",

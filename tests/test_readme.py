@@ -17,6 +17,25 @@ README = Path(__file__).resolve().parents[1] / "README.md"
 pytestmark = pytest.mark.skipif(not README.is_file(), reason="not in a checkout")
 
 
+_NAMES = re.compile(
+    r"Python 3\.11|64-bit x86|PowerShell 5|[Ff]igure 6|Goluban, .{1,60}, 1999|PoCL 3\.0|2026-11-21|a processor of 2017", re.I
+)
+_SIZES = ("prefilter on the device, 256³ (512³)", "4 million points along", "4 million random", "magnify ×2", "512² frame of 256³")
+
+
+def test_every_number_of_the_readme_is_among_the_claims() -> None:
+    """Numbers in text: not those in code, in links, or within names such as AVX-512."""
+    claims = (README.parent / "docs" / "claims.md").read_text(encoding="utf-8")
+    quoted = re.findall(r"^\| (.+?) \|", claims.partition("## What failed")[0], re.MULTILINE)[1:]
+    text = " ".join(README.read_text(encoding="utf-8").split())
+    assert len(quoted) > 25
+    assert [claim for claim in quoted if claim not in text] == []
+    for claim in (*quoted, *_SIZES):
+        text = text.replace(claim, "")
+    text = re.sub(r"```.*?```|`[^`]*`|\]\([^)]*\)", "", text)
+    assert re.findall(r".{,30}(?<![\w.-])\d.{,20}", _NAMES.sub("", text)) == []
+
+
 def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
     assert len(blocks) == 5

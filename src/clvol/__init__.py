@@ -19,9 +19,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # each name as itself, so that type checkers take it for public
+    from clvol import analysis as analysis
+    from clvol import device as device
+    from clvol import figures as figures
+    from clvol import formats as formats
     from clvol import images as images
+    from clvol import labels as labels
     from clvol import ndimage as ndimage
+    from clvol import noise as noise
     from clvol import phantoms as phantoms
+    from clvol import reference as reference
+    from clvol import reports as reports
+    from clvol import view as view
     from clvol.base.errors import ClusterError as ClusterError
     from clvol.base.errors import ClvolError as ClvolError
     from clvol.base.errors import ClvolWarning as ClvolWarning
@@ -115,7 +124,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.volume.volume import Volume as Volume
     from clvol.volume.volumes import Volumes as Volumes
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _PLACES = {  # where each name is from; a test holds it to what is imported above
     "base.errors": "ClusterError ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError "

@@ -285,7 +285,7 @@ def test_a_rule_that_mirrors_and_reflects_matches_a_longer_axis(device: Device, 
 
 
 def test_linear_in_the_outer_half_voxel(device: Device) -> None:
-    """As the README states: "reflect" equals the clamp of ITK and VTK there; and the difference of "mirror" on noise."""
+    """As docs/function.md states: "reflect" equals the clamp of ITK and VTK there; and the difference of "mirror" on noise."""
     data, last = np.random.default_rng(5).random((20, 21, 22)), np.array([21, 20, 19])
     points = np.random.default_rng(6).uniform(-0.5, last + 0.5, (40_000, 3))
     clamped = clvol.sample(data, np.clip(points, 0, last), "linear", device=device)

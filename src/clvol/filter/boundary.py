@@ -242,7 +242,14 @@ class BoundaryTable(Named[Boundary]):
 
 
 def boundaries() -> BoundaryTable:
-    """The boundary rules by name, with their meanings when shown."""
+    """The boundary rules by name, with their meanings when shown.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> "mirror" in clvol.boundaries()
+    True
+    """
     return BoundaryTable(_TABLE)
 
 

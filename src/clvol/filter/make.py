@@ -49,6 +49,13 @@ def bspline(
     OptionError
         The degree is outside 0 to 9; smoothing is negative or above 10⁵, the limit of float32, or given for a filter
         without a prefilter (degrees 0 and 1 have none).
+
+    Examples
+    --------
+    >>> import clvol
+    >>> clvol.bspline(5).support
+    6
+    >>> smooth = clvol.bspline(3, smoothing=(0.1, 0.1, 0.4))  # along x, y, z
     """
     degree = whole("degree", degree, 0, 9)
     result = _bspline(degree, flag("prefilter", prefilter) and degree >= 2)  # degrees 0 and 1 interpolate without it
@@ -119,6 +126,13 @@ def from_pieces(name: str, pieces: Sequence[Sequence[Number]], *, prefilter: boo
     ------
     OptionError
         More than eight pieces, or a prefilter that does not exist.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> tent = clvol.from_pieces("tent", [[1, -1]])  # 1 - t on [0, 1], and mirrored
+    >>> tent.support
+    2
     """
     pieces = as_polynomials(f"pieces of {name!r}", pieces)
     if not pieces:
@@ -224,6 +238,12 @@ def bc(B: Number, C: Number) -> Filter:
     """The cubic of Mitchell and Netravali with parameters B and C (reference [10] of the paper).
 
     (1, 0) is the cubic B-spline without prefilter, (1/3, 1/3) their choice, (0, 1/2) Catmull-Rom.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> clvol.bc(0.2, 0.4).support  # between Mitchell's and Catmull-Rom's
+    4
     """
     b, c = _exact("B and C", B), _exact("B and C", C)
     texts = (str(v) if -_DIGITS < v < _DIGITS else f"{float(v):g}" for v in (b, c))

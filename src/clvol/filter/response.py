@@ -47,6 +47,12 @@ def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
     A hybrid samples one spline at steps of ``1 / s``, a digital filter, and reconstructs the result with
     another kernel of ``1 / s`` the width: the product of S(ω), the sum over j of ``k(j / s) cos(ω j / s)``
     and ``B(ω / s) / s``.
+
+    Examples
+    --------
+    >>> import clvol, numpy as np
+    >>> round(float(clvol.frequency_response("linear", np.pi)), 3)  # at half of the sampling frequency
+    0.405
     """
     chosen, w = as_filter(filter), _frequencies(omega)
     if np.abs(w).max(initial=0.0) > _MAX_OMEGA:

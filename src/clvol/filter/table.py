@@ -80,7 +80,14 @@ class FilterTable(Named[Filter]):
 
 
 def filters() -> FilterTable:
-    """The table of filters by name, in order, with their properties and aliases when shown."""
+    """The table of filters by name, in order, with their properties and aliases when shown.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> [name for name in clvol.filters() if name.startswith("omoms")]
+    ['omoms3']
+    """
     return FilterTable(_TABLE)
 
 

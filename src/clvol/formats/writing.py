@@ -41,6 +41,14 @@ def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) ->
         No format with this suffix can be written, the format cannot hold the volume or the volumes, or writing failed.
     MissingDependencyError
         The format needs ``clvol[medical]`` or ``clvol[microscopy]``.
+
+    Examples
+    --------
+    >>> import clvol, pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "ball.nii"
+    >>> clvol.write(clvol.phantoms.sphere(16), path)
+    >>> clvol.read(path).shape
+    (16, 16, 16)
     """
     path = as_path(path)
     if isinstance(volume, Volumes) and len(volume) == 1:

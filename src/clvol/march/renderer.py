@@ -386,6 +386,11 @@ def render(
     ------
     ClvolError
         As for `Renderer` and `Renderer.render`, and so are warnings.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> picture = clvol.render(clvol.phantoms.sphere(24), clvol.Camera.orbit(30, 20), "isosurface", isovalue=0.5, size=(64, 64))
     """
     held = {name: options.pop(name) for name in RendererOptions.__annotations__ if name in options}  # type: ignore[misc]
     chosen = chosen_mode(mode, options, as_outputs(outputs), scene=scene)  # before any work, and so is what follows

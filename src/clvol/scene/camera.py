@@ -203,6 +203,13 @@ class Camera:
         Whether `direction` and `up` are in the viewing frame of the volume, not in its world. The frame of a stack of images
         (`Volume.space` is "image") is rotated by 180° about x, so that -z is up in its pictures, and from above rows
         run down. All others have z up in both, so that it makes no difference.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> camera = clvol.Camera.orbit(azimuth=30, elevation=20, zoom=1.2)
+    >>> len(clvol.Camera.turntable(36))
+    36
     """
 
     position: tuple[float, float, float] | None = None

@@ -40,6 +40,11 @@ class Light:
     frame : {"world", "camera"}
         Frame of the direction, if there is one: (x, y, z) of the world; or right, up and towards the viewer in the picture, for a
         light that moves with the camera.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> from_the_right = clvol.Light(direction=(1, 0, 0), frame="camera")  # lights=[from_the_right] of render
     """
 
     direction: tuple[float, float, float] | None = None

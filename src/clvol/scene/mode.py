@@ -372,6 +372,13 @@ class Isosurface(_OfSurfaces):
     outline : float
         Thickness in pixels of a dark line along its rim as it is seen, also in front of other parts of it; from its exact curvature
         along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> ball = clvol.phantoms.sphere(24)
+    >>> picture = clvol.render(ball, mode=clvol.Isosurface(isovalue=0.5, color="bisque"), size=(48, 48))
+    >>> same = clvol.render(ball, mode="isosurface", isovalue=0.5, color="bisque", size=(48, 48))
     """
 
     isovalue: float | str | None = None
@@ -464,16 +471,15 @@ class Surfaces(_OfSurfaces):
         the slice, in the colours of the transfer function, which `window` and `cmap` choose. A colour: it has that.
     color_by : {"k1", "k2", "mean curvature", "gaussian curvature", "distance"}, optional
         Colours all surfaces by their curvature or distance instead, as of `Isosurface`; opacities stay.
+    outline : float
+        Thickness in pixels of a dark line along their rims as they are seen, also in front of other parts of them; from their exact
+        curvature along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.
 
     Examples
     --------
     >>> import clvol
-    >>> from clvol.volume.phantoms import marschner_lobb
-    >>> volume = marschner_lobb(40)
+    >>> volume = clvol.phantoms.marschner_lobb(40)
     >>> picture = clvol.render(volume, mode="surfaces", surfaces=[(0.3, "bisque", 0.4), (0.6, "firebrick", 1)], size=(64, 64))
-    outline : float
-        Thickness in pixels of a dark line along their rims as they are seen, also in front of other parts of them; from their exact
-        curvature along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.
     """
 
     surfaces: Sequence[tuple[float | str, Sequence[float] | str, float]] | str | None = None
@@ -784,7 +790,14 @@ class ModeTable(Named[Mode]):
 
 
 def modes() -> ModeTable:
-    """The modes by name, with default options; their descriptions when shown."""
+    """The modes by name, with default options; their descriptions when shown.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> sorted(clvol.modes())[:3]
+    ['attenuated', 'composite', 'integral']
+    """
     return ModeTable({name: mode() for name, mode in _TABLE.items()})
 
 

@@ -440,7 +440,14 @@ class PresetTable(Named[Preset]):
 
 
 def presets() -> PresetTable:
-    """The presets by name, with their uses when shown."""
+    """The presets by name, with their uses when shown.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> "ct-bone" in clvol.presets()
+    True
+    """
     return PresetTable(_TABLE)
 
 

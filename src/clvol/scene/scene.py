@@ -106,6 +106,13 @@ class Medium:
         Its spacings differ by a factor of more than 10⁶ or are outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
         float32 cannot distinguish samples. (`clvol.sample` and `Field` use double precision if the device supports it. Whether
         less unequal spacings are a problem depends on the view: see `Renderer.render`.)
+
+    Examples
+    --------
+    >>> import clvol
+    >>> ball = clvol.Medium(clvol.phantoms.sphere(24), filter="bspline5", cmap="magma")
+    >>> clvol.render(clvol.Scene(ball, background="white"), size=(48, 48)).shape
+    (48, 48, 4)
     """
 
     volume: Volume

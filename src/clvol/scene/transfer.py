@@ -74,6 +74,12 @@ class TransferFunction:
     Two points at one value make a jump; the value itself has the colour or opacity of the later one. Devices evaluate the function
     exactly, up to float32 rounding: from a table of equal nodes if all points are on such nodes, else from its pieces, which
     they find by comparing values with the points.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> transfer = clvol.TransferFunction([(0, "black"), (1, "orange")], [(0.2, 0), (1, 0.5)])
+    >>> picture = clvol.render(clvol.phantoms.sphere(24), transfer=transfer, size=(48, 48))
     """
 
     colors: tuple[tuple[float, tuple[float, float, float]], ...]

@@ -248,6 +248,13 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     ------
     FormatError
         The suffix is unknown, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import clvol, pathlib, tempfile
+    >>> picture = clvol.render(clvol.phantoms.sphere(24), mode="mip", size=(48, 48))
+    >>> clvol.save(picture, pathlib.Path(tempfile.mkdtemp()) / "picture.png").exists()
+    True
     """
     import imageio.v3 as iio
 

@@ -562,6 +562,16 @@ def sample(
         options; or as a call of `Field` raises it.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and a call of it raise them.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> volume = clvol.phantoms.polynomial(degree=1)  # a plane, which a spline reproduces
+    >>> points = [(0.1, 0.2, 0.3), (0.2, 0.2, 0.3)]  # (x, y, z)
+    >>> values = clvol.sample(volume, points)
+    >>> gradients = clvol.sample(volume, points, derivative=1)
+    >>> values.shape, gradients.shape
+    ((2,), (2, 3))
     """
     derivative = whole("derivative", derivative, minimum=0, maximum=2)
     results: tuple[int, ...] = ()
@@ -659,6 +669,15 @@ def resample(
     in memory. Where the filter has no prefilter the result is bit for bit that in one piece; where it has one, coefficients differ
     as those of `prefilter` do. With "least-squares" no bit differs either, but where samples lie so far from zero that single
     precision would lose digits of some blocks and not of others: there sums differ by rounding.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> volume = clvol.phantoms.marschner_lobb(24)
+    >>> clvol.resample(volume, shape=(48, 48, 48), filter="bspline5").shape
+    (48, 48, 48)
+    >>> clvol.resample(volume, like=clvol.phantoms.sphere(16)).shape  # on another volume's grid
+    (16, 16, 16)
     """
     require_lazy("volume", chunks=chunks, dimensions=dimensions)
     results: tuple[int, ...] = ()
@@ -753,6 +772,12 @@ def magnify(
         Of an array of dask: `progress`, or a `nan` other than "error".
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.magnify` raise them; of an array of dask as `prefilter` raises them.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> clvol.magnify(clvol.phantoms.marschner_lobb(16), 2).shape
+    (32, 32, 32)
     """
     require_lazy("volume", chunks=chunks, dimensions=dimensions)
     factor = whole("factor", factor, minimum=1)
@@ -818,6 +843,14 @@ def prefilter(
     ``10⁻¹⁴ G R`` in double precision, G being the sum of the prefilter's weights and R the range of the samples, and by rounding.
     The largest that coefficients may be is G times the samples. Samples that lie far from zero compared with their range are
     filtered with all their digits, and coefficients of single precision then rounded to float32.
+
+    Examples
+    --------
+    >>> import clvol, numpy as np
+    >>> wave = np.cos(np.arange(32) * np.pi / 4) + np.zeros((4, 4, 1))
+    >>> coefficients = clvol.prefilter(wave)
+    >>> coefficients.shape
+    (4, 4, 32)
     """
     require_lazy("data", dimensions=dimensions)
     if is_in_parts(data):

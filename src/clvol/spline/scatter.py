@@ -92,6 +92,13 @@ def adjoint(
     The result is the same to the last bit on every run on a device. The prefilter solves ``K c = v`` along each axis (eq. 11).
     With m the number of times that the boundary rule repeats an index in a period, ``diag(m) K`` is symmetric, so that
     ``K⁻ᵀ = diag(m) K⁻¹ diag(1/m)``.
+
+    Examples
+    --------
+    >>> import clvol, numpy as np
+    >>> spread = clvol.adjoint(np.ones(2), [(1, 1, 1), (2.5, 2, 2)], like=(4, 4, 4))
+    >>> spread.shape
+    (4, 4, 4)
     """
     derivative = whole("derivative", derivative, minimum=0, maximum=1)
     grid = like if isinstance(like, Volume) else _grid(like)

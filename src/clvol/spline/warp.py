@@ -114,6 +114,13 @@ def warp(
         A transform is singular, or has another number of dimensions.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.resample` raise them.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> moving, shift = clvol.phantoms.sphere(16), clvol.AffineTransform([[1, 0, 0], [0, 1, 0], [0, 0, 1]], (0.1, 0, 0))
+    >>> clvol.warp(moving, moving, shift, jacobian=True).values.shape
+    (16, 16, 16)
     """
     derivative = whole("derivative", derivative, minimum=0, maximum=1)
     if wrt not in ("moving", "fixed"):

@@ -84,6 +84,15 @@ class Missing:
     its own fill, and cut in the same way, whatever share it allows; with a share of 1 nothing of it is missing. Volumes that
     are read by parts (`LazyVolume`) are drawn likewise, and samples of damaged chunks are missing in them: a `ClvolWarning` names
     the chunk. A mask of theirs excludes a sample of a lower resolution (`levels`) if it excludes any of those that it stands for.
+
+    Examples
+    --------
+    >>> import clvol, numpy as np
+    >>> samples = np.ones((8, 8, 8))
+    >>> samples[4, 4, 4] = np.nan
+    >>> with clvol.Field(samples, nan=clvol.Missing("local")) as field:
+    ...     np.isnan(field([(1, 1, 1), (4, 4, 4)])).tolist()
+    [False, True]
     """
 
     rule: NanRule = "local"

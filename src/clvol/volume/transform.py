@@ -57,6 +57,11 @@ class AffineTransform:
     GeometryError
         `matrix` is not 2 × 2 or 3 × 3 finite numbers, or is singular; `translation` or `center` is not d finite
         numbers.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> turn = clvol.AffineTransform([[0, -1, 0], [1, 0, 0], [0, 0, 1]], (5, 0, 0))  # transform=turn of resample and warp
     """
 
     def __init__(self, matrix: ArrayLike, translation: ArrayLike | None = None, center: ArrayLike | None = None) -> None:
@@ -176,6 +181,11 @@ class DisplacementField(_GridTransform):
         The grid is not valid.
     OptionError
         `filter` is unknown, smooths or magnifies, or does not have 2 to 6 taps.
+
+    Examples
+    --------
+    >>> import clvol, numpy as np
+    >>> still = clvol.DisplacementField(np.zeros((4, 4, 4, 3)), spacing=(0.5, 0.5, 0.5), origin=(-1, -1, -1))
     """
 
     def __init__(

@@ -105,6 +105,13 @@ class Volume(Gridded):
     prefilter is recursive, so that one NaN would spoil all coefficients. In pictures they are transparent. Sampling
     and prefiltering raise `DataError` with the index of the first one; `filled` replaces them, and sampling
     can leave out the results that they affect (`Missing`).
+
+    Examples
+    --------
+    >>> import clvol, numpy as np
+    >>> volume = clvol.Volume(np.zeros((20, 30, 40), np.uint8), spacing=(0.5, 0.5, 2))  # samples (z, y, x), spacing (x, y, z)
+    >>> volume.shape, volume.spacing
+    ((20, 30, 40), (0.5, 0.5, 2.0))
     """
 
     data: NDArray[Any]

@@ -217,6 +217,13 @@ class Volumes(Sequence[Volume]):
         The volumes are on different grids.
     OptionError
         `leading` does not match the samples, or a geometry is given in addition to that of the volumes.
+
+    Examples
+    --------
+    >>> import clvol, numpy as np
+    >>> frames = clvol.Volumes([clvol.Volume(np.full((4, 5, 6), t, np.float32)) for t in range(3)])
+    >>> len(frames), np.asarray(frames).shape
+    (3, (3, 4, 5, 6))
     """
 
     def __init__(self, data: ArrayLike | Sequence[Volume], *, leading: Leading | None = None, **about: Any) -> None:
