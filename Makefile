@@ -3,6 +3,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
+# What installs into it; uv does in seconds what takes pip minutes
+INSTALL ?= $(BIN)/python -m pip install --quiet
 # OpenCL for the processor: PoCL needs a linker and libgcc
 RUNTIME := $(if $(and $(shell command -v ld),$(shell command -v gcc)),pocl,intel)
 
@@ -12,7 +14,7 @@ HOURS ?= 1
 # What tells whether a version of a dependency is too old
 LOWEST = test_package.py show/test_picture.py interfaces/test_interpolator.py ndimage/test_gaps.py $(addprefix formats/test_,medical.py tiff.py hdf5.py)
 
-.PHONY: demo test thorough check bench docs fuzz soak lowest sbom clean
+.PHONY: demo test thorough check style types bench docs fuzz soak lowest sbom clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/python examples/figure6.py --output figure6.png
@@ -23,9 +25,13 @@ test: $(VENV)/test.stamp
 thorough: $(VENV)/test.stamp
 	CLVOL_TEST_THOROUGH=1 $(BIN)/python -m pytest -m "" --numprocesses=auto --dist=loadfile --no-loadscope-reorder
 
-check: $(VENV)/test.stamp
+check: style types
+
+style: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(VENV)/test.stamp
 	$(BIN)/mypy
 	$(BIN)/towncrier build --draft >/dev/null
 
@@ -64,11 +70,11 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/demo.stamp: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable ".[$(RUNTIME)]"
+	$(INSTALL) --editable ".[$(RUNTIME)]"
 	touch $@
 
 $(VENV)/test.stamp: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable ".[$(RUNTIME),dev]"
+	$(INSTALL) --editable ".[$(RUNTIME),dev]"
 	touch $@
 
 $(VENV)/lowest.stamp: pyproject.toml $(VENV)/test.stamp
@@ -77,9 +83,13 @@ $(VENV)/lowest.stamp: pyproject.toml $(VENV)/test.stamp
 	touch $@
 
 $(VENV)/bench.stamp: $(VENV)/test.stamp
-	$(BIN)/python -m pip install --quiet --editable ".[$(RUNTIME),bench]"
+	$(INSTALL) --editable ".[$(RUNTIME),bench]"
+	touch $@
+
+$(VENV)/intel.stamp: $(VENV)/test.stamp
+	$(INSTALL) --editable ".[intel]"
 	touch $@
 
 $(VENV)/docs.stamp: $(VENV)/demo.stamp
-	$(BIN)/python -m pip install --quiet --editable ".[docs]"
+	$(INSTALL) --editable ".[docs]"
 	touch $@

@@ -15,12 +15,13 @@ import pytest
 
 import clvol
 from clvol.base.errors import FormatError
+from tests.cases import examples
 from tests.fuzz.found import FOUND
 
 ROOT = Path(__file__).resolve().parents[2]
-FEW = 20  # mutants of a format that a child process reads, or whose reader is slow
-MANY = 150  # of the others
-CALLS = 1500
+FEW = examples(60)  # mutants of a format that a child process reads, or whose reader is slow
+MANY = examples(360)  # of the others
+CALLS = examples(3000)
 QUICK = ("npy", "npz", "nii", "nii.gz", "hdr", "mgh", "mgz", "raw", "mrc", "vtk", "nc3")
 OTHERS = (
     "nrrd",

@@ -13,6 +13,7 @@ from bench.tolerance import random_transfer
 from clvol.base.errors import ClvolWarning, OptionError
 from clvol.device import Device
 from clvol.march.tolerance import difference
+from tests.cases import examples
 
 SIZE = (24, 24)
 FINEST = 1 / 64
@@ -26,7 +27,7 @@ def noisy() -> clvol.Volume:
 def test_random_functions_are_within_it(device: Device) -> None:
     rng, volume, errors, steps = np.random.default_rng(3), noisy(), [], []
     with clvol.Renderer(volume, device=device) as renderer:
-        for _ in range(150):
+        for _ in range(examples(150)):
             look: dict[str, Any] = {"transfer": random_transfer(rng, *volume.value_range), "size": SIZE, "rays": 1}
             camera = clvol.Camera.orbit(float(rng.uniform(0, 360)), float(rng.uniform(-80, 80)))
             with warnings.catch_warnings():
@@ -36,7 +37,7 @@ def test_random_functions_are_within_it(device: Device) -> None:
             errors.append(difference(picture, fine, picture.recipe.scene.background))
             steps.append(picture.recipe.step)
     assert max(errors) <= 0.01
-    assert np.count_nonzero(np.array(steps) < 1) > 20
+    assert np.count_nonzero(np.array(steps) < 1) > len(steps) // 8
     assert np.median(np.array(errors)[np.array(steps) < 1]) > 0.002  # steps are no shorter than they must be
 
 
