@@ -29,14 +29,15 @@ __all__ = ["ALL", "BY", "Small", "calls_by_scipy", "coefficients", "count", "ori
 
 BY = ("scipy", "opencl")
 """What may compute small calls."""
-_OPERATIONS = 3 << 16
-"""What SciPy computes in about the time in which kernels start: the weights of each element, and `_ELEMENT` more, and `_SAMPLE` for
-each sample and axis that is filtered."""
-_LINE = 128
+_OPERATIONS = 6 << 16
+"""What SciPy computes in about the time in which kernels start: the weights of each element, and `_SAMPLE` for each sample and
+axis that is filtered."""
+_LINE = 64
 """Times as many of one axis: kernels share work between cores by rows."""
-_POINTS = 16
+_POINTS = 32
 """Times fewer of these at given points, which kernels share between cores too."""
-_ELEMENT = 4
+_COEFFICIENT = 4
+"""Samples of one axis that are filtered in the time of a point."""
 _SAMPLE = 2
 _CALL = 3 << 10
 """What a call of SciPy's costs, where there is one for each plane."""
@@ -172,7 +173,7 @@ class Small:
     def few(self, count: int, *, at_points: bool = False) -> bool:
         """Whether SciPy computes a result of so many elements."""
         if at_points and self.data.ndim == 1:
-            count = _POINTS * (count + (self.data.size // _ELEMENT if self.plan.filtered and count else 0))
+            count = _POINTS * (count + (self.data.size // _COEFFICIENT if self.plan.filtered and count else 0))
         return 0 < count <= self.plan.most
 
     def map_coordinates(self, coordinates: Any) -> Array | None:
@@ -355,7 +356,7 @@ def _plan(
     if left < 0:
         return None
     by_scipy = filtered and mode in _PADDED
-    plan = _Plan(kind, order, mode, None, (), False, filtered, by_scipy, left // ((order + 1) ** len(shape) + _ELEMENT))
+    plan = _Plan(kind, order, mode, None, (), False, filtered, by_scipy, left // (order + 1) ** len(shape))
     return _filtering(plan, shape, range(len(shape))) if filtered and not by_scipy else plan
 
 
