@@ -12,6 +12,7 @@ import clvol
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.device import Device
 from clvol.spline import points as points_module
+from clvol.spline import vectors as vectors_module
 
 
 def rotation(device: Device, n: int = 33) -> clvol.VectorField:
@@ -44,6 +45,11 @@ def test_each_component_is_the_function_of_a_field(
         alone = [np.stack([f(points) for f in each], 2) for each in zip(*[(f, f.gradient, f.hessian) for f in fields], strict=True)]
         assert [each.shape[2:] for each in found] == [(shape[-1],) + (d,) * order for order in range(3)]
         assert_array_equal(vectors(points[1, :3]), found[0][1, :3])
+        if row == "linear":  # five in groups of four and one
+            with monkeypatch.context() as patched:
+                patched.setattr(vectors_module, "_TOGETHER", 4)
+                with clvol.VectorField(samples, row, boundary, device) as grouped:
+                    assert_array_equal(grouped.jacobian(points), found[1])
         few = vectors(points, fill=-7)
         assert_array_equal(few, np.stack([f(points, fill=-7) for f in fields], 2))
         for order in (0, 1) if d == 3 and row == "bspline3" else ():

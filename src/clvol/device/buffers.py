@@ -82,6 +82,12 @@ class Buffers:
         with driver.errors:
             return cl.Buffer(driver.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
 
+    def shared(self, array: np.ndarray[Any, Any]) -> Any:
+        """A contiguous array as a buffer that kernels of PoCL read and write in place, for longer than a block."""
+        cl, driver = opencl(), self._driver
+        with driver.errors:
+            return cl.Buffer(driver.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
+
     def download(self, buffer: Any, array: np.ndarray[Any, Any]) -> None:
         """Copy the start of `buffer` into a contiguous `array`."""
         driver = self._driver

@@ -17,6 +17,7 @@ from clvol.device.buffers import Buffers, float_format
 from clvol.device.driver import Driver, Once
 from clvol.device.launches import Launches, Limits, Task
 from clvol.device.opencl import kernel_cache, opencl
+from clvol.device.plan import Plans
 from clvol.device.program import Defines, Program
 
 __all__ = ["Device"]
@@ -98,6 +99,8 @@ class Device(Driver):
     buffers : Buffers
     launches : Launches
     programs : Programs
+    plans : Plans
+        Those of calls that keep nothing else.
     """
 
     def __init__(self, handle: Any) -> None:
@@ -105,6 +108,7 @@ class Device(Driver):
         self.launches = Launches(self)
         self.buffers = Buffers(self, self.launches)
         self.programs = Programs(self, self.launches)
+        self.plans: Plans[Any] = Plans()
         self._limited = threading.local()
 
     @Once

@@ -95,18 +95,23 @@ class Program:
         """The kernel of this name; `DeviceError` if there is none."""
         mine = self._kernels.__dict__
         if name not in mine:
-            cl = opencl()
-            try:
-                mine[name] = Kernel(cl.Kernel(self._handle, name), name, self._variants)
-                _forget_sources()
-            except cl.Error as error:
-                raise DeviceError(f"there is no kernel {name!r}: {error}") from error
-            except Exception as error:
-                if type(error).__module__ != "sqlite3":
-                    raise
-                # pyopencl was imported before clvol, which would have disabled its cache
-                raise DeviceError(f"pyopencl cannot use its cache ({error}); set PYOPENCL_NO_CACHE=1") from error
+            mine[name] = self.own_kernel(name)
         return cast(Kernel, mine[name])
+
+    def own_kernel(self, name: str) -> Kernel:
+        """A kernel for one caller, which keeps its arguments."""
+        cl = opencl()
+        try:
+            kernel = Kernel(cl.Kernel(self._handle, name), name, self._variants)
+        except cl.Error as error:
+            raise DeviceError(f"there is no kernel {name!r}: {error}") from error
+        except Exception as error:
+            if type(error).__module__ != "sqlite3":
+                raise
+            # pyopencl was imported before clvol, which would have disabled its cache
+            raise DeviceError(f"pyopencl cannot use its cache ({error}); set PYOPENCL_NO_CACHE=1") from error
+        _forget_sources()
+        return kernel
 
 
 def _forget_sources() -> None:
@@ -127,16 +132,26 @@ class Kernel:
         self._typed = False
 
     def __call__(self, queue: Any, size: Any, local: Any, *arguments: Any, global_offset: Any = None) -> Any:
-        if global_offset is not None and len(size) < 3:
-            # PoCL compiles one kernel for launches without an offset and one for all others: an extra axis of size 1 at offset 1
-            # makes all of them others
-            size, local, global_offset = (*size, 1), local and (*local, 1), (*global_offset, 1)
-        self._variants.prepare(self._name, size, local, global_offset)
+        size, local, global_offset = self._prepared(size, local, global_offset)
         if not self._typed:
             self._handle.set_scalar_arg_dtypes([_type_of(argument) for argument in arguments])
             _forget_sources()
             self._typed = True
         return self._handle(queue, size, local, *arguments, global_offset=global_offset)
+
+    def again(self, queue: Any, size: Any, local: Any, number: int, argument: Any, *, global_offset: Any = None) -> Any:
+        """Launch with the arguments of the last call but one, of this number."""
+        size, local, global_offset = self._prepared(size, local, global_offset)
+        self._handle.set_arg(number, argument)
+        return opencl().enqueue_nd_range_kernel(queue, self._handle, size, local, global_offset)
+
+    def _prepared(self, size: Any, local: Any, global_offset: Any) -> tuple[Any, Any, Any]:
+        if global_offset is not None and len(size) < 3:
+            # PoCL compiles one kernel for launches without an offset and one for all others: an extra axis of size 1 at offset 1
+            # makes all of them others
+            size, local, global_offset = (*size, 1), local and (*local, 1), (*global_offset, 1)
+        self._variants.prepare(self._name, size, local, global_offset)
+        return size, local, global_offset
 
 
 def _type_of(argument: Any) -> Any:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -45,6 +45,7 @@ __all__ = [
 ]
 
 _PART = 1 << 25  # bytes of results converted at a time
+_KEPT = 1 << 22  # bytes of coefficients whose storage is kept for the next array of their shape
 _PADS = 12  # samples that a boundary rule pads an axis with, at most
 _PROBES = 8  # samples along each axis that are inspected
 _LEAST, _MOST = 2.0**-90, 2.0**90  # magnitudes that float32 holds through the prefilter and derivatives
@@ -120,19 +121,24 @@ def evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, sp
         for index in np.ndindex(moved.shape[:outer])
         for first in range(0, length, some)
     ]
-    made = None
+    made: Coefficients | None = None
+    asked = (size, row, boundary, kind, length) if len(tasks) == 1 and length * room <= _KEPT else None
     try:
         for number, (index, part) in enumerate(tasks):
             count = part.stop - part.start
             if made is None or made.shape[0] != count:
                 if made is not None:
                     made.release()
-                made = Coefficients(size, row, boundary, chosen, kind=kind, batch=count)
+                make = partial(Coefficients, size, row, boundary, chosen, kind=kind, batch=count)
+                made = chosen.plans.take(asked, make) if asked else make()
             at = index if outer == batch else (*index, part)
             made.fill(moved[at])
             for done in _evaluated(made, target, onto[at], store, given):
                 if progress:
                     progress((number + done) / len(tasks))
+        if asked and made is not None:
+            chosen.plans.give(asked, made)
+            made = None
     finally:
         if made is not None:
             made.release()

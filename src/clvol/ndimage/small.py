@@ -29,15 +29,18 @@ __all__ = ["ALL", "BY", "Small", "calls_by_scipy", "coefficients", "count", "ori
 
 BY = ("scipy", "opencl")
 """What may compute small calls."""
-_OPERATIONS = 3 << 16
-"""What SciPy computes in about the time in which kernels start: the weights of each element, and `_ELEMENT` more, and `_SAMPLE` for
-each sample and axis that is filtered."""
-_LINE = 128
+_OPERATIONS = 6 << 16
+"""What SciPy computes in about the time in which kernels start: the weights of each element, and `_SAMPLE` for each sample and
+axis that is filtered."""
+_LINE = 64
 """Times as many of one axis: kernels share work between cores by rows."""
-_POINTS = 16
+_POINTS = 32
 """Times fewer of these at given points, which kernels share between cores too."""
-_ELEMENT = 4
+_COEFFICIENT = 4
+"""Samples of one axis that are filtered in the time of a point."""
 _SAMPLE = 2
+_CALL = 3 << 10
+"""What a call of SciPy's costs, where there is one for each plane."""
 _SHORT = 32
 """Samples along an axis up to which it is filtered by a matrix."""
 _ALONE = 1 << 13
@@ -170,7 +173,7 @@ class Small:
     def few(self, count: int, *, at_points: bool = False) -> bool:
         """Whether SciPy computes a result of so many elements."""
         if at_points and self.data.ndim == 1:
-            count = _POINTS * (count + (self.data.size // _ELEMENT if self.plan.filtered and count else 0))
+            count = _POINTS * (count + (self.data.size // _COEFFICIENT if self.plan.filtered and count else 0))
         return 0 < count <= self.plan.most
 
     def map_coordinates(self, coordinates: Any) -> Array | None:
@@ -256,20 +259,49 @@ class Small:
         return self._by("zoom", factors, grid_mode=bool(grid_mode))
 
     def rotate(self, angle: Any, axes: Any, reshape: Any) -> Array | None:
-        """As `clvol.ndimage.rotate`: one slice of a volume after the other takes SciPy longer than all together."""
+        """As `clvol.ndimage.rotate`: planes one after the other, as SciPy, or together where that has fewer operations."""
         data, plan = self.data, self.plan
-        if not self.few(data.size) or (data.ndim > 2 and plan.order > 1 and not plan.filtered):
+        taps = plan.order + 1
+        if data.ndim < 3:
+            if not self.few(data.size):
+                return None
+            _, turn, start, shape = turned(angle, axes, reshape, data.shape)
+            return self._by("affine_transform", turn, start, shape) if self.few(prod(shape)) else None
+        if data.size * taps**2 > _OPERATIONS:
             return None
         plane, turn, start, shape = turned(angle, axes, reshape, data.shape)
-        if not self.few(prod(shape)):
+        count = prod(shape)
+        by_planes = count * taps**2 + _CALL * shape[3 - sum(plane)]
+        if not 0 < count < by_planes < _OPERATIONS:
             return None
-        if data.ndim == 2:
-            return self._by("affine_transform", turn, start, shape)
+        if by_planes < count * taps**3 or (plan.order > 1 and not plan.filtered):
+            return self._by_planes(plane, turn, start, shape)
         matrix, offset = np.eye(data.ndim), np.zeros(data.ndim)
         matrix[np.ix_(plane, plane)], offset[plane] = turn, start
         return self._by("affine_transform", matrix, offset, shape)
 
-    def _by(self, name: str, *arguments: Any, **options: Any) -> Array | None:
+    def _by_planes(self, plane: list[int], turn: _Floats, start: _Floats, shape: tuple[int, ...]) -> Array | None:
+        """`rotate` of a volume: an `affine_transform` for each plane."""
+        plan = self.plan
+        if plan.filtered and not plan.by_scipy:
+            along = _plane_plan(self.data.shape, plan.kind, plan.order, plan.mode, tuple(plane))
+            if along is None:
+                return None
+            plan = along
+        left, flat = 3 - sum(plane), tuple(shape[axis] for axis in plane)
+
+        def turning(data: Array, output: Any, *options: Any) -> Array:
+            result = output if isinstance(output, np.ndarray) else np.empty(shape, output)
+            if result.shape != shape:
+                raise ValueError
+            one = originals()["affine_transform"]
+            for given, made in zip(np.moveaxis(data, left, 0), np.moveaxis(result, left, 0), strict=True):
+                one(given, turn, start, flat, made, *options)
+            return result
+
+        return Small(self.data, self.output, self.cval, plan)._by(turning)
+
+    def _by(self, function: str | Callable[..., Array], *arguments: Any, **options: Any) -> Array | None:
         """The result of a function of SciPy's; what it refuses is left to clvol, whose error tells more."""
         plan, data = self.plan, self.data
         if plan.by_scipy:
@@ -279,9 +311,9 @@ class Small:
             if filtered is None:
                 return None
             data = filtered
-        function = originals()[name]
+        call = originals()[function] if isinstance(function, str) else function
         try:
-            result: Array = function(data, *arguments, self.output, plan.order, plan.mode, self.cval, plan.by_scipy, **options)
+            result: Array = call(data, *arguments, self.output, plan.order, plan.mode, self.cval, plan.by_scipy, **options)
         except (RuntimeError, ValueError, TypeError):
             return None
         if result.dtype in _FLOATS:
@@ -295,9 +327,9 @@ class Small:
 
 
 def _finite(numbers: Array) -> bool:
-    """Whether all numbers are finite, and of some also their squares, which is faster to ask."""
+    """Whether all numbers are finite, and of some also their sum or their squares, which is faster to ask."""
     if numbers.size <= _SINGLE:
-        return all(map(isfinite, numbers.ravel().tolist()))
+        return isfinite(sum(numbers.ravel().tolist()))
     if numbers.size > _ALONE:
         return bool(np.isfinite(numbers).all())
     return isfinite(np.vdot(numbers, numbers))  # which, other than `dot`, does not warn
@@ -324,7 +356,7 @@ def _plan(
     if left < 0:
         return None
     by_scipy = filtered and mode in _PADDED
-    plan = _Plan(kind, order, mode, None, (), False, filtered, by_scipy, left // ((order + 1) ** len(shape) + _ELEMENT))
+    plan = _Plan(kind, order, mode, None, (), False, filtered, by_scipy, left // (order + 1) ** len(shape))
     return _filtering(plan, shape, range(len(shape))) if filtered and not by_scipy else plan
 
 
@@ -348,6 +380,12 @@ def _coefficients_plan(
     return _filtering(plan, shape, axes) if plan.order > 1 else plan
 
 
+@lru_cache(maxsize=_PLANS)
+def _plane_plan(shape: tuple[int, ...], kind: np.dtype[Any], order: int, mode: str, plane: tuple[int, ...]) -> _Plan | None:
+    """The plan of an interpolation in planes."""
+    return _filtering(_Plan(kind, order, mode, None, (), False, True, False, 0), shape, plane)
+
+
 def _most(ndim: int) -> int:
     """Operations of a small call."""
     return _OPERATIONS * _LINE if ndim == 1 else _OPERATIONS
@@ -356,7 +394,7 @@ def _most(ndim: int) -> int:
 def _filtering(plan: _Plan, shape: Sequence[int], axes: Sequence[int]) -> _Plan | None:
     """A plan that filters some axes; None if SciPy would, inexactly."""
     order, mode = plan.order, plan.mode
-    if prod(shape) <= _FEW:
+    if prod(shape) <= _FEW and (len(axes) > 1 or len(shape) == 1):
         whole: Array = np.ones((1, 1))
         for axis, n in enumerate(shape):
             whole = np.kron(whole, _inverse(order, mode, n) if axis in axes and n > 1 else np.eye(n))
@@ -394,8 +432,10 @@ def _filtered(data: Array, plan: _Plan) -> Array | None:
             data = originals()["spline_filter1d"](data, plan.order, axis, np.float64, plan.mode)
         elif axis == 0:
             data = inverse.dot(data.reshape(len(data), -1)).reshape(data.shape)
-        else:
-            data = inverse @ data if axis < data.ndim - 1 else data.dot(inverse.T)
+        elif axis < data.ndim - 1:
+            data = inverse @ data
+        else:  # `dot` is not by BLAS for three axes
+            data = data.dot(inverse.T) if axis == 1 else data @ inverse.T
     return data
 
 

@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import mul
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -55,6 +56,7 @@ Frame: TypeAlias = Literal["LPS", "RAS"]
 Precision: TypeAlias = Literal["single", "double"]
 
 CLOSED = "the field was closed, and its coefficients were released; make a new one"
+_SINGLY = 4  # points that are looked at one by one
 _CHECKED = 256  # points that are checked for the order of their coordinates
 
 
@@ -372,6 +374,8 @@ def points_in_world(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[
 
 def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
     """Warn of points outside the volume that would be inside with their coordinates in the order of the array's axes."""
+    if len(points) <= _SINGLY and _are_inside(points.tolist(), volume):
+        return
     some = np.asarray(points[:: max(1, len(points) // _CHECKED)], np.float64)
     low, high = -0.5, np.asarray(volume.size) - 0.5
 
@@ -390,6 +394,17 @@ def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
             f"points are {names} in world units; most of these lie outside the volume, which reaches from {low} to {high}, "
             f"such as {some[outside][0].tolist()}; reversed, all lie in it"
         )
+
+
+def _are_inside(points: list[list[float]], volume: Volume) -> bool:
+    """Whether points lie in the volume's domain, sooner than NumPy finds out of a few."""
+    rows, origin, size = volume.world_to_index_matrix.tolist(), volume.origin, volume.size
+    for point in points:
+        at = [x - first for x, first in zip(point, origin, strict=True)]
+        for row, n in zip(rows, size, strict=True):
+            if not -0.5 <= sum(map(mul, row, at)) <= n - 0.5:
+                return False
+    return True
 
 
 def fill_value(fill: float | None) -> float | None:

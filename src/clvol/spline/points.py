@@ -18,7 +18,7 @@ from clvol.volume.stored import Reals
 
 if TYPE_CHECKING:
     from clvol.device import Device
-    from clvol.device.program import Program
+    from clvol.device.program import Kernel, Program
     from clvol.filter.boundary import Boundary
     from clvol.spline.build import DefineDict
     from clvol.spline.chain import Chain
@@ -168,12 +168,11 @@ class _Call(NamedTuple):
             given.values(coefficients, derivative),
         )
 
-    def launch(self, points: Any, planes: int, first: int, count: int, results: Any) -> None:
-        """Launch over `count` points, from number `first` on."""
-        self.program.kernel("sample_points")(
+    def launch(self, points: Any, planes: int, first: int, count: int, results: Any, kernel: Kernel | None = None) -> None:
+        """Launch over `count` points, from number `first` on; by a `kernel` of the caller's, if given."""
+        (kernel or self.program.kernel("sample_points"))(
             self.queue,
-            (-(-count // _RUN),) if self.in_lanes else (-(-count // 64) * 64,),
-            (1,) if self.in_lanes else (64,),
+            *self.sizes(count),
             *self.function,
             points,
             np.uint64(planes),
@@ -183,39 +182,61 @@ class _Call(NamedTuple):
             global_offset=(first // _RUN if self.in_lanes else first,),
         )
 
+    def sizes(self, count: int) -> tuple[tuple[int], tuple[int]]:
+        """Work-items over `count` points, and those of a group."""
+        return ((-(-count // _RUN),), (1,)) if self.in_lanes else ((-(-count // 64) * 64,), (64,))
 
-class _Few(NamedTuple):
-    """What a call at up to `_RUN` points needs besides them."""
 
-    call: _Call
-    results: Any
+_COUNT = 7  # the number of `first + count` among the arguments of points.cl
 
-    @classmethod
-    def of(cls, coefficients: Coefficients, evaluator: Evaluator, derivative: int, given: Given, kind: type[np.generic]) -> _Few:
-        """For points of a type."""
-        device = coefficients.device
+
+class _Few:
+    """What a call at up to `_RUN` points needs besides them; their memory too where kernels work on the host's."""
+
+    def __init__(
+        self, coefficients: Coefficients, evaluator: Evaluator, derivative: int, given: Given, kind: type[np.generic]
+    ) -> None:
+        self._device = device = coefficients.device
         program = _build(coefficients, evaluator, derivative, given, kind, planar=False, sorted=False)
         matrix = Transform.into(coefficients.volume).upload(device)
-        return cls(
-            _Call.of(program, coefficients, evaluator, derivative, given, matrix),
-            device.buffers.allocate(
-                _RUN * coefficients.functions * coefficients.ndim**derivative * np.dtype(coefficients.kind).itemsize
-            ),
-        )
+        self._call = _Call.of(program, coefficients, evaluator, derivative, given, matrix)
+        self._kernel, self._kind = program.own_kernel("sample_points"), kind
+        self._points = np.empty(_RUN * coefficients.ndim, kind)
+        self._results = np.empty(_RUN * coefficients.functions * coefficients.ndim**derivative, coefficients.kind)
+        self._in_place = device.is_pocl and device.kind == "cpu"
+        self._wanted = device.buffers.shared(self._results) if self._in_place else device.buffers.allocate(self._results.nbytes)
+        self._lent = device.buffers.shared(self._points) if self._in_place else None
+        self._launched = False
+
+    def at(self, points: NDArray[Any], results: NDArray[Any]) -> None:
+        """The function at points."""
+        count = len(points)
+        if not self._in_place:  # two copies cost less than to lend the arrays, and an upload less than a write to a buffer
+            part = self._device.buffers.upload(np.ascontiguousarray(points, dtype=self._kind))
+            with self._device.buffers.kept(part):
+                self._call.launch(part, 0, 0, count, self._wanted)
+                self._device.buffers.download(self._wanted, results)
+            return
+        self._points[: points.size].reshape(points.shape)[...] = points
+        if self._launched:
+            self._kernel.again(self._call.queue, *self._call.sizes(count), _COUNT, np.uint64(count), global_offset=(0,))
+        else:
+            self._call.launch(self._lent, 0, 0, count, self._wanted, self._kernel)
+        self._launched = True
+        self._device.finish()
+        results[...] = self._results[: results.size].reshape(results.shape)
 
 
 def _sample_few(
     coefficients: Coefficients, evaluator: Evaluator, points: NDArray[Any], results: NDArray[Any], derivative: int, given: Given
 ) -> None:
-    """`sample_into` at up to `_RUN` points of the world, by a plan: two copies cost less than to lend the arrays."""
+    """`sample_into` at up to `_RUN` points of the world, by a plan."""
     device, plans = coefficients.device, coefficients.plans
     kind = np.float32 if points.dtype == np.float32 else np.float64
     asked = evaluator, derivative, given.fill, kind
-    plan: _Few = plans.take(asked, lambda: _Few.of(coefficients, evaluator, derivative, given, kind))
-    part = device.buffers.upload(np.ascontiguousarray(points, dtype=kind))  # sooner than a write to a buffer that is there
-    with device.buffers.kept((plan, part, results)), device.errors:
-        plan.call.launch(part, 0, 0, len(points), plan.results)
-        device.buffers.download(plan.results, results)
+    plan: _Few = plans.take(asked, lambda: _Few(coefficients, evaluator, derivative, given, kind))
+    with device.buffers.kept((plan, results)), device.errors:
+        plan.at(points, results)
     plans.give(asked, plan)
 
 

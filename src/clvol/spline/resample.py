@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -33,6 +34,8 @@ _BLOCK = 16  # rows that resample.cl computes at once
 _ITEMS_A_CORE = 16  # work-items for each core, to balance the load
 _LONG = 1 << 16  # points along an axis, and coefficients of a row that they read: more are computed in parts
 _PART = 1 << 24  # approximate points of such a part
+_FEW = 1 << 10  # points along the axes of a grid whose tables are kept
+_KEPT = 1 << 20  # bytes of memory for work-items that are kept with them
 _SCRATCH = 64 << 20  # bytes for all work-items, unless these would be fewer than cores
 
 
@@ -243,6 +246,55 @@ class _Kernel(NamedTuple):
     defines: DefineDict
 
 
+class _Rows(NamedTuple):
+    """The tables of rows.cl for positions along the axes, and memory for its work-items."""
+
+    grid: NDArray[np.int32]
+    blocks: int  # of rows, in a slice
+    left: np.int32
+    width: np.int32
+    tables: list[Any]
+    items: int
+    scratch: Any
+    room: np.uint64
+
+    @classmethod
+    def of(cls, coefficients: Coefficients, positions: Sequence[NDArray[np.float64]], edge: float) -> _Rows:
+        """For positions along x, y and z."""
+        device, taps, d = coefficients.device, coefficients.filter.support, coefficients.ndim
+        nx, ny, nz = (*(len(along) for along in positions), 1, 1)[:3]
+        nz = nz if d == 3 else coefficients.shape[0]
+        whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
+        axes = [axis_taps(coefficients, axis, x, edge) for axis, x in enumerate([whole_vectors, *positions[1:]])]
+        if d == 1:  # the only row
+            axes.append((np.zeros((1, taps), np.int64), np.eye(1, taps)))
+        places, weights = zip(*axes, strict=True)
+        # the used part of a row, in whole vectors, which rows consist of
+        left = places[0].min() // LANES * LANES
+        width = int(places[0].max() // LANES * LANES + LANES - left)
+        places[0][...] = LANES * (places[0] - left)
+        blocks, used, first_used = np.zeros((-(-ny // _BLOCK), 2), np.int64), [np.zeros(1, np.int64)], 1
+        if d == 3:
+            for block, rows in enumerate(np.split(places[1], range(_BLOCK, ny, _BLOCK))):
+                distinct, among = np.unique(rows, return_inverse=True)
+                rows[...] = among.reshape(rows.shape)
+                blocks[block] = first_used, len(distinct)
+                used.append(distinct)
+                first_used += len(distinct)
+        tables = [
+            device.buffers.upload(np.concatenate([part.ravel() for part in parts]).astype(kind))
+            for parts, kind in ((places, np.int32), (weights, coefficients.kind), ([blocks], np.int32), (used, np.int32))
+        ]
+        units = nz * len(blocks)
+        room = width * (2 * LANES + int(blocks[:, 1].max()))
+        items = min(
+            units, max(device.units, min(_ITEMS_A_CORE * device.units, _SCRATCH // (np.dtype(coefficients.kind).itemsize * room)))
+        )
+        scratch = device.buffers.allocate(np.dtype(coefficients.kind).itemsize * items * room)
+        grid = np.array([nx, ny, nz, places[0].size], np.int32)
+        return cls(grid, len(blocks), np.int32(left), np.int32(width), tables, items, scratch, np.uint64(room))
+
+
 def _by_rows(
     coefficients: Coefficients,
     positions: Sequence[NDArray[np.float64]],
@@ -253,36 +305,13 @@ def _by_rows(
 ) -> None:
     """Launch a kernel over blocks of rows of a grid, as rows.cl says; `arguments` follow those of the grid."""
     device, taps, d = coefficients.device, coefficients.filter.support, coefficients.ndim
-    nx, ny, nz = (*(len(along) for along in positions), 1, 1)[:3]
-    nz = nz if d == 3 else coefficients.shape[0]
-    whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
-    axes = [axis_taps(coefficients, axis, x, edge) for axis, x in enumerate([whole_vectors, *positions[1:]])]
-    if d == 1:  # the only row
-        axes.append((np.zeros((1, taps), np.int64), np.eye(1, taps)))
-    places, weights = zip(*axes, strict=True)
-    # the used part of a row, in whole vectors, which rows consist of
-    left = places[0].min() // LANES * LANES
-    width = int(places[0].max() // LANES * LANES + LANES - left)
-    places[0][...] = LANES * (places[0] - left)
-    blocks, used, first_used = np.zeros((-(-ny // _BLOCK), 2), np.int64), [np.zeros(1, np.int64)], 1
-    if d == 3:
-        for block, rows in enumerate(np.split(places[1], range(_BLOCK, ny, _BLOCK))):
-            distinct, among = np.unique(rows, return_inverse=True)
-            rows[...] = among.reshape(rows.shape)
-            blocks[block] = first_used, len(distinct)
-            used.append(distinct)
-            first_used += len(distinct)
-    tables = [
-        device.buffers.upload(np.concatenate([part.ravel() for part in parts]).astype(kind))
-        for parts, kind in ((places, np.int32), (weights, coefficients.kind), ([blocks], np.int32), (used, np.int32))
-    ]
-    units, pitch, area = nz * len(blocks), int(coefficients.extent[0]), int(coefficients.extent[0]) * int(coefficients.extent[1])
-    room = width * (2 * LANES + int(blocks[:, 1].max()))
-    items = min(
-        units, max(device.units, min(_ITEMS_A_CORE * device.units, _SCRATCH // (np.dtype(coefficients.kind).itemsize * room)))
-    )
-    scratch = device.buffers.allocate(np.dtype(coefficients.kind).itemsize * items * room)
-    grid = np.array([nx, ny, nz, places[0].size], np.int32)
+    asked = None
+    if sum(len(along) for along in positions) <= _FEW:
+        asked = "rows", edge, *(along.tobytes() for along in positions)
+    make = partial(_Rows.of, coefficients, positions, edge)
+    rows = coefficients.plans.take(asked, make) if asked else make()
+    nx, _, nz, _ = rows.grid.tolist()
+    units, pitch, area = nz * rows.blocks, int(coefficients.extent[0]), int(coefficients.extent[0]) * int(coefficients.extent[1])
     defines = {"TAPS": taps, "DIMENSIONS": max(2, d), "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0}
     kernel = device.build(which.file, {**defines, **scalar_defines(coefficients.kind), **which.defines}).kernel(which.name)
     some = max(1, LANES * device.limits.launch_taps // (_BLOCK * nx * (taps + 2) * d))  # writing a value takes as long as two taps
@@ -291,25 +320,28 @@ def _by_rows(
         with device.errors:
             kernel(
                 device.queue,
-                (min(items, count),),
+                (min(rows.items, count),),
                 (1,),
                 coefficients.argument(DIRECT),
-                np.int32(left),
+                rows.left,
                 np.uint64(pitch),
                 np.uint64(area),
-                np.int32(width),
-                *tables,
-                grid,
+                rows.width,
+                *rows.tables,
+                rows.grid,
                 np.int32(first),
                 np.int32(count),
-                scratch,
-                np.uint64(room),
+                rows.scratch,
+                rows.room,
                 *arguments,
             )
         device.finish()
         if progress:
             progress((first + count) / units)
-    scratch.release()
+    if asked and rows.scratch.size <= _KEPT:
+        coefficients.plans.give(asked, rows)
+    else:
+        rows.scratch.release()
 
 
 def _put_values(

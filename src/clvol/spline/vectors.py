@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 __all__ = ["VectorField"]
 
+_TOGETHER = 16  # functions that are sampled together: kernels of a hundred take many seconds to compile
 _STILL = 1e-6  # of the largest component, the speed below which streamlines end
 
 
@@ -51,15 +52,13 @@ class _Interleaved(Coefficients):
     Three take the room of four, so that vectors of them are aligned: it takes a fifth less time.
     """
 
-    def __init__(self, parts: Volumes, filter: Filter, boundary: Boundary, device: Device, kind: type[np.generic]) -> None:
-        functions = len(parts)
+    def __init__(
+        self, parts: Sequence[Volume], filter: Filter, boundary: Boundary, device: Device, stored: Stored, kind: type[np.generic]
+    ) -> None:
+        functions, grid = len(parts), parts[0]
         self._apart = apart = functions + (functions == 3)
-        device.buffers.require_room((apart + 1) * bytes_of(parts.grid.size, filter, boundary, kind))
-        for part in parts:
-            part.require_finite()
-        together = Volume(np.asarray(parts).reshape(-1, *parts.shape[-2:]))
-        stored = Stored.of(together, filter, boundary, kind)
-        super().__init__(parts.grid, filter, boundary, device, stored, kind)
+        device.buffers.require_room((apart + 1) * bytes_of(grid.size, filter, boundary, kind))
+        super().__init__(grid, filter, boundary, device, stored, kind)
         if functions == 1:
             filled(self, parts[0].data)
             return
@@ -153,11 +152,20 @@ class VectorField(Leased):
         self.boundary, self.device = as_boundary(boundary), as_device(device)
         require_direct(self.device, "components are")
         self.filter = settled(as_filter(filter), self.grid)
-        kind = precision_kind(precision)
-        self._coefficients = _Interleaved(parts, self.filter, self.boundary, self.device, kind)
+        for part in parts:
+            part.require_finite()
+        self._kind = precision_kind(precision)
+        together = Volume(np.asarray(parts).reshape(-1, *parts.shape[-2:]))
+        stored = Stored.of(together, self.filter, self.boundary, self._kind)
+        each = list(parts)
+        self._groups = [
+            _Interleaved(each[first : first + _TOGETHER], self.filter, self.boundary, self.device, stored, self._kind)
+            for first in range(0, len(each), _TOGETHER)
+        ]
         self._slowest = _STILL * max(abs(float(end)) for part in parts for end in part.limits)
         self._lease = Lease(CLOSED)
-        self._lease.frees(self._coefficients.release)
+        for group in self._groups:
+            self._lease.frees(group.release)
 
     def __repr__(self) -> str:
         shape = " × ".join(map(str, self.grid.shape))
@@ -284,7 +292,7 @@ class VectorField(Leased):
         steps = Steps(float(spacing.min()), most, fixed, number("tolerance", tolerance, above=0))
 
         def at(points: NDArray[np.float64]) -> Reals:
-            return sample_coefficients(self._coefficients, DIRECT, points, 0, np.nan).reshape(-1, d)
+            return sample_coefficients(self._groups[0], DIRECT, points, 0, np.nan).reshape(-1, d)
 
         def along(points: NDArray[np.float64]) -> NDArray[np.float64]:
             vectors = at(points).astype(np.float64)
@@ -302,11 +310,16 @@ class VectorField(Leased):
 
     def _derivatives(self, points: ArrayLike, derivative: int, fill: float | None) -> Reals:
         with self.in_use():
-            made, d = self._coefficients, self.grid.ndim
+            d, outside = self.grid.ndim, fill_value(fill)
             array = as_points(points, "LPS", self.grid)
             shape = (*array.shape[:-1], self.components) + (d,) * derivative
-            memory.require(np.dtype(made.kind).itemsize * math.prod(shape), described(shape))
-            return sample_coefficients(made, DIRECT, array.reshape(-1, d), derivative, fill_value(fill)).reshape(shape)
+            memory.require(np.dtype(self._kind).itemsize * math.prod(shape), described(shape))
+            flat = array.reshape(-1, d)
+            found = [
+                sample_coefficients(group, DIRECT, flat, derivative, outside).reshape(len(flat), group.functions * d**derivative)
+                for group in self._groups
+            ]
+            return (found[0] if len(found) == 1 else np.concatenate(found, 1)).reshape(shape)
 
 
 def _as_volumes(components: Any) -> Volumes:
