@@ -15,8 +15,6 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any, Unpack
 
-import numpy as np
-
 from clvol.base.checks import as_path, flag, instance, suggests_options, whole
 from clvol.base.errors import OptionError
 from clvol.base.files import require_folder, require_suffix, staged
@@ -51,8 +49,8 @@ class HtmlOptions(LookOptions, ModeOptions, FieldOptions, total=False):
     metadata : bool
         Whether the page lists the volume's name and header. By default neither is in the file.
     most : int
-        The most samples along an axis, 16 to 2048: a volume with more is reduced first, without aliases. By default none is, and one
-        with more than 512 is refused: phones hold no more.
+        The most samples along an axis, 16 to 2048: a volume with more is reduced first, without aliases. By default none is, and
+        one with more than 508 is refused: phones hold no more.
     """
 
     title: str
@@ -71,8 +69,8 @@ def save_html(
 ) -> Path:
     """Write a picture that turns: one file of HTML, which a browser opens from a folder, without a server or a network.
 
-    It draws the function that `clvol.render` draws, not voxels: the prefiltered coefficients, from which a graphics card interpolates
-    by eight linear fetches a sample (Sigg and Hadwiger, 2005), with exact normals, the transfer function as it is, the picture's lights
+    It draws the function that `clvol.render` draws, not voxels: from the prefiltered coefficients a graphics card interpolates by
+    eight linear fetches a sample (Sigg and Hadwiger, 2005), with analytic normals, the exact transfer function, the same lights
     and cuts. The pointer or keys turn, move and zoom it; there are sliders for an isovalue and for a cut, and slices.
 
     Parameters
@@ -84,8 +82,8 @@ def save_html(
     camera, mode, step
         As of `clvol.render`; the mode is "composite", "isosurface", "surfaces", "mip" or "minip".
     **options
-        Those of `HtmlOptions` (`title`, `metadata`, `most`) and the look of `clvol.render`: `transfer`, `preset`, `lights`, `clip`, ...
-        Planes and a box cut, at most 16 faces in all.
+        Those of `HtmlOptions` (`title`, `metadata`, `most`) and the look of `clvol.render`: `transfer`, `preset`, `lights`, ...; of
+        `clip` planes and boxes, at most 16 faces in all.
 
     Returns
     -------

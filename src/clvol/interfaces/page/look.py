@@ -16,15 +16,13 @@ from clvol.filter.table import as_filter
 from clvol.interop.dispatch import is_in_parts
 from clvol.march.slices import window_of_slices
 from clvol.scene.clip import cuts_of
-from clvol.scene.mode import BY_LABEL, CURVATURES, colored_by, opacities_of, outlined, virtual_samples
+from clvol.scene.mode import CURVATURES, colored_by, opacities_of, outlined, virtual_samples
 from clvol.scene.scene import ROUNDING, Scene, as_scene
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.field import Field, resample
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from clvol.march.options import ResolvedLook
     from clvol.march.source import Source
     from clvol.scene.mode import Mode
@@ -153,11 +151,12 @@ def look_of(look: ResolvedLook, step: float, coefficients: Coefficients, scale: 
         _refuse([f"mode {mode.name} of labels"])
     values, shown = _values(mode, transfer)
     if shown / scale.unit < _STEPS and not names:
-        warn(f"what is shown spans {shown:.3g}, {shown / scale.unit:.0f} steps of the page's 16 bits: cut off what is far outside it")
+        warn(
+            f"what is shown spans {shown:.3g}, {shown / scale.unit:.0f} steps of the page's 16 bits: cut off what is far outside it"
+        )
     first, last = medium.domain
     steepest = float(np.linalg.norm(inverse, 2)) * unit
-    view = look.placed(1.0).camera.view(volume, 1.0)
-    target = look.placed(1.0).camera.target
+    view, target = look.camera.view(volume, 1.0), look.camera.target
     material = medium.material.block(linear=look.linear)
     cap = getattr(mode, "cap", False)
     background = scene.background

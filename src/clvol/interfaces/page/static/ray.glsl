@@ -180,43 +180,67 @@ float root(Ray ray, float near, float far, float sought)
     return t;
 }
 
+// Where the parabola through three equally spaced samples is nearest to a value that all of them lie on one side of, if the function
+// is on the other side there; else the middle sample.
+float beyond(Ray ray, float middle, float step, float a, float b, float c, float sought)
+{
+    a -= sought;
+    b -= sought;
+    c -= sought;
+    float bend = a - 2.0 * b + c;
+    bool one = (a < 0.0) == (b < 0.0) && (c < 0.0) == (b < 0.0) && abs(b) <= abs(a) && abs(b) <= abs(c) && bend != 0.0;
+    if (!one || 16.0 * abs(b * bend) > 3.0 * (a - c) * (a - c))   // two thirds of what the parabola needs
+        return middle;
+    float t = middle + step * (a - c) / (2.0 * bend), there = exact(along(ray, t)).w - sought;
+    return (there < 0.0) == (b < 0.0) ? middle : t;
+}
+
+void pass(Ray ray, float t, int k, inout vec3 sum, inout float light)
+{
+    float share = light * colors[k].a;
+    sum += share * lit(asLight(colors[k].rgb), toSlope * exact(along(ray, t)).xyz, isovalues[k], ray.world);
+    light -= share;
+}
+
 vec4 seen(Ray ray)
 {
     vec3 sum = vec3(0.0);
-    float light = 1.0, step = planes.w / length(ray.direction), before = 0.0, beforeAt = ray.enter;
-    bool started = false;
+    float light = 1.0, step = planes.w / length(ray.direction), last = ceil((ray.leave - ray.enter) / step);
     if (ray.cut && cap > 0) {
         float here = exact(along(ray, ray.enter)).w;
         if (here >= isovalues[0])
             return vec4(cap == 1 ? classified(here).rgb : asLight(capColor), 1.0);
     }
-    float last = ceil((ray.leave - ray.enter) / step);
+    float before = 0.0, earlier = 0.0;   // the values of the last two samples ...
+    int known = 0;                       // ... of which there are so many
     for (float n = 0.0; n <= last && light > 1e-6;) {
         float t = min(ray.enter + n * step, ray.leave), past;
         vec3 p = along(ray, t);
         if (worthAt(ray, p, past) <= seenAbove) {
-            started = false;
+            known = 0;
             n = max(n + 1.0, ceil((past - ray.enter) / step - 1e-3));
             continue;
         }
-        if (!started && n > 0.0) {
-            beforeAt = ray.enter + (n - 1.0) * step;
-            before = value(along(ray, beforeAt));
+        float middle = ray.enter + (n - 1.0) * step, here = value(p);
+        if (known == 0 && n > 0.0) {
+            before = value(along(ray, middle));
+            known = 1;
         }
-        float here = value(p);
-        if (started || n > 0.0)
-            for (int j = 0; j < surfaces; ++j) {
-                int k = here > before ? j : surfaces - 1 - j;
-                if ((before < isovalues[k]) == (here < isovalues[k]) || light <= 1e-6)
-                    continue;
-                vec3 hit = along(ray, root(ray, beforeAt, t, isovalues[k]));
-                float share = light * colors[k].a;
-                sum += share * lit(asLight(colors[k].rgb), toSlope * exact(hit).xyz, isovalues[k], ray.world);
-                light -= share;
+        for (int j = 0; j < surfaces && known > 0; ++j) {
+            int k = here > before ? j : surfaces - 1 - j;
+            if ((before < isovalues[k]) != (here < isovalues[k]))
+                pass(ray, root(ray, middle, t, isovalues[k]), k, sum, light);
+            else if (known > 1) {   // or both crossings lie between two samples
+                float there = beyond(ray, middle, step, earlier, before, here, isovalues[k]);
+                if (there != middle) {
+                    pass(ray, root(ray, middle - (there < middle ? step : 0.0), there, isovalues[k]), k, sum, light);
+                    pass(ray, root(ray, there, middle + (there < middle ? 0.0 : step), isovalues[k]), k, sum, light);
+                }
             }
-        started = true;
+        }
+        known = min(known + 1, 2);
+        earlier = before;
         before = here;
-        beforeAt = t;
         n += 1.0;
     }
     return vec4(sum, 1.0 - light);
