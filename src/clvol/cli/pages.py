@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -15,17 +16,33 @@ from clvol.filter.boundary import chosen_boundary
 __all__ = ["export"]
 
 
+@Parameter(name="*")
+@dataclass
+class Page:
+    """What a page holds."""
+
+    filter: Annotated[
+        FilterName | None, Parameter(help="As of 'clvol render': bspline3, bspline3-approx, linear or nearest.", show_default=False)
+    ] = None
+    most: Annotated[
+        Whole | None,
+        Parameter(
+            help="The most samples along an axis: a volume with more is reduced, without aliases. [default: as it is, up to 508]",
+            show_default=False,
+        ),
+    ] = None
+    title: Annotated[str, Parameter(help="A heading.", show_default=False)] = ""
+    metadata: Annotated[bool, Parameter(negative="", help="List the volume's name and header on the page.")] = False
+    device: DeviceName = None
+
+
 @command(PICTURES)
 def export(
     source: Source,
     /,
     *,
     output: Output,
-    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
-    most: Annotated[Whole | None, Parameter(show_default=False)] = None,
-    title: str = "",
-    metadata: Annotated[bool, Parameter(negative="")] = False,
-    device: DeviceName = None,
+    page: Page | None = None,
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
@@ -35,23 +52,12 @@ def export(
 
     It holds the whole volume, as 16-bit coefficients of the spline, and draws that itself. Names and headers are not in it unless
     --metadata asks for them.
-
-    Parameters
-    ----------
-    filter
-        As of 'clvol render': bspline3 with any smoothing, bspline3-approx, linear or nearest.
-    most
-        The most samples along an axis: a volume with more is reduced, without aliases. [default: as it is, up to 508]
-    title
-        A heading.
-    metadata
-        List the volume's name and header on the page.
     """
     speech.require_writable(output, (".html",), "pages")
-    look, reader = look or Look(), input or Input()
+    look, given = look or Look(), vars(page or Page())
     options = own_options(look, own)
-    volume = reader.read(source)
-    with speech.progress("writing", json), look.limited(device):
-        options |= look.options(volume) | {"filter": filter, "boundary": chosen_boundary(look.boundary), "device": device}
-        clvol.save_html(volume, output, title=title, metadata=metadata, most=most, **options)
+    volume = (input or Input()).read(source)
+    with speech.progress("writing", json), look.limited(given["device"]):
+        options |= look.options(volume) | {"boundary": chosen_boundary(look.boundary)}
+        clvol.save_html(volume, output, **given, **options)
     speech.say(json, {"output": str(output), "bytes": output.stat().st_size, "mode": look.mode})

@@ -24,6 +24,7 @@ from clvol.march import recipe
 from clvol.march.choose import source_of
 from clvol.march.options import FieldOptions, Fineness, LookOptions, ModeOptions, chosen_mode
 from clvol.scene.mode import DEFAULT_MODE
+from clvol.spline.field import Field
 
 if TYPE_CHECKING:
     from clvol.march.source import Drawable
@@ -120,7 +121,8 @@ def save_html(
     >>> clvol.save_html(clvol.phantoms.sphere(32), "ball.html", mode="isosurface").name
     'ball.html'
     """
-    target, given = as_path(path), dict(options)
+    target = as_path(path)
+    given: Any = dict(options)
     suffix = require_suffix(path, (".html",), "pages")
     title, metadata, most = given.pop("title", ""), flag("metadata", given.pop("metadata", False)), given.pop("most", None)
     instance("title", title, str)
@@ -140,6 +142,7 @@ def save_html(
             require_drawable(source, chosen, given)
             stage = recipe.staged(source, camera, chosen, fine, given, step)
             field = source.function(stage.look.mode)
+            assert isinstance(field, Field)  # or it was refused
             samples, scale = packed(field.coefficients)
             look = look_of(stage.look, fine.step, field.coefficients, scale)
             volume = source.scene.media[0].volume

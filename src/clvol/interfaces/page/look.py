@@ -247,7 +247,7 @@ def _pieces(transfer: TransferFunction, scale: Scale) -> list[list[Any]]:
     inner = [(a, a + _EDGE * (b - a), b - _EDGE * (b - a)) for a, b in itertools.pairwise(at)]
     before, after = (at[0] - 1.0 - abs(at[0]),) * 2, (at[-1] + 1.0 + abs(at[-1]),) * 2
     ends = transfer([*itertools.chain(before, *((first, last) for _, first, last in inner), after)]).tolist()
-    starts = [-_FAR, *map(scale, at)]
+    starts = [-_FAR, *(scale(value) for value in at)]
     lengths = [1.0, *(max(b - a, 1e-20) for a, b in itertools.pairwise(starts[1:])), 1.0]
     return [[start, length, *ends[2 * k : 2 * k + 2]] for k, (start, length) in enumerate(zip(starts, lengths, strict=True))]
 
