@@ -17,7 +17,7 @@ from clvol.interop.dispatch import is_in_parts
 from clvol.march.slices import window_of_slices
 from clvol.scene.clip import cuts_of
 from clvol.scene.mode import CURVATURES, colored_by, opacities_of, outlined, virtual_samples
-from clvol.scene.scene import ROUNDING, Scene, as_scene
+from clvol.scene.scene import ROUNDING, Medium, Scene, as_scene
 from clvol.scene.transfer import TransferFunction
 from clvol.spline.field import Field, resample
 from clvol.volume.volume import Volume
@@ -53,20 +53,23 @@ class Scale(NamedTuple):
 
 
 def reduced(scene: Any, most: int) -> Any:
-    """A scene with at most so many samples along each axis of its medium's volume."""
+    """A scene, or a volume, with at most so many samples along each axis of its medium's volume."""
     if isinstance(scene, Field):
         raise OptionError("most reduces volumes; a field's coefficients are drawn as they are")
     made: Scene = as_scene(scene)
     (medium, *_) = made.media
     volume = medium.volume
     if is_in_parts(volume) or max(volume.shape) <= most:
-        return made
+        return scene
     share = most / max(volume.shape)
     shape = [max(1, round(n * share)) for n in volume.shape]
     how: dict[str, Any] = {"filter": "nearest"} if volume.is_labels else {"anti_aliasing": True}
     small = resample(volume, shape, dtype=volume.data.dtype if volume.is_labels else None, **how)
     kept = {name: getattr(volume, name) for name in ("clim", "color", "name", "header")}
-    return made.of_media([replace(medium, volume=replace(small, **kept)), *made.media[1:]])
+    small = replace(small, **kept)
+    if not isinstance(scene, Scene | Medium):
+        return small  # whose filter and boundary may be given beside it
+    return made.of_media([replace(medium, volume=small), *made.media[1:]])
 
 
 def require_drawable(source: Source, mode: Mode, options: Mapping[str, Any]) -> None:
