@@ -386,6 +386,13 @@ def pictures_kept(world: World, random: Random) -> Any:
         return [saved.read_bytes(), to_png(grid([picture, picture], 2)), labelled(picture, "soak")]
 
 
+@_deed(4)
+def pages(world: World, random: Random) -> Any:
+    volume, mode = _volume(world, random), _one(random, ("composite", "isosurface", "surfaces", "mip", "minip"))
+    with world.own_folder() as folder:
+        return clvol.save_html(volume, folder / "page.html", _camera(random), mode, most=24, filter="bspline3").read_bytes()
+
+
 @_deed(8)
 def closed_under_another(world: World, random: Random) -> Any:
     """Closing while another thread renders gives it correct pictures or an error."""

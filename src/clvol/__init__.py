@@ -73,6 +73,7 @@ if TYPE_CHECKING:  # each name as itself, so that type checkers take it for publ
     from clvol.interfaces.mesh import mesh as mesh
     from clvol.interfaces.movie import movie as movie
     from clvol.interfaces.orthogonal import orthogonal as orthogonal
+    from clvol.interfaces.page import save_html as save_html
     from clvol.interfaces.radiograph import Radiograph as Radiograph
     from clvol.interfaces.resize import resize as resize
     from clvol.march.refine import Refined as Refined
@@ -146,6 +147,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "interfaces.mesh": "Mesh mesh",
     "interfaces.movie": "movie",
     "interfaces.orthogonal": "orthogonal",
+    "interfaces.page": "save_html",
     "interfaces.radiograph": "Radiograph",
     "interfaces.resize": "resize",
     "march.refine": "Refined",

@@ -1257,6 +1257,7 @@ COMMANDS = (
     "render",
     "slice",
     "orthogonal",
+    "export",
     "movie",
     "compare",
     "figure",

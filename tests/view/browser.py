@@ -13,7 +13,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-__all__ = ["Browser", "browser", "open_browser", "why_none"]
+__all__ = ["SOFTWARE_GL", "Browser", "browser", "open_browser", "why_none"]
 
 # The browser must not check for updates and the like, nor reach another machine.
 FLAGS = (
@@ -42,6 +42,8 @@ FLAGS = (
     "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1 , EXCLUDE localhost",
     "--force-device-scale-factor=1",
 )
+SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""Flags of a browser that draws by WebGL without a graphics card."""
 _CANVAS = "canvas"
 
 
@@ -166,15 +168,15 @@ class Browser:
 
 
 @contextmanager
-def open_browser(width: int = 1280, height: int = 800) -> Iterator[Browser]:
-    """A browser with a window of the given size and an empty profile."""
+def open_browser(width: int = 1280, height: int = 800, flags: Sequence[str] = ()) -> Iterator[Browser]:
+    """A browser with a window of the given size, an empty profile, and further flags."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         options = webdriver.ChromeOptions()
         options.binary_location = _program("CHROMIUM", "chromium", "chromium-browser", "google-chrome")
-        for flag in (*FLAGS, f"--window-size={width},{height}", f"--user-data-dir={profile}"):
+        for flag in (*FLAGS, *flags, f"--window-size={width},{height}", f"--user-data-dir={profile}"):
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
         driver = webdriver.Chrome(options=options, service=Service(_program("CHROMEDRIVER", "chromedriver")))

@@ -21,12 +21,12 @@ from cyclopts import CycloptsError
 from clvol.base.errors import ClvolError, ClvolWarning
 from clvol.base.interrupted import at_the_end, only_our_lines
 from clvol.base.printable import printable
-from clvol.cli import files, lists, pictures, view
+from clvol.cli import files, lists, pages, pictures, view
 from clvol.cli.root import app
 from clvol.cli.speech import one_line
 from clvol.cli.words import in_the_shell, of_the_command_line
 
-__all__ = ["app", "files", "lists", "main", "pictures", "view"]
+__all__ = ["app", "files", "lists", "main", "pages", "pictures", "view"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

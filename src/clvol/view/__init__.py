@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from clvol.base.errors import ClvolError, MissingDependencyError
 from clvol.filter.table import as_filter
+from clvol.interfaces.page import save_html
 from clvol.march.renderer import Renderer
 from clvol.march.slices import section
 from clvol.show.picture import Picture, to_png
@@ -30,7 +31,9 @@ from clvol.view.sketch import without_prefilter
 from clvol.view.state import State
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Mapping
+    from pathlib import Path
 
     from clvol.device import Device
     from clvol.march.options import ViewOptions
@@ -182,6 +185,29 @@ class View:
         plain = Renderer(self.volume, without_prefilter(row), rule_of(state.boundary), resident.device)
         with plain as renderer, renderer.device.limited(**resident.limits):
             renderer.render(size=(_SMALL, _SMALL), **resident.arguments(replace(state, media=())))
+
+    def save_html(self, path: str | os.PathLike[str], **options: Any) -> Path:
+        """Write the first state as one file of HTML, which turns in a browser without a server: see `clvol.save_html`.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.html``.
+        **options
+            `title`, `metadata` and `most` of `clvol.save_html`.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        ClvolError
+            As by `clvol.save_html`, such as of what a page cannot draw.
+        """
+        resident, state = self.resident, self.state
+        with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
+            return save_html(renderer.scene, path, device=renderer.device, **{**resident.arguments(state), **options})
 
     def python(self, size: tuple[int, int] = (512, 512)) -> str:
         """A program that draws `picture(size)`, bit for bit."""

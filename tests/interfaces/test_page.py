@@ -1,0 +1,119 @@
+"""Pages of one file: what Chromium draws, beside PoCL's pictures; what is in them, and what is refused by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from clvol.base.errors import ClvolWarning, FormatError, OptionError
+from clvol.device import Device
+from tests.view.browser import SOFTWARE_GL, Browser, open_browser, why_none
+
+SIZE = 128
+WITHIN = 0.002 + 0.5 / 255  # of the range: the samplers' weights, and the pixels' 8 bits
+
+Z, Y, X = np.mgrid[-1:1:24j, -1:1:24j, -1:1:24j]
+BALL = clvol.Volume((1000 * (1 - np.sqrt(X**2 + 1.5 * Y**2 + Z**2))).astype(np.int16))
+
+
+def drawn(browser: Browser, page: Path) -> np.ndarray:
+    """The whole picture of a page, in 0..1."""
+    browser.open(page.as_uri())
+    browser.js(f"document.getElementById('picture').style.cssText = 'flex: none; width: {SIZE}px; height: {SIZE}px'")
+    canvas = "document.getElementById('picture')"
+    browser.wait(f"{canvas}.dataset.final === 'true' && {canvas}.width === {SIZE}", 120, "the whole picture")
+    return browser.canvas("#picture") / 255
+
+
+def test_the_page_draws_what_python_draws(device: Device, tmp_path: Path) -> None:
+    if why := why_none():
+        pytest.skip(why)
+    names = np.digitize(BALL.data, [0, 300, 600]).astype(np.uint8)
+    cases: dict[str, tuple[clvol.Volume, dict[str, Any]]] = {
+        "mip": (clvol.phantoms.marschner_lobb(32), {"mode": "mip"}),
+        "composite": (clvol.phantoms.marschner_lobb(32), {"clip": clvol.Plane((0.3, -1, 0.4), (0, 0, 0))}),
+        "surface": (BALL, {"mode": "isosurface", "isovalue": 300.0}),
+        "labels": (clvol.Volume(names, labels=True), {}),
+    }
+    with open_browser(400, 400, SOFTWARE_GL) as browser:
+        for name, (volume, look) in cases.items():
+            page = clvol.save_html(volume, tmp_path / f"{name}.html", device=device, **look)
+            wanted = np.asarray(clvol.render(volume, size=(SIZE, SIZE), rays=1, device=device, **look))
+            apart = np.abs(drawn(browser, page) - wanted).max(-1)
+            # all but rays along rims; of labels, also samples on the faces between voxels
+            assert np.mean(apart <= WITHIN) >= (0.99 if name == "labels" else 0.998), name
+            assert np.ptp(wanted[..., :3]) > 0.5, name
+        first = browser.canvas("#picture")
+        browser.js("document.getElementById('picture').focus()")
+        browser.key("ArrowLeft")
+        browser.wait(lambda: not np.array_equal(browser.canvas("#picture"), first), 60, "a turn by a key")
+        browser.js("document.getElementById('slices-button').click()")
+        assert len(np.unique(browser.canvas("#slice-canvas-0").reshape(-1, 4), axis=0)) == 4  # the labels of a slice
+        assert [url for url in browser.requests() if not url.startswith("file:")] == []
+        assert [line for line in browser.console() if "SEVERE" in line] == []
+
+
+def test_noisy_samples_take_little_more_than_two_bytes(device: Device, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).normal(0, 20, BALL.shape)
+    empty, full = (
+        clvol.save_html(clvol.Volume(data), tmp_path / "page.html", device=device, mode="mip").stat().st_size
+        for data in (np.pad(np.ones((1, 1, 1)), 1), BALL.data + noise)
+    )
+    assert empty < 70_000
+    assert full - empty < 2.75 * BALL.data.size  # 16 bits in base64 are 2.67
+
+
+def test_nothing_of_a_patient_is_in_the_page_unless_asked_for(device: Device, tmp_path: Path) -> None:
+    header = {"PatientName": "Doe^Jane", "StudyDate": "20240229"}
+    volume = clvol.Volume(BALL.data, name="doe_jane_ct.nii.gz", header=header, space="LPS")
+    for word, asked in (("metadata", True), ("doe", False)):
+        page = clvol.save_html(volume, tmp_path / "page.html", device=device, mode="mip", metadata=asked, title="<b>A head</b>")
+        text = page.read_text(encoding="utf-8").partition('id="coefficients"')[0].lower()
+        assert ("doe" in text) == ("20240229" in text) == asked, word
+        assert "&lt;b&gt;a head" in text
+        assert "<b>a head" not in text
+        assert str(tmp_path).lower() not in text
+
+
+def test_what_a_page_cannot_draw_is_refused_by_name(device: Device, tmp_path: Path) -> None:
+    holes = BALL.data.astype(np.float32)
+    holes[3, 4, 5] = np.nan
+    long = clvol.Volume(np.zeros((2, 2, 600), np.uint8))
+    corner = clvol.Corner((0, 0, 0), (9, 9, 9))
+    refused: list[tuple[Any, dict[str, Any], str]] = [
+        (BALL, {"shadow": 0.5}, "shadow"),
+        (BALL, {"occlusion": 0.5}, "occlusion"),
+        (BALL, {"mode": "attenuated"}, "mode attenuated"),
+        (BALL, {"filter": "catmull-rom"}, "catmull-rom"),
+        (BALL, {"mode": "isosurface", "outline": 2}, "outline"),
+        (BALL, {"gradient": "central"}, "central"),
+        (BALL, {"gradient_opacity": 0.5}, "gradient_opacity"),
+        (BALL, {"clip": corner}, "corners"),
+        (BALL, {"rays": 4}, "rays"),
+        (BALL, {"scale_bar": True}, "scale_bar"),
+        (clvol.Scene([BALL, BALL]), {}, "several media"),
+        (clvol.Volume(holes), {}, "missing samples"),
+        (long, {}, "most=256"),
+    ]
+    for scene, options, word in refused:
+        with pytest.raises(OptionError, match=word):
+            clvol.save_html(scene, tmp_path / "page.html", device=device, **options)
+    with pytest.raises(FormatError, match="html"):
+        clvol.save_html(BALL, tmp_path / "page.png", device=device)
+    assert list(tmp_path.iterdir()) == []
+    hot = BALL.data.astype(np.float32)
+    hot[0, 0, 0] = 1e7
+    with pytest.warns(ClvolWarning, match="steps of the page's 16 bits"):
+        clvol.save_html(hot, tmp_path / "page.html", device=device, mode="mip", window=(500, 1000))
+
+
+def test_a_large_volume_is_reduced_if_asked(device: Device, tmp_path: Path) -> None:
+    sizes = [
+        clvol.save_html(BALL, tmp_path / "page.html", device=device, mode="mip", filter="bspline3", most=most).stat().st_size
+        for most in (16, None)
+    ]
+    assert sizes[0] < sizes[1]
