@@ -82,8 +82,11 @@ def parameters(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return len([name for name in names if name not in ("self", "cls")])
 
 
-def lines_of(path: str) -> int:
-    return len((PACKAGE / path).read_text(encoding="utf-8").splitlines())
+def lines_of(node: ast.Module | ast.ClassDef, length: int) -> int:
+    """Lines of a module or class without docstrings, for an example costs nothing."""
+    documented = (one for one in ast.walk(node) if isinstance(one, (ast.Module, ast.ClassDef, ast.FunctionDef)))
+    texts = [one.body[0] for one in documented if ast.get_docstring(one, clean=False) is not None]
+    return length - sum((text.end_lineno or 0) - text.lineno + 1 for text in texts)
 
 
 def public_members(node: ast.ClassDef) -> int:
@@ -94,13 +97,14 @@ def public_members(node: ast.ClassDef) -> int:
 
 def figures() -> dict[str, Figure]:
     """Each figure with its limit."""
-    longest = {name: (node.end_lineno or 0) - node.lineno + 1 for name, node in classes().items()}
+    longest = {name: lines_of(node, (node.end_lineno or 0) - node.lineno + 1) for name, node in classes().items()}
+    renderer = len((PACKAGE / "march/renderer.py").read_text(encoding="utf-8").splitlines())
     members = {name: public_members(node) for name, node in classes().items()}
     return {
         "files at the top of the package": Figure(len(list(PACKAGE.glob("*.py"))), 11),
         "isinstance of lazy or bricked": Figure(matching(r"isinstance\([^)]*\b(BrickedField|LazyVolume)\b"), 6),
         "isinstance of a mode outside mode.py": Figure(matching(rf"isinstance\([^)]*\b({_MODES})\b", without="scene/mode.py"), 0),
-        "lines of march/renderer.py": Figure(lines_of("march/renderer.py"), 400),
+        "lines of march/renderer.py": Figure(lines_of(modules()["clvol.march.renderer"], renderer), 210),
         "lines of the longest class": Figure(max(longest.values()), 300),
         "classes of more than 12 public members": Figure(sum(n > 12 for n in members.values()), 3),
         "functions with eight parameters or more": Figure(sum(parameters(node) >= 8 for node in functions()), 67),

@@ -227,7 +227,7 @@ def test_builds_are_reproducible(archives: tuple[Path, Path], tmp_path: Path) ->
 def test_the_wheel_contains_only_the_package(archives: tuple[Path, Path]) -> None:
     with zipfile.ZipFile(archives[1]) as wheel:
         kinds = {Path(name).suffix for name in wheel.namelist() if name.startswith("clvol/")}
-    assert kinds == {".py", ".cl", ".typed", ".html", ".js", ".css", ".yaml"}  # no data, no binary
+    assert kinds == {".py", ".cl", ".typed", ".html", ".js", ".css", ".glsl", ".yaml"}  # no data, no binary
 
 
 def test_the_wheel_runs_from_where_it_is_unpacked(archives: tuple[Path, Path], tmp_path: Path) -> None:

@@ -280,7 +280,7 @@ def test_a_users_error_is_one_line(clvol_command: Command, options: tuple[str, .
             ("bogus",),
             (
                 '"bogus"',
-                "compare, completion, convert, devices, doctor, figure, filters, info",
+                "compare, completion, convert, devices, doctor, export, figure, filters, info",
                 "resample, slice, view: see 'clvol --help'",
             ),
         ),

@@ -12,6 +12,7 @@ import time
 import warnings
 import weakref
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ import pytest
 from clvol.base.errors import ClvolWarning, DeviceError, OptionError, OutOfMemoryError
 from clvol.device import Device, Limits, as_device, choose, devices
 from clvol.device.launches import Launches
+from clvol.device.opencl import opencl
 from clvol.spline.field import sample
 
 USE = """
@@ -47,6 +49,17 @@ def python(code: str, timeout: float = 120, **changes: str | None) -> subprocess
 
 def uses_pocl(device: Device) -> bool:
     return device.is_pocl and device.kind == "cpu" and as_device() is device
+
+
+def test_llvmpipe_comes_last(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even where it calls itself a GPU: it compiles some kernels for minutes."""
+    mesa = SimpleNamespace(int_ptr=-1, available=True, compiler_available=True, name="llvmpipe (LLVM 15.0.6, 256 bits)")
+    mesa.type, mesa.platform = opencl().device_type.GPU, SimpleNamespace(name="rusticl")
+    platforms = [SimpleNamespace(get_devices=lambda handle=handle: [handle]) for handle in (mesa, device.handle)]
+    monkeypatch.setattr(choose, "opencl", lambda: SimpleNamespace(get_platforms=lambda: platforms, Error=RuntimeError))
+    monkeypatch.setattr(choose, "_devices", dict(choose._devices))
+    monkeypatch.setattr(Device, "fault", "")
+    assert [found.name for found in devices()] == [device.name, mesa.name]
 
 
 def test_no_linker_is_an_error_not_an_abort(device: Device, tmp_path: Path) -> None:

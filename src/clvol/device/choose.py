@@ -28,7 +28,8 @@ _process: int | None = None  # that first queried OpenCL for its devices
 def devices() -> list[Device]:
     """Every OpenCL device found, the default one first: GPUs, then the processor.
 
-    Of several runtimes for the processor PoCL comes first, which is the fastest. Unusable devices come last.
+    Of several runtimes for the processor PoCL comes first, which is the fastest. Mesa's llvmpipe comes after
+    all others, and unusable devices come last.
     """
     global _process
     require_unforked(_process)
@@ -49,9 +50,9 @@ def devices() -> list[Device]:
                 with _lock:
                     found.append(_devices.setdefault(handle.int_ptr, Device(handle)))
 
-    def rank(device: Device) -> tuple[bool, int, bool]:
+    def rank(device: Device) -> tuple[bool, bool, int, bool]:
         pocl = device.is_pocl and device.kind == "cpu"
-        return len(found) > 1 and bool(device.fault), _KINDS.index(device.kind), not pocl
+        return len(found) > 1 and bool(device.fault), device.is_llvmpipe, _KINDS.index(device.kind), not pocl
 
     return sorted(found, key=rank)
 

@@ -70,6 +70,11 @@ class Identity:
     def is_pocl(self) -> bool:
         return "portable computing language" in self.platform.lower()
 
+    @property
+    def is_llvmpipe(self) -> bool:
+        """Whether it is Mesa's rasterizer for the processor, which compiles some kernels for minutes."""
+        return self.name.lower().startswith("llvmpipe")
+
     @cached_property
     def has_double(self) -> bool:
         return "cl_khr_fp64" in str(self.handle.extensions)

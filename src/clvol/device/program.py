@@ -30,6 +30,10 @@ LANES = 8
 
 Defines = Mapping[str, str | int | float]
 _OPTIONS = ("-cl-std=CL1.2", "-w")  # clang counts its warnings on standard error, as for processors without AVX
+_MORE_OPTIONS = {  # by platform
+    # Oclgrind knows neither the marks that inlining leaves of `restrict`, nor clang's root
+    "Oclgrind": ("-cl-opt-disable", "-D__builtin_sqrtf=sqrt")
+}
 _POCL = "Portable Computing Language"
 # LLVM's own SIGINT handler removes the file it is writing, whoever handles the signal: then the program is built again
 _INTERRUPTED = "unable to rename temporary"
@@ -92,19 +96,19 @@ class Program:
         self._kernels = threading.local()
 
     def kernel(self, name: str) -> Kernel:
-        """The kernel of this name; `DeviceError` if there is none."""
+        """The kernel of this name; `DeviceError` if the runtime cannot create it."""
         mine = self._kernels.__dict__
         if name not in mine:
             mine[name] = self.own_kernel(name)
         return cast(Kernel, mine[name])
 
     def own_kernel(self, name: str) -> Kernel:
-        """A kernel for one caller, which keeps its arguments."""
+        """A kernel for one caller, which keeps its arguments; errors as of `kernel`."""
         cl = opencl()
         try:
             kernel = Kernel(cl.Kernel(self._handle, name), name, self._variants)
         except cl.Error as error:
-            raise DeviceError(f"there is no kernel {name!r}: {error}") from error
+            raise DeviceError(f"the OpenCL runtime cannot create the kernel {name!r}: {error}") from error
         except Exception as error:
             if type(error).__module__ != "sqlite3":
                 raise
@@ -222,7 +226,7 @@ def build(device: Any, context: Any, text: str, kernels: KernelCache | None, not
     Raises `DeviceError` if PoCL would have to build the program, and has no room to.
     """
     flags = os.environ.get("POCL_EXTRA_BUILD_FLAGS", "")  # PoCL adds them to the options
-    key = hashlib.sha256("\0".join((identity(device), *_OPTIONS, flags, text)).encode()).hexdigest()
+    key = hashlib.sha256("\0".join((identity(device), *_options(device), flags, text)).encode()).hexdigest()
     with _building, warnings.catch_warnings():
         # Intel's runtime always warns; faults are errors
         warnings.simplefilter("ignore", opencl().CompilerWarning)
@@ -243,9 +247,13 @@ def build(device: Any, context: Any, text: str, kernels: KernelCache | None, not
         return Program(handle, variants)
 
 
+def _options(device: Any) -> list[str]:
+    return [*_OPTIONS, *_MORE_OPTIONS.get(device.platform.name, ())]
+
+
 def _compiled(context: Any, text: str) -> Any:
     with quiet():
-        return opencl().Program(context, text).build(options=list(_OPTIONS))
+        return opencl().Program(context, text).build(options=_options(context.devices[0]))
 
 
 def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, key: str) -> Any:
@@ -258,7 +266,7 @@ def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, 
     binary = store.read(key).get("binary") if store else None
     if binary is not None:
         with suppress(cl.Error):  # of another driver
-            return cl.Program(context, [device], [binary]).build(options=list(_OPTIONS))
+            return cl.Program(context, [device], [binary]).build(options=_options(device))
     handle = _compiled(context, text)
     if store is not None:
         with suppress(cl.Error):

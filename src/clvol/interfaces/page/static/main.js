@@ -20,7 +20,7 @@ class Page {
     this.drawing.load(await decoded());
     this.sliders();
     this.listen();
-    new ResizeObserver(() => this.rest()).observe(canvas);
+    new ResizeObserver(() => this.move()).observe(canvas);  // a coarse picture first: a whole one may take long
   }
 
   /** Width and height in device pixels. */
