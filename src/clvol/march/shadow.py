@@ -488,6 +488,7 @@ class _Layout:
         if size > self._room:
             release(self._device, self._left)
             self._left, self._room = self._device.buffers.allocate(size), size
+            self._device.buffers.clear(self._left, 0, size // 4)  # what no line writes is read, with a weight of 0: not NaN
 
     def release(self) -> None:
         release(self._device, self._extinction, self._sums, self._left)
