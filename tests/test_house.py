@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "clvol"
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 _MODES = "Isosurface|Composite|Mip|Minip|Mean|Attenuated"
 
 
@@ -82,11 +83,12 @@ def parameters(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return len([name for name in names if name not in ("self", "cls")])
 
 
-def lines_of(node: ast.Module | ast.ClassDef, length: int) -> int:
+def lines_of(node: ast.Module | ast.ClassDef) -> int:
     """Lines of a module or class without docstrings, for an example costs nothing."""
-    documented = (one for one in ast.walk(node) if isinstance(one, (ast.Module, ast.ClassDef, ast.FunctionDef)))
+    documented = (one for one in ast.walk(node) if isinstance(one, _DOCUMENTED))
     texts = [one.body[0] for one in documented if ast.get_docstring(one, clean=False) is not None]
-    return length - sum((text.end_lineno or 0) - text.lineno + 1 for text in texts)
+    whole = (node.body[-1].end_lineno or 0) - getattr(node, "lineno", 1) + 1
+    return whole - sum((text.end_lineno or 0) - text.lineno + 1 for text in texts)
 
 
 def public_members(node: ast.ClassDef) -> int:
@@ -97,15 +99,14 @@ def public_members(node: ast.ClassDef) -> int:
 
 def figures() -> dict[str, Figure]:
     """Each figure with its limit."""
-    longest = {name: lines_of(node, (node.end_lineno or 0) - node.lineno + 1) for name, node in classes().items()}
-    renderer = len((PACKAGE / "march/renderer.py").read_text(encoding="utf-8").splitlines())
+    longest = {name: lines_of(node) for name, node in classes().items()}
     members = {name: public_members(node) for name, node in classes().items()}
     return {
         "files at the top of the package": Figure(len(list(PACKAGE.glob("*.py"))), 11),
         "isinstance of lazy or bricked": Figure(matching(r"isinstance\([^)]*\b(BrickedField|LazyVolume)\b"), 6),
         "isinstance of a mode outside mode.py": Figure(matching(rf"isinstance\([^)]*\b({_MODES})\b", without="scene/mode.py"), 0),
-        "lines of march/renderer.py": Figure(lines_of(modules()["clvol.march.renderer"], renderer), 210),
-        "lines of the longest class": Figure(max(longest.values()), 300),
+        "lines of march/renderer.py": Figure(lines_of(modules()["clvol.march.renderer"]), 209),
+        "lines of the longest class": Figure(max(longest.values()), 273),
         "classes of more than 12 public members": Figure(sum(n > 12 for n in members.values()), 3),
         "functions with eight parameters or more": Figure(sum(parameters(node) >= 8 for node in functions()), 67),
         "depth of the filter": Figure(depth("clvol.filter.filter"), 4),

@@ -1,4 +1,4 @@
-"""Tables, facts and curves as HTML and SVG, every text escaped."""
+"""Tables, facts and curves as HTML and SVG, every text escaped; and the texts of pages."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import html
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from clvol.base.printable import printable
 
-__all__ = ["beside", "curve", "escape", "facts", "histogram", "numbers", "strip", "table", "text_table"]
+__all__ = ["beside", "curve", "escape", "facts", "histogram", "numbers", "static", "strip", "table", "text_table"]
 
 _WIDTH, _HEIGHT = 360, 120  # size of a curve, in pixels
 _MARGIN = 14  # pixels around a curve, for its numbers
@@ -27,6 +28,12 @@ _NUMBER = re.compile(r"[-–]|[-+]?[\d.,]+(e[-+]?\d+)?( ?%)?")  # a dash means n
 def escape(text: str) -> str:
     """A text for HTML, without control characters."""
     return html.escape(printable(text))
+
+
+def static(package: str, *names: str) -> str:
+    """Files of the folder ``static`` of a package, joined to one text."""
+    folder = resources.files(package) / "static"
+    return "\n".join((folder / name).read_text(encoding="utf-8") for name in names)
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -51,8 +51,7 @@ def devices() -> list[Device]:
                     found.append(_devices.setdefault(handle.int_ptr, Device(handle)))
 
     def rank(device: Device) -> tuple[bool, bool, int, bool]:
-        pocl = device.is_pocl and device.kind == "cpu"
-        return len(found) > 1 and bool(device.fault), device.is_llvmpipe, _KINDS.index(device.kind), not pocl
+        return len(found) > 1 and bool(device.fault), device.is_llvmpipe, _KINDS.index(device.kind), not device.is_pocl
 
     return sorted(found, key=rank)
 

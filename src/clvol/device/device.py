@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from clvol.base.kept import Kept
 from clvol.device import program
 from clvol.device.buffers import Buffers, float_format
 from clvol.device.driver import Driver, Once
@@ -101,6 +102,8 @@ class Device(Driver):
     programs : Programs
     plans : Plans
         Those of calls that keep nothing else.
+    tables : Kept
+        Tables of kernels, by what they are of.
     """
 
     def __init__(self, handle: Any) -> None:
@@ -109,6 +112,7 @@ class Device(Driver):
         self.buffers = Buffers(self, self.launches)
         self.programs = Programs(self, self.launches)
         self.plans: Plans[Any] = Plans()
+        self.tables: Kept[Any] = Kept(64)
         self._limited = threading.local()
 
     @Once

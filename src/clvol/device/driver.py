@@ -68,7 +68,8 @@ class Identity:
 
     @property
     def is_pocl(self) -> bool:
-        return "portable computing language" in self.platform.lower()
+        """Whether it is PoCL's device for the processor, whose kernels work on the host's memory."""
+        return self.kind == "cpu" and "portable computing language" in self.platform.lower()
 
     @property
     def is_llvmpipe(self) -> bool:
@@ -151,7 +152,7 @@ class Driver(Identity, ABC):
         why = why_not(self.handle)
         if not why:
             return ""
-        if self.is_pocl and self.kind == "cpu":
+        if self.is_pocl:
             # PoCL runs the linker for every kernel, and aborts the process if that fails or a file cannot be written
             try:
                 kernels = kernel_cache()
@@ -177,7 +178,7 @@ class Driver(Identity, ABC):
         if self.fault:
             linker = "linker" in self.fault or "build kernels here" in self.fault
             raise DeviceError(self.fault + (_LINKER if linker else ""))
-        if self.is_pocl and self.kind == "cpu":
+        if self.is_pocl:
             self.compiled_for  # noqa: B018  # before the first kernel is built
 
     @cached_property

@@ -203,7 +203,7 @@ class _Few:
         self._kernel, self._kind = program.own_kernel("sample_points"), kind
         self._points = np.empty(_RUN * coefficients.ndim, kind)
         self._results = np.empty(_RUN * coefficients.functions * coefficients.ndim**derivative, coefficients.kind)
-        self._in_place = device.is_pocl and device.kind == "cpu"
+        self._in_place = device.is_pocl
         self._wanted = device.buffers.shared(self._results) if self._in_place else device.buffers.allocate(self._results.nbytes)
         self._lent = device.buffers.shared(self._points) if self._in_place else None
         self._launched = False

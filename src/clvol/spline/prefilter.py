@@ -125,7 +125,8 @@ def prefilter_in_place(
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size
     axes = range(dimensions) if axes is None else axes
-    defines, along = _arguments(device, filter, boundary, tuple(size), tuple(axes), kind)  # type: ignore[arg-type]  # a class can be hashed
+    asked = "prefilter", filter, boundary, tuple(size), tuple(axes), kind
+    defines, along = device.tables(asked, lambda: _arguments(device, filter, boundary, size, axes, kind))
     built = device.build("spline/prefilter.cl", {**defines, "COORD_DOUBLE": 0})
 
     def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
@@ -161,9 +162,8 @@ def prefilter_in_place(
             launch("prefilter_columns", wide, ny, first_row, pitch, nz * pitch, *columns, *along[2])
 
 
-@lru_cache(maxsize=64)
 def _arguments(
-    device: Device, filter: Filter, boundary: Boundary, size: tuple[int, ...], axes: tuple[int, ...], kind: type[np.generic]
+    device: Device, filter: Filter, boundary: Boundary, size: Sequence[int], axes: Sequence[int], kind: type[np.generic]
 ) -> tuple[DefineDict, dict[int, tuple[Any, ...]]]:
     """The `#define`s of prefilter.cl, and its arguments for the lines of each axis."""
     order, count, plans = _plans(filter, boundary, size, axes, kind)

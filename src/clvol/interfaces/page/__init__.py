@@ -10,7 +10,6 @@ import hashlib
 import json
 import os
 import zlib
-from importlib import resources
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any, Unpack
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from clvol.base.checks import as_path, flag, instance, suggests_options, whole
 from clvol.base.errors import OptionError
 from clvol.base.files import require_folder, require_suffix, staged
-from clvol.base.html import escape, facts
+from clvol.base.html import escape, facts, static
 from clvol.interfaces.page.look import look_of, packed, reduced, require_drawable
 from clvol.march import recipe
 from clvol.march.choose import source_of
@@ -128,8 +127,7 @@ def save_html(
     instance("title", title, str)
     if most is not None:
         scene = reduced(scene, whole("most", most, minimum=16, maximum=2048))
-    known = {*LookOptions.__annotations__, *ModeOptions.__annotations__, *FieldOptions.__annotations__}
-    if foreign := sorted(given.keys() - known):
+    if foreign := sorted(given.keys() - HtmlOptions.__annotations__):
         raise OptionError(f"a page takes no {' and '.join(foreign)}: leave them out, or draw a picture by clvol.render")
     held = {name: given.pop(name) for name in FieldOptions.__annotations__ if name in given}
     chosen = chosen_mode(mode, given, scene=scene)
@@ -156,8 +154,8 @@ def save_html(
 
 def _page(look: dict[str, Any], samples: bytes, title: str, details: str) -> str:
     """The text of the file."""
-    texts = {name: _static(name) for name in ("page.html", "page.css", *_SHADERS)}
-    script = "\n".join(_static(f"{part}.js") for part in _PARTS)
+    texts = {name: static(__name__, name) for name in ("page.html", "page.css", *_SHADERS)}
+    script = static(__name__, *(f"{part}.js" for part in _PARTS))
     policy = {
         "default-src": "'none'",
         "script-src": _hashed(script),
@@ -194,10 +192,6 @@ def _details(volume: Volume) -> str:
     size = " × ".join(map(str, volume.size))
     table = facts("", known | {"samples": size, "spacing": " × ".join(f"{v:.6g}" for v in volume.spacing) + f" {volume.units}"})
     return f"<details><summary>About the volume</summary>{table.replace(' style=', ' data-style=')}</details>"
-
-
-def _static(name: str) -> str:
-    return (resources.files("clvol.interfaces.page") / "static" / name).read_text(encoding="utf-8")
 
 
 def _hashed(text: str) -> str:

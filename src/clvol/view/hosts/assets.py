@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib import resources
+from clvol.base.html import static
 
 __all__ = ["asset"]
 
@@ -12,6 +12,4 @@ _PARTS = ("controls", "pane", "transfer", "joint", "wiper", "panel", "viewer", "
 
 def asset(name: str) -> str:
     """The text of a file of the page: ``index.html``, ``clvol.css``, or ``clvol.js``, which its parts are joined to."""
-    folder = resources.files("clvol.view.hosts") / "static"
-    names = [f"{part}.js" for part in _PARTS] if name == "clvol.js" else [name]
-    return "\n".join((folder / part).read_text(encoding="utf-8") for part in names)
+    return static("clvol.view.hosts", *([f"{part}.js" for part in _PARTS] if name == "clvol.js" else [name]))
