@@ -106,7 +106,7 @@ def figures() -> dict[str, Figure]:
         "isinstance of lazy or bricked": Figure(matching(r"isinstance\([^)]*\b(BrickedField|LazyVolume)\b"), 6),
         "isinstance of a mode outside mode.py": Figure(matching(rf"isinstance\([^)]*\b({_MODES})\b", without="scene/mode.py"), 0),
         "lines of march/renderer.py": Figure(lines_of(modules()["clvol.march.renderer"]), 209),
-        "lines of the longest class": Figure(max(longest.values()), 273),
+        "lines of the longest class": Figure(max(longest.values()), 269),
         "classes of more than 12 public members": Figure(sum(n > 12 for n in members.values()), 3),
         "functions with eight parameters or more": Figure(sum(parameters(node) >= 8 for node in functions()), 67),
         "depth of the filter": Figure(depth("clvol.filter.filter"), 4),

@@ -747,7 +747,7 @@ def test_a_flood_is_bounded(view: View) -> None:
     client = Client(view)
     for _ in range(20000):
         client.session.receive({"type": "set", "changes": {"camera.zoom": 1.5}})
-    assert len(client.session._inbox) <= 4096
+    assert len(client.session._post.inbox) <= 4096
     client.session.receive({"type": "event", "event": {"event_type": "blur"}})
     began = time.monotonic()
     client.close()

@@ -20,11 +20,12 @@ from clvol.view.control import Control
 from clvol.view.drawing import Drawer, Order, png
 from clvol.view.events import turned
 from clvol.view.panes import PaneSize, active_pane
+from clvol.view.post import Gone
 from clvol.view.protocol import Request
 from clvol.view.resident import Resident
 from clvol.view.state import name_of
 
-__all__ = ["Gone", "Parts", "action_of", "copied", "pixels_of"]
+__all__ = ["Parts", "action_of", "copied", "pixels_of"]
 
 _MOST_PICTURE = 1 << 13  # pixels along an edge of a picture that is saved
 _MOVIE = 16, 1920  # pixels along an edge of a movie
@@ -32,10 +33,6 @@ _MOST_BYTES = 1 << 29  # of a movie before it is packed
 _MOST_PIXELS = 3840 * 2160
 
 Answer: TypeAlias = tuple[dict[str, Any], bytes | None]
-
-
-class Gone(Exception):  # nothing went wrong
-    """The client is no longer there, or the session was closed."""
 
 
 @dataclass(frozen=True)

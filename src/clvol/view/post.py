@@ -1,0 +1,88 @@
+"""What passes between a session and its client: messages that came, frames that are on their way, and whether either has gone."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from clvol.view.background import Background
+from clvol.view.protocol import Message, Send, ends_drag
+from clvol.view.throttle import Inbox, Throttle
+
+__all__ = ["Gone", "Post"]
+
+_PATIENCE = 2.0  # seconds that a finished picture waits for acknowledgements
+
+
+class Gone(Exception):  # nothing went wrong
+    """The client is no longer there, or the session was closed."""
+
+
+class Post:
+    """Guarded by its condition, which says that something came."""
+
+    def __init__(self, send: Send) -> None:
+        self._send = send
+        self.condition = threading.Condition()
+        self.inbox, self.throttle, self.background = Inbox(), Throttle(), Background(self.condition)
+        self.closed = False
+
+    def put(self, message: Mapping[str, Any]) -> None:
+        """Take a client's message."""
+        with self.condition:
+            if self.closed:
+                return
+            if isinstance(message, Mapping) and message.get("type") == "ack":
+                self.throttle.acknowledge(message.get("frame"), time.monotonic())
+            else:
+                self.inbox.put(message)
+            self.condition.notify_all()
+
+    def tell(self, message: Message, data: bytes | None = None) -> None:
+        """Send a message to the client; `Gone` if it is not there."""
+        if self.closed:
+            raise Gone
+        try:
+            self._send(message, data)
+        except Exception as error:
+            raise Gone from error
+
+    def close(self) -> None:
+        """Take and send nothing more."""
+        with self.condition:
+            self.closed = True
+            self.background.close()
+            self.inbox.clear()
+            self.condition.notify_all()
+
+    def is_closed(self) -> bool:
+        """Whether the session has ended."""
+        return self.closed
+
+    def busy(self) -> bool:
+        """Whether a message came, or the session ends."""
+        return self.closed or len(self.inbox) > 0
+
+    def came(self) -> bool:
+        """Whether there is anything to take."""
+        return self.busy() or len(self.background) > 0
+
+    def drag_ends(self) -> bool:
+        """Whether a message came that ends a drag."""
+        with self.condition:
+            return any(map(ends_drag, self.inbox))
+
+    def room_in(self) -> float:
+        """Seconds until the client has room for a frame, if it acknowledges none."""
+        with self.condition:
+            return self.throttle.room_in(time.monotonic())
+
+    def may_send(self) -> bool:
+        """Whether the client has room for a frame; waits for it, until something else comes."""
+        with self.condition:
+            self.condition.wait_for(lambda: self.busy() or not self.throttle.full, _PATIENCE)
+            if self.throttle.full and not self.busy():
+                self.throttle.give_up()
+            return not self.throttle.full
