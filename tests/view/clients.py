@@ -106,6 +106,7 @@ def random_changes(chance: random.Random) -> dict[str, Any]:
         "camera.style": chance.choice(["turntable", "trackball"]),
         "camera.projection": chance.choice(["perspective", "orthographic"]),
         "slice.zoom": chance.uniform(0.1, 50),
+        "slice.window": chance.choice([None, [chance.uniform(-100, 100), chance.uniform(1, 500)]]),
         "mode": mode,
         "filter": chance.choice([None, "linear", "bspline3", "bspline3(0.5)", "catmull-rom"]),
         "boundary": chance.choice(["mirror", "nearest", "constant(5)"]),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clvol import Camera, Volume
 from clvol.base.errors import OptionError
 from clvol.view import State
-from clvol.view.events import Context, Inputs, Reduced, faces, reduce
+from clvol.view.events import Context, Inputs, Reduced, faces, fit, reduce
 from clvol.view.panes import Pane3D, PaneSize, SlicePane, camera_of
 from clvol.view.state import CameraState, Wiper
 from tests.view.clients import random_changes, random_event
@@ -269,9 +269,13 @@ def test_slices_zoom_about_the_cursor_and_pan_with_it(name: str) -> None:
 def test_the_second_button_sets_the_window_of_slices() -> None:
     state = State(layout="slice", active="z")
     made = drag(state, (100, 100), (100, 100 + HEIGHT / 2), button=2).state
-    assert made.window == pytest.approx((0.5 + 0.5, 1.0))  # down raises the centre
+    assert made.slice.window == pytest.approx((0.5 + 0.5, 1.0))  # down raises the centre
     made = drag(state, (100, 100), (100 + WIDTH / 2, 100), button=2).state
-    assert made.window == pytest.approx((0.5, 4.0))  # to the right widens
+    assert made.slice.window == pytest.approx((0.5, 4.0))  # to the right widens
+    assert made.window is None  # that of the volume's picture
+    moved = drag(made, (100, 100), (50, 50), button=3).state
+    assert fit(moved, context()).slice.window == made.slice.window
+    assert drag(made, (100, 100), (100 + WIDTH / 2, 100), pane="3d", inputs=held("w")).state.window == pytest.approx((0.5, 4.0))
 
 
 # -- what is dragged with a key ----------------------------------------------------------------------------------

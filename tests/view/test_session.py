@@ -109,6 +109,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "wiper": {"mode": "isosurface", "filter": "bspline3", "wiper": {"filter": "nearest", "at": 0.4}},
     "axial": {"layout": "slice", "active": "z", "crosshair": [0, 18, 51.3], "slice.zoom": 1.4},
     "sagittal": {"layout": "slice", "active": "x", "filter": "linear", "window": [450, 700], "cmap": "bone", "background": None},
+    "own window": {"layout": "slice", "active": "y", "window": [450, 700], "slice.window": [300, 900]},
     "cut wiper": {"layout": "slice", "active": "y", "filter": "bspline3", "wiper": {"filter": "nearest", "at": 0.5}},
 }
 
@@ -607,6 +608,14 @@ def test_linked_panes_follow_the_crosshair(client: Client) -> None:
     overlay, _ = client.wait(lambda m: m["type"] == "overlay" and m["pane"] == "z")
     assert overlay["crosshair"] == pytest.approx([40, 20])
     assert not any(m["pane"] in ("z", "3d") for m in client.of("frame"))  # these show the same as before
+    client.forget()
+    client.event("pointer_down", pane="z", x=20, y=20, button=2)
+    client.event("pointer_move", pane="z", x=34, y=30, button=2)
+    client.event("pointer_up", pane="z", x=34, y=30, button=2)
+    for name in ("x", "y", "z"):
+        client.still(name)
+    assert client.session.state.slice.window is not None
+    assert not any(m["pane"] == "3d" for m in client.of("frame"))  # nor does it take the window of slices
     # a click on the surface takes it there
     client.forget()
     client.event("pointer_down", pane="3d", x=32, y=24, button=1)

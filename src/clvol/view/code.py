@@ -165,7 +165,7 @@ def _cut(resident: Resident, state: State, name: str, shown: PaneSize, size: tup
     pane = SlicePane.of(state, resident.volume, "xyz".index(name), shown)
     words: dict[str, Any] = {key: tuple(getattr(pane, key).tolist()) for key in ("middle", "right", "down")}
     words |= {"pixel": pane.pixel(size), "size": size}
-    words |= {key: value for key in ("window", "cmap") if (value := getattr(state, key)) is not None}
+    words |= {key: value for key, value in (("window", state.slice_window), ("cmap", state.cmap)) if value is not None}
     if as_mode(state.mode).regions:
         words |= {"smooth": True} | (
             {"transfer": state.transfer} if state.transfer and not words.keys() & {"window", "cmap"} else {}

@@ -92,10 +92,10 @@ class Control:
         )
 
     def _window(self, state: State, name: str) -> tuple[float, float]:
+        if name != "3d":
+            return state.slice_window or window_of_slices(self._resident.catalog.volume_of(state))
         if state.window is not None:
             return state.window
-        if name != "3d":
-            return window_of_slices(self._resident.catalog.volume_of(state))
         low, high = self._resident.transfer(replace(state, transfer=None)).value_range
         return low / 2 + high / 2, (high - low) or 1.0
 
@@ -177,13 +177,13 @@ class Control:
 
     def _key(self, state: State, name: str) -> object:
         size, which = self.context().size(name), self._resident.catalog.which(state)
-        common = (size, which, state.filter, state.boundary, state.window, state.cmap, state.background, state.wiper)
+        common = (size, which, state.filter, state.boundary, state.cmap, state.background, state.wiper)
         if name == "3d":
             first = self._resident.initial
             return (*common, replace(state, layout="3d", active="3d", tool=None, slice=first.slice, crosshair=None))
         point = state.crosshair or self._resident.volume.center
         smooth = (state.transfer,) if as_mode(state.mode).regions else ()
-        return (*common, *smooth, state.slice, float(point["xyz".index(name)]))
+        return (*common, *smooth, state.slice, state.slice_window, float(point["xyz".index(name)]))
 
 
 # -- what lies under the pointer: exact values of the function that is drawn -----------------------------------

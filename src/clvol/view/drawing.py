@@ -251,8 +251,9 @@ def _slice(renderer: Renderer, order: Order, size: tuple[int, int]) -> NDArray[A
     assert isinstance(pane, SlicePane)  # by its name
     points = plane_points(pane.middle, pane.right, pane.down, pane.pixel(size), size)
     values = on_slices(renderer, state.mode)(points, fill=np.nan)
-    transfer = state.transfer if as_mode(state.mode).regions and state.window is None and state.cmap is None else None
-    return shaded(values, labelled(renderer.volume, state), state.window, state.cmap, state.background, transfer)
+    window = state.slice_window
+    transfer = state.transfer if as_mode(state.mode).regions and window is None and state.cmap is None else None
+    return shaded(values, labelled(renderer.volume, state), window, state.cmap, state.background, transfer)
 
 
 def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generator[Shot, None, None]:

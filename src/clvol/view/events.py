@@ -31,7 +31,7 @@ from clvol.view.panes import (
     triple,
     vertical,
 )
-from clvol.view.state import LAYOUTS, PANES, ZOOMS, CameraState, SliceState, State, Triple, name_of
+from clvol.view.state import LAYOUTS, PANES, ZOOMS, CameraState, State, Triple, name_of
 from clvol.volume.volume import Volume
 
 __all__ = ["KEYS", "Context", "Drag", "Inputs", "Reduced", "faces", "reduce", "shows_box"]
@@ -315,14 +315,16 @@ def _rolled(camera: CameraState, context: Context, angle: float) -> CameraState:
 
 
 def _window(drag: Drag, context: Context, x: float, y: float) -> State:
-    """Down raises the centre, right widens it, as in radiologists' programs."""
+    """Down raises the centre, right widens it, as in radiologists' programs; slices have a window of their own."""
     size, began = context.size(drag.pane), drag.began
     center, width = context.window(began, drag.pane)
     low, high = context.volume.value_range
     span = (high - low) or 1.0
     wider = min(max(width * _doubled(4 * (x - drag.x) / size.width), 1e-4 * span), 10 * span)
     center = min(max(center + (y - drag.y) / size.height * max(width, 0.05 * span), low - span), high + span)
-    return replace(began, window=(center, wider))
+    if drag.pane == "3d":
+        return replace(began, window=(center, wider))
+    return replace(began, slice=replace(began.slice, window=(center, wider)))
 
 
 def _isovalue(drag: Drag, context: Context, x: float, y: float) -> State:  # noqa: ARG001
@@ -477,7 +479,7 @@ def _zoomed(
         pane = context.pane(state, name)
         assert isinstance(pane, SlicePane)
         center = pane.middle if at is None else pane.middle + (1 - 1 / factor) * (pane.point(*at) - pane.middle)
-        return replace(state, slice=SliceState(zoom, _near(context, center)))
+        return replace(state, slice=replace(state.slice, zoom=zoom, center=_near(context, center)))
     zoom = min(max(state.camera.zoom * factor, ZOOMS[0]), ZOOMS[1])
     factor = zoom / state.camera.zoom
     if at is None or point is None:
@@ -564,7 +566,7 @@ def _along(state: State, context: Context, name: str, axis: str) -> State:
 def fit(state: State, context: Context | None = None) -> State:  # noqa: ARG001
     """Fit what can be seen again, in the volume and in slices; directions stay."""
     camera = replace(state.camera, target=None, distance=None, radius=None, zoom=1.0)
-    return replace(state, camera=camera, slice=SliceState())
+    return replace(state, camera=camera, slice=replace(state.slice, zoom=1.0, center=None))
 
 
 def reset(state: State, context: Context) -> State:  # noqa: ARG001

@@ -182,7 +182,7 @@ class Resident:
             given = self.settled_arguments(state, size[0] / size[1])
             return self.finer.wanted(state, size, given)
         pane = SlicePane.of(state, self.volume, "xyz".index(name), shown)
-        return self.finer.wanted_slice(state, pane, size, state.window or window_of_slices(self.volume))
+        return self.finer.wanted_slice(state, pane, size, state.slice_window or window_of_slices(self.volume))
 
     def mode(self, state: State) -> Mode:
         """The mode with its options as they are settled for the volume."""
@@ -250,7 +250,7 @@ class Resident:
             volume = self.catalog.volume_at(which)
             found: dict[str, Any] = {
                 "transfer": self._transfer_shown(state),
-                "window": list(state.window or window_of_slices(volume)),
+                "window": list(state.slice_window or window_of_slices(volume)),
                 "filter": self.filter_name(state, state.filter),
                 "crosshair": list(state.crosshair or map(float, self.volume.center)),
             }

@@ -375,10 +375,11 @@ class CameraState(_Checked):
 
 @dataclass(frozen=True)
 class SliceState(_Checked):
-    """Magnification of all slices, and the world point in their middle (None: the volume's centre)."""
+    """Magnification of all slices, the world point in their middle (None: the volume's centre), and their own window."""
 
     zoom: float = _of(number, 1.0, minimum=ZOOMS[0], maximum=ZOOMS[1])
     center: Triple | None = _of(_triple, None)
+    window: tuple[float, float] | None = _of(_window, None)
 
     _WITHIN = "slice."
 
@@ -449,7 +450,7 @@ class State(_Checked):
         In JSON as `TransferFunction.json` says. If it is given, `preset`, `window`, `cmap` and `opacity` are not used for the
         volume's picture; a `TransferFunction2D` is in "composite" alone, and other modes have their own.
     preset, window, cmap, opacity
-        As for `clvol.render`; slices take `window` and `cmap`.
+        As for `clvol.render`; slices take `cmap`, and `window` where they have none of their own (`slice.window`).
     gradient_opacity : float
         How much of the opacity is missing where the function is flat, 0 to 1.
     lights : tuple of Light, optional
@@ -529,6 +530,11 @@ class State(_Checked):
     def words(self) -> dict[str, Any]:
         """The values of `WORDS`, by name: arguments of `clvol.scene.look`."""
         return {name: getattr(self, name) for name in WORDS}
+
+    @property
+    def slice_window(self) -> tuple[float, float] | None:
+        """The window of slices: their own, else that of the volume's picture; None leaves it to the volume."""
+        return self.slice.window or self.window
 
     @property
     def label_rows(self) -> dict[int, tuple[None, Triple | None, float | None]]:

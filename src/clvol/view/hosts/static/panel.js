@@ -315,7 +315,21 @@ class Panel {
         this.viewer.set({ crosshair: at }, live);
       }),
     );
-    return make("div", {}, this.plane.element, ...this.crosshair.map((c) => c.element));
+    const windowed = (i) => (value, live) => {
+      const pair = [...this.sliceWindow()];
+      pair[i] = value;
+      this.viewer.set({ "slice.window": value === null ? null : pair }, live);
+    };
+    this.level = slider("Level", { low: 0, high: 1, open: true }, windowed(0), "the value in the middle of the greys of slices");
+    this.width = slider("Window", { low: 0, high: 1, open: true }, windowed(1), "from black to white in slices");
+    const given = button("As the picture", () => this.viewer.set({ "slice.window": null }), { title: "slices have no window of their own" });
+    const buttons = make("div", { class: "clvol-buttons" }, given);
+    return make("div", {}, this.plane.element, ...[...this.crosshair, this.level, this.width].map((c) => c.element), buttons);
+  }
+
+  /** Centre and width of the greys of slices. */
+  sliceWindow() {
+    return this.viewer.state.slice.window ?? this.viewer.effective.window ?? [0, 1];
   }
 
   cameraControls() {
@@ -406,6 +420,9 @@ class Panel {
     const { low, high } = this.box();
     [...this.crosshair.entries()].forEach(([i, c]) => c.limit(low[i], high[i]));
     this.crop.forEach((c, i) => c.limit(low[i >> 1], high[i >> 1]));
+    const [least, most] = info.volume.range;
+    this.level.limit(least, most);
+    this.width.limit((most - least) / 1000, most - least);
     this.made = null;
     this.around.find(([name]) => name === "letters")[1].element.hidden = info.volume.space !== "LPS";
     this.axes.tell(info);
@@ -453,6 +470,9 @@ class Panel {
     if (state.wiper) this.other.show(state.wiper.filter);
     this.plane.show(state.active === "3d" ? "z" : state.active);
     (state.crosshair ?? viewer.info.volume.center).forEach((value, i) => this.crosshair[i].show(value));
+    const [level, width] = this.sliceWindow();
+    this.level.show(level);
+    this.width.show(width);
     this.projection.show(state.camera.projection);
     this.style.show(state.camera.style);
     this.fov.show(state.camera.fov);
