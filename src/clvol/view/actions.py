@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.checks import whole
-from clvol.base.errors import OptionError
+from clvol.base.errors import ClvolError, OptionError
 from clvol.scene.joint import TransferFunction2D
 from clvol.show.movies import FORMATS, packed, require_encoder
 from clvol.show.picture import to_bytes
@@ -21,7 +21,7 @@ from clvol.view.drawing import Drawer, Order, png
 from clvol.view.events import turned
 from clvol.view.panes import PaneSize, active_pane
 from clvol.view.post import Gone
-from clvol.view.protocol import Request
+from clvol.view.protocol import Change, Request
 from clvol.view.resident import Resident
 from clvol.view.state import name_of
 
@@ -97,6 +97,15 @@ def _copy(parts: Parts, request: Request) -> Answer:
     return {"text": copied(parts, request.what.removeprefix("copy_"))}, None
 
 
+def _restore(parts: Parts, request: Request) -> Answer:
+    """Show the state of an address."""
+    try:
+        parts.control.change(Change(code.from_url(request.arguments.get("url", "")).json(), whole=True))
+    except ClvolError as error:
+        raise OptionError(f"the state in this page's address cannot be read: {error}") from None
+    return {}, None
+
+
 def _picture(parts: Parts, request: Request) -> Answer:
     """The final picture of a pane, seen as high as it is shown."""
     control, context = parts.control, parts.control.context()
@@ -150,6 +159,7 @@ _TABLE: Mapping[str, Callable[[Parts, Request], Answer]] = {
     "copy_python": _copy,
     "copy_toml": _copy,
     "copy_url": _copy,
+    "restore": _restore,
     "pick": _pick,
     "heat": _heat,
     "movie": _movie,

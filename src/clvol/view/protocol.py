@@ -9,7 +9,8 @@ From the client:
   The number comes back as "heard" with states that include the change, so that a client that has sent more shows that.
 - `{"type": "do", "what": "...", "id": ..., ...}`: answered by a `reply` with that id. `save_picture` (width, height, pane) gives a
   PNG; `movie` (width, height, frames, format: "gif", "mp4", "webm" or "zip" of PNG) a file; `pick` (x, y, pane) what lies there;
-  a double click gives such a reply without an id. `joint` gives a "transfer" of value and gradient to begin with.
+  a double click gives such a reply without an id. `restore` (url) shows the state of an address. `joint` gives a "transfer" of
+  value and gradient to begin with.
 - `{"type": "ack", "frame": number}`: the client has shown a frame.
 
 To the client:
@@ -96,9 +97,9 @@ class Change:
 
     changes: Any
     whole: bool
-    live: bool
-    gesture: str | None
-    number: int | None
+    live: bool = False
+    gesture: str | None = None
+    number: int | None = None
 
     @property
     def step(self) -> tuple[str, ...] | None:

@@ -323,6 +323,7 @@ def _description(volume: Volume, title: str, axes: list[dict[str, Any]], labels:
         "presets": list(presets()),
         "colormaps": list(_COLOR_MAPS),
         "keys": dict(KEYS),
+        "defaults": State().json(),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from typing import Any
@@ -118,6 +119,12 @@ class Page:
             history = self.view.last._history
             error.add_note("\n".join(str(one.camera) for one in (*history.past, history.present, *history.future)))
             raise
+
+    def in_address(self) -> State | None:
+        """The state that the page's address has."""
+        with suppress(clvol.OptionError):
+            return from_url(self.js("return location.href"))
+        return None
 
     def let_go(self) -> State:
         """The state after all pointers are up: the last events of a gesture may still be on their way."""
@@ -410,9 +417,31 @@ def test_copied_python_is_shown_if_the_clipboard_is_blocked(page: Page) -> None:
     assert "clvol.render(" in text
 
 
-def test_a_truncated_url_is_reported(page: Page) -> None:
-    page.open("#s=eyJ2")
-    page.wait(lambda: "cannot be read" in page.told(), 20, "the error")
+def test_a_reload_keeps_the_state_which_the_address_has(page: Page) -> None:
+    assert page.js("return location.hash") == ""
+    page.choose("Mode", "mip")
+    page.browser.drag((60, 30), PANE)
+    page.becomes(lambda state: state.mode == "mip" and state.camera.target is not None)
+    wanted = page.let_go()
+    page.wait(lambda: page.in_address() == wanted, what="its address")
+    old, entries = page.view.last, page.js("return history.length")
+    page.browser.driver.refresh()
+    page.wait(lambda: page.view.last is not old and page.state == wanted, what="the state after a reload")
+    assert page.js("return history.length") == entries
+    page.press("Undo")
+    page.wait("location.hash === ''", what="the first state, which has no fragment")
+
+
+@pytest.mark.parametrize(("fragment", "why"), [("eyJ2", "must be JSON"), ("eyJtb2RlIjoieCJ9", "mode must be")])
+def test_a_wrong_address_is_reported_until_something_is_done(page: Page, fragment: str, why: str) -> None:
+    page.open(f"#s={fragment}")
+    page.wait(lambda: "address cannot be read" in page.told() and why in page.told(), 20, "the error")
+    assert page.state == page.view.state
+    page.choose("Mode", "mip")
+    page.browser.wheel(-10, PANE)
+    page.browser.mouse("mousePressed", 20, 20)
+    page.browser.mouse("mouseReleased", 20, 20)
+    page.wait(lambda: not page.told() and page.in_address() == page.state, what="another address")
 
 
 def test_a_lost_connection_is_restored_with_its_state(page: Page) -> None:

@@ -30,23 +30,9 @@ export function page(element) {
   let socket = null;
   let header = null;
   let tries = 0;
-  let last = "";
   const channel = { send: (object) => socket?.readyState === WebSocket.OPEN && socket.send(JSON.stringify(object)), onmessage: () => {} };
   const viewer = mount(element, channel, { onLink: (text) => new URL(text.slice(text.indexOf("#")), location.href).href });
-  const wanted = () => new URLSearchParams(location.hash.slice(1)).get("s");
-
-  /** Sends the state of the page's address. */
-  const restore = () => {
-    const text = wanted();
-    if (!text || text === last) return;
-    last = text;
-    try {
-      const bytes = Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (c) => c.charCodeAt(0));
-      channel.send({ type: "set", changes: JSON.parse(new TextDecoder().decode(bytes)), whole: true });
-    } catch {
-      viewer.status("the state in this page's address cannot be read; it may be incomplete", "error");
-    }
-  };
+  const address = new Address(viewer);
 
   const connect = () => {
     const url = new URL(element.dataset.socket || "ws", location.href);
@@ -59,9 +45,8 @@ export function page(element) {
       header = null;
       viewer.status("");
       for (const pane of viewer.panes.values()) pane.latest = 0;
-      last = "";
       if (viewer.state) viewer.setAll(); // from before the connection was lost
-      else restore();
+      else address.begin();
       for (const pane of viewer.panes.values()) pane.resized();
     };
     socket.onmessage = ({ data }) => {
@@ -85,7 +70,6 @@ export function page(element) {
       else if (!final) setTimeout(connect, wait);
     };
   };
-  addEventListener("hashchange", restore);
   connect();
   return viewer;
 }

@@ -16,6 +16,8 @@ class Viewer {
     this.lastId = 0;
     this.gesture = 0; // number of the gesture, which is one step of undo
     this.picture = NOTHING;
+    this.noted = ""; // a line that stays until something is done
+    this.onConfirmed = () => {};
     this.grid = make("div", { class: "clvol-panes" });
     this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, WAITING);
     this.panel = new Panel(this);
@@ -25,6 +27,7 @@ class Viewer {
     this.inner = make("div", { class: "clvol-frame" }, stage, this.panel.element);
     this.root = make("div", { class: `clvol${embedded ? " clvol-embedded" : ""}` }, this.inner);
     this.root.addEventListener("keydown", (event) => this.key(event));
+    for (const type of ["pointerdown", "keydown"]) this.root.addEventListener(type, () => this.noted && this.note(""), true);
     element.replaceChildren(this.root);
     channel.onmessage = (message, data) => this.receive(message, data);
   }
@@ -85,6 +88,7 @@ class Viewer {
     this.canUndo = message.can_undo;
     this.canRedo = message.can_redo;
     this.effective = message.effective ?? this.effective;
+    this.onConfirmed(this.confirmed);
     this.show();
   }
 
@@ -138,8 +142,14 @@ class Viewer {
   }
 
   status(text, kind = "info") {
-    this.line.textContent = text ?? "";
-    this.line.dataset.kind = kind;
+    this.line.textContent = text || this.noted;
+    this.line.dataset.kind = !text && this.noted ? "error" : kind;
+  }
+
+  /** Shows an error whenever there is no other status, until something is done. */
+  note(text) {
+    this.noted = text;
+    this.status("");
   }
 
   /** A status of the session; after an error, which may concern a change made here, its last state is shown. */
