@@ -30,7 +30,7 @@ def test_each_type_is_parsed() -> None:
     ("message", "says"),
     [
         ([], "a message must be an object of JSON"),
-        ({"type": "nonsense"}, "the type of a message must be one of event, set, do, ack; got 'nonsense'"),
+        ({"type": "nonsense"}, "the type of a message must be one of event, set, do, hover, ack; got 'nonsense'"),
         ({"type": "event", "event": {"type": "resize", "pane": "w"}}, "pane must be one of"),
         ({"type": "event", "event": {"type": "resize", "width": "a", "height": 1}}, "width must be"),
         ({"type": "event", "event": {"type": "resize", "width": 1, "height": 1, "ratio": 0}}, "ratio must be"),

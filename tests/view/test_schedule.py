@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from clvol.view.schedule import Draw, FindFacts, Shown, Wait, next_job
+from clvol.view.schedule import Draw, FindFacts, Read, Shown, Wait, next_job
 
 LINKED = {"3d": "a", "x": "b", "y": "c"}
 DONE = {name: Shown(key, True) for name, key in LINKED.items()}
@@ -32,6 +32,11 @@ DONE = {name: Shown(key, True) for name, key in LINKED.items()}
         ({"shown": {}, "sketching": True}, Draw("3d", True)),
         ({"shown": {"3d": Shown("a", True)}, "sketching": True}, Wait(None)),  # slices wait for the coefficients
         ({"wanted": {"x": "b"}, "shown": {}, "sketching": True}, Draw("x", True)),
+        ({"shown": DONE, "read_in": 0.0}, Read()),
+        ({"shown": DONE, "read_in": 0.1, "facts_in": 0.3}, Wait(0.1)),
+        ({"shown": {}, "read_in": 0.0}, Draw("3d", True)),
+        ({"shown": {}, "read_in": 0.0, "room_in": 0.5}, Read()),
+        ({"shown": DONE | {"3d": Shown("a", False)}, "rest_in": 0.1, "read_in": 0.05}, Wait(0.05)),
     ],
 )
 def test_the_next_job(given: dict[str, Any], job: object) -> None:

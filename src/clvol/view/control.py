@@ -1,4 +1,4 @@
-"""A client's state and what changes it: pointer and keys, the panel, undo; and what is picked.
+"""A client's state and what changes it: pointer and keys, the panel, undo.
 
 No thread, and nothing is sent from here.
 """
@@ -10,33 +10,19 @@ import time
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from clvol.base.errors import OptionError
-from clvol.bricks.field import BrickedField
-from clvol.labels import name_of
-from clvol.march.renderer import Renderer
 from clvol.march.slices import window_of_slices
-from clvol.scene.camera import Camera
 from clvol.scene.mode import as_mode
-from clvol.spline.field import Field
-from clvol.spline.regions import Regions
-from clvol.view import events
+from clvol.view import events, picking
 from clvol.view.events import Context, Inputs
-from clvol.view.panes import Pane3D, PaneSize, SlicePane, triple
+from clvol.view.panes import PaneSize
 from clvol.view.protocol import Change
-from clvol.view.renderers import on_slices
 from clvol.view.resident import Resident
 from clvol.view.state import History, State
-from clvol.volume.histogram import label_numbers
-from clvol.volume.volume import Volume
 
 __all__ = ["Control"]
 
 _PAUSE = 0.1  # seconds after which a pointer that is down counts as resting
 _WHEEL_REST = 0.12  # likewise after a wheel's or a slider's last step
-_PROBES = 17  # of a label, along a step of a ray
 _GESTURE = 1.0  # seconds between steps of a wheel or a key that still are one step of undo
 
 
@@ -86,7 +72,7 @@ class Control:
             sizes=self.sizes,
             isovalue=lambda state: float(getattr(resident.mode(state), "isovalue", 0.0) or 0.0),
             window=self._window,
-            anchor=lambda state, x, y: _anchor(resident, self.context(), state, x, y),
+            anchor=lambda state, x, y: picking.anchor(resident, self.context(), state, x, y),
             stepped=resident.catalog.stepped,
             initial=resident.initial,
         )
@@ -157,8 +143,8 @@ class Control:
             self.history = self.history.with_state(replace(self.state, heat=not self.state.heat))
 
     def pick(self, name: str, x: float, y: float, *, moves: bool = False) -> dict[str, Any]:
-        """What lies at a position of a pane (`_picked`); `moves` moves the crosshair there."""
-        found = _picked(self._resident, self.context(), self.state, name, x, y)
+        """What lies at a position of a pane (`picking.picked`); `moves` moves the crosshair there."""
+        found = picking.picked(self._resident, self.context(), self.state, name, x, y)
         if moves and found["position"] is not None:
             self.history = self.history.with_state(replace(self.state, crosshair=tuple(found["position"])))
         return found
@@ -184,96 +170,3 @@ class Control:
         point = state.crosshair or self._resident.volume.center
         smooth = (state.transfer,) if as_mode(state.mode).regions else ()
         return (*common, *smooth, state.slice, state.slice_window, float(point["xyz".index(name)]))
-
-
-# -- what lies under the pointer: exact values of the function that is drawn -----------------------------------
-
-
-def _anchor(resident: Resident, context: Context, state: State, x: float, y: float) -> NDArray[np.float64] | None:
-    """The world point that the volume's picture shows at (x, y), in CSS pixels.
-
-    None where there is nothing, if the mode shows no one point ("mean"), or before the coefficients are resident.
-    """
-    if not resident.renderers.soon(*resident.catalog.key(state)):
-        return None
-    pane = context.pane(state, "3d")
-    assert isinstance(pane, Pane3D)  # by its name
-    with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
-        return _hit(renderer, pane, x, y, resident.arguments(state, bare=True))
-
-
-def _picked(resident: Resident, context: Context, state: State, name: str, x: float, y: float) -> dict[str, Any]:
-    """Position, value and gradient at (x, y) of a pane, in CSS pixels, for JSON; no position where there is nothing.
-
-    In the volume the point is the one that the picture shows: on a surface; where half of the light is stopped; where the
-    extreme lies.
-    """
-    pane = context.pane(state, name)
-    key = resident.catalog.key(state)
-    if state.wiper is not None and x > state.wiper.at * context.size(name).width:
-        key = (state.wiper.filter, *key[1:])
-    if not resident.renderers.soon(*key):
-        raise OptionError("nothing can be picked before the coefficients are computed")
-    with resident.renderers.renderer(*key) as renderer:
-        volume, arguments = renderer.volume, resident.arguments(state, bare=True)
-        if isinstance(pane, SlicePane):
-            point: NDArray[np.float64] | None = pane.point(x, y)
-            field = on_slices(renderer, state.mode)
-        else:
-            point = _hit(renderer, pane, x, y, arguments)
-            mode = as_mode(arguments["mode"])
-            field = on_slices(renderer, state.mode) if mode.regions else renderer._source.function(mode)
-            if point is not None and volume.is_labels:
-                point = _in_label(volume, field, point, pane.ray(x, y)[1], state.step * volume.mean_spacing)
-        found: dict[str, Any] = {"pane": name, "x": x, "y": y, "units": volume.units, "position": None}
-        return found if point is None or not _within(volume, point) else found | _found(volume, field, point)
-
-
-def _found(volume: Volume, field: Field | BrickedField | Regions, point: NDArray[np.float64]) -> dict[str, Any]:
-    """What is at a point; with the gradient of a function that has one."""
-    value = float(field(point[None])[0])
-    found = {"position": point.tolist(), "index": volume.world_to_index(point).tolist(), "value": value, "gradient": None}
-    if not isinstance(field, Regions) and field.filter.has_gradient:
-        slope = np.asarray(field.gradient(point[None])[0], np.float64)
-        found |= {"gradient": slope.tolist(), "steepness": float(np.linalg.norm(slope))}
-    if volume.is_labels:
-        found["label"] = name_of(volume, round(value))
-    return found
-
-
-def _hit(renderer: Renderer, pane: Pane3D, x: float, y: float, arguments: dict[str, Any]) -> NDArray[np.float64] | None:
-    """What a picture of one pixel shows whose ray is that of (x, y)."""
-    origin, way = pane.ray(x, y)
-    ahead = origin + way * max(pane.distance, renderer.volume.radius)
-    view = pane.view
-    camera = Camera(
-        position=triple(origin),
-        target=triple(ahead),
-        up=triple(view.up),
-        projection="orthographic" if view.orthographic else "perspective",
-    )
-    given = {name: value for name, value in arguments.items() if name not in ("pixel_filter", "gradient")} | {
-        "camera": camera,
-        "rays": 1,
-    }
-    point = np.asarray(renderer.render(size=(1, 1), outputs="position", **given), np.float64)[0, 0]
-    return point if np.isfinite(point).all() else None
-
-
-def _in_label(
-    volume: Volume, field: Field | BrickedField | Regions, point: NDArray[np.float64], way: NDArray[np.float64], step: float
-) -> NDArray[np.float64]:
-    """The point itself, or the first behind it that is in a label: what a sample shows begins up to a step before it.
-
-    The volume is a parameter because a field by bricks has no resident samples to find labels in.
-    """
-    ahead = point + np.linspace(0, 1, _PROBES)[:, None] * step * way / np.linalg.norm(way)
-    background, _ = label_numbers(volume)
-    solid = np.flatnonzero(np.round(field(ahead)) != background)
-    return np.asarray(ahead[solid[0]] if solid.size else point)
-
-
-def _within(volume: Volume, point: NDArray[np.float64]) -> bool:
-    index = volume.world_to_index(point)
-    slack = 1e-6 * max(volume.size)
-    return bool((index >= -0.5 - slack).all() and (index <= np.asarray(volume.size) - 0.5 + slack).all())

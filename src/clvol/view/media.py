@@ -14,7 +14,7 @@ from clvol.scene.scene import Medium
 from clvol.scene.transfer import FACTORS, TransferFunction, is_curve
 from clvol.view.state import MediumState, State
 
-__all__ = ["changes", "described", "of_state", "require", "ungraded"]
+__all__ = ["changes", "described", "names", "of_state", "require", "ungraded"]
 
 
 def of_state(media: Sequence[Medium], state: State) -> tuple[Medium, ...]:
@@ -62,14 +62,19 @@ def require(media: Sequence[Medium], state: State) -> None:
     of_state(media, state)
 
 
+def names(media: Sequence[Medium]) -> list[str]:
+    """What people know them by."""
+    return [medium.volume.name or f"medium {number}" for number, medium in enumerate(media, 1)]
+
+
 def described(media: Sequence[Medium]) -> list[dict[str, Any]]:
     """For a panel: each medium's name, how it is seen if a state leaves it open, and whether it takes other colours."""
-    return [_described(medium, number) for number, medium in enumerate(media, 1)]
+    return [_described(medium, name, number) for number, (medium, name) in enumerate(zip(media, names(media), strict=True), 1)]
 
 
-def _described(medium: Medium, number: int) -> dict[str, Any]:
+def _described(medium: Medium, name: str, number: int) -> dict[str, Any]:
     return {
-        "name": medium.volume.name or f"medium {number}",
+        "name": name,
         "visible": bool(medium.visible),
         "edited": number > 1 and medium.surfaces is None and not isinstance(medium.transfer, TransferFunction2D),
         "cmap": medium.cmap,

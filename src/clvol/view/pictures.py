@@ -43,8 +43,8 @@ class Pictures:
         """Draw all of them again."""
         self._shown.clear()
 
-    def next_job(self) -> Job:
-        """What to do next."""
+    def next_job(self, read_in: float | None) -> Job:
+        """What to do next; `read_in` are seconds until what lies under the pointer may be told."""
         control, updates, now = self._control, self._updates, time.monotonic()
         state, sizes = control.state, control.sizes
         panes = [name for name in sorted(visible(state), key=lambda name: name != control.focus) if name in sizes or "" in sizes]
@@ -56,6 +56,7 @@ class Pictures:
             rest_in=control.rests_at - now,
             room_in=self._post.room_in(),
             facts_in=None if updates.complete or updates.finding_facts else self._began + _UNSIZED - now,
+            read_in=read_in,
         )
 
     def draw(self, name: str, first: bool) -> None:

@@ -28,14 +28,19 @@ class Post:
         self.condition = threading.Condition()
         self.inbox, self.throttle, self.background = Inbox(), Throttle(), Background(self.condition)
         self.closed = False
+        self.hover: Mapping[str, Any] | None = None
+        """The last message that says where the pointer is."""
 
     def put(self, message: Mapping[str, Any]) -> None:
         """Take a client's message."""
         with self.condition:
             if self.closed:
                 return
-            if isinstance(message, Mapping) and message.get("type") == "ack":
+            kind = message.get("type") if isinstance(message, Mapping) else None
+            if kind == "ack":
                 self.throttle.acknowledge(message.get("frame"), time.monotonic())
+            elif kind == "hover":  # not among the others, which interrupt pictures
+                self.hover = message
             else:
                 self.inbox.put(message)
             self.condition.notify_all()

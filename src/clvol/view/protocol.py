@@ -11,6 +11,8 @@ From the client:
   PNG; `movie` (width, height, frames, format: "gif", "mp4", "webm" or "zip" of PNG) a file; `pick` (x, y, pane) what lies there;
   a double click gives such a reply without an id. `restore` (url) shows the state of an address. `joint` gives a "transfer" of
   value and gradient to begin with.
+- `{"type": "hover", "pane", "x", "y"}`: the pointer rests or moves there, in CSS pixels; without "pane" it has left. Only the last
+  counts, it interrupts no picture, and is answered by a `readout`.
 - `{"type": "ack", "frame": number}`: the client has shown a frame.
 
 To the client:
@@ -24,6 +26,9 @@ To the client:
   "down"}`: where to draw the crosshair and the crop box, in CSS pixels of the pane (corner ``i`` is at the high end along x, y, z
   where bit 0, 1, 2 of ``i`` is set); `faces` has ``[axis, side, x, y]`` of each clip plane that can be dragged there; CSS pixels
   per world unit; the world directions that run right and down. Sent when one changed.
+- `{"type": "readout", "pane", "position", "voxel", "units", "values"}`: what lies under the pointer, at most ten times a second,
+  and again when the picture there has changed: world position, the voxel (x, y, z) of the first volume, and for each medium its
+  "name", "value" (null outside) and, of label maps, the "label" by name. "pane" alone: there is nothing.
 - `{"type": "wiper", "errors": {...} | null}`: the measured error of both filters (`clvol.view.wiper`); null until it is known.
 - `{"type": "joint", "values": [low, high], "steepest", "image"}`: how often which value and gradient occur, where the transfer
   function is of both; `image` is a PNG as a data URL, opaque where they are frequent, the steepest at its top.
@@ -51,6 +56,7 @@ __all__ = [
     "Send",
     "SessionFactory",
     "ends_drag",
+    "hovered",
     "parse",
     "replaces",
     "status",
@@ -152,7 +158,7 @@ def parse(message: Any) -> Resize | PointerOrKey | Change | Request:
         )
     if kind == "do":
         return Request(message.get("what"), message.get("id"), message)
-    raise one_of("the type of a message", kind, ("event", "set", "do", "ack"))
+    raise one_of("the type of a message", kind, ("event", "set", "do", "hover", "ack"))
 
 
 def _resize(event: Mapping[str, Any]) -> Resize:
@@ -161,6 +167,14 @@ def _resize(event: Mapping[str, Any]) -> Resize:
     ratio = number("ratio", event.get("ratio", event.get("pixel_ratio", 1)), above=0, maximum=16)
     width, height = (min(max(edge, _SMALLEST), _LARGEST) for edge in (width, height))
     return Resize(name, PaneSize(width, height, min(max(ratio, _LEAST_RATIO), _MOST_RATIO)))
+
+
+def hovered(message: Mapping[str, Any]) -> tuple[str, float, float] | None:
+    """The pane and position of a message "hover"; None if the pointer has left."""
+    if message.get("pane") is None:
+        return None
+    x, y = (number(axis, message.get(axis), minimum=-1e6, maximum=1e6) for axis in "xy")
+    return name_of("pane", message["pane"], PANES), x, y
 
 
 def _kind_of(event: Any) -> Any:

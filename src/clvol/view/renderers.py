@@ -15,6 +15,7 @@ from clvol.bricks.field import BrickedField
 from clvol.device import Device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, chosen_boundary
 from clvol.march.renderer import Renderer
+from clvol.march.slices import has_smooth_labels
 from clvol.scene.mode import as_mode
 from clvol.scene.scene import Scene
 from clvol.scene.transfer import FACTORS, WORDS
@@ -59,9 +60,11 @@ class _OfScene(Renderer):
         return options | {"media": (looked, *others)}
 
 
-def on_slices(renderer: Renderer, mode: str) -> Field | BrickedField | Regions:
-    """The function that slices show beside a picture in a mode: smooth regions beside those."""
-    return renderer._source.part(renderer.scene.media[0]).regions() if as_mode(mode).regions else renderer.field
+def on_slices(renderer: Renderer, mode: str, number: int = 0) -> Field | BrickedField | Regions:
+    """The function that slices show of a medium beside a picture in a mode: smooth regions beside those."""
+    medium, regions = renderer.scene.media[number], as_mode(mode).regions
+    part = renderer._source.part(medium)
+    return part.regions() if regions or (number and has_smooth_labels(medium, None)) else part.field
 
 
 def rule_of(boundary: str) -> Boundary:

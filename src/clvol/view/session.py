@@ -14,8 +14,9 @@ from clvol.view.drawing import Drawer
 from clvol.view.pictures import Pictures
 from clvol.view.post import Gone, Post
 from clvol.view.protocol import Change, PointerOrKey, Request, Resize, Send
+from clvol.view.readout import Readout
 from clvol.view.resident import Resident
-from clvol.view.schedule import Draw, FindFacts, Wait
+from clvol.view.schedule import Draw, FindFacts, Read, Wait
 from clvol.view.state import State
 from clvol.view.updates import Updates
 
@@ -47,6 +48,7 @@ class Session:
         self._updates = Updates(resident, self._control, post.background, post.tell, post.is_closed)
         self._parts = actions.Parts(resident, self._control, self._drawer, self._updates.status, post.is_closed)
         self._pictures = Pictures(resident, self._control, self._drawer, self._updates, post)
+        self._readout = Readout(self._control, post)
         self._lost_at: State | None = None  # the state in which the device failed
         self._thread = threading.Thread(target=self._run, name="clvol view", daemon=True)
         self._thread.start()
@@ -124,7 +126,7 @@ class Session:
         try:
             with post.condition:
                 while not post.came():
-                    job = self._pictures.next_job()
+                    job = self._pictures.next_job(self._readout.due_in())
                     if not isinstance(job, Wait):
                         break
                     post.condition.wait(job.seconds)
@@ -136,11 +138,13 @@ class Session:
             return not post.closed
 
     def _work(self) -> None:
-        match Wait(None) if self._post.closed else self._pictures.next_job():
+        match Wait(None) if self._post.closed else self._pictures.next_job(self._readout.due_in()):
             case FindFacts():
                 self._updates.find_facts()
             case Draw(name, first):
                 self._pictures.draw(name, first)
+            case Read():
+                self._readout.tell()
 
     # -- messages ----------------------------------------------------------------------------------------------
 

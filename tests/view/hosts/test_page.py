@@ -206,6 +206,20 @@ def test_linked_slices_share_a_crosshair(page: Page) -> None:
 # -- the panel -----------------------------------------------------------------------------------------------
 
 
+def test_the_edge_of_a_pane_tells_what_lies_under_the_pointer(page: Page) -> None:
+    said = f"document.querySelector(`{PANE} .clvol-readout`).innerText"
+    left, top, width, height = page.browser.box(PANE)
+    page.browser.mouse("mouseMoved", left + width / 2, top + height / 2)
+    page.wait(said)
+    value, voxel, place = page.js(f"return {said}").splitlines()
+    picked = page.view.last._control.pick("3d", width / 2, height / 2)
+    assert float(value.split()[0]) == pytest.approx(picked["value"], rel=1e-3)
+    assert voxel == f"voxel {', '.join(str(int(np.floor(v + 0.5))) for v in picked['index'])}"
+    assert place.endswith(" mm")
+    page.browser.mouse("mouseMoved", left + width + 100, top + 50)
+    page.wait(f"{said} === ''")
+
+
 def test_mode_filter_and_option_are_set(page: Page) -> None:
     page.choose("Mode", "isosurface")
     page.becomes(lambda state: state.mode == "isosurface")

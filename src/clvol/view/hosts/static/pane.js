@@ -20,7 +20,8 @@ class Pane {
       this.overlay,
     );
     this.wiper = new Wiper(this);
-    this.element.append(this.wiper.element);
+    this.readout = new Readout(this);
+    this.element.append(this.readout.element, this.wiper.element);
     this.moved = oncePerFrame((event) => this.send(event));
     this.wheeled = oncePerFrame(() => this.sendWheel());
     this.wheel = null;
@@ -34,6 +35,7 @@ class Pane {
     this.observer.disconnect();
     this.moved.drop();
     this.wheeled.drop();
+    this.readout.close();
     this.bitmap?.close();
     this.element.remove();
   }
@@ -100,7 +102,7 @@ class Pane {
     on("pointermove", (event) => this.move(event));
     on("pointerup", (event) => this.up(event));
     on("pointercancel", (event) => this.up(event));
-    on("pointerleave", () => this.pressed || this.hover({}));
+    on("pointerleave", () => this.leave());
     on("dblclick", (event) => this.send({ event_type: "double_click", ...this.place(event), button: buttonOf(event), buttons: [] }));
     on("contextmenu", (event) => event.preventDefault());
     on("wheel", (event) => this.turn(event));
@@ -123,7 +125,13 @@ class Pane {
     this.press(this.place(event), buttonOf(event), buttonsOf(event));
   }
 
+  leave() {
+    this.readout.at(null);
+    if (!this.pressed) this.hover({});
+  }
+
   move(event) {
+    this.readout.at(this.place(event));
     if (this.touches.has(event.pointerId)) this.touches.set(event.pointerId, this.place(event));
     if (this.pinch) return this.movePinch();
     if (this.pressed) this.moved({ event_type: "pointer_move", ...this.place(event), button: 0, buttons: buttonsOf(event) });
