@@ -244,8 +244,14 @@ def warned() -> int:
 
 
 def warn(message: str, kind: str = "") -> None:
-    """Warn, pointing at the first caller outside clvol; once of a `kind`, or with a message, in a context of `warned_once`."""
+    """Warn, pointing at the first caller outside clvol; once of a `kind`, or with a message, in a context of `warned_once`.
+
+    In a context of `heard_by` its listener gets the message instead.
+    """
     _here.warned = warned() + 1
+    if (hear := _HEARD.get()) is not None:
+        hear(message)
+        return
     if (told := _TOLD.get()) is not None:
         if (kind or message) in told:
             return
@@ -266,7 +272,18 @@ def warned_once(told: set[str]) -> Iterator[None]:
         _TOLD.reset(token)
 
 
+@contextmanager
+def heard_by(hear: Callable[[str], object]) -> Iterator[None]:
+    """A context whose warnings go to a listener: to people who do not see the program's output."""
+    token = _HEARD.set(hear)
+    try:
+        yield
+    finally:
+        _HEARD.reset(token)
+
+
 _TOLD: ContextVar[set[str] | None] = ContextVar("_TOLD", default=None)
+_HEARD: ContextVar[Callable[[str], object] | None] = ContextVar("_HEARD", default=None)
 
 
 def as_path(value: object) -> Path:

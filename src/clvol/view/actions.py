@@ -118,7 +118,6 @@ def _picture(parts: Parts, request: Request) -> Answer:
     pixels = parts.drawer.still(Order(context, control.state, name, (width, height), stop=parts.closed))
     if pixels is None:
         raise Gone
-    parts.status("", "info")
     return {"format": "png", "width": width, "height": height, "name": "clvol.png"}, png(pixels)
 
 
@@ -146,7 +145,6 @@ def _movie(parts: Parts, request: Request) -> Answer:
             if parts.closed():
                 raise Gone
     data = packed(pictures, form)
-    parts.status("", "info")
     return {"format": form, "name": f"clvol.{form}", "frames": frames}, data
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import logging
 import threading
 from collections import deque
@@ -20,13 +21,14 @@ Key: TypeAlias = tuple[Any, ...]
 
 
 def started(work: Callable[[], Result], name: str) -> Future[Result]:
-    """Work in a daemon thread of this name: the process waits for those of executors at its end."""
+    """Work in a daemon thread of this name, in the caller's context: the process waits for those of executors at its end."""
     future: Future[Result] = Future()
     future.set_running_or_notify_cancel()
+    context = contextvars.copy_context()
 
     def run() -> None:
         try:
-            future.set_result(work())
+            future.set_result(context.run(work))
         except Exception as error:
             future.set_exception(error)
         except BaseException as error:

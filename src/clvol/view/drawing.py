@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import ClvolError
+from clvol.march.empty import warn_of_refined
 from clvol.march.renderer import Renderer
 from clvol.march.slices import plane_points, shaded
 from clvol.scene.mode import as_mode
@@ -264,6 +265,8 @@ def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generat
         return
     camera, mode = given.pop("camera"), given.pop("mode")
     for picture in renderer.refine(camera, mode, order.size, seconds=order.budget, cancelled=order.stop, **given):
+        if picture.final:
+            warn_of_refined(renderer, picture, camera, mode, **given)
         yield Shot(to_bytes(picture), picture.final and not order.coarse, picture.step)
         if order.coarse:
             return

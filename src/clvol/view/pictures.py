@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from contextlib import closing
 
+from clvol.base.checks import heard_by
 from clvol.view.actions import pixels_of
 from clvol.view.control import Control
 from clvol.view.drawing import WHOLE, Drawer, Order, Shot, has_sketch, jpeg, png
+from clvol.view.notices import Notices
 from clvol.view.panes import PaneSize, visible
-from clvol.view.post import Gone, Post
+from clvol.view.post import Post
 from clvol.view.protocol import Message
 from clvol.view.resident import Resident
 from clvol.view.schedule import Job, Shown, next_job
@@ -30,13 +32,14 @@ _MOST_PIXELS = 3840 * 2160
 class Pictures:
     """Of one session, drawn in its thread."""
 
-    def __init__(self, resident: Resident, control: Control, drawer: Drawer, updates: Updates, post: Post) -> None:
+    def __init__(
+        self, resident: Resident, control: Control, drawer: Drawer, updates: Updates, notices: Notices, post: Post
+    ) -> None:
         self._resident, self._control, self._drawer = resident, control, drawer
-        self._updates, self._post = updates, post
+        self._updates, self._notices, self._post = updates, notices, post
         self._began = time.monotonic()
         self._shown: dict[str, Shown] = {}
         self._took: dict[str, tuple[object, float]] = {}  # by pane: what its last final picture showed, and its seconds
-        self._failed: set[str] = set()  # panes whose picture failed
         self._coarse: set[str] = set()  # panes whose pictures of this drag would be coarse
 
     def forget(self) -> None:
@@ -61,15 +64,6 @@ class Pictures:
 
     def draw(self, name: str, first: bool) -> None:
         """Draw a pane, better and better, and send it, until it is final or something comes."""
-        try:
-            self._draw(name, first)
-        except Gone:
-            raise
-        except Exception:
-            self._failed.add(name)
-            raise
-
-    def _draw(self, name: str, first: bool) -> None:
         post, throttle, control = self._post, self._post.throttle, self._control
         moving, context = control.moving, control.context()
         key, size = control.key(name), context.size(name)
@@ -92,7 +86,8 @@ class Pictures:
         wanted = pixels_of(size, _MOVING_PIXELS * throttle.scale if moving else _MOST_PIXELS)
         order = Order(context, control.state, name, wanted, budget, stop, moving, post.background.__len__)
         began, last = time.perf_counter(), None
-        with closing(self._drawer.shots(order)) as shots:
+        warned: list[str] = []
+        with heard_by(warned.append), closing(self._drawer.shots(order)) as shots:
             for shot in shots:
                 if (shot.final or not sent) and not post.may_send():
                     self._drawer.forget_sketch()
@@ -109,19 +104,18 @@ class Pictures:
         if not sent and not post.busy():
             control.pause()  # nothing came of it
         if last is not None and done:
+            self._notices.put(f"{name}: warnings", "; ".join(dict.fromkeys(warned)), "warning")
             self._took[name] = look, time.perf_counter() - began
             self._updates.statistics(name, last, throttle.fps(time.monotonic()), throttle.latency)
 
     def _send(self, name: str, size: PaneSize, shot: Shot, seconds: float) -> None:
         throttle = self._post.throttle
         data = png(shot.pixels) if shot.final else jpeg(shot.pixels, throttle.quality)
-        if name in self._failed:  # what hindered it is over
-            self._failed.remove(name)
-            self._updates.status("", "info")
+        self._notices.put(name)  # what hindered it is over
         with self._post.condition:
             number = throttle.send(time.monotonic())
         self._post.tell(_frame(number, name, size, shot, seconds), data)
-        self._updates.frame(shot, quiet=bool(self._failed))
+        self._updates.frame(shot)
 
 
 def _frame(number: int, name: str, size: PaneSize, shot: Shot, seconds: float) -> Message:

@@ -32,7 +32,7 @@ To the client:
 - `{"type": "wiper", "errors": {...} | null}`: the measured error of both filters (`clvol.view.wiper`); null until it is known.
 - `{"type": "joint", "values": [low, high], "steepest", "image"}`: how often which value and gradient occur, where the transfer
   function is of both; `image` is a PNG as a data URL, opaque where they are frequent, the steepest at its top.
-- `info`, `stats`, `status` ("text", and "kind": "info", "busy" or "error") and `reply`.
+- `info`, `stats`, `status` ("text", and "kind": "info", "busy", "warning" or "error") and `reply`.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from clvol.base.errors import ClvolError, DeviceError
 from clvol.view import actions, code, protocol
 from clvol.view.control import Control
 from clvol.view.drawing import Drawer
+from clvol.view.notices import Notices
 from clvol.view.pictures import Pictures
 from clvol.view.post import Gone, Post
 from clvol.view.protocol import Change, PointerOrKey, Request, Resize, Send
@@ -45,9 +46,10 @@ class Session:
         self._resident, self._post = resident, Post(send)
         self._control, self._drawer = Control(resident, first), Drawer(resident)
         post = self._post
-        self._updates = Updates(resident, self._control, post.background, post.tell, post.is_closed)
-        self._parts = actions.Parts(resident, self._control, self._drawer, self._updates.status, post.is_closed)
-        self._pictures = Pictures(resident, self._control, self._drawer, self._updates, post)
+        self._notices = Notices(post.tell)
+        self._updates = Updates(resident, self._control, post.background, post.tell, self._notices, post.is_closed)
+        self._parts = actions.Parts(resident, self._control, self._drawer, self._doing, post.is_closed)
+        self._pictures = Pictures(resident, self._control, self._drawer, self._updates, self._notices, post)
         self._readout = Readout(self._control, post)
         self._lost_at: State | None = None  # the state in which the device failed
         self._thread = threading.Thread(target=self._run, name="clvol view", daemon=True)
@@ -103,22 +105,25 @@ class Session:
             self._drawer.give_up()
             self._post.close()
 
-    def _guarded(self, work: Callable[[], None]) -> None:
+    def _guarded(self, work: Callable[[], None], source: str = "request") -> None:
         """Do it; errors are sent to the client, and the session goes on."""
         try:
             work()
         except Gone:
             raise
         except Exception as error:
-            self._fail(error)
+            self._fail(error, source)
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self, error: Exception, source: str = "request") -> None:
         if isinstance(error, DeviceError) and not isinstance(error, MemoryError):
             self._resident.forget()
             if self._lost_at != self.state:  # try once more with new renderers
                 self._lost_at = self.state
                 self._pictures.forget()
-        self._updates.status(_said(error), "error")
+        self._notices.put(source, _said(error), "error")
+
+    def _doing(self, text: str, kind: str) -> None:
+        self._notices.put("doing", text, kind)
 
     def _wait(self) -> bool:
         """Wait for something to do; False at the end."""
@@ -142,7 +147,7 @@ class Session:
             case FindFacts():
                 self._updates.find_facts()
             case Draw(name, first):
-                self._pictures.draw(name, first)
+                self._guarded(lambda: self._pictures.draw(name, first), name)
             case Read():
                 self._readout.tell()
 
@@ -157,7 +162,7 @@ class Session:
         for message in ready:
             post.tell(message)
         if warning:
-            self._updates.status(warning, "error")
+            self._notices.put("request", warning, "error")
         for received in messages:
             if post.closed:
                 return
@@ -182,8 +187,10 @@ class Session:
                         self._control.act(what)
             case Change() as change:
                 self._set(change)
+                self._notices.put("request")  # what was at fault is over
             case Request() as request:
                 self._do(request)
+                self._notices.put("request")
 
     def _set(self, change: Change) -> None:
         self._updates.heard = self._updates.heard if change.number is None else change.number
@@ -204,6 +211,8 @@ class Session:
         except Exception as error:
             self._post.tell({**answer, "error": str(error) or type(error).__name__})
             raise
+        finally:
+            self._doing("", "info")
         self._post.tell({**answer, **more}, data)
         self._updates.state()
 

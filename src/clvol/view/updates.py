@@ -15,8 +15,9 @@ from clvol.view.background import Background
 from clvol.view.catalog import Which
 from clvol.view.control import Control
 from clvol.view.drawing import Shot, png, share_visited
+from clvol.view.notices import Notices
 from clvol.view.panes import bounds, visible
-from clvol.view.protocol import Message, status
+from clvol.view.protocol import Message
 from clvol.view.resident import Resident
 from clvol.view.state import State
 
@@ -37,10 +38,11 @@ class Updates:
         control: Control,
         background: Background,
         send: Callable[[Message], None],
+        notices: Notices,
         closed: Callable[[], bool],
     ) -> None:
         self._resident, self._control, self._background = resident, control, background
-        self._send, self._closed = send, closed
+        self._send, self._notices, self._closed = send, notices, closed
         self.heard: int | None = None
         """The number of the last change."""
         self.complete = False
@@ -48,12 +50,7 @@ class Updates:
         self._state: Any = None
         self._place: object = None
         self._overlays: dict[str, Message] = {}
-        self._completeness = _COMPLETE
         self._compared: object = None
-
-    def status(self, text: str, kind: str) -> None:
-        """Send a line of text for people."""
-        self._send(status(text, kind))
 
     def state(self, *, again: bool = False) -> None:
         """What is shown; what follows from the volume comes later if it is not known yet: pictures do not wait for it.
@@ -116,12 +113,9 @@ class Updates:
 
     # -- beside pictures ---------------------------------------------------------------------------------------
 
-    def frame(self, shot: Shot, *, quiet: bool) -> None:
-        """Say whether the last frame shows all samples; `quiet` leaves an error of another pane to be read."""
-        said = _SKETCHED if shot.few else _COARSER if shot.coarser else _COMPLETE
-        if said != self._completeness and not quiet:
-            self._completeness = said
-            self.status(*said)
+    def frame(self, shot: Shot) -> None:
+        """Say whether the last frame shows all samples."""
+        self._notices.put("samples", *(_SKETCHED if shot.few else _COARSER if shot.coarser else _COMPLETE))
         if not self.complete:
             self.find_facts()
 
