@@ -10,30 +10,35 @@ __all__ = ["Plans"]
 T = TypeVar("T")
 
 _KINDS = 16
+_BYTES = 1 << 26
 
 
 class Plans(Generic[T]):
-    """Idle plans, such as buffers and arguments of a kernel, of up to 16 kinds of calls.
+    """Idle plans, such as buffers and arguments of a kernel, of up to 16 kinds of calls and 64 MiB.
 
     A call takes a plan and gives it back once its kernels are done, so that no two threads use one at a time. A call that fails
     must not give it back. The owner clears them when it is closed.
     """
 
     def __init__(self) -> None:
-        self._idle: dict[Hashable, list[T]] = {}
+        self._idle: dict[Hashable, list[tuple[T, int]]] = {}
 
     def take(self, kind: Hashable, make: Callable[[], T]) -> T:
         """An idle plan for a kind of call, else a new one."""
         try:
-            return self._idle[kind].pop()
+            return self._idle[kind].pop()[0]
         except LookupError:
             return make()
 
-    def give(self, kind: Hashable, plan: T) -> None:
-        """Keep a plan for the next call."""
-        if kind not in self._idle and len(self._idle) >= _KINDS:
+    def give(self, kind: Hashable, plan: T, nbytes: int = 0) -> None:
+        """Keep a plan, of so many bytes if these count, for the next call."""
+        if (kind not in self._idle and len(self._idle) >= _KINDS) or (nbytes and nbytes + self._held() > _BYTES):
             self.clear()
-        self._idle.setdefault(kind, []).append(plan)
+        self._idle.setdefault(kind, []).append((plan, nbytes))
+
+    def _held(self) -> int:
+        """Bytes of all idle plans."""
+        return sum(nbytes for plans in list(self._idle.values()) for _, nbytes in list(plans))
 
     def clear(self) -> None:
         """Forget all idle plans."""

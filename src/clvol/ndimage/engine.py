@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,13 +15,13 @@ from numpy.typing import NDArray
 
 from clvol.base import memory
 from clvol.device import Device, as_device
-from clvol.filter.boundary import as_boundary
+from clvol.filter.boundary import Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import as_filter
 from clvol.ndimage.arguments import BOUNDARIES, Array, Spline
 from clvol.spline import grids
 from clvol.spline.build import DefineDict, scalar_defines
-from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, addressable, bundled
+from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, addressable, bundled, bytes_of
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import precision_kind
 from clvol.spline.points import Given, Transform, sample_grid, sample_into
@@ -45,7 +46,7 @@ __all__ = [
 ]
 
 _PART = 1 << 25  # bytes of results converted at a time
-_KEPT = 1 << 22  # bytes of coefficients whose storage is kept for the next array of their shape
+_KEPT = 1 << 24  # bytes of coefficients whose storage is kept for the next array of their shape
 _PADS = 12  # samples that a boundary rule pads an axis with, at most
 _PROBES = 8  # samples along each axis that are inspected
 _LEAST, _MOST = 2.0**-90, 2.0**90  # magnitudes that float32 holds through the prefilter and derivatives
@@ -121,27 +122,37 @@ def evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, sp
         for index in np.ndindex(moved.shape[:outer])
         for first in range(0, length, some)
     ]
-    made: Coefficients | None = None
-    asked = (size, row, boundary, kind, length) if len(tasks) == 1 and length * room <= _KEPT else None
+    for count, some_tasks in itertools.groupby(enumerate(tasks), lambda task: task[1][1].stop - task[1][1].start):
+        with _storage(size, row, boundary, chosen, kind, count) as made:
+            for number, (index, part) in some_tasks:
+                at = index if outer == batch else (*index, part)
+                made.fill(moved[at])
+                for done in _evaluated(made, target, onto[at], store, given):
+                    if progress:
+                        progress((number + done) / len(tasks))
+
+
+@contextmanager
+def _storage(
+    size: tuple[int, ...], row: Filter, boundary: Boundary, device: Device, kind: type[np.generic], batch: int = 1
+) -> Iterator[Coefficients]:
+    """Storage for coefficients, with any numbers in it; if it is small it serves the next call of its kind too.
+
+    To allocate it anew, and the tables of the grids that it was evaluated on, takes longer than 74³ samples do.
+    """
+    make = partial(Coefficients, size, row, boundary, device, kind=kind, batch=batch)
+    kept = bytes_of(size, row, boundary, kind) * batch <= _KEPT
+    asked = size, row, boundary, kind, batch
+    made = device.plans.take(asked, make) if kept else make()
     try:
-        for number, (index, part) in enumerate(tasks):
-            count = part.stop - part.start
-            if made is None or made.shape[0] != count:
-                if made is not None:
-                    made.release()
-                make = partial(Coefficients, size, row, boundary, chosen, kind=kind, batch=count)
-                made = chosen.plans.take(asked, make) if asked else make()
-            at = index if outer == batch else (*index, part)
-            made.fill(moved[at])
-            for done in _evaluated(made, target, onto[at], store, given):
-                if progress:
-                    progress((number + done) / len(tasks))
-        if asked and made is not None:
-            chosen.plans.give(asked, made)
-            made = None
-    finally:
-        if made is not None:
-            made.release()
+        yield made
+    except BaseException:
+        made.release()
+        raise
+    if kept:
+        device.plans.give(asked, made, made.nbytes)
+    else:
+        made.release()
 
 
 def _labels_at(data: Array, target: Target, spline: Spline) -> Array:
@@ -252,7 +263,7 @@ def coefficients(data: Array, axes: Sequence[int], output: Array, spline: Spline
     along = sorted(len(held) - 1 - held.index(axis) for axis in filtered)
     gain = gain_along(row, boundary, size, along, kind) if row.prefilter and along else 1.0
     store, batch = _Store(chosen, kind), moved.shape[: len(kept)]
-    with Coefficients(size, row, boundary, chosen, kind=kind) as made:
+    with _storage(size, row, boundary, chosen, kind) as made:
         extent = made.extent.tolist()
         for number, index in enumerate(np.ndindex(batch), 1):
             made.copy_samples(moved[index], gain)
