@@ -498,6 +498,41 @@ def test_it_can_be_used_by_keyboard_alone(page: Page) -> None:
     page.becomes(lambda state: state.transfer is not None)
 
 
+def test_keys_work_beside_every_control_and_take_none_of_its_own(page: Page) -> None:
+    focused = "document.activeElement.closest('.clvol-pane')?.dataset.pane"
+    page.js(f"document.querySelector({PANE!r}).focus()")
+    for layout, pane in (("slice", "z"), ("linked", "z"), ("3d", "3d")):  # the pane that has the focus stays, or another has it
+        page.browser.key("l")
+        page.becomes(lambda state, layout=layout: state.layout == layout)
+        page.wait(f"{focused} === {pane!r}")
+    for control, own in (
+        ("[aria-label='Step']", "ArrowRight"),
+        (".clvol-dot", "ArrowUp"),
+        (".clvol-check input", " "),
+        (".clvol-button[title^='show or hide']", " "),
+    ):
+        page.js("document.querySelector(arguments[0]).focus()", control)
+        before = page.state.camera
+        page.browser.key("t")
+        page.becomes(lambda state, before=before: state.camera.style != before.style)
+        turned = page.state.camera
+        page.browser.key(own, windowsVirtualKeyCode=39 if own == "ArrowRight" else 32 if own == " " else 38)
+        page.browser.key("]")
+        page.becomes(lambda state, turned=turned: state.camera.up != turned.up)
+        assert page.state.camera.direction == turned.direction
+    assert page.state.step != State().step  # the slider and the point have moved
+    assert page.state.transfer is not None
+    page.press("Settings")  # a space has hidden them
+    page.js("document.querySelector('input[type=number]').focus()")
+    before = page.state
+    page.browser.key("t")
+    page.browser.key("]")
+    page.js("document.activeElement.blur()")  # nothing has the focus
+    page.browser.key("p")
+    page.becomes(lambda state: state.camera.projection == "orthographic")
+    assert (page.state.camera.style, page.state.camera.up) == (before.camera.style, before.camera.up)
+
+
 def test_every_control_has_a_name(page: Page) -> None:
     page.js("for (const s of document.querySelectorAll('details')) s.open = true")
     unnamed = f"""return [...document.querySelectorAll('input, select, textarea, button, [tabindex="0"]')]

@@ -10,7 +10,6 @@ class Pane {
     this.pinch = null;
     this.pressed = false;
     this.face = null; // the clip plane under the pointer: its axis and side
-    this.keys = new Set(); // pressed ones
     this.canvas = make("canvas", {});
     this.overlay = make("div", { class: "clvol-overlay", "aria-hidden": "true" });
     this.element = make(
@@ -106,9 +105,6 @@ class Pane {
     on("dblclick", (event) => this.send({ event_type: "double_click", ...this.place(event), button: buttonOf(event), buttons: [] }));
     on("contextmenu", (event) => event.preventDefault());
     on("wheel", (event) => this.turn(event));
-    on("keydown", (event) => this.key(event));
-    on("keyup", (event) => this.key(event));
-    on("blur", () => this.releaseKeys());
   }
 
   down(event) {
@@ -217,26 +213,6 @@ class Pane {
   sendWheel() {
     if (this.wheel) this.send({ event_type: "wheel", ...this.wheel });
     this.wheel = null;
-  }
-
-  /** Passes keys to the session, except those of the browser and those that leave the pane. */
-  key(event) {
-    if (event.target !== this.element) return;
-    const down = event.type === "keydown";
-    const typed = event.getModifierState("AltGraph"); // needed for brackets on some keyboards
-    const command = (event.ctrlKey || event.metaKey) && !typed && !["Control", "Meta"].includes(event.key);
-    if (down && event.altKey && event.key.startsWith("Arrow")) return;
-    if (down && (event.key === "Tab" || /^F\d/.test(event.key) || (command && !["z", "y"].includes(event.key.toLowerCase())))) return;
-    event.preventDefault();
-    event.stopPropagation(); // notebooks have their own shortcuts
-    if (down) this.keys.add(event.key);
-    else this.keys.delete(event.key);
-    this.send({ event_type: down ? "key_down" : "key_up", key: event.key, modifiers: modifiersOf(event) });
-  }
-
-  releaseKeys() {
-    for (const key of this.keys) this.send({ event_type: "key_up", key, modifiers: [] });
-    this.keys.clear();
   }
 
   // Overlay

@@ -26,7 +26,7 @@ class Viewer {
     const stage = make("div", { class: "clvol-stage" }, this.grid, make("div", { class: "clvol-foot" }, this.line, this.hide));
     this.inner = make("div", { class: "clvol-frame" }, stage, this.panel.element);
     this.root = make("div", { class: `clvol${embedded ? " clvol-embedded" : ""}` }, this.inner);
-    this.root.addEventListener("keydown", (event) => this.key(event));
+    this.keys = new Keys(this);
     for (const type of ["pointerdown", "keydown"]) this.root.addEventListener(type, () => this.noted && this.note(""), true);
     element.replaceChildren(this.root);
     channel.onmessage = (message, data) => this.receive(message, data);
@@ -37,17 +37,9 @@ class Viewer {
     for (const pane of this.panes.values()) pane.close();
     this.panes.clear();
     this.panel.close();
+    this.keys.close();
     for (const { refused } of this.asked.values()) refused(new Error("the viewer was closed"));
     this.root.remove();
-  }
-
-  /** Undo and redo wherever the focus is, except in fields with their own. */
-  key(event) {
-    const key = event.key.toLowerCase();
-    if (!(event.ctrlKey || event.metaKey) || !["z", "y"].includes(key) || event.target.matches("input[type=number], textarea")) return;
-    event.preventDefault();
-    event.stopPropagation();
-    this.ask(key === "y" || event.shiftKey ? "redo" : "undo");
   }
 
   togglePanel() {
@@ -115,11 +107,12 @@ class Viewer {
     }
   }
 
-  /** The panes of the layout; those that stay keep their pictures. */
+  /** The panes of the layout; those that stay keep their pictures, and a pane keeps the focus. */
   arrange() {
     const { layout, active } = this.state;
     const wanted = layout === "slice" ? [active === "3d" ? "z" : active] : PANES[layout];
     if (same([...this.panes.keys()], wanted)) return;
+    const focused = this.grid.contains(document.activeElement);
     for (const [name, pane] of this.panes) {
       if (wanted.includes(name)) continue;
       pane.close();
@@ -128,7 +121,12 @@ class Viewer {
     const panes = wanted.map((name) => [name, this.panes.get(name) ?? new Pane(this, name)]);
     this.panes = new Map(panes);
     this.grid.dataset.layout = layout;
-    this.grid.replaceChildren(...panes.map(([, pane]) => pane.element));
+    let next = this.grid.firstElementChild;
+    for (const [, { element }] of panes) {
+      if (element === next) next = next.nextElementSibling; // one that is moved would lose the focus
+      else this.grid.insertBefore(element, next);
+    }
+    if (focused && !this.grid.contains(document.activeElement)) (this.panes.get(active) ?? panes[0][1]).element.focus({ preventScroll: true });
     for (const [name, pane] of panes) pane.decorate(this.overlays.get(name));
     for (const [name, pane] of panes) pane.element.setAttribute("aria-label", `${this.info.title ?? "volume"}, ${this.paneName(name)}`);
   }
