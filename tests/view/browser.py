@@ -181,7 +181,7 @@ def open_browser(width: int = 1280, height: int = 800, flags: Sequence[str] = ()
         options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
         driver = webdriver.Chrome(options=options, service=Service(_program("CHROMEDRIVER", "chromedriver")))
         try:
-            metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+            metrics = {"width": width, "height": height, "deviceScaleFactor": 0, "mobile": False}  # 0: that of the flags
             driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)  # of the page, not of the window
             yield Browser(driver)
         finally:

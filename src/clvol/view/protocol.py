@@ -3,7 +3,8 @@
 From the client:
 
 - `{"type": "event", "event": {...}}`: an event of rendercanvas. Without "pane" it is for the pane that is shown; a `resize`
-  without it is for all panes that had none of their own.
+  without it is for all panes that had none of their own. Its width and height, which may be fractions, times its ratio are the
+  pixels of the screen that the pane covers: pictures at rest have as many.
 - `{"type": "set", "changes": {...}, "live": true?, "gesture": "..."?, "number": n?, "whole": true?}`: `live` changes are
   one step of undo (a slider that is dragged); one without it ends them, and belongs to the same step if it has the gesture's name.
   The number comes back as "heard" with states that include the change, so that a client that has sent more shows that.

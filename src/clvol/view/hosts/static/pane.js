@@ -1,5 +1,7 @@
 // -- a pane: a picture, its overlay, and its events -----------------------------------------------
 
+const TELLS_PIXELS = "devicePixelContentBoxSize" in ResizeObserverEntry.prototype;
+
 class Pane {
   constructor(viewer, name) {
     this.viewer = viewer;
@@ -25,8 +27,9 @@ class Pane {
     this.wheeled = oncePerFrame(() => this.sendWheel());
     this.wheel = null;
     this.listen();
-    this.observer = new ResizeObserver(() => this.resized());
-    this.observer.observe(this.element);
+    this.pixels = null; // of the screen: columns and rows, where the browser tells them
+    this.observer = new ResizeObserver((entries) => this.resized(entries.at(-1)));
+    this.observer.observe(this.element, { box: TELLS_PIXELS ? "device-pixel-content-box" : "content-box" });
     this.decorate();
   }
 
@@ -72,16 +75,23 @@ class Pane {
     Object.assign(this.element.dataset, { frame: this.frame.number, final: Boolean(this.frame.final) });
   }
 
-  resized() {
-    const { clientWidth: width, clientHeight: height } = this.element;
-    if (!width || !height) return;
+  /** Takes the screen's pixels that the pane covers: a picture of any other size would be resampled. */
+  resized(entry) {
+    const [told] = entry?.devicePixelContentBoxSize ?? [];
+    if (told) this.pixels = [told.inlineSize, told.blockSize];
     const ratio = window.devicePixelRatio || 1;
-    const [columns, rows] = [Math.round(width * ratio), Math.round(height * ratio)];
+    const { left, top, right, bottom } = this.element.getBoundingClientRect();
+    const edges = [left, top, right, bottom].map((edge) => Math.round(edge * ratio)); // as browsers round them
+    const counted = [edges[2] - edges[0], edges[3] - edges[1]];
+    // a pixel more or less is the browser's rounding; it leaves out the scale of a screen that its tools only emulate
+    const trusted = this.pixels?.every((count, i) => Math.abs(count - counted[i]) <= 1);
+    const [columns, rows] = trusted ? this.pixels : counted;
+    if (!columns || !rows) return;
     if (this.canvas.width !== columns || this.canvas.height !== rows) {
       Object.assign(this.canvas, { width: columns, height: rows });
       this.draw();
     }
-    this.send({ event_type: "resize", width, height, ratio });
+    this.send({ event_type: "resize", width: columns / ratio, height: rows / ratio, ratio });
   }
 
   send(event) {
