@@ -284,10 +284,40 @@ def test_security_headers_of_every_response() -> None:
                 assert said["Referrer-Policy"] == "no-referrer"
                 assert said["X-Frame-Options"] == "DENY"
                 assert not [name for name in said if name.lower().startswith("access-control")]
-                assert "aiohttp" not in said["Server"]
+                assert said["Server"] == "clvol"
+        async with await visitor.connect() as ws:
+            assert ws._response.headers["Server"] == "clvol"
 
     with serving() as server:
         visit(server, work)
+
+
+def test_what_is_no_request_is_refused_and_nothing_of_it_is_logged(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("DEBUG")
+    long = "topsecret" * 1000
+    with serving() as server:
+        port = int(server.url.split(":")[2].partition("/")[0])
+        host = f"Host: 127.0.0.1:{port}"
+        for head in (
+            f"GET /?token={long} HTTP/1.1\r\n{host}",
+            f"GET / HTTP/1.1\r\n{host}\r\nCookie: clvol={long}",
+            f"GET / HTTP/1.1\r\n{host}\r\nCookie\x00: topsecret",
+            "topsecret /",
+            f"GET http://topsecret:topsecret@[/ HTTP/1.1\r\n{host}",
+        ):
+            with socket.create_connection(("127.0.0.1", port), timeout=10) as link:
+                link.sendall(f"{head}\r\nConnection: close\r\n\r\n".encode())
+                said = b"".join(iter(lambda link=link: link.recv(65536), b"")).decode()  # type: ignore[misc]
+            first, *fields = said.partition("\r\n\r\n")[0].split("\r\n")
+            assert " 400 " in first, head[:40]
+            assert {"Server: clvol", "Referrer-Policy: no-referrer", "X-Content-Type-Options: nosniff"} <= {*fields}
+            assert any(field.startswith("Content-Security-Policy: default-src 'none'") for field in fields)
+            assert "topsecret" not in said
+    assert "no proper request" in said
+    assert "not a proper request" in caplog.text
+    assert "topsecret" not in caplog.text + str(capfd.readouterr())
 
 
 def test_no_requested_path_is_opened(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ class Access:
         self._tickets[ticket] = time.monotonic() + _TICKET
         return ticket
 
-    def _asked_host(self, request: web.Request) -> str:
+    def _asked_host(self, request: web.BaseRequest) -> str:
         """The name that was asked for, if it is one of ours: another could be made to point here."""
         values = request.headers.getall("Host", [])
         asked = values[0].lower() if len(values) == 1 else ""
@@ -63,7 +63,7 @@ class Access:
             return asked
         raise Refused(403, f"this server does not answer to the name {asked[:80]!r}; allow it with --allow-host")
 
-    def check(self, request: web.Request) -> None:
+    def check(self, request: web.BaseRequest) -> None:
         """Refuse requests to names that are not known, and what a page of another site asks for; other programs send no origin."""
         host = self._asked_host(request)
         origins = request.headers.getall("Origin", [])
@@ -81,19 +81,19 @@ class Access:
         if from_another_site(request) and not navigates and not origins:
             raise Refused(403, "requests from other sites are not allowed")
 
-    def check_token(self, request: web.Request, given: str, cookie: str) -> None:
+    def check_token(self, request: web.BaseRequest, given: str, cookie: str) -> None:
         """Refuse a wrong token; tickets are spent."""
         now, until = time.monotonic(), self._tickets.pop(given, -math.inf)
         self._tickets = {ticket: end for ticket, end in self._tickets.items() if end > now}
         if not (_equal(given, self.token) or now < until or self.has_cookie(request, cookie)):
             raise Refused(403, "this address is not, or no longer, valid: open the one that was printed where clvol was started")
 
-    def has_cookie(self, request: web.Request, cookie: str) -> bool:
+    def has_cookie(self, request: web.BaseRequest, cookie: str) -> bool:
         """Whether a request has the cookie of this name."""
         return _equal(request.cookies.get(cookie, ""), self.secret)
 
 
-def from_another_site(request: web.Request) -> bool:
+def from_another_site(request: web.BaseRequest) -> bool:
     """Whether a browser says so."""
     return request.headers.get("Sec-Fetch-Site", "none") in ("cross-site", "same-site")
 

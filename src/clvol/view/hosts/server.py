@@ -33,6 +33,8 @@ from clvol.view.protocol import Message, Receiver, SessionFactory, status
 
 try:
     from aiohttp import WSCloseCode, WSMsgType, web
+
+    from clvol.view.hosts.listener import Listener
 except ImportError as missing:
     raise MissingDependencyError("the viewer's page needs aiohttp, which is not installed: pip install clvol[view]") from missing
 
@@ -242,7 +244,7 @@ class Server:
         self._headers = _headers([*map(_as_ancestor, frame_ancestors)])
         self._clients: set[_Client] = set()
         self._rest: asyncio.TimerHandle | None = None
-        self._runner: web.AppRunner | None = None
+        self._runner: web.ServerRunner | None = None
         self.opened: asyncio.Future[Any]
 
     @property
@@ -280,17 +282,7 @@ class Server:
 
     async def start(self) -> None:
         """Listen, and start to make the view."""
-        app = web.Application(client_max_size=1 << 10)
-        app.router.add_route("*", "/{path:.*}", self._answer)
-        self._runner = web.AppRunner(
-            app,
-            access_log=None,
-            handle_signals=False,
-            keepalive_timeout=15,
-            shutdown_timeout=0.2,
-            max_line_size=4096,
-            max_field_size=8190,
-        )
+        self._runner = web.ServerRunner(Listener(self._answer, self._refusal), handle_signals=False, shutdown_timeout=0.2)
         await self._runner.setup()
         try:
             self.port = await self._listen(self._runner)
@@ -300,7 +292,7 @@ class Server:
         self.opened = asyncio.ensure_future(in_thread(self._make, "reading"))
         self.opened.add_done_callback(lambda made: made.cancelled() or made.exception())  # clients get the error
 
-    async def _listen(self, runner: web.AppRunner) -> int:
+    async def _listen(self, runner: web.ServerRunner) -> int:
         """One port for all families of addresses of the host, also if any free one will do."""
         port = self.port
         for tries in range(_PORTS, 0, -1):
@@ -334,13 +326,13 @@ class Server:
 
     # -- requests --------------------------------------------------------------------------------------------
 
-    async def _answer(self, request: web.Request) -> web.StreamResponse:
+    async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         try:
             return await self._routed(request)
         except Refused as refused:
-            return self._response(f"clvol: {refused}\n".encode(), "text/plain; charset=utf-8", refused.status)
+            return self._refusal(str(refused), refused.status)
 
-    async def _routed(self, request: web.Request) -> web.StreamResponse:
+    async def _routed(self, request: web.BaseRequest) -> web.StreamResponse:
         self._access.check(request)
         if request.method not in ("GET", "HEAD"):
             raise Refused(405, "only GET is allowed here")
@@ -362,7 +354,7 @@ class Server:
             raise Refused(404, "there is no such page")
         return self._response(*found)
 
-    def _let_in(self, request: web.Request, given: str) -> web.Response:
+    def _let_in(self, request: web.BaseRequest, given: str) -> web.Response:
         """Exchange the token for a cookie, and go to the address without the token."""
         self._access.check_token(request, given, self._cookie)
         if from_another_site(request):
@@ -386,15 +378,19 @@ class Server:
         response.headers["Location"] = f"{self._root or '.'}/"
         return response
 
+    def _refusal(self, words: str, status: int) -> web.Response:
+        return self._response(f"clvol: {words}\n".encode(), "text/plain; charset=utf-8", status)
+
     def _response(self, body: bytes, kind: str, status: int = 200) -> web.Response:
         return web.Response(body=body, status=status, headers={**self._headers, "Content-Type": kind})
 
-    async def _connect(self, request: web.Request) -> web.StreamResponse:
+    async def _connect(self, request: web.BaseRequest) -> web.StreamResponse:
         socket = web.WebSocketResponse(
             max_msg_size=self.limits.message, compress=False, heartbeat=min(30.0, self.limits.stuck), timeout=1.0, decode_text=True
         )
         if not socket.can_prepare(request).ok:
             raise Refused(400, "this is the address of a websocket")
+        socket.headers.update(self._headers)
         await socket.prepare(request)
         if len(self._clients) >= self.limits.clients:  # said here: pages do not learn why a handshake failed
             text = f"{self.limits.clients} pages are open, the maximum; close one"
