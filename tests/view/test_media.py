@@ -10,10 +10,12 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import clvol
-from clvol.base.errors import OptionError
+from clvol.base.errors import ClvolError, OptionError
 from clvol.device import Device
+from clvol.show.picture import to_bytes
 from clvol.view import View
 from clvol.view.panes import camera_of
+from tests.view.clients import at_rest
 
 Z, Y, X = np.mgrid[-1:1:20j, -1:1:20j, -1:1:20j]
 SHELL = clvol.Volume((1 - np.sqrt(X**2 + Y**2 + Z**2)).astype(np.float32))
@@ -113,3 +115,46 @@ def test_a_renderer_takes_other_looks_of_its_media(device: Device) -> None:
         for wrong in ([first], [second, first], [first, replace(second, filter="linear")], [first, CORE], "both"):
             with pytest.raises(OptionError, match=r"media must be|each of media must be a Medium"):
                 renderer.render(size=SIZE, media=wrong)
+
+
+LABELS = clvol.Volume((SHELL.data > 0.5).astype(np.uint8), labels={1: "inside"}, name="inside")
+LAYERED = clvol.Scene([SHELL, clvol.Medium(CORE, cmap="hot"), clvol.Medium(LABELS, opacity=0.4)])
+
+
+@pytest.mark.parametrize(
+    "change", [[], [{"visible": False}, {}, {}], [{}, {"cmap": "green", "opacity": 0.3, "window": [0.5, 0.2]}, {}]]
+)
+def test_slices_show_all_layers_and_copy_them(change: list[dict[str, Any]], device: Device) -> None:
+    view = View(LAYERED, device=device)
+    with at_rest(view, (48, 40)) as client:
+        client.set(layout="slice", active="z", media=change, crosshair=[9, 9, 12])
+        _, shown = client.still("z")
+        text = client.session.python()
+    names: dict[str, Any] = {"clvol": clvol, "volume": SHELL, "others": list(LAYERED.media[1:])}
+    exec(text, names)  # what was copied
+    assert_array_equal(to_bytes(names["picture"])[..., :3], shown)
+    alone = clvol.view.section(SHELL, (9, 9, 12), (1, 0, 0), (0, -1, 0), (0.5, 0.5), (48, 40), device=device)
+    assert (to_bytes(alone)[..., :3] != shown).any()
+
+
+def test_the_order_of_layers_changes_no_bit(device: Device) -> None:
+    """Three that meet; and one alone covers as far as it is opaque."""
+    third = clvol.Medium(clvol.Volume((SHELL.data - 0.3) ** 2), cmap="cool", opacity=0.7)
+    place = (SHELL.center, (1, 0, 0), (0, -1, 0), (0.5, 0.5), (40, 40))
+    over = [*LAYERED.media[1:], third]
+    first = clvol.view.section(SHELL, *place, over=over, device=device)
+    for order in ([2, 0, 1], [1, 2, 0], [2, 1, 0]):
+        assert_array_equal(clvol.view.section(SHELL, *place, over=[over[k] for k in order], device=device), first)
+    hidden = [over[0], replace(over[1], visible=False), replace(third, visible=False)]
+    assert_array_equal(
+        clvol.view.section(SHELL, *place, over=hidden, device=device),
+        clvol.view.section(SHELL, *place, over=over[:1], device=device),
+    )
+    plain = clvol.view.section(SHELL, *place, device=device)
+    covered = clvol.view.section(SHELL, *place, over=[clvol.Medium(LABELS, opacity=0.25)], device=device)
+    inside = (covered != plain).any(-1)
+    blue = (covered - 0.75 * plain)[inside][:, :3] / 0.25
+    assert np.ptp(blue, axis=0).max() < 1e-5
+    for wrong, says in (("all", "over must be a list"), ([replace(SHELL, units="mm"), replace(SHELL, units="m")], "in one unit")):
+        with pytest.raises(ClvolError, match=says):
+            clvol.view.section(SHELL, *place, over=wrong, device=device)

@@ -91,8 +91,8 @@ def orthogonal(
     ----------
     volume : Volume, LazyVolume, Scene, Medium, Volumes or array-like, 3-D
         As of `clvol.slice`. The slices of a scene are those of its first medium, with the matter of its other visible media over
-        it, whole, as far as their transfer functions are opaque; in words, what they show as a little of matter covers; labels as
-        areas or, with `contour`, as lines. Surfaces and cuts of media, and what colours one, are in the 3-D picture alone.
+        it, as `over` of `clvol.slice` lays it, whatever their order; labels as areas or, with `contour`, as lines. Surfaces and
+        cuts of media, and what colours one, are in the 3-D picture alone.
     point : (x, y, z), optional
         The world point; by default the middle of the volume.
     size : (width, height)
@@ -174,9 +174,9 @@ def orthogonal(
             own: dict[str, Any] = slices | {"progress": part_of(progress, i / 10, (i + 1) / 10)}
             place = middle, right, down, (pixel, pixel), sizes[name]
             panes[name] = section(first.shown, *place, **own, contour=contour if first.labels else 0.0)
-            for other in others:
-                sheet = Sheet.of(*place, own | {"contour": contour if other.labels else 0.0})
-                lay_over(panes[name], other.shown, other.transfer, sheet, own["progress"])
+            sheets = [Sheet.of(*place, own | {"contour": contour if other.labels else 0.0}) for other in others]
+            layers = [(other.shown, other.transfer, sheet) for other, sheet in zip(others, sheets, strict=True)]
+            lay_over(panes[name], layers, own["progress"])
             if crosshair is not False:
                 offset = np.array([(at - middle) @ right, (at - middle) @ down]) / pixel
                 _draw_lines(panes[name], offset + np.array(sizes[name]) / 2, color)

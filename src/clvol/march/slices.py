@@ -32,7 +32,7 @@ from clvol.march.options import covering
 from clvol.march.renderer import Renderer
 from clvol.scene.clip import Plane
 from clvol.scene.mode import as_mode
-from clvol.scene.scene import Medium, Scene, as_scene
+from clvol.scene.scene import Medium, Scene, as_medium, as_scene
 from clvol.scene.transfer import TransferFunction
 from clvol.show.picture import Picture
 from clvol.spline.field import as_field
@@ -49,7 +49,9 @@ __all__ = [
     "axis_directions",
     "axis_of",
     "has_smooth_labels",
+    "lay",
     "lay_over",
+    "over_slices",
     "plane_points",
     "section",
     "shaded",
@@ -65,6 +67,7 @@ _SAMPLED = 1 << 20
 _ENDS = 0.002, 0.998  # quantiles of the samples that are black and white by default
 _AT_ONCE = 1 << 20  # points of a slab
 _OF_A_PIXEL = 64  # bytes: its position, value and colour
+_OPAQUE = 1 - 2.0**-24  # an opacity of 1 has no extinction
 _LEAST = 1e-9  # relative: shorter lengths are rounding
 
 
@@ -103,6 +106,11 @@ class SliceOptions(TypedDict, total=False):
         Called with the fraction done.
     mask : array-like of bool or LazyVolume of bool, shape of the volume
         True where a sample is missing, as of `clvol.Renderer`.
+    over : sequence of Medium or Volume
+        Up to 7 media that are laid over the slice, whole, as far as their transfer functions are opaque; in words, what they show
+        as a little of matter covers. Where they meet, extinctions add and colours are weighted by extinction, as in pictures of a
+        scene, so that their order changes nothing. Their cuts, surfaces and what colours them are for 3-D; `smooth` and `contour`
+        are of their labels too.
     """
 
     thickness: float
@@ -119,6 +127,7 @@ class SliceOptions(TypedDict, total=False):
     background: Sequence[float] | str | None
     progress: Progress | None
     mask: ArrayLike | None
+    over: Sequence[Medium | Volume] | None
 
 
 def slice(  # noqa: A001  # clvol.slice, as its users call it
@@ -255,33 +264,82 @@ def section(
     given = without_masked(_given(volume, options), options.pop("mask", None))
     known: Volume = getattr(given, "volume", given).preview()  # a function has its volume
     _require_no_mean(known, thickness != 0, mode)
-    if contour and not known.is_labels:
+    over = _over(known, options.get("over"))
+    if contour and not any(one.is_labels for one in (known, *(medium.volume.preview() for medium in over))):
         raise OptionError(f"contour is for labels: Volume(..., labels=True) says that samples are some; got {known!r}")
     width, height = _counts(size)
     memory.require(width * height * _OF_A_PIXEL, f"a slice of {width} × {height} pixels")
-    sheet = Sheet.of(middle, right, down, pixel, (width, height), options)
-    with _function(given, as_mode(mode or "mean").picture_filter if thickness else PICTURE_FILTER, max(pixel), options) as function:
-        found = sheet.values(function, progress)
-    picture = shaded(found, known, window, cmap, background, transfer)
+    usual = as_mode(mode or "mean").picture_filter if thickness else PICTURE_FILTER
+    areas = Sheet.of(middle, right, down, pixel, (width, height), options)
+    plain, count = replace(areas, contour=0.0), 1 + len(over)
+    with _function(given, usual, max(pixel), options) as function:
+        found = (areas if known.is_labels else plain).values(function, part_of(progress, 0, 1 / count))
+    picture, laid = shaded(found, known, window, cmap, background, transfer), []
+    for k, medium in enumerate(over, 1):
+        own, smooth = medium.volume.preview(), has_smooth_labels(medium, None, flag("smooth", options.get("smooth", False)))
+        _require_no_mean(own, thickness != 0, mode)
+        how: SliceOptions = {"filter": medium.filter, "boundary": medium.boundary, "smooth": smooth}
+        how |= {"device": options.get("device"), "memory": options.get("memory")}
+        with _function(medium.volume, usual, max(pixel), how) as function:
+            found = (areas if own.is_labels else plain).values(function, part_of(progress, k / count, (k + 1) / count))
+        laid.append((found, over_slices(medium)))
+    lay(picture, laid)
     picture.spacing = (float(pixel[0]), float(pixel[1]))
     return picture
 
 
-def lay_over(picture: NDArray[Any], function: Shown, transfer: TransferFunction, sheet: Sheet, progress: Progress | None) -> None:
-    """Lay another function over a picture of a slice, as far as its transfer function is opaque."""
-    _require_no_mean(function.grid, bool(sheet.across.any()), sheet.mode)
-    _lay(picture, sheet.values(function, progress), transfer)
+def lay_over(
+    picture: NDArray[Any], others: Sequence[tuple[Shown, TransferFunction, Sheet]], progress: Progress | None = None
+) -> None:
+    """Lay other functions over a picture of a slice, as far as their transfer functions are opaque, whatever their order."""
+    laid = []
+    for k, (function, transfer, sheet) in enumerate(others):
+        _require_no_mean(function.grid, bool(sheet.across.any()), sheet.mode)
+        laid.append((sheet.values(function, part_of(progress, k / len(others), (k + 1) / len(others))), transfer))
+    lay(picture, laid)
 
 
-def _lay(picture: NDArray[Any], values: NDArray[Any], transfer: TransferFunction) -> None:
-    """Lay values over a picture, but none where they are NaN."""
-    seen = transfer(np.nan_to_num(values))
-    share = np.where(np.isnan(values), 0.0, seen[..., 3])[..., None]
+def over_slices(medium: Medium) -> TransferFunction:
+    """What a medium looks like over a slice."""
+    return medium.transfer or covering(medium.volume.preview(), medium.words)
+
+
+def lay(picture: NDArray[Any], layers: Sequence[tuple[NDArray[Any], TransferFunction]]) -> None:
+    """Lay layers of values over a picture, but none where they are NaN.
+
+    Where several meet, their extinctions add, and colours are weighted by extinction. Summands are sorted, so that the order of the
+    layers does not change a bit.
+    """
+    seen = [transfer(np.nan_to_num(values)) for values, transfer in layers]
+    shares = [np.where(np.isnan(values), 0.0, one[..., 3]) for (values, _), one in zip(layers, seen, strict=True)]
+    if len(layers) == 1:
+        _cover(picture, seen[0][..., :3], shares[0])
+    elif layers:
+        opaque = np.stack(shares).astype(np.float64)
+        weights = -np.log1p(-np.minimum(opaque, _OPAQUE))
+        total = np.sort(weights, 0).sum(0)[..., None]
+        colors = np.sort(weights[..., None] * np.stack([one[..., :3] for one in seen]), 0).sum(0)
+        colors = np.divide(colors, total, out=np.zeros_like(colors), where=total > 0)
+        _cover(picture, colors, 1 - np.sort(1 - opaque, 0).prod(0))
+
+
+def _cover(picture: NDArray[Any], shown: NDArray[Any], opacities: NDArray[Any]) -> None:
+    """Lay colours over a picture, as far as they are opaque."""
+    share = opacities[..., None]
     below = (1 - share) * picture[..., 3:]
     opacity = share + below
-    colors = share * seen[..., :3] + below * picture[..., :3]
+    colors = share * shown + below * picture[..., :3]
     picture[..., :3] = np.divide(colors, opacity, out=np.zeros_like(colors), where=opacity > 0)
     picture[..., 3:] = opacity
+
+
+def _over(known: Volume, given: Sequence[Medium | Volume] | None) -> list[Medium]:
+    """The media that are laid over a slice and are seen; refused as those of a scene would be."""
+    if given is None or (isinstance(given, (list, tuple)) and not given):
+        return []
+    if not isinstance(given, (list, tuple)):
+        raise OptionError(f"over must be a list of media; got {given!r:.200}")
+    return [medium for medium in Scene((Medium(known), *map(as_medium, given))).media[1:] if medium.visible and not medium.surfaces]
 
 
 def _require_no_mean(volume: Volume, slab: bool, mode: str | None) -> None:
@@ -294,8 +352,8 @@ def _of_medium(given: Medium | Scene, options: SliceOptions) -> tuple[Volume, Sl
     first, *others = as_scene(given).media
     if others:
         raise OptionError(
-            f"a slice is of one medium; got a scene of {1 + len(others)}: give one of scene.media, or let clvol.orthogonal lay "
-            "them over each other"
+            f"a slice is of one medium; got a scene of {1 + len(others)}: give one of scene.media, with others as over=, or "
+            "let clvol.orthogonal lay them over each other"
         )
     if named := {"filter", "boundary"} & options.keys():
         raise OptionError(f"{' and '.join(sorted(named))} must be left to the medium; got {options}")
@@ -573,7 +631,7 @@ def shaded(
     if transfer is None and volume.is_labels and window is None and cmap is None:
         transfer = TransferFunction.preset("labels", volume)
     if transfer is not None:
-        _lay(picture, values, transfer)
+        lay(picture, [(values, transfer)])
         return Picture(picture)
     center, width = window_of_slices(volume) if window is None else window
     low = center - width / 2

@@ -57,7 +57,7 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     """
     lines = ["import clvol"]
     lines += ["import numpy as np"] if state.wiper is not None else []
-    lines += ["from dataclasses import replace"] if state.media and name == "3d" else []
+    lines += ["from dataclasses import replace"] if state.media else []
     lines += ["from clvol.device import as_device"] if resident.limits else []
     lines += ["from clvol.show.picture import heat, to_bytes"] if state.heat and name == "3d" else []
     lines += ["from clvol.view import section"] if name != "3d" else []
@@ -67,7 +67,7 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
         lines += ["# volume: the clvol.LazyVolume that was viewed" if source is None else f"volume = {source}"]
     else:
         lines += _volume(resident, state)
-    if resident.catalog.media and name == "3d":
+    if resident.catalog.media:
         lines += [
             f"# others: the {len(resident.catalog.media) - 1} other media of the scene that was viewed, a list of clvol.Medium"
         ]
@@ -140,20 +140,20 @@ def _drawn(resident: Resident, state: State, name: str, shown: PaneSize, size: t
         hidden = resident.catalog.media and not media.of_state(resident.catalog.media, state)[0].visible
         own += ["visible=False"] if hidden else []
         mix = "" if resident.mix == "add" else f", mix={resident.mix!r}"
-        scene = f"clvol.Scene([{_call('clvol.Medium', ['volume', *own])}{_others(resident, state)}]{mix})"
+        scene = f"clvol.Scene([{', '.join([_call('clvol.Medium', ['volume', *own]), *_others(resident, state)])}]{mix})"
     texts = [scene, _camera(camera), repr(mode), *(f"{key}={_text(value)}" for key, value in words.items())]
     call = _call("clvol.render", texts)
     return [f"{result} = to_bytes(heat({call}))" if state.heat else f"{result} = {call}"]
 
 
-def _others(resident: Resident, state: State) -> str:
-    """The other media in a list, with what the state changes of them."""
+def _others(resident: Resident, state: State) -> list[str]:
+    """The other media of a list, with what the state changes of them."""
     if not state.media:
-        return ", *others" if resident.catalog.media else ""
+        return ["*others"] if resident.catalog.media else []
     each = zip(resident.catalog.media[1:], state.media[1:], strict=True)
     said = [{key: _text(value) for key, value in media.changes(medium, shown).items()} for medium, shown in each]
     own = [", ".join(f"{key}={text}" for key, text in words.items()) for words in said]
-    return "".join(f", replace(others[{k}], {words})" if words else f", others[{k}]" for k, words in enumerate(own))
+    return [f"replace(others[{k}], {words})" if words else f"others[{k}]" for k, words in enumerate(own)]
 
 
 def _as_labelled(state: State) -> State:
@@ -165,16 +165,15 @@ def _cut(resident: Resident, state: State, name: str, shown: PaneSize, size: tup
     pane = SlicePane.of(state, resident.volume, "xyz".index(name), shown)
     words: dict[str, Any] = {key: tuple(getattr(pane, key).tolist()) for key in ("middle", "right", "down")}
     words |= {"pixel": pane.pixel(size), "size": size}
-    words |= {key: value for key, value in (("window", state.slice_window), ("cmap", state.cmap)) if value is not None}
-    if as_mode(state.mode).regions:
-        words |= {"smooth": True} | (
-            {"transfer": state.transfer} if state.transfer and not words.keys() & {"window", "cmap"} else {}
-        )
+    words |= {"smooth": True} if as_mode(state.mode).regions else {}
+    words |= media.slice_words(resident.catalog.media, state)
     words |= _reconstruction(state)
     finer = resident.finer_picture(state, shown, name, size)
     words |= {} if finer is None else finer.given
     words |= {"background": state.background} | _device(resident)
-    return [f"{result} = " + _call("section", ["volume", *(f"{key}={_text(value)}" for key, value in words.items())])]
+    texts = ["volume", *(f"{key}={_text(value)}" for key, value in words.items())]
+    texts += [f"over=[{others}]"] if (others := ", ".join(_others(resident, state))) else []
+    return [f"{result} = " + _call("section", texts)]
 
 
 def _reconstruction(state: State) -> dict[str, Any]:

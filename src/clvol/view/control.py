@@ -163,7 +163,7 @@ class Control:
 
     def _key(self, state: State, name: str) -> object:
         size, which = self.context().size(name), self._resident.catalog.which(state)
-        common = (size, which, state.filter, state.boundary, state.cmap, state.background, state.wiper)
+        common = (size, which, state.filter, state.boundary, state.cmap, state.background, state.wiper, state.media)
         if name == "3d":
             first = self._resident.initial
             return (*common, replace(state, layout="3d", active="3d", tool=None, slice=first.slice, crosshair=None))

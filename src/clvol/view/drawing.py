@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from clvol.base.errors import ClvolError
 from clvol.march.empty import warn_of_refined
 from clvol.march.renderer import Renderer
-from clvol.march.slices import plane_points, shaded
-from clvol.scene.mode import as_mode
+from clvol.march.slices import lay, plane_points, shaded
 from clvol.show.picture import Picture, heat, to_bytes
+from clvol.view import media
 from clvol.view.background import started
 from clvol.view.catalog import labelled
 from clvol.view.events import Context
 from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane
-from clvol.view.renderers import on_slices
+from clvol.view.renderers import on_slices, own_arguments
 from clvol.view.resident import Resident
 from clvol.view.sketch import Sketch
 from clvol.view.state import State
@@ -221,7 +221,7 @@ class Drawer:
             if name != "3d":
                 shape = self._slice_size(size, order.budget) if coarse else size
                 began = time.perf_counter()
-                pixels = to_bytes(_slice(renderer, order, shape))
+                pixels = to_bytes(_slice(self._resident, renderer, order, shape))
                 self._slice_rate = (time.perf_counter() - began) / (shape[0] * shape[1])
                 yield Shot(pixels, not coarse)
             elif state.heat:
@@ -247,14 +247,17 @@ def has_sketch(state: State) -> bool:
     return state.wiper is None and not state.heat
 
 
-def _slice(renderer: Renderer, order: Order, size: tuple[int, int]) -> NDArray[Any]:
+def _slice(resident: Resident, renderer: Renderer, order: Order, size: tuple[int, int]) -> NDArray[Any]:
+    """A slice of the first medium, with the others over it."""
     state, pane = order.state, order.context.pane(order.state, order.name)
     assert isinstance(pane, SlicePane)  # by its name
     points = plane_points(pane.middle, pane.right, pane.down, pane.pixel(size), size)
     values = on_slices(renderer, state.mode)(points, fill=np.nan)
-    window = state.slice_window
-    transfer = state.transfer if as_mode(state.mode).regions and window is None and state.cmap is None else None
-    return shaded(values, labelled(renderer.volume, state), window, state.cmap, state.background, transfer)
+    window, cmap, transfer = map(media.slice_words(resident.catalog.media, state).get, ("window", "cmap", "transfer"))
+    picture = shaded(values, labelled(renderer.volume, state), window, cmap, state.background, transfer)
+    others = media.over_slices(resident.catalog.media, state)
+    lay(picture, [(on_slices(renderer, state.mode, k)(points, fill=np.nan), transfer) for k, transfer in others])
+    return picture
 
 
 def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generator[Shot, None, None]:
@@ -266,7 +269,7 @@ def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generat
     camera, mode = given.pop("camera"), given.pop("mode")
     for picture in renderer.refine(camera, mode, order.size, seconds=order.budget, cancelled=order.stop, **given):
         if picture.final:
-            warn_of_refined(renderer, picture, camera, mode, **given)
+            warn_of_refined(renderer, picture, camera, mode, **own_arguments(renderer, given))
         yield Shot(to_bytes(picture), picture.final and not order.coarse, picture.step)
         if order.coarse:
             return

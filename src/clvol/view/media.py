@@ -7,6 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from clvol.base.errors import OptionError
+from clvol.march import slices
+from clvol.march.options import covering
 from clvol.scene.joint import TransferFunction2D
 from clvol.scene.look import seen_through
 from clvol.scene.mode import as_mode
@@ -14,7 +16,9 @@ from clvol.scene.scene import Medium
 from clvol.scene.transfer import FACTORS, TransferFunction, is_curve
 from clvol.view.state import MediumState, State
 
-__all__ = ["changes", "described", "names", "of_state", "require", "ungraded"]
+__all__ = ["changes", "described", "names", "of_state", "over_slices", "require", "slice_words", "ungraded"]
+
+_UNSEEN = TransferFunction(((0.0, (0.0, 0.0, 0.0)),), ((0.0, 0.0),))
 
 
 def of_state(media: Sequence[Medium], state: State) -> tuple[Medium, ...]:
@@ -22,6 +26,21 @@ def of_state(media: Sequence[Medium], state: State) -> tuple[Medium, ...]:
     if state.media:
         media = [replace(medium, **changes(medium, own)) for medium, own in zip(media, state.media, strict=True)]
     return tuple(media if as_mode(state.mode, state.options).grades else map(_ungraded, media))
+
+
+def over_slices(media: Sequence[Medium], state: State) -> list[tuple[int, TransferFunction]]:
+    """The numbers of the media that slices show over the first, and what they look like there."""
+    shown = list(enumerate(of_state(media, replace(state, mode="composite", options={}))))[1:]
+    return [(number, slices.over_slices(medium)) for number, medium in shown if medium.visible and not medium.surfaces]
+
+
+def slice_words(media: Sequence[Medium], state: State) -> dict[str, Any]:
+    """Words of `section` for the colours of a slice of the first medium."""
+    if media and state.media and state.media[0].visible is False:
+        return {"transfer": _UNSEEN}
+    words: dict[str, Any] = {"window": state.slice_window, "cmap": state.cmap}
+    words = {name: value for name, value in words.items() if value is not None}
+    return {"transfer": state.transfer} if as_mode(state.mode).regions and state.transfer and not words else words
 
 
 def _ungraded(medium: Medium) -> Medium:
@@ -39,26 +58,45 @@ def ungraded(transfer: TransferFunction | None) -> TransferFunction | None:
 def changes(medium: Medium, shown: MediumState) -> dict[str, Any]:
     """What a state changes of a medium, by the names of `Medium`."""
     given = {name: value for name, value in vars(shown).items() if value is not None}
-    transfer, cmap, opacity = medium.transfer, given.get("cmap"), given.get("opacity")
-    if transfer is None and opacity is not None and is_curve(medium.opacity):
-        given["opacity"] = [(value, min(1.0, opacity * one)) for value, one in medium.opacity]  # type: ignore[union-attr]  # pairs
-    if transfer is None or (cmap is None and opacity is None):
+    transfer, opacity = medium.transfer, given.get("opacity")
+    if transfer is None:
+        if opacity is not None and is_curve(medium.opacity):
+            given["opacity"] = [(value, min(1.0, opacity * one)) for value, one in medium.opacity]  # type: ignore[union-attr]  # pairs
         return given
-    if cmap is not None:
-        if isinstance(transfer, TransferFunction2D):
-            raise OptionError(f"cmap changes nothing of a medium with a TransferFunction2D, whose shapes have colors; got {cmap!r}")
-        transfer = replace(transfer, colors=TransferFunction.from_cmap(cmap, transfer.value_range).colors)
+    words = [name for name in ("cmap", "window") if name in given]
+    if isinstance(transfer, TransferFunction2D):
+        if words:
+            raise OptionError(f"{words[0]} changes nothing of a medium with a TransferFunction2D; got {given[words[0]]!r}")
+    elif words:
+        transfer = _looked(transfer, given.get("cmap"), given.get("window"))
     if opacity is not None:
         transfer = seen_through(transfer, opacity)
-    return {name: value for name, value in given.items() if name == "visible"} | {"transfer": transfer}
+    seen = {name: value for name, value in given.items() if name == "visible"}
+    return seen if transfer is medium.transfer else seen | {"transfer": transfer}
+
+
+def _looked(transfer: TransferFunction, cmap: str | None, window: tuple[float, float] | None) -> TransferFunction:
+    """A function with the colours of a map, and its values moved into a window."""
+    if cmap is not None:
+        transfer = replace(transfer, colors=TransferFunction.from_cmap(cmap, transfer.value_range).colors)
+    if window is None:
+        return transfer
+    (low, high), (center, width) = transfer.value_range, window
+    scale = width / ((high - low) or 1.0)
+
+    def moved(points: Sequence[tuple[float, Any]]) -> tuple[tuple[float, Any], ...]:
+        return tuple((center + (value - (low + high) / 2) * scale, what) for value, what in points)
+
+    return replace(transfer, colors=moved(transfer.colors), opacities=moved(transfer.opacities))
 
 
 def require(media: Sequence[Medium], state: State) -> None:
-    """`OptionError` unless a state has none or all of these media, and of the first, which is edited itself, no colours."""
+    """`OptionError` unless a state has none or all of these media, and of the first, which is edited itself, no look."""
     if state.media and len(state.media) != len(media):
         raise OptionError(f"media must be left out, or one for each of the scene's {len(media)}; got {len(state.media)}")
-    if state.media and (state.media[0].cmap is not None or state.media[0].opacity is not None):
-        raise OptionError("media must have no cmap and opacity for the first: those of the state are its own")
+    looks = ("cmap", "opacity", "window")
+    if state.media and any(getattr(state.media[0], name) is not None for name in looks):
+        raise OptionError(f"media must have no {', '.join(looks)} for the first: those of the state are its own")
     of_state(media, state)
 
 
@@ -78,5 +116,17 @@ def _described(medium: Medium, name: str, number: int) -> dict[str, Any]:
         "visible": bool(medium.visible),
         "edited": number > 1 and medium.surfaces is None and not isinstance(medium.transfer, TransferFunction2D),
         "cmap": medium.cmap,
+        "window": list(_window_of(medium)),
         "opacity": None if medium.opacity is None or is_curve(medium.opacity) else float(medium.opacity),  # type: ignore[arg-type]  # one
     }
+
+
+def _window_of(medium: Medium) -> tuple[float, float]:
+    """Which values it tells apart, where a state leaves it open."""
+    if medium.transfer is None and medium.window is not None:
+        return medium.window
+    ends = (
+        (medium.transfer or covering(medium.volume, medium.words)).value_range if not medium.surfaces else medium.volume.value_range
+    )
+    low, high = map(float, ends)
+    return low / 2 + high / 2, (high - low) or 1.0

@@ -23,7 +23,7 @@ from clvol.spline.field import Field
 from clvol.spline.regions import Regions
 from clvol.view.catalog import Catalog, Which
 
-__all__ = ["Renderers", "on_slices", "rule_of"]
+__all__ = ["Renderers", "on_slices", "own_arguments", "rule_of"]
 
 _LARGE = 1 << 22  # samples of a volume whose coefficients take longer than a picture
 _LARGE_LABELS = 1 << 25  # likewise where some labels are hidden, and nothing is prefiltered
@@ -60,11 +60,16 @@ class _OfScene(Renderer):
         return options | {"media": (looked, *others)}
 
 
+def own_arguments(renderer: Renderer, given: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of a view's picture as functions beside the renderer take them: of several media the look is the first's."""
+    return renderer._of_first({**given}) if isinstance(renderer, _OfScene) else given
+
+
 def on_slices(renderer: Renderer, mode: str, number: int = 0) -> Field | BrickedField | Regions:
     """The function that slices show of a medium beside a picture in a mode: smooth regions beside those."""
     medium, regions = renderer.scene.media[number], as_mode(mode).regions
     part = renderer._source.part(medium)
-    return part.regions() if regions or (number and has_smooth_labels(medium, None)) else part.field
+    return part.regions() if (has_smooth_labels(medium, None, regions) if number else regions) else part.field
 
 
 def rule_of(boundary: str) -> Boundary:

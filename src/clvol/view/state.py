@@ -418,9 +418,13 @@ class LabelState(_Checked):
 
 @dataclass(frozen=True)
 class MediumState(_Checked):
-    """What is changed of a medium of a scene; None leaves it as it was given. `opacity` scales that of a transfer function."""
+    """What is changed of a medium of a scene; None leaves it as it was given.
+
+    `opacity` scales that of a transfer function, and `window`, (center, width), moves its values.
+    """
 
     visible: bool | None = _of(_switch, None)
+    window: tuple[float, float] | None = _of(_window, None)
     cmap: str | None = _of(_named, None, known=partial(TransferFunction.from_cmap, value_range=(0.0, 1.0)))
     opacity: float | None = _of(number, None, minimum=0, maximum=1e6)
 
