@@ -22,13 +22,16 @@ from clvol.march.renderer import Renderer
 from clvol.march.slices import section
 from clvol.show.picture import Picture, to_png
 from clvol.view import code
+from clvol.view.audience import Pick
 from clvol.view.code import from_toml, from_url
+from clvol.view.links import link
 from clvol.view.panes import PaneSize
 from clvol.view.renderers import rule_of
 from clvol.view.resident import Resident
 from clvol.view.session import Session
 from clvol.view.sketch import without_prefilter
 from clvol.view.state import State
+from clvol.view.watched import Watched
 
 if TYPE_CHECKING:
     import os
@@ -43,13 +46,15 @@ if TYPE_CHECKING:
     from clvol.view.protocol import Send
     from clvol.volume.volume import Volume
 
-__all__ = ["Session", "State", "View", "from_toml", "from_url", "section", "show"]
+__all__ = ["Pick", "Session", "State", "View", "Watched", "from_toml", "from_url", "link", "section", "show"]
 
 _SMALL = 64  # pixels along the edges of a picture that nobody sees
 
 
-class View:
+class View(Watched):
     """A volume to look at, in as many sessions as there are clients; they share its coefficients, not what they show.
+
+    `state` is what is shown, `on_change` and `on_pick` tell of it (`Watched`); `link` has several views turn together.
 
     Options are checked at once, and the device is asked at the first picture. The resident level of a `LazyVolume` is read at once.
 
@@ -101,16 +106,6 @@ class View:
         """The volume that is shown first."""
         return self.resident.volume
 
-    @property
-    def state(self) -> State:
-        """What new sessions show first."""
-        return self.resident.initial
-
-    @state.setter
-    def state(self, state: State) -> None:
-        self.resident.catalog.require(state)
-        self.resident.initial = state
-
     def close(self) -> None:
         """Free the device's memory; a later picture takes it again."""
         self.resident.close()
@@ -144,7 +139,7 @@ class View:
         return Session(self.resident, send, state)
 
     def picture(self, size: tuple[int, int] = (512, 512)) -> Picture:
-        """The final picture of the first state."""
+        """The final picture of `state`."""
         resident, state = self.resident, self.state
         wanted = resident.finer_picture(state, PaneSize(*map(float, size)), "3d", size)
         if wanted is not None and resident.finer is not None:
@@ -187,7 +182,7 @@ class View:
             renderer.render(size=(_SMALL, _SMALL), **resident.arguments(replace(state, media=())))
 
     def save_html(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Write the first state as one file of HTML, which turns in a browser without a server: see `clvol.save_html`.
+        """Write `state` as one file of HTML, which turns in a browser without a server: see `clvol.save_html`.
 
         Parameters
         ----------

@@ -100,7 +100,7 @@ def _copy(parts: Parts, request: Request) -> Answer:
 def _restore(parts: Parts, request: Request) -> Answer:
     """Show the state of an address."""
     try:
-        parts.control.change(Change(code.from_url(request.arguments.get("url", "")).json(), whole=True))
+        parts.control.change(Change(code.from_url(request.arguments.get("url", "")), whole=True))
     except ClvolError as error:
         raise OptionError(f"the state in this page's address cannot be read: {error}") from None
     return {}, None

@@ -108,7 +108,8 @@ class Control:
 
     def change(self, change: Change) -> None:
         """Apply changes of the panel; nothing has changed if they give no state, or none of this volume."""
-        state = State.from_json(change.changes) if change.whole else self.state.changed(change.changes)
+        given = change.changes
+        state = given if isinstance(given, State) else State.from_json(given) if change.whole else self.state.changed(given)
         self.history = self.history.with_state(self._accepted(state, whole=change.whole), change.step)
         if change.live:
             self._wheel_at = time.monotonic()

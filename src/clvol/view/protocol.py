@@ -107,6 +107,8 @@ class Change:
     live: bool = False
     gesture: str | None = None
     number: int | None = None
+    via: frozenset[int] | None = None
+    """Of what other views are linked to: numbers of those from which it came. None: the client did it."""
 
     @property
     def step(self) -> tuple[str, ...] | None:
@@ -149,13 +151,14 @@ def parse(message: Any) -> Resize | PointerOrKey | Change | Request:
         event: Any = message.get("event")
         return _resize(event) if _kind_of(event) == "resize" else PointerOrKey(event)
     if kind == "set":
-        gesture, count = message.get("gesture"), message.get("number")
+        gesture, count, via = message.get("gesture"), message.get("number"), message.get("via")
         return Change(
             changes=message.get("changes"),
             whole=bool(message.get("whole")),
             live=bool(message.get("live")),
             gesture=gesture if isinstance(gesture, str) else None,
             number=count if isinstance(count, int) else None,
+            via=via if isinstance(via, frozenset) else None,  # JSON has none
         )
     if kind == "do":
         return Request(message.get("what"), message.get("id"), message)
@@ -188,7 +191,9 @@ def ends_drag(message: Any) -> bool:
 
 
 def replaces(message: Any, other: Any) -> bool:
-    """Whether a message makes the one before it redundant: moves of a pointer, and resizes."""
+    """Whether a message makes the one before it redundant: moves of a pointer, resizes, and live changes of linked views."""
+    if isinstance(message, Mapping) and isinstance(other, Mapping) and isinstance(message.get("via"), frozenset):
+        return bool(message.get("live")) and all(message.get(key) == other.get(key) for key in ("type", "live", "gesture", "via"))
     if not (isinstance(message, Mapping) and isinstance(other, Mapping) and message.get("type") == other.get("type") == "event"):
         return False
     one, two = message.get("event"), other.get("event")

@@ -26,6 +26,7 @@ from clvol.scene.preset import presets
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.view import media
+from clvol.view.audience import Audience
 from clvol.view.catalog import Catalog, Which, labelled
 from clvol.view.events import KEYS
 from clvol.view.finer import Finer, Wanted
@@ -89,6 +90,7 @@ class Resident:
         self.beside: dict[str, Any] = {name: given.pop(name) for name in _BESIDE if name in given}
         """Arguments of `clvol.render` that are not part of a state."""
         self.initial = first_state(found.volume, given)
+        self.audience = Audience(lambda: self.initial)
         self._describing = threading.Lock()  # not the other lock: the description does not wait for what takes longer
         self._knowing = threading.RLock()  # what takes long is computed once, however many ask
         self._descriptions: dict[tuple[int | str, ...], dict[str, Any]] = {}

@@ -9,6 +9,7 @@ from typing import Any
 
 from clvol.base.errors import ClvolError, DeviceError
 from clvol.view import actions, code, protocol
+from clvol.view.audience import Pick
 from clvol.view.control import Control
 from clvol.view.drawing import Drawer
 from clvol.view.notices import Notices
@@ -52,6 +53,9 @@ class Session:
         self._pictures = Pictures(resident, self._control, self._drawer, self._updates, self._notices, post)
         self._readout = Readout(self._control, post)
         self._lost_at: State | None = None  # the state in which the device failed
+        self._told = first  # what listeners know
+        self._given: State | None = None  # what `show` was given last, until it is shown
+        resident.audience.join(self)
         self._thread = threading.Thread(target=self._run, name="clvol view", daemon=True)
         self._thread.start()
 
@@ -60,7 +64,7 @@ class Session:
     @property
     def state(self) -> State:
         """What is shown."""
-        return self._control.state
+        return self._given or self._control.state
 
     @property
     def closed(self) -> bool:
@@ -70,6 +74,11 @@ class Session:
     def receive(self, message: Mapping[str, Any]) -> None:
         """Take a client's message; returns at once."""
         self._post.put(message)
+
+    def show(self, state: State) -> None:
+        """Show another state, from any thread; it is in `state` at once."""
+        self._given = state
+        self.receive({"type": "set", "changes": state, "whole": True, "via": frozenset()})
 
     def close(self, timeout: float | None = 10.0) -> None:
         """End it; what is being drawn is stopped. Other sessions of the view go on."""
@@ -104,6 +113,7 @@ class Session:
         finally:
             self._drawer.give_up()
             self._post.close()
+            self._resident.audience.leave(self)
 
     def _guarded(self, work: Callable[[], None], source: str = "request") -> None:
         """Do it; errors are sent to the client, and the session goes on."""
@@ -174,23 +184,37 @@ class Session:
         self._updates.overlays()
 
     def _handle(self, received: Mapping[str, Any]) -> None:
-        match protocol.parse(received):
-            case Resize() as resize:
-                self._control.sizes[resize.pane] = resize.size
-            case PointerOrKey(event):
-                for what, *rest in self._control.event(event):
-                    if what == "pick":
-                        self._post.tell(
-                            {"type": "reply", "id": None, "what": "pick", **self._control.pick(*rest[:3], moves=rest[3])}
-                        )
-                    else:
-                        self._control.act(what)
-            case Change() as change:
-                self._set(change)
-                self._notices.put("request")  # what was at fault is over
-            case Request() as request:
-                self._do(request)
-                self._notices.put("request")
+        message = protocol.parse(received)
+        via = message.via if isinstance(message, Change) else None
+        if via is None and not isinstance(message, Resize):
+            self._resident.audience.use(self)
+        try:
+            match message:
+                case Resize(pane, size):
+                    self._control.sizes[pane] = size
+                case PointerOrKey(event):
+                    for what, *rest in self._control.event(event):
+                        if what == "pick":
+                            self._pick(*rest)
+                        else:
+                            self._control.act(what)
+                case Change():
+                    self._set(message)
+                    if via is None:
+                        self._notices.put("request")  # what was at fault is over
+                case Request():
+                    self._do(message)
+                    self._notices.put("request")
+        finally:
+            before, self._told = self._told, self._control.state
+            if self._told != before:
+                self._resident.audience.tell("change", self._told, before, via or frozenset())
+
+    def _pick(self, name: str, x: float, y: float, moves: bool) -> None:
+        found = self._control.pick(name, x, y, moves=moves)
+        self._post.tell({"type": "reply", "id": None, "what": "pick", **found})
+        if found["position"] is not None:
+            self._resident.audience.tell("pick", Pick.of(found))
 
     def _set(self, change: Change) -> None:
         self._updates.heard = self._updates.heard if change.number is None else change.number
@@ -199,6 +223,9 @@ class Session:
         except Exception:
             self._guarded(lambda: self._updates.state(again=True))
             raise
+        finally:
+            if change.changes is self._given:
+                self._given = None
         self._updates.state()
 
     def _do(self, request: Request) -> None:

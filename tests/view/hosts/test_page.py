@@ -345,7 +345,7 @@ def test_two_filters_are_compared_and_the_bar_is_dragged(page: Page) -> None:
     page.wait("document.querySelector('.clvol-wiper-right')?.textContent.includes('error')", 60)
     page.browser.drag((-100, 0), ".clvol-wiper")
     page.becomes(lambda state: state.wiper is not None and 0.2 < state.wiper.at < 0.45)
-    assert page.state.camera.direction == page.view.state.camera.direction  # the bar, not the volume
+    assert page.state.camera.direction == page.view.resident.initial.camera.direction  # the bar, not the volume
 
 
 def test_a_crop_box_a_light_and_the_heat_map_are_set(page: Page) -> None:
@@ -386,12 +386,12 @@ def test_the_copied_url_shows_the_same_elsewhere(page: Page) -> None:
     url = page.wait("window.copied")
     wanted = page.state
     assert from_url(url) == wanted
-    page.view.state = replace(page.view.state, step=0.7)  # of which the address knows nothing: what it leaves out is a default
+    page.view.resident.initial = replace(page.view.resident.initial, step=0.7)  # the address knows nothing of it
     try:
         page.open(url[url.index("#") :])
         page.becomes(lambda state: state == wanted)
     finally:
-        page.view.state = replace(page.view.state, step=0.5)
+        page.view.resident.initial = replace(page.view.resident.initial, step=0.5)
 
 
 def test_the_saved_picture_is_the_still_one(page: Page) -> None:
@@ -450,7 +450,7 @@ def test_a_reload_keeps_the_state_which_the_address_has(page: Page) -> None:
 def test_a_wrong_address_is_reported_until_something_is_done(page: Page, fragment: str, why: str) -> None:
     page.open(f"#s={fragment}")
     page.wait(lambda: "address cannot be read" in page.told() and why in page.told(), 20, "the error")
-    assert page.state == page.view.state
+    assert page.state == page.view.resident.initial
     page.choose("Mode", "mip")
     page.browser.wheel(-10, PANE)
     page.browser.mouse("mousePressed", 20, 20)

@@ -42,7 +42,7 @@ class LocalClient:
     def __init__(self, view: View, changed: Callable[[], Any], state: State | None = None, *, pointer: bool = True) -> None:
         self._changed = changed
         self._lock = threading.Lock()
-        self._state = view.state if state is None else state
+        self._state = view.resident.initial if state is None else state
         self._size, self._ratio = (0, 0), 1.0
         self._canvas: Array = np.zeros((0, 0, 3), np.uint8)
         self._parts: dict[str, Rectangle] = {}
