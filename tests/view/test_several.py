@@ -67,8 +67,8 @@ def ask(client: Client, what: str, **more: Any) -> dict[str, Any]:
 def test_the_panel_gets_the_axes(view: View, client: Client) -> None:
     info = view.resident.info()
     assert info["axes"] == [
-        {"axis": "time", "count": 4, "names": [], "first": 0},
-        {"axis": "channel", "count": 2, "names": ["DAPI", "GFP"], "first": 0},
+        {"axis": "time", "count": 4, "names": [], "first": 0, "plays": True},
+        {"axis": "channel", "count": 2, "names": ["DAPI", "GFP"], "first": 0, "plays": False},
     ]
     assert info["labels"] is None
     client.set(index__channel=1)

@@ -17,9 +17,9 @@ from clvol.scene.scene import Medium
 from clvol.view import media
 from clvol.view.state import LabelState, State
 from clvol.volume.volume import Volume, table_of
-from clvol.volume.volumes import Volumes
+from clvol.volume.volumes import Leading, Volumes
 
-__all__ = ["Catalog", "Which", "labelled"]
+__all__ = ["Catalog", "Which", "labelled", "series_of"]
 
 _KEPT = 64  # volumes that were shown and are remembered
 _LISTED = 200  # labels that a client is sent at once
@@ -128,7 +128,7 @@ class Catalog:
         """The next volume or the one before: along time, or along the first axis that has several places."""
         if not (axes := self.axes()):
             return state
-        axis = next((one for one in axes if one["axis"] == "time"), axes[0])
+        axis = next((one for one in axes if one["plays"]), axes[0])
         places: list[int | str] = [axis["first"]] if axis["first"] else []
         places += range(axis["count"])
         now = places.index(self._along(axis["axis"], state.index.get(axis["axis"], axis["first"])))
@@ -149,15 +149,16 @@ class Catalog:
         return {axis: at for axis, count, at in named if count > 1 or isinstance(at, str)}
 
     def axes(self) -> list[dict[str, Any]]:
-        """For a panel: the leading axes with more than one place, what each counts, and names of its places."""
+        """For a panel: the leading axes with more than one place, what each counts, names of its places, and which is played."""
         if self.volumes is None:
             return []
         found: list[dict[str, Any]] = []
+        played = series_of(self.volumes.leading)
         for axis, count in zip(self.volumes.axes, self.volumes.leading.counts, strict=True):
             first = self.volumes.leading.first(axis)
             if count > 1 or first:
                 names = [name or str(i) for i, name in enumerate(self.volumes.leading.names.get(axis, ()))]
-                found.append({"axis": axis, "count": count, "names": names[:_LISTED], "first": first})
+                found.append({"axis": axis, "count": count, "names": names[:_LISTED], "first": first, "plays": axis == played})
         return found
 
     def volume_of(self, state: State) -> Volume:
@@ -223,6 +224,12 @@ class Catalog:
     def mark_known(self, which: Which) -> None:
         """Remember that it was."""
         self._viewed(which).known = True
+
+
+def series_of(leading: Leading) -> str | None:
+    """The axis along which volumes follow each other: time, or another one, but not channels."""
+    several = [axis for axis, count in zip(leading.axes, leading.counts, strict=True) if count > 1]
+    return "time" if "time" in several else next((axis for axis in several if axis != "channel"), None)
 
 
 def labelled(volume: Volume, state: State) -> Volume:

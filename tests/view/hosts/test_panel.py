@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from clvol import TransferFunction2D, Volume, Volumes, phantoms
 from clvol.device import Device
 from clvol.view import Session, State, View
+from clvol.view.drawing import Drawer
 from clvol.volume.volumes import Leading
 from tests.view.browser import Browser, open_browser, why_none
 
@@ -198,6 +200,34 @@ def test_channels_are_a_list_and_times_a_slider(browser: Browser, cells: Watched
     camera = cells.last.state.camera
     assert (camera.direction, camera.zoom) == (first.camera.direction, first.camera.zoom)
     assert not browser.js("return document.querySelector('.clvol-labels').checkVisibility()")
+    assert not browser.console()
+
+
+def test_times_are_played_one_after_the_other(browser: Browser, cells: Watched) -> None:
+    """Each once it is shown, in a ring; all of it is one step of undo."""
+    played: list[int] = []
+    cells.on_change(lambda state: played.append(int(state.index.get("time", 0))))
+    draw = Drawer.shots
+
+    def slow(drawer: Drawer, *given: Any) -> Any:
+        time.sleep(0.1)
+        return draw(drawer, *given)
+
+    button = "document.querySelector('[aria-label=\"volumes a second\"]').previousSibling"
+    rate = "document.querySelector('[aria-label=\"volumes a second\"]')"
+    browser.js(f"{rate}.value = '30'; {rate}.dispatchEvent(new Event('change'))")
+    assert browser.js(f"return {rate}.nextSibling.textContent") == "9 in 0.3 s"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Drawer, "shots", slow)
+        click(browser, button)
+        browser.wait(lambda: len(played) > 11)
+        told = browser.js(f"return {rate}.nextSibling.textContent")
+        click(browser, button)
+    assert 0 < float(told.removeprefix("9 in 0.3 s, ").removesuffix(" a second reached")) < 11
+    browser.wait(f"{button}.textContent === 'Play' && {FINAL}")
+    assert played[:11] == [*range(1, 9), 0, 1, 2]
+    click(browser, "document.querySelector('.clvol-buttons button')")
+    browser.wait(lambda: cells.last.state.index == {}, what="the state before")
     assert not browser.console()
 
 

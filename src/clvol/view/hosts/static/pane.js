@@ -54,6 +54,7 @@ class Pane {
         this.bitmap = bitmap;
         this.frame = frame;
         this.draw();
+        this.viewer.panel.axes.series.shown(frame);
       }
     } catch (error) {
       this.viewer.status(`a picture could not be shown: ${error.message}`, "error");

@@ -171,12 +171,14 @@ class Axes {
     this.about = [];
     this.controls = [];
     this.body = make("div", {});
-    this.element = section("Volumes", true, this.body);
+    this.series = new Series(viewer);
+    this.element = section("Volumes", true, this.body, this.series.element);
     this.element.hidden = true;
   }
 
   tell({ axes = [] }) {
     this.element.hidden = !axes.length;
+    this.series.tell({ axes });
     if (same(axes, this.about)) return; // do not replace a slider that is held
     this.about = axes;
     this.controls = axes.map((about) => this.controlOf(about));
@@ -229,6 +231,7 @@ class Panel {
   }
 
   close() {
+    this.axes.series.close();
     this.transfer.close();
     this.joint.close();
     this.labels.close();

@@ -8,6 +8,7 @@ class Viewer {
     this.confirmed = null; // the session's last state
     this.unheard = []; // changes that it does not include
     this.lastSet = 0;
+    this.heard = -1; // number of the last change that the session's state includes
     this.effective = {}; // values where the state leaves them open
     this.errors = null; // of the wiper's filters
     this.overlays = new Map(); // the last message of each pane
@@ -76,6 +77,7 @@ class Viewer {
   take(message) {
     this.state = message.state;
     this.confirmed = structuredClone(message.state);
+    this.heard = message.heard ?? this.heard;
     this.unheard = this.unheard.filter(({ number }) => !(number <= message.heard));
     for (const { changes, whole } of this.unheard) this.apply(changes, whole);
     this.canUndo = message.can_undo;
@@ -137,7 +139,7 @@ class Viewer {
     if (!pane || !data) return this.channel.send({ type: "ack", frame: message.number });
     const step = message.step ? `, step ${short(message.step, 3)}` : "";
     this.picture = `${message.width} × ${message.height}${step}, ${short(1000 * (message.seconds ?? 0), 3)} ms${message.final ? ", final" : ""}`;
-    return pane.take(message, data);
+    return pane.take({ ...message, heard: this.heard }, data);
   }
 
   status(text, kind = "info") {
@@ -156,6 +158,7 @@ class Viewer {
     this.status(text, kind);
     if (kind !== "error" || !this.confirmed) return;
     this.unheard = [];
+    this.panel.axes.series.stop();
     this.state = structuredClone(this.confirmed);
     this.show();
   }
