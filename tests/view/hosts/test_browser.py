@@ -159,3 +159,24 @@ def test_an_idle_page_says_so(browser: Browser, device: Device) -> None:
         browser.open(server.url)
         browser.wait("document.body.innerText.includes('idle for 1 s')")
         browser.wait(lambda: server.clients == 0)
+
+
+def test_a_page_of_a_viewer_that_has_ended_says_so_and_hands_its_state_over(browser: Browser, device: Device) -> None:
+    told = "document.querySelector('.clvol-status').textContent"
+    mode = (
+        "[...document.querySelectorAll('.clvol-row')].find((row) => row.firstChild.textContent === 'Mode').querySelector('select')"
+    )
+    with serve(View(clvol.phantoms.sphere(8), device=device)) as first:
+        opened(browser, first)
+        browser.js(f"const list = {mode}; list.value = 'mip'; list.dispatchEvent(new Event('change'))")
+        browser.wait("location.hash !== ''")
+        port = int(first.url.split(":")[2].partition("/")[0])
+    browser.wait(f"{told}.includes('trying again in')")
+    with serve(View(clvol.phantoms.sphere(8), device=device), port=port) as second:
+        browser.wait(f"{told}.includes('this viewer has ended; open the address that clvol prints')")
+        count = len(browser.requests())
+        threading.Event().wait(1.5)
+        assert len(browser.requests()) == count  # it does not go on trying
+        browser.js("const box = document.querySelector('.clvol-renewal input'); box.value = arguments[0]; box.focus()", second.url)
+        browser.key("Enter", windowsVirtualKeyCode=13)
+        browser.wait(f"document.querySelector('.clvol-pane') && {mode}.value === 'mip' && {told} === ''")

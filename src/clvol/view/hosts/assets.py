@@ -7,7 +7,10 @@ from clvol.base.html import static
 __all__ = ["asset"]
 
 # parts of one module: notebooks take a single file. What is used while a part is read stands in one before it
-_PARTS = ("controls", "keys", "pane", "transfer", "joint", "readout", "wiper", "series", "panel", "viewer", "address", "mount")
+_PARTS = (
+    *("controls", "keys", "pane", "transfer", "joint", "readout", "wiper", "series", "panel"),
+    *("viewer", "address", "socket", "mount"),
+)
 
 
 def asset(name: str) -> str:

@@ -21,56 +21,28 @@ export function mount(element, channel, options = {}) {
   return new Viewer(element, channel, options);
 }
 
-const RETRY = [500, 1000, 2000, 4000]; // milliseconds before reconnecting
-const IDLE = 4000; // close code of an idle page, which keeps its state
-const LEFT_ALONE = [1008, 1009, 4001]; // close codes after which the page does not reconnect by itself
-
 /** The page of `clvol view`: a websocket, with a JSON header before the bytes of each frame. */
 export function page(element) {
-  let socket = null;
-  let header = null;
-  let tries = 0;
-  const channel = { send: (object) => socket?.readyState === WebSocket.OPEN && socket.send(JSON.stringify(object)), onmessage: () => {} };
-  const viewer = mount(element, channel, { onLink: (text) => new URL(text.slice(text.indexOf("#")), location.href).href });
+  const socket = new Socket(element.dataset.socket || "ws");
+  const viewer = mount(element, socket, { onLink: (text) => new URL(text.slice(text.indexOf("#")), location.href).href });
   const address = new Address(viewer);
-
-  const connect = () => {
-    const url = new URL(element.dataset.socket || "ws", location.href);
-    url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-    url.hash = "";
-    socket = new WebSocket(url);
-    socket.binaryType = "arraybuffer";
-    socket.onopen = () => {
-      tries = 0;
-      header = null;
-      viewer.status("");
-      for (const pane of viewer.panes.values()) pane.latest = 0;
-      if (viewer.state) viewer.setAll(); // from before the connection was lost
-      else address.begin();
-      for (const pane of viewer.panes.values()) pane.resized();
-    };
-    socket.onmessage = ({ data }) => {
-      if (typeof data !== "string") {
-        const message = header;
-        header = null;
-        if (message) channel.onmessage(message, data);
-        return;
-      }
-      const message = JSON.parse(data);
-      if (message.bytes !== undefined) header = message;
-      else channel.onmessage(message, null);
-    };
-    socket.onclose = ({ code, reason }) => {
-      const wait = RETRY[Math.min(tries++, RETRY.length - 1)];
-      const idle = code === IDLE;
-      const final = LEFT_ALONE.includes(code);
-      const next = idle ? "click to continue" : final ? "reload to continue" : `trying again in ${wait / 1000} s`;
-      viewer.status(`${reason || "the connection to clvol was lost"}; ${next}`, "error");
-      if (idle) element.addEventListener("pointerdown", connect, { once: true });
-      else if (!final) setTimeout(connect, wait);
-    };
+  const anew = renewal(viewer);
+  viewer.line.parentElement.after(anew);
+  socket.onopen = () => {
+    anew.hidden = true;
+    viewer.status("");
+    for (const pane of viewer.panes.values()) pane.latest = 0;
+    if (viewer.state) viewer.setAll(); // from before the connection was lost
+    else address.begin();
+    for (const pane of viewer.panes.values()) pane.resized();
   };
-  connect();
+  socket.onlost = (words, how) => {
+    viewer.status(words, "error");
+    anew.hidden = !["doubtful", "ended"].includes(how);
+    if (how === "wait") element.addEventListener("pointerdown", () => socket.connect(), { once: true });
+    if (how === "ended") addEventListener("focus", () => socket.connect(), { once: true }); // it may have been opened in another tab
+  };
+  socket.connect();
   return viewer;
 }
 

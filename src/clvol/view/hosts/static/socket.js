@@ -1,0 +1,84 @@
+// -- the websocket of a page, and what is said and done when it is lost -------------------------------------------
+
+const RETRY = [500, 1000, 2000, 4000, 8000, 16_000, 30_000]; // milliseconds before reconnecting
+const DOUBTFUL = 4; // tries after which clvol may have ended
+const IDLE = 4000; // close code of an idle page, which keeps its state
+const LEFT_ALONE = [1008, 1009, 4001]; // close codes after which the page does not reconnect by itself
+const REFUSED = [401, 403, 404];
+const RENEWED = "open the address that clvol prints when it is started again";
+
+class Socket {
+  constructor(path) {
+    this.url = new URL(path, location.href);
+    this.url.hash = "";
+    this.onmessage = () => {};
+    this.onopen = () => {};
+    this.onlost = () => {}; // (words, how): "retry", "doubtful" while it tries on, "wait" for a click, "ended" or "final"
+    this.tries = 0;
+  }
+
+  send(object) {
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(object));
+  }
+
+  connect() {
+    const url = new URL(this.url);
+    url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+    this.socket = new WebSocket(url);
+    this.socket.binaryType = "arraybuffer";
+    let header = null; // of the bytes that follow
+    this.socket.onopen = () => {
+      this.tries = 0;
+      this.onopen();
+    };
+    this.socket.onmessage = ({ data }) => {
+      if (typeof data !== "string") {
+        const message = header;
+        header = null;
+        if (message) this.onmessage(message, data);
+        return;
+      }
+      const message = JSON.parse(data);
+      if (message.bytes !== undefined) header = message;
+      else this.onmessage(message, null);
+    };
+    this.socket.onclose = (event) => this.closed(event);
+  }
+
+  async closed({ code, reason }) {
+    if (code === IDLE) return this.onlost(`${reason}; click to continue`, "wait");
+    if (LEFT_ALONE.includes(code)) return this.onlost(`${reason || "the connection to clvol was lost"}; reload to continue`, "final");
+    if (await this.refused()) return this.onlost(`this viewer has ended; ${RENEWED}`, "ended");
+    const wait = RETRY[Math.min(this.tries++, RETRY.length - 1)];
+    const doubtful = this.tries > DOUBTFUL;
+    const words = doubtful ? `clvol does not answer; if it has ended, ${RENEWED}` : reason || "the connection to clvol was lost";
+    setTimeout(() => this.connect(), wait);
+    return this.onlost(`${words}; trying again in ${wait / 1000} s`, doubtful ? "doubtful" : "retry");
+  }
+
+  /** Whether a server answers that does not know this page: another one was started. Browsers do not say why a websocket fails. */
+  async refused() {
+    try {
+      return REFUSED.includes((await fetch(new URL(".", this.url), { method: "HEAD", cache: "no-store" })).status);
+    } catch {
+      return false; // there is none
+    }
+  }
+}
+
+/** A field for the address of a viewer that was started again, which shows the state of this page. */
+function renewal(viewer) {
+  const box = make("input", { type: "text", "aria-label": "the new address", placeholder: "the new address", inputmode: "url", spellcheck: false });
+  const open = () => {
+    try {
+      const url = new URL(box.value.trim());
+      if (!["http:", "https:"].includes(url.protocol)) throw new TypeError(url.protocol);
+      url.hash = location.hash;
+      location.assign(url);
+    } catch {
+      viewer.status("an address begins with http:// or https://", "error");
+    }
+  };
+  box.addEventListener("keydown", (event) => event.key === "Enter" && open());
+  return make("div", { class: "clvol-renewal", hidden: true }, box, button("Open", open, { title: "with the state of this page" }));
+}
