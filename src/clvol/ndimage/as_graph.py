@@ -330,7 +330,7 @@ class _Called:
 
     def __call__(self, _: Array | None, block: OutputBlock) -> Array:
         ranges = [range(*place) for place in block.place[1:]]
-        return in_memory.as_rows([self.plan(index) for index in product(*ranges)], self.ndim).T.reshape(block.shape)
+        return in_memory.as_rows(list(map(self.plan.at, product(*ranges))), self.ndim).T.reshape(block.shape)
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,6 +47,8 @@ _LARGE = 1 << 18
 _LEFT_OUT = 5e-17
 """Share of the prefilter's weights outside the part that is cut out for a few points: less than float64 resolves."""
 
+_NUMBERS = {float, int, np.float64}
+
 _Floats = NDArray[np.float64]
 _Pass = tuple[list[int], Axes | Affine]
 
@@ -107,7 +109,7 @@ class InMemory(Substrate):
             found = np.empty((last - first, ndim))
             for start in range(0, last - first, 4096):
                 rows = found[start : start + 4096]
-                rows[...] = as_rows([plan(next(indices)) for _ in range(len(rows))], ndim)
+                rows[...] = as_rows(list(map(plan.at, itertools.islice(indices, len(rows)))), ndim)
             return found.T
 
         _by_pieces(self.data, result, plan.spline, positions)
@@ -425,6 +427,11 @@ def _positions(matrix: _Floats, offset: _Floats, shape: Sequence[int], first: in
 
 
 def as_rows(answers: list[Any], count: int) -> _Floats:
+    """The positions that a function returned, as rows."""
+    if set(map(type, answers)) == {tuple} and set(map(len, answers)) == {count}:
+        numbers = list(itertools.chain.from_iterable(answers))
+        if set(map(type, numbers)) <= _NUMBERS:  # a tenth of the time below
+            return np.array(numbers, np.float64).reshape(-1, count)
     try:
         rows = np.array(answers, np.float64)
     except (TypeError, ValueError):

@@ -15,7 +15,7 @@ from clvol.ndimage.arguments import AnyDevice, Array, Nan, Order, Progress, as_a
 from clvol.ndimage.geometry import diagonal, magnified, placed, require_rank, shifted, turned, zoomed
 from clvol.ndimage.in_memory import InMemory, require_few
 from clvol.ndimage.plan import Affine, Coefficients, Grid, Mapped, Points, Substrate
-from clvol.ndimage.small import Small, coefficients, plain
+from clvol.ndimage.small import ALL, Small, coefficients
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 
@@ -67,7 +67,8 @@ def spline_filter1d(
     DtypeError
         `input` holds objects, strings, dates or long doubles.
     """
-    if plain(small, nan, precision, device, progress) and (done := coefficients(input, output, order, mode, axis)) is not None:
+    how = small, nan, precision, device, progress, None
+    if (done := coefficients(input, output, order, mode, axis, how)) is not None:
         return done
     on = _substrate(input)
     spline = on.spline(order, mode, 0.0, True, precision, device, nan, progress)
@@ -100,7 +101,8 @@ def spline_filter(
     RefusedError, DtypeError
         As for `spline_filter1d`; `order` is from 2 to 5.
     """
-    if plain(small, nan, precision, device, progress) and (done := coefficients(input, output, order, mode)) is not None:
+    how = small, nan, precision, device, progress, None
+    if (done := coefficients(input, output, order, mode, ALL, how)) is not None:
         return done
     on = _substrate(input)
     spline = on.spline(as_order(order, minimum=2), mode, 0.0, True, precision, device, nan, progress)
@@ -156,7 +158,8 @@ def geometric_transform(
         raise RefusedError(f"mapping must be a function; got {mapping!r}")
     extra = extra_keywords or {}
     call = (lambda index: mapping(index, *extra_arguments, **extra)) if extra_arguments or extra else mapping
-    little = plain(small, nan, precision, device, progress, chunks) and Small.of(input, output, order, mode, cval, prefilter)
+    how = small, nan, precision, device, progress, chunks
+    little = Small.of(input, output, order, mode, cval, prefilter, how)
     answers: list[Sequence[float]] = []
     if little and (done := little.geometric_transform(call, output_shape, answers)) is not None:
         return done
@@ -219,9 +222,8 @@ def map_coordinates(
     than the samples around them: samples too far away to count in float64 (23 to 47, depending on the order, where `input` is
     filtered) are not read, and a NaN there does not spread.
     """
-    little = plain(small, nan, precision, device, progress, chunks if axes is None else axes) and Small.of(
-        input, output, order, mode, cval, prefilter
-    )
+    how = small, nan, precision, device, progress, chunks if axes is None else axes
+    little = Small.of(input, output, order, mode, cval, prefilter, how)
     if little and (done := little.map_coordinates(coordinates)) is not None:
         return done
     on = _substrate(input, chunks, coordinates)
@@ -279,7 +281,8 @@ def affine_transform(
     A zero in a matrix of one axis means what SciPy's documentation says, the position `offset` along this axis; SciPy divides by it
     and gives `cval` everywhere.
     """
-    little = plain(small, nan, precision, device, progress, chunks) and Small.of(input, output, order, mode, cval, prefilter)
+    how = small, nan, precision, device, progress, chunks
+    little = Small.of(input, output, order, mode, cval, prefilter, how)
     if little and (done := little.affine_transform(matrix, offset, output_shape)) is not None:
         return done
     on = _substrate(input, chunks)
@@ -321,7 +324,8 @@ def shift(
     RefusedError, OptionTypeError, DtypeError
         As for `map_coordinates`.
     """
-    little = plain(small, nan, precision, device, progress, chunks) and Small.of(input, output, order, mode, cval, prefilter)
+    how = small, nan, precision, device, progress, chunks
+    little = Small.of(input, output, order, mode, cval, prefilter, how)
     if little and (done := little.shift(shift)) is not None:
         return done
     on = _substrate(input, chunks)
@@ -369,11 +373,8 @@ def zoom(
     UserWarning
         `grid_mode` is used with a mode whose period or edge is at the centres of the outermost samples.
     """
-    little = (
-        plain(small, nan, precision, device, progress, chunks)
-        and not anti_aliasing
-        and Small.of(input, output, order, mode, cval, prefilter)
-    )
+    how = small, nan, precision, device, progress, anti_aliasing or chunks
+    little = Small.of(input, output, order, mode, cval, prefilter, how)
     if little and (done := little.zoom(zoom, grid_mode)) is not None:
         return done
     on = _substrate(input, chunks)
@@ -419,7 +420,8 @@ def rotate(
     RefusedError, OptionTypeError, DtypeError
         As for `map_coordinates`.
     """
-    little = plain(small, nan, precision, device, progress, chunks) and Small.of(input, output, order, mode, cval, prefilter)
+    how = small, nan, precision, device, progress, chunks
+    little = Small.of(input, output, order, mode, cval, prefilter, how)
     if little and (done := little.rotate(angle, axes, reshape)) is not None:
         return done
     on = _substrate(input, chunks)

@@ -106,8 +106,11 @@ class Mapped(Plan):
     def on(self, samples: Substrate) -> Array:
         return samples.mapped(self)
 
-    def __call__(self, index: tuple[int, ...]) -> Sequence[float]:
-        return self.mapping(index, *self.arguments, **self.keywords)
+    @property
+    def at(self) -> Callable[[tuple[int, ...]], Sequence[float]]:
+        """The position for an index."""
+        extra = self.arguments or self.keywords
+        return (lambda index: self.mapping(index, *self.arguments, **self.keywords)) if extra else self.mapping
 
 
 @dataclass(frozen=True, eq=False)

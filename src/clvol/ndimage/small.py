@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import threading
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import isfinite, prod
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from clvol.ndimage.engine import FILTERED_AS, row_of
 from clvol.ndimage.geometry import diagonal, placed, turned
 from clvol.ndimage.in_memory import as_rows
 
-__all__ = ["ALL", "BY", "Small", "calls_by_scipy", "coefficients", "count", "originals", "plain"]
+__all__ = ["ALL", "BY", "Small", "calls_by_scipy", "coefficients", "count", "originals"]
 
 BY = ("scipy", "opencl")
 """What may compute small calls."""
@@ -39,7 +39,7 @@ _POINTS = 32
 _COEFFICIENT = 4
 """Samples of one axis that are filtered in the time of a point."""
 _SAMPLE = 2
-_CALL = 3 << 10
+_CALL = 1 << 10
 """What a call of SciPy's costs, where there is one for each plane."""
 _SHORT = 32
 """Samples along an axis up to which it is filtered by a matrix."""
@@ -54,10 +54,13 @@ ALL = object()
 """All axes."""
 _PADDED = ("nearest", "grid-constant")
 """Modes in which SciPy pads the samples before it filters them."""
+_PADDING = 12
+"""Samples that it pads an end with."""
 _DOUBLE = np.dtype(np.float64)
 _FLOATS = frozenset({np.dtype(np.float32), _DOUBLE})
 _KNOWN = _FLOATS | frozenset(np.dtype(f"{kind}{size}") for kind in "iu" for size in (1, 2, 4)) | {np.dtype("i8")}
 """Native types that both round and clip alike."""
+_AS_SCIPY = "scipy", "propagate", None, None, None, None
 _ARRAYS = (np.ndarray, list, tuple)
 _MOST = 1e300  # of `cval`
 _WIDEST = 1 << 60
@@ -68,15 +71,19 @@ _Floats = NDArray[np.float64]
 
 _here = threading.local()
 _counted = False
+_functions: dict[str, Callable[..., Any]] = {}
 
 
-def plain(small: object, nan: object, precision: object, device: object, progress: object, other: object = None) -> bool:
-    """Whether a call leaves to clvol how it is computed: options of clvol's own, `other` among them, are as by default."""
-    if small == "scipy":
-        return nan == "propagate" and precision is None and device is None and progress is None and other is None
-    if small not in BY:
-        raise one_of("small", small, BY)
-    return False
+def _by_clvol(how: tuple[Any, ...]) -> bool:
+    """Whether a call says how clvol computes it: by `small`, `nan`, `precision`, `device`, `progress`, or another option of its own."""
+    try:
+        if how == _AS_SCIPY:
+            return False
+    except ValueError:  # an array
+        pass
+    if how[0] not in BY:
+        raise one_of("small", how[0], BY)
+    return True
 
 
 def count(on: bool) -> None:
@@ -90,12 +97,13 @@ def calls_by_scipy() -> int:
     return getattr(_here, "calls", 0)
 
 
-@lru_cache(maxsize=1)
 def originals() -> dict[str, Callable[..., Any]]:
     """SciPy's functions. `clvol.ndimage.patched` has them looked up before it replaces them."""
-    from scipy import ndimage
+    if not _functions:
+        from scipy import ndimage
 
-    return {name: getattr(ndimage, name) for name in ndimage.__all__}
+        _functions.update({name: getattr(ndimage, name) for name in ndimage.__all__})
+    return _functions
 
 
 class _Plan(NamedTuple):
@@ -110,6 +118,7 @@ class _Plan(NamedTuple):
     filtered: bool
     by_scipy: bool
     most: int  # elements of a result
+    accepts: Callable[[Array], bool] | None  # whether a result is one that clvol would compute too
 
 
 class _Step(NamedTuple):
@@ -119,8 +128,13 @@ class _Step(NamedTuple):
     inverse: _Floats | None
 
 
-def coefficients(given: object, output: Any, order: object, mode: object, axis: object = ALL) -> Array | None:
-    """The coefficients along an axis, or along `ALL`, as `clvol.ndimage.spline_filter1d`; None if the call is not small."""
+def coefficients(given: object, output: Any, order: object, mode: object, axis: object, how: tuple[Any, ...]) -> Array | None:
+    """The coefficients along an axis, or along `ALL`, as `clvol.ndimage.spline_filter1d`; None if the call is not small.
+
+    `how` are options of clvol's own, as `_by_clvol` takes them.
+    """
+    if _by_clvol(how) or type(order) is not int or (type(axis) is not int and axis is not ALL):
+        return None
     if type(given) is not np.ndarray:
         if not isinstance(given, _ARRAYS):
             return None
@@ -128,7 +142,7 @@ def coefficients(given: object, output: Any, order: object, mode: object, axis: 
     if type(output) is np.ndarray:
         if output.shape != given.shape or not _writable(output, given):
             return None
-        found = coefficients(given, output.dtype, order, mode, axis)
+        found = coefficients(given, output.dtype, order, mode, axis, how)
         if found is not None:
             output[...] = found
         return found if found is None else output
@@ -155,9 +169,11 @@ class Small:
         self.data, self.output, self.cval, self.plan = data, output, cval, plan
 
     @classmethod
-    def of(cls, given: object, output: Any, order: object, mode: object, cval: object, prefilter: object) -> Small | None:
-        """None if the input is large or anything is not of the simplest kind."""
-        if not isinstance(cval, (float, int)) or not -_MOST < cval < _MOST:
+    def of(
+        cls, given: object, output: Any, order: object, mode: object, cval: object, prefilter: object, how: tuple[Any, ...]
+    ) -> Small | None:
+        """None if the input is large or anything is not of the simplest kind; `how` is as for `coefficients`."""
+        if _by_clvol(how) or type(order) is not int or not isinstance(cval, (float, int)) or not -_MOST < cval < _MOST:
             return None
         if type(given) is not np.ndarray:
             if not isinstance(given, _ARRAYS):
@@ -170,9 +186,9 @@ class Small:
             return None
         return None if plan is None else cls(given, plan.kind if into is None else into, cval, plan)
 
-    def few(self, count: int, *, at_points: bool = False) -> bool:
-        """Whether SciPy computes a result of so many elements."""
-        if at_points and self.data.ndim == 1:
+    def _few(self, count: int) -> bool:
+        """Whether SciPy computes a result at so many given points."""
+        if self.data.ndim == 1:
             count = _POINTS * (count + (self.data.size // _COEFFICIENT if self.plan.filtered and count else 0))
         return 0 < count <= self.plan.most
 
@@ -188,7 +204,7 @@ class Small:
         ndim = self.data.ndim
         if coordinates.dtype not in _KNOWN or coordinates.ndim < 2 or len(coordinates) != ndim:
             return None
-        if not self.few(coordinates.size // ndim, at_points=True) or not _finite(coordinates):
+        if not self._few(coordinates.size // ndim) or not _finite(coordinates):
             return None
         if type(self.output) is np.ndarray and np.may_share_memory(coordinates, self.output):
             return None
@@ -202,12 +218,12 @@ class Small:
         `answers` are filled, for those if an answer is not as SciPy needs it.
         """
         shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
-        if not shape or prod(shape) > _SINGLE or not self.few(prod(shape), at_points=True):
+        if not shape or prod(shape) > _SINGLE or not self._few(prod(shape)):
             return None
 
         def sound(index: tuple[int, ...]) -> Sequence[float]:
             answers.append(at := mapping(index))
-            if type(at) is not tuple or len(at) != ndim or not all(map(isfinite, at)):
+            if type(at) is not tuple or len(at) != ndim or not isfinite(sum(at)):
                 raise ValueError
             return at
 
@@ -218,7 +234,7 @@ class Small:
     ) -> _Floats | None:
         """Where a function of the index says, as `map_coordinates` takes them; its first `answers` are there."""
         shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
-        if not shape or not self.few(prod(shape), at_points=True):
+        if not shape or not self._few(prod(shape)):
             return None
         rest = itertools.islice(itertools.product(*map(range, shape)), len(answers), None)
         return as_rows([*answers, *map(mapping, rest)], ndim).T.reshape(ndim, *shape)
@@ -228,7 +244,7 @@ class Small:
         data = self.data
         like = self.output if type(self.output) is np.ndarray else data
         shape = like.shape if output_shape is None else as_shape(output_shape)
-        if len(shape) != data.ndim or not self.few(prod(shape)):
+        if len(shape) != data.ndim or not 0 < prod(shape) <= self.plan.most:
             return None
         simple = type(matrix) is np.ndarray and matrix.shape == (data.ndim,) * 2 and matrix.dtype in _FLOATS
         if simple and _finite(matrix) and type(offset) is float and isfinite(offset):
@@ -242,7 +258,7 @@ class Small:
 
     def shift(self, shift: Any) -> Array | None:
         """As `clvol.ndimage.shift`."""
-        if not self.few(self.data.size):
+        if self.data.size > self.plan.most:
             return None
         return self._by("shift", per_axis("shift", shift, self.data.ndim))
 
@@ -254,27 +270,31 @@ class Small:
         factors = per_axis("zoom", zoom, len(shape))
         if min(factors) < 0 or factors.count(1) == len(shape):
             return None
-        if not self.few(prod([round(n * factor) for n, factor in zip(shape, factors, strict=True)])):
+        if not 0 < prod([round(n * factor) for n, factor in zip(shape, factors, strict=True)]) <= self.plan.most:
             return None
-        return self._by("zoom", factors, grid_mode=bool(grid_mode))
+        return self._by(partial(originals()["zoom"], grid_mode=True) if grid_mode else "zoom", factors)
 
     def rotate(self, angle: Any, axes: Any, reshape: Any) -> Array | None:
         """As `clvol.ndimage.rotate`: planes one after the other, as SciPy, or together where that has fewer operations."""
         data, plan = self.data, self.plan
         taps = plan.order + 1
         if data.ndim < 3:
-            if not self.few(data.size):
+            if data.size > plan.most:
                 return None
             _, turn, start, shape = turned(angle, axes, reshape, data.shape)
-            return self._by("affine_transform", turn, start, shape) if self.few(prod(shape)) else None
+            return self._by("affine_transform", turn, start, shape) if 0 < prod(shape) <= plan.most else None
         if data.size * taps**2 > _OPERATIONS:
             return None
         plane, turn, start, shape = turned(angle, axes, reshape, data.shape)
-        count = prod(shape)
-        by_planes = count * taps**2 + _CALL * shape[3 - sum(plane)]
+        count, left = prod(shape), 3 - sum(plane)
+        by_planes, together = count * taps**2 + _CALL * shape[left], count * taps**3
         if not 0 < count < by_planes < _OPERATIONS:
             return None
-        if by_planes < count * taps**3 or (plan.order > 1 and not plan.filtered):
+        if plan.by_scipy:  # which filters the padding too
+            wide = [n + 2 * _PADDING for n in data.shape]
+            together += 3 * _SAMPLE * prod(wide)
+            by_planes += 2 * _SAMPLE * prod(wide) // wide[left] * shape[left]
+        if by_planes < together or (plan.order > 1 and not plan.filtered):
             return self._by_planes(plane, turn, start, shape)
         matrix, offset = np.eye(data.ndim), np.zeros(data.ndim)
         matrix[np.ix_(plane, plane)], offset[plane] = turn, start
@@ -301,7 +321,7 @@ class Small:
 
         return Small(self.data, self.output, self.cval, plan)._by(turning)
 
-    def _by(self, function: str | Callable[..., Array], *arguments: Any, **options: Any) -> Array | None:
+    def _by(self, function: str | Callable[..., Array], *arguments: Any) -> Array | None:
         """The result of a function of SciPy's; what it refuses is left to clvol, whose error tells more."""
         plan, data = self.plan, self.data
         if plan.by_scipy:
@@ -311,15 +331,12 @@ class Small:
             if filtered is None:
                 return None
             data = filtered
-        call = originals()[function] if isinstance(function, str) else function
+        call = (_functions or originals())[function] if isinstance(function, str) else function
         try:
-            result: Array = call(data, *arguments, self.output, plan.order, plan.mode, self.cval, plan.by_scipy, **options)
+            result: Array = call(data, *arguments, self.output, plan.order, plan.mode, self.cval, plan.by_scipy)
         except (RuntimeError, ValueError, TypeError):
             return None
-        if result.dtype in _FLOATS:
-            if not _finite(result):
-                return None
-        elif result.itemsize == 8 and not (result.min() > -_WIDEST and result.max() < _WIDEST):
+        if plan.accepts is not None and not plan.accepts(result):
             return None
         if _counted:
             _here.calls = calls_by_scipy() + 1
@@ -335,18 +352,26 @@ def _finite(numbers: Array) -> bool:
     return isfinite(np.vdot(numbers, numbers))  # which, other than `dot`, does not warn
 
 
+def _narrow(numbers: Array) -> bool:
+    """Whether all whole numbers are such that a conversion of float64 cannot have overflowed."""
+    return bool(numbers.min() > -_WIDEST and numbers.max() < _WIDEST)
+
+
+def _check(kind: np.dtype[Any], order: int) -> Callable[[Array], bool] | None:
+    """What is to be asked about results of a type: those of order 0 are samples, whatever these are."""
+    return _narrow if kind.kind in "iu" and kind.itemsize == 8 else _finite if kind in _FLOATS and order else None
+
+
 def _writable(output: Array, input: Array) -> bool:
     return output.flags.writeable and not np.may_share_memory(input, output)
 
 
-@lru_cache(maxsize=_PLANS, typed=True)
-def _plan(
-    shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: object, mode: object, prefilter: object
-) -> _Plan | None:
-    """The plan of an interpolation; None if it is not for SciPy. Types count: 3.0 and True are no orders."""
+@lru_cache(maxsize=_PLANS)
+def _plan(shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: int, mode: object, prefilter: object) -> _Plan | None:
+    """The plan of an interpolation; None if it is not for SciPy."""
     if dtype not in _KNOWN or not 0 < len(shape) <= 3 or not prod(shape):
         return None
-    if type(order) is not int or not 0 <= order <= 5 or type(mode) is not str or mode not in BOUNDARIES:
+    if not 0 <= order <= 5 or type(mode) is not str or mode not in BOUNDARIES:
         return None
     kind = dtype if output is None else np.dtype(output)
     if kind not in _FLOATS and (kind not in _KNOWN or dtype in _FLOATS):  # NaN as an integer is not the same by both
@@ -356,13 +381,13 @@ def _plan(
     if left < 0:
         return None
     by_scipy = filtered and mode in _PADDED
-    plan = _Plan(kind, order, mode, None, (), False, filtered, by_scipy, left // (order + 1) ** len(shape))
+    plan = _Plan(kind, order, mode, None, (), False, filtered, by_scipy, left // (order + 1) ** len(shape), _check(kind, order))
     return _filtering(plan, shape, range(len(shape))) if filtered and not by_scipy else plan
 
 
-@lru_cache(maxsize=_PLANS, typed=True)
+@lru_cache(maxsize=_PLANS)
 def _coefficients_plan(
-    shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: object, mode: object, axis: object
+    shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: int, mode: object, axis: object
 ) -> _Plan | None:
     """The plan of a filter along an axis, or along all of them."""
     plan = _plan(shape, dtype, output, order, mode, False)
@@ -383,7 +408,7 @@ def _coefficients_plan(
 @lru_cache(maxsize=_PLANS)
 def _plane_plan(shape: tuple[int, ...], kind: np.dtype[Any], order: int, mode: str, plane: tuple[int, ...]) -> _Plan | None:
     """The plan of an interpolation in planes."""
-    return _filtering(_Plan(kind, order, mode, None, (), False, True, False, 0), shape, plane)
+    return _filtering(_Plan(kind, order, mode, None, (), False, True, False, 0, _check(kind, order)), shape, plane)
 
 
 def _most(ndim: int) -> int:
@@ -434,8 +459,10 @@ def _filtered(data: Array, plan: _Plan) -> Array | None:
             data = inverse.dot(data.reshape(len(data), -1)).reshape(data.shape)
         elif axis < data.ndim - 1:
             data = inverse @ data
-        else:  # `dot` is not by BLAS for three axes
-            data = data.dot(inverse.T) if axis == 1 else data @ inverse.T
+        elif axis == 1:
+            data = data.dot(inverse.T)
+        else:  # `dot` is by BLAS for two axes only, and sooner than `@`
+            data = data.reshape(-1, data.shape[-1]).dot(inverse.T).reshape(data.shape)
     return data
 
 
