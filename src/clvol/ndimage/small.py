@@ -75,7 +75,7 @@ _functions: dict[str, Callable[..., Any]] = {}
 
 
 def _by_clvol(how: tuple[Any, ...]) -> bool:
-    """Whether a call says how clvol computes it: by `small`, `nan`, `precision`, `device`, `progress`, or another option of its own."""
+    """Whether a call says how clvol computes it: by `small`, `nan`, `precision`, `device`, `progress`, or one more option."""
     try:
         if how == _AS_SCIPY:
             return False
