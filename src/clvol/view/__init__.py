@@ -24,6 +24,7 @@ from clvol.show.picture import Picture, to_png
 from clvol.view import code
 from clvol.view.audience import Pick
 from clvol.view.code import from_toml, from_url
+from clvol.view.layers import Layers
 from clvol.view.links import link
 from clvol.view.panes import PaneSize
 from clvol.view.renderers import rule_of
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from clvol.view.protocol import Send
     from clvol.volume.volume import Volume
 
-__all__ = ["Pick", "Session", "State", "View", "Watched", "from_toml", "from_url", "link", "section", "show"]
+__all__ = ["Layers", "Pick", "Session", "State", "View", "Watched", "from_toml", "from_url", "link", "section", "show"]
 
 _SMALL = 64  # pixels along the edges of a picture that nobody sees
 
@@ -105,6 +106,11 @@ class View(Watched):
     def volume(self) -> Volume:
         """The volume that is shown first."""
         return self.resident.volume
+
+    @property
+    def layers(self) -> Layers:
+        """The media that it shows: others are added and removed while clients look."""
+        return self.resident.layers
 
     def close(self) -> None:
         """Free the device's memory; a later picture takes it again."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from clvol.base.checks import whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.scene.joint import TransferFunction2D
+from clvol.scene.scene import MOST_MEDIA
 from clvol.show.movies import FORMATS, packed, require_encoder
 from clvol.show.picture import to_bytes
 from clvol.view import code
@@ -81,6 +82,11 @@ def _joint(parts: Parts, request: Request) -> Answer:  # noqa: ARG001  # it take
     """A transfer function of value and gradient to begin with."""
     volume = parts.resident.catalog.volume_of(parts.control.state)
     return {"transfer": TransferFunction2D.automatic(volume).json()}, None
+
+
+def _remove_layer(parts: Parts, request: Request) -> Answer:
+    parts.resident.layers.remove(whole("layer", request.arguments.get("layer"), 1, MOST_MEDIA))
+    return {}, None
 
 
 def copied(parts: Parts, what: str) -> str:
@@ -163,4 +169,5 @@ _TABLE: Mapping[str, Callable[[Parts, Request], Answer]] = {
     "movie": _movie,
     "labels": _labels,
     "joint": _joint,
+    "remove_layer": _remove_layer,
 }

@@ -26,7 +26,7 @@ from clvol.scene.transfer import FACTORS, TransferFunction
 from clvol.view import media
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
 from clvol.view.resident import Resident
-from clvol.view.state import WORDS, State
+from clvol.view.state import WORDS, MediumState, State
 
 __all__ = ["from_toml", "from_url", "python", "to_url", "toml"]
 
@@ -68,9 +68,9 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     else:
         lines += _volume(resident, state)
     if resident.catalog.media:
-        lines += [
-            f"# others: the {len(resident.catalog.media) - 1} other media of the scene that was viewed, a list of clvol.Medium"
-        ]
+        told, count = resident.layers.sources, len(resident.catalog.media) - 1
+        known = f"# others: the {count} other media of the scene that was viewed, a list of clvol.Medium"
+        lines += [known if told is None else f"others = [{', '.join(told)}]"]
     if resident.beyond and name == "3d":
         lines += [f"# first: the clvol.Medium that was viewed, for its {' and '.join(resident.beyond)}"]
     draw = _drawn if name == "3d" else _cut
@@ -150,7 +150,8 @@ def _others(resident: Resident, state: State) -> list[str]:
     """The other media of a list, with what the state changes of them."""
     if not state.media:
         return ["*others"] if resident.catalog.media else []
-    each = zip(resident.catalog.media[1:], state.media[1:], strict=True)
+    shown = (*state.media[1:], *[MediumState()] * len(resident.catalog.media))
+    each = zip(resident.catalog.media[1:], shown, strict=False)
     said = [{key: _text(value) for key, value in media.changes(medium, shown).items()} for medium, shown in each]
     own = [", ".join(f"{key}={text}" for key, text in words.items()) for words in said]
     return [f"replace(others[{k}], {words})" if words else f"others[{k}]" for k, words in enumerate(own)]

@@ -37,6 +37,7 @@ class Control:
         """By pane; "" for panes that have none of their own."""
         self.released: str | None = None
         """The pane in which a drag has just ended."""
+        self.layers, self.followed = resident.layers, resident.layers.version
         self._wheel_at = self._moved_at = self._gesture_at = -math.inf
 
     @property
@@ -164,7 +165,8 @@ class Control:
 
     def _key(self, state: State, name: str) -> object:
         size, which = self.context().size(name), self._resident.catalog.which(state)
-        common = (size, which, state.filter, state.boundary, state.cmap, state.background, state.wiper, state.media)
+        layers = state.media, self.layers.version
+        common = (size, which, state.filter, state.boundary, state.cmap, state.background, state.wiper, layers)
         if name == "3d":
             first = self._resident.initial
             return (*common, replace(state, layout="3d", active="3d", tool=None, slice=first.slice, crosshair=None))

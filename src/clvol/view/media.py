@@ -23,8 +23,9 @@ _UNSEEN = TransferFunction(((0.0, (0.0, 0.0, 0.0)),), ((0.0, 0.0),))
 
 def of_state(media: Sequence[Medium], state: State) -> tuple[Medium, ...]:
     """The media as a state shows them; of the first it has only whether it is seen."""
-    if state.media:
-        media = [replace(medium, **changes(medium, own)) for medium, own in zip(media, state.media, strict=True)]
+    if state.media:  # which may be from before the last layer came
+        shown = (*state.media, *[MediumState()] * len(media))
+        media = [replace(medium, **changes(medium, own)) for medium, own in zip(media, shown, strict=False)]
     return tuple(media if as_mode(state.mode, state.options).grades else map(_ungraded, media))
 
 

@@ -33,7 +33,7 @@ from clvol.view.state import WORDS, CameraState, State, plain
 from clvol.volume.volume import Volume, as_volume
 from clvol.volume.volumes import Volumes
 
-__all__ = ["Opened", "Viewable", "first_state", "opened"]
+__all__ = ["Opened", "Viewable", "first_state", "in_memory", "opened"]
 
 Viewable: TypeAlias = Scene | Medium | Volume | LazyVolume | Volumes | Field | ArrayLike
 _OF_LIGHT = ("shadow", "shadow_rays", "occlusion", "linear_light")
@@ -86,7 +86,7 @@ def opened(
         scene = Scene((scene,))
     if isinstance(scene, Scene):
         if any(is_in_parts(medium.volume) for medium in scene.media):
-            scene, source = replace(scene, media=tuple(map(_resident, scene.media))), None
+            scene, source = replace(scene, media=tuple(map(in_memory, scene.media))), None
         options = {name: getattr(scene, name) for name in ("lights", "background", "clip", *_OF_LIGHT)} | options
         scene = replace(scene, shadow=0.0, shadow_rays=False, occlusion=0.0, linear_light=False)  # the state has them
         several = scene if len(scene.media) > 1 or scene.media[0].beyond_words else None
@@ -105,7 +105,7 @@ def opened(
     return Opened(volume, volumes, coefficients, finer, device, source, options, several)
 
 
-def _resident(medium: Medium) -> Medium:
+def in_memory(medium: Medium) -> Medium:
     """A medium in memory: of a volume that is read by parts the largest size that fits."""
     volume: Any = medium.volume
     if not is_in_parts(volume):

@@ -28,6 +28,8 @@ class Post:
         self.condition = threading.Condition()
         self.inbox, self.throttle, self.background = Inbox(), Throttle(), Background(self.condition)
         self.closed = False
+        self.woken = False
+        """Whether what is viewed has changed, which no message says."""
         self.hover: Mapping[str, Any] | None = None
         """The last message that says where the pointer is."""
 
@@ -43,6 +45,12 @@ class Post:
                 self.hover = message
             else:
                 self.inbox.put(message)
+            self.condition.notify_all()
+
+    def wake(self) -> None:
+        """Have the session look at what is viewed."""
+        with self.condition:
+            self.woken = True
             self.condition.notify_all()
 
     def tell(self, message: Message, data: bytes | None = None) -> None:
@@ -67,8 +75,8 @@ class Post:
         return self.closed
 
     def busy(self) -> bool:
-        """Whether a message came, or the session ends."""
-        return self.closed or len(self.inbox) > 0
+        """Whether a message came, what is viewed has changed, or the session ends."""
+        return self.closed or self.woken or len(self.inbox) > 0
 
     def came(self) -> bool:
         """Whether there is anything to take."""

@@ -176,7 +176,7 @@ class Renderers:
 
     def _made(self, key: _Key) -> Renderer:
         given = self._field
-        if given is not None and key == (given.filter.name, given.boundary.name, self._catalog.first):
+        if given is not None and self._scene is None and key == (given.filter.name, given.boundary.name, self._catalog.first):
             return Renderer(given)
         row, name, which = key
         boundary = rule_of(name)
@@ -207,8 +207,13 @@ class Renderers:
         for key in gone:
             idle[key].close()
 
+    def show(self, scene: Scene | None) -> None:
+        """Draw other media with the first."""
+        self._scene = scene
+        self.forget()
+
     def forget(self) -> None:
-        """Drop all renderers, because the device failed; those in use are closed by their last user."""
+        """Drop all renderers, because the device failed or others are wanted; those in use are closed by their last user."""
         with self._lock:
             gone, self._entries = list(self._entries.values()), {}
         for entry in gone:

@@ -30,6 +30,7 @@ from clvol.view.audience import Audience
 from clvol.view.catalog import Catalog, Which, labelled
 from clvol.view.events import KEYS
 from clvol.view.finer import Finer, Wanted
+from clvol.view.layers import Layers
 from clvol.view.opening import Viewable, first_state, opened
 from clvol.view.panes import PaneSize, SlicePane, camera_of, triple
 from clvol.view.renderers import Renderers
@@ -91,9 +92,10 @@ class Resident:
         """Arguments of `clvol.render` that are not part of a state."""
         self.initial = first_state(found.volume, given)
         self.audience = Audience(lambda: self.initial)
+        self.layers = Layers(self, found.scene)
         self._describing = threading.Lock()  # not the other lock: the description does not wait for what takes longer
         self._knowing = threading.RLock()  # what takes long is computed once, however many ask
-        self._descriptions: dict[tuple[int | str, ...], dict[str, Any]] = {}
+        self._descriptions: dict[tuple[object, int], dict[str, Any]] = {}
         self.catalog.require(self.initial)
         if any(value is not None for value in self.initial.words.values()):
             self.transfer(self.initial)  # which only the volume can refuse
@@ -178,7 +180,7 @@ class Resident:
 
     def finer_picture(self, state: State, shown: PaneSize, name: str, size: tuple[int, int]) -> Wanted | None:
         """The picture of a pane by bricks; None if the resident samples show as much, or are all there are."""
-        if self.finer is None:
+        if self.finer is None or self.catalog.media:
             return None
         if name == "3d":
             given = self.settled_arguments(state, size[0] / size[1])
@@ -279,15 +281,16 @@ class Resident:
         state = self.initial if state is None else state
         with self._describing:
             place = self.catalog.which(state).place
-            if place not in self._descriptions:
+            key = place, self.layers.version
+            if key not in self._descriptions:
                 volume = self.catalog.volume_at(Which(place))
                 described = _description(volume, self.name, self.catalog.axes(), self.catalog.labels(state))
                 described["media"] = media.described(self.catalog.media)
                 described["stops_light"] = not (self._others_graded or self._smooth)
                 while len(self._descriptions) >= _KEPT:
                     del self._descriptions[next(iter(self._descriptions))]
-                self._descriptions[place] = described
-            return self._descriptions[place]
+                self._descriptions[key] = described
+            return self._descriptions[key]
 
 
 def targeted(camera: Camera, volume: Volume) -> Camera:

@@ -12,6 +12,7 @@ from clvol.view import actions, code, protocol
 from clvol.view.audience import Pick
 from clvol.view.control import Control
 from clvol.view.drawing import Drawer
+from clvol.view.layers import follow
 from clvol.view.notices import Notices
 from clvol.view.pictures import Pictures
 from clvol.view.post import Gone, Post
@@ -47,6 +48,7 @@ class Session:
         self._resident, self._post = resident, Post(send)
         self._control, self._drawer = Control(resident, first), Drawer(resident)
         post = self._post
+        resident.layers.watch(post)
         self._notices = Notices(post.tell)
         self._updates = Updates(resident, self._control, post.background, post.tell, self._notices, post.is_closed)
         self._parts = actions.Parts(resident, self._control, self._drawer, self._doing, post.is_closed)
@@ -167,6 +169,7 @@ class Session:
         """Everything that came."""
         post = self._post
         with post.condition:
+            post.woken = False
             messages, warning = post.inbox.take_all()
             ready = post.background.take()
         for message in ready:
@@ -178,12 +181,14 @@ class Session:
                 return
             self._guarded(lambda received=received: self._handle(received))  # type: ignore[misc]  # bound at once
         self._updates.forget_errors()
+        follow(self._control)
         self._guarded(self._updates.volume)  # once, however many steps along an axis came: only the last is drawn
         if self._control.inputs.drag is None and not self._control.moving:
             self._updates.state()
         self._updates.overlays()
 
     def _handle(self, received: Mapping[str, Any]) -> None:
+        follow(self._control)
         message = protocol.parse(received)
         via = message.via if isinstance(message, Change) else None
         if via is None and not isinstance(message, Resize):

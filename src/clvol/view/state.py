@@ -649,6 +649,11 @@ class History:
         """The history after a gesture: the next change is a step of its own."""
         return replace(self, gesture=None)
 
+    def mapped(self, change: Callable[[State], State]) -> History:
+        """The same with every state changed, as something else demands."""
+        past, future = (tuple(map(change, states)) for states in (self.past, self.future))
+        return replace(self, present=change(self.present), past=past, future=future)
+
     def undone(self) -> History:
         """One step back, if there is one."""
         if not self.past:

@@ -73,7 +73,7 @@ class Updates:
 
     def volume(self) -> None:
         """The description of the volume, first and when another one is shown."""
-        place = self._resident.catalog.which(self._control.state).place
+        place = self._resident.catalog.which(self._control.state).place, self._resident.layers.version
         if place != self._place:
             self._place = place  # what cannot be described is reported once
             self._send(self._resident.info(self._control.state))

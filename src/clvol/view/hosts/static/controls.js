@@ -197,6 +197,24 @@ function textBox(label, changed, hint, words = (value) => String(value ?? "")) {
   };
 }
 
+/** Two numbers, from and to, of a window, which is (center, width); emptied, null: as given. */
+function spanBox(label, changed, hint) {
+  const told = () => {
+    const [low, high] = boxes.map((box) => (box.value === "" ? NaN : Number(box.value)));
+    if (boxes.every((box) => box.value === "")) changed(null);
+    else if (low < high) changed([low / 2 + high / 2, high - low]);
+  };
+  const boxes = ["from", "to"].map((word) => make("input", { type: "number", step: "any", "aria-label": `${label} ${word}`, onchange: told }));
+  return {
+    element: make("div", { class: "clvol-row clvol-span-row", title: hint }, make("span", {}, label), ...boxes),
+    show(window) {
+      if (!window || boxes.includes(document.activeElement)) return;
+      const [center, width] = window;
+      [center - width / 2, center + width / 2].forEach((end, i) => (boxes[i].value = short(end, 5)));
+    },
+  };
+}
+
 /** Surfaces as text, "value:color:opacity,...". */
 function surfacesBox(label, changed, hint) {
   const one = ([value, color, opacity]) => `${typeof value === "number" ? short(value) : value}:${hex(color)}:${short(opacity, 3)}`;

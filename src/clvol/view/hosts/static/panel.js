@@ -123,47 +123,6 @@ class Labels {
   }
 }
 
-/** The media of a scene: whether each is seen, and the colours and opacity of those beside the first, which the panel edits. */
-class Media {
-  constructor(viewer) {
-    this.viewer = viewer;
-    this.about = [];
-    this.rows = [];
-    this.body = make("div", {});
-    this.element = section("Media", true, this.body);
-    this.element.hidden = true;
-  }
-
-  tell({ media = [], colormaps = [] }) {
-    this.element.hidden = media.length < 2;
-    if (same(media, this.about)) return;
-    this.about = media;
-    this.rows = media.map((about, k) => this.rowOf(about, k, colormaps));
-    this.body.replaceChildren(...this.rows.flatMap((row) => Object.values(row).map((control) => control.element)));
-  }
-
-  rowOf({ name, edited }, k, colormaps) {
-    const row = { visible: toggle(name, (on) => this.put(k, "visible", on), "whether it is seen") };
-    if (!edited) return row;
-    row.cmap = choice("Colours", (value) => this.put(k, "cmap", value || null), `of ${name}`);
-    row.cmap.fill([["", "as given"], ...colormaps]);
-    row.opacity = slider("Opacity", { low: 0, high: 2 }, (value, live) => this.put(k, "opacity", Math.max(0, value), live), `of ${name}`);
-    return row;
-  }
-
-  put(k, word, value, live = false) {
-    const media = this.about.map((_, i) => ({ ...(this.viewer.state.media[i] ?? {}) }));
-    media[k][word] = value;
-    this.viewer.set({ media }, live);
-  }
-
-  show({ media }) {
-    this.rows.forEach((row, k) => {
-      for (const [word, control] of Object.entries(row)) control.show(media[k]?.[word] ?? this.about[k][word] ?? (word === "opacity" ? 1 : null));
-    });
-  }
-}
-
 /** Which of several volumes on one grid is shown: a list or a slider for each leading axis. */
 class Axes {
   constructor(viewer) {
@@ -208,14 +167,14 @@ class Panel {
     this.transfer = new TransferEditor(viewer);
     this.joint = new JointEditor(viewer);
     this.axes = new Axes(viewer);
-    this.media = new Media(viewer);
+    this.layers = new Layers(viewer);
     this.labels = new Labels(viewer);
     this.made = null; // mode whose options are shown
     this.element = make("div", { class: "clvol-panel", role: "region", "aria-label": "settings" });
     this.element.append(
       this.toolbar(),
       this.axes.element,
-      this.media.element,
+      this.layers.element,
       this.labels.element,
       section("Look", true, this.lookControls()),
       section("Reconstruction", true, this.filterControls()),
@@ -429,7 +388,7 @@ class Panel {
     this.made = null;
     this.around.find(([name]) => name === "letters")[1].element.hidden = info.volume.space !== "LPS";
     this.axes.tell(info);
-    this.media.tell(info);
+    this.layers.tell(info);
     this.labels.tell(info);
     const keys = Object.entries(info.keys ?? {});
     const list = make("dl", { class: "clvol-statistics clvol-keys" }, ...keys.flatMap(([key, text]) => [make("dt", {}, make("kbd", {}, key)), make("dd", {}, text)]));
@@ -501,7 +460,7 @@ class Panel {
     for (const [name, control] of this.around) control.show(state.furniture[name]);
     this.heat.show(state.heat);
     this.axes.show(state);
-    this.media.show(state);
+    this.layers.show(state);
     this.labels.show(state);
   }
 
