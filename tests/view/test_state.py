@@ -100,6 +100,7 @@ def test_any_state_round_trips_through_its_text(seed: int) -> None:
         ({"layout": "4d"}, "layout must be one of"),
         ({"active": None}, "active must be one of"),
         ({"version": 2}, "is no field"),
+        *(({name: 1}, f"{name} is no field") for name in ("camera.__class__.x", "index.__dict__.time", "camera..zoom", "a.b")),
         ([], "changes must be an object"),
     ],
     ids=str,

@@ -609,10 +609,10 @@ class State(_Checked):
                 raise OptionError(f"{name!s:.80} is no field; a state has {', '.join(each.name for each in fields(self))}")
             part, key = result, head
             for word in rest:
-                if part[key] is None:
+                if key in part and part[key] is None:
                     part[key] = {}
-                if not isinstance(part[key], dict):
-                    raise OptionError(f"{name!s:.80} is no field; {key} has no parts of that name")
+                if not isinstance(part.get(key), dict):
+                    raise OptionError(f"{name!s:.80} is no field; {key:.80} has no parts of that name")
                 part, key = part[key], word
             part[key] = changes[name]
             if part is result["options"] and part[key] is None:  # left open again
