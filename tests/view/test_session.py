@@ -5,15 +5,20 @@ from __future__ import annotations
 import ast
 import gc
 import math
+import os
 import random
+import shutil
+import subprocess
 import threading
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import clvol
@@ -21,9 +26,11 @@ from clvol import Light, Material, TransferFunction, TransferFunction2D, Volume
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
 from clvol.show.picture import to_bytes
-from clvol.view import State, View, from_toml, from_url
+from clvol.view import State, View, code, from_toml, from_url
 from clvol.view.drawing import Drawer, Order, Shot
+from clvol.view.panes import PaneSize
 from clvol.view.session import Session
+from tests import cases
 from tests.view.clients import Client, decoded, random_event
 
 SIZE = 96, 72
@@ -147,6 +154,56 @@ def test_no_name_leaves_a_comment_or_a_text_of_what_is_copied(volume: Volume, de
         name,
         channel,
     ]
+
+
+@pytest.fixture(scope="module")
+def copied(volume: Volume, device: Device) -> Iterator[Callable[[str], tuple[str, str]]]:
+    """Python and TOML of a view of a file, by its name; the channel may have one, too."""
+    view = View(volume, device=device)
+    size = PaneSize(*SIZE)
+
+    def texts(path: str, **more: str) -> tuple[str, str]:
+        view.resident.source = f"clvol.read({path!r}{''.join(f', {key}={value!r}' for key, value in more.items())})"
+        given = view.resident, view.state, "3d", size, SIZE
+        return code.python(*given), code.toml(*given)
+
+    yield texts
+    view.close()
+
+
+@settings(max_examples=cases.examples(300), deadline=None)
+@given(name=st.binary(min_size=1, max_size=12).map(os.fsdecode) | st.text(st.characters(exclude_categories=["Cs"]), min_size=1))
+def test_what_is_copied_can_be_read_whatever_a_file_is_called(copied: Any, name: str) -> None:
+    program, text = copied(name)
+    (read,) = (one for one in ast.walk(ast.parse(program)) if isinstance(one, ast.Call) and ast.unparse(one.func) == "clvol.read")
+    assert ast.literal_eval(read.args[0]) == name
+    assert tomllib.loads(text.encode().decode())["render"]["mode"] == "composite"  # which a file can hold
+    assert len(text.partition("\n")[0].splitlines()) == 1
+
+
+@pytest.mark.skipif(os.name != "posix" or not shutil.which("bash"), reason="needs Bash")
+def test_the_copied_command_names_the_file(copied: Any) -> None:
+    names = [
+        "a b.nii",
+        "it's.nii",
+        'say "no".nii',
+        "a\\x41.nii",
+        "a\nb'.nii",
+        "\\\t'\x1b[31m",
+        os.fsdecode(b"\xff\xe9.nii"),
+        "\u2028ä.nii",
+    ]
+    for name in names:
+        command = copied(name)[1].partition("\n")[0].removeprefix("# clvol render ")
+        said = subprocess.run(["bash", "-c", f"printf '%s\\0' {command}"], stdout=subprocess.PIPE, check=True).stdout
+        assert os.fsdecode(said.partition(b"\0")[0]) == name
+
+
+def test_toml_refuses_what_is_no_unicode(copied: Any) -> None:
+    name = os.fsdecode(b"\xff")
+    assert tomllib.loads(copied("a.nii", channel='\x7f\x00\u2028"\\')[1])["render"]["channel"] == '\x7f\x00\u2028"\\'
+    with pytest.raises(OptionError, match="TOML holds only texts of Unicode"):
+        copied("a.nii", channel=name)
 
 
 def test_a_view_starts_as_render_draws(volume: Volume, device: Device) -> None:

@@ -7,6 +7,7 @@ import base64
 import binascii
 import json
 import math
+import os
 import shlex
 import textwrap
 import tomllib
@@ -256,7 +257,7 @@ def toml(resident: Resident, state: State, name: str, shown: PaneSize, size: tup
     command = ["clvol", "render", path, "-o", "picture.png"]
     for flag, value in flags.items():
         command += _flag(flag, value)
-    lines = [f"# {printable(shlex.join(command))}"]
+    lines = [f"# {' '.join(map(_shell_word, command))}"]
     lines += [f"# (no flag says: {', '.join(unsaid)})"] if unsaid else []
     lines += ["", "[render]", *(f"{flag} = {_toml_value(value)}" for flag, value in flags.items())]
     lines += ["", "[view]", f"state = {_toml_text(state.text())}"]
@@ -372,8 +373,24 @@ def _toml_value(value: Any) -> str:
 
 
 def _toml_text(text: str) -> str:
-    """A text for TOML, whose escapes are those of JSON, but for halves of characters."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    """A text for TOML, whose escapes are those of JSON, but for pairs of surrogates; it has none for bytes that are no UTF-8."""
+    if any("\ud800" <= one <= "\udfff" for one in text):
+        raise OptionError(f"TOML holds only texts of Unicode; got {text!r:.200}: copy as Python, which can name what is no UTF-8")
+    coded = json.dumps(text, ensure_ascii=False)
+    return "".join(
+        one if one.isprintable() else f"\\u{ord(one):04x}" if one < "\U00010000" else f"\\U{ord(one):08x}" for one in coded
+    )
+
+
+def _shell_word(text: str) -> str:
+    """A word of a command on one line: where quotes are not enough for a shell, in those of Bash, which know escapes."""
+    if printable(text) == text:
+        return shlex.quote(text)
+    try:
+        raw = os.fsencode(text)
+    except UnicodeEncodeError as error:
+        raise OptionError(f"a command can name only what a file can be called here; got {text!r:.200}") from error
+    return "$'" + "".join(chr(b) if 0x20 <= b < 0x7F and b not in b"\\'" else f"\\x{b:02x}" for b in raw) + "'"
 
 
 # -- an address ----------------------------------------------------------------------------------------------
