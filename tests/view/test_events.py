@@ -15,8 +15,8 @@ from clvol import Camera, Volume
 from clvol.base.errors import OptionError
 from clvol.view import State
 from clvol.view.events import Context, Inputs, Reduced, faces, fit, reduce
-from clvol.view.panes import Pane3D, PaneSize, SlicePane, camera_of
-from clvol.view.state import CameraState, Wiper
+from clvol.view.panes import Pane3D, PaneSize, SlicePane, camera_of, visible
+from clvol.view.state import PANES, CameraState, Wiper
 from tests.view.clients import random_changes, random_event
 
 WIDTH, HEIGHT = 400.0, 300.0
@@ -409,6 +409,30 @@ def test_a_view_along_an_axis_is_along_it(space: str, axis: str) -> None:
     assert np.allclose(seen.down, cut.down)
 
 
+def test_slices_across_one_turn_with_it_and_it_stays() -> None:
+    """By a key, and by Alt and a drag about the crosshair."""
+    at = context("LPS")
+    state = State(layout="linked", crosshair=(1.0, 2.0, 3.0))
+    before = [pane(state, name, at) for name in "xyz"]
+    one, two = (
+        pane(state, "z", at).project(np.add(state.crosshair, step)) for step in ((4, 0, 0), (4, 4 * math.tan(math.pi / 12), 0))
+    )
+    turned = drag(state, one, two, at=at, pane="z", modifiers=["Alt"]).state
+    by_key = reduce(state, Inputs(), {"event_type": "key_down", "key": "]", "pane": "z"}, at).state
+    assert np.allclose(turned.slice.turn, by_key.slice.turn)
+    after = [pane(by_key, name, at) for name in "xyz"]
+    assert np.allclose(after[2].right, before[2].right)
+    assert np.allclose(after[2].down, before[2].down)
+    normal = np.array([math.cos(math.pi / 12), math.sin(math.pi / 12), 0])  # x turned towards y, which runs down
+    assert np.allclose(after[0].normal, normal)
+    assert np.allclose(after[0].down, before[0].down)
+    for made in after:
+        assert abs(np.cross(made.right, made.down) @ made.normal) == pytest.approx(1)
+        assert (made.middle - state.crosshair) @ made.normal == pytest.approx(0, abs=1e-12)
+    further = reduce(by_key, Inputs(), {"event_type": "wheel", "dy": 100, "x": 5, "y": 6, "pane": "x"}, at).state
+    assert np.allclose(np.subtract(further.crosshair, state.crosshair), normal)
+
+
 # -- clicks ------------------------------------------------------------------------------------------------------
 
 
@@ -416,8 +440,10 @@ def test_a_click_in_the_volume_picks_if_slices_are_linked() -> None:
     state = State(layout="linked", camera=LEVEL)
     assert drag(state, (100, 90), (102, 91), pane="3d").effects == (("pick", "3d", 100.0, 90.0, True),)
     assert drag(state, (100, 90), (140, 91), pane="3d").effects == ()
-    made = reduce(state, Inputs(), {"event_type": "double_click", "x": 5, "y": 6, "pane": "y"}, context())
-    assert made.effects == (("pick", "y", 5.0, 6.0, True),)
+    double = {"event_type": "double_click", "x": 5, "y": 6, "pane": "y"}
+    assert reduce(replace(state, layout="slice"), Inputs(), double, context()).effects == (("pick", "y", 5.0, 6.0, True),)
+    larger = reduce(state, Inputs(), double, context()).state
+    assert (visible(larger), visible(reduce(larger, Inputs(), double, context()).state)) == (("y",), PANES)
 
 
 @pytest.mark.parametrize(

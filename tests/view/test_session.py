@@ -46,7 +46,7 @@ def volume() -> Volume:
 
 @pytest.fixture(scope="module")
 def view(volume: Volume, device: Device) -> Iterator[View]:
-    made = View(volume, device=device)
+    made = View(volume, device=device, layout="3d")
     yield made
     made.close()
 
@@ -117,6 +117,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "axial": {"layout": "slice", "active": "z", "crosshair": [0, 18, 51.3], "slice.zoom": 1.4},
     "sagittal": {"layout": "slice", "active": "x", "filter": "linear", "window": [450, 700], "cmap": "bone", "background": None},
     "own window": {"layout": "slice", "active": "y", "window": [450, 700], "slice.window": [300, 900]},
+    "oblique slab": {"layout": "slice", "active": "y", "slice.turn": [0.3, -0.2, 0.5], "slice.thickness": 4.5, "slice.alike": True},
     "cut wiper": {"layout": "slice", "active": "y", "filter": "bspline3", "wiper": {"filter": "nearest", "at": 0.5}},
 }
 

@@ -283,6 +283,7 @@ class PanelOptions(RefineOptions, total=False):
 class ViewOptions(PanelOptions, total=False):
     """Options of the first picture of a view."""
 
+    layout: Literal["3d", "slice", "linked"]
     filter: str | Filter | None
     boundary: str | Boundary | None
     mask: ArrayLike | None

@@ -210,7 +210,7 @@ class ContinuousFunction(Leased, ABC):
     ) -> Reals:
         with self.in_use():
             d = self.grid.ndim
-            array = as_points(points, frame, self.grid)
+            array = as_points(points, frame, self.grid, outside=fill is not None)
             shape = array.shape[:-1] + (d,) * derivative
             target = None if out is None else as_output(out, shape)
             memory.require(self._bytes_at(math.prod(array.shape[:-1]), derivative, into=out is not None), described(shape))
@@ -356,10 +356,13 @@ def as_result(volume: Volume, data: NDArray[Any], grid: Volume, kind: np.dtype[A
 # -- arguments -------------------------------------------------------------------------------------------------------------
 
 
-def as_points(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[np.generic]:
-    """Points of a frame in a volume's world, of any type; warns if their coordinates seem to be in reversed order."""
+def as_points(points: ArrayLike, frame: Frame, volume: Volume, *, outside: bool = False) -> NDArray[np.generic]:
+    """Points of a frame in a volume's world, of any type; warns if their coordinates seem to be in reversed order.
+
+    `outside`: some are expected to lie outside the volume.
+    """
     array = points_in_world(points, frame, volume)
-    _warn_if_reversed(array.reshape(-1, volume.ndim), volume)
+    _warn_if_reversed(array.reshape(-1, volume.ndim), volume, 0.999 if outside else 0.5)
     return array
 
 
@@ -372,8 +375,8 @@ def points_in_world(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[
     return array if frame == "LPS" else in_frame(np.asarray(array, np.float64), frame, volume.space)
 
 
-def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
-    """Warn of points outside the volume that would be inside with their coordinates in the order of the array's axes."""
+def _warn_if_reversed(points: NDArray[np.generic], volume: Volume, share: float) -> None:
+    """Warn if more than this share of points lie outside the volume that are inside with their coordinates reversed."""
     if len(points) <= _SINGLY and _are_inside(points.tolist(), volume):
         return
     some = np.asarray(points[:: max(1, len(points) // _CHECKED)], np.float64)
@@ -387,7 +390,7 @@ def _warn_if_reversed(points: NDArray[np.generic], volume: Volume) -> None:
     if (found := within(some)).all() or not np.isfinite(some).all():
         return
     outside = ~found.all(-1)
-    if 2 * np.count_nonzero(outside) > len(some) and within(some[outside][:, ::-1]).all():
+    if np.count_nonzero(outside) > share * len(some) and within(some[outside][:, ::-1]).all():
         names = "(x, y)" if volume.ndim == 2 else "(x, y, z)"
         low, high = (end.round(3).tolist() for end in (volume.corners.min(0), volume.corners.max(0)))
         warn(

@@ -311,7 +311,7 @@ class VectorField(Leased):
     def _derivatives(self, points: ArrayLike, derivative: int, fill: float | None) -> Reals:
         with self.in_use():
             d, outside = self.grid.ndim, fill_value(fill)
-            array = as_points(points, "LPS", self.grid)
+            array = as_points(points, "LPS", self.grid, outside=fill is not None)
             shape = (*array.shape[:-1], self.components) + (d,) * derivative
             memory.require(np.dtype(self._kind).itemsize * math.prod(shape), described(shape))
             flat = array.reshape(-1, d)

@@ -76,7 +76,8 @@ class View(Watched):
     limits : mapping, optional
         Limits of the device while it draws, as of `Device.limited`.
     **options
-        As for `clvol.render`, except `size`, `outputs`, `sigma` and `progress`: what is shown first.
+        As for `clvol.render`, except `size`, `outputs`, `sigma` and `progress`: what is shown first. `layout` is "3d", "slice" or
+        "linked": the volume, one slice, or the volume and three slices, with which scans of patients open.
 
     Raises
     ------

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeAlias, TypeVar
 
+from clvol.base.checks import heard_by
 from clvol.view.protocol import Message
 
 __all__ = ["Background", "Key", "started"]
@@ -107,7 +108,8 @@ class Background:
                 kind = next(iter(self._waiting))
                 key, work, failed = self._waiting.pop(kind)
             try:
-                message = work()
+                with heard_by(_LOG.debug):  # the picture tells them to who looks at it
+                    message = work()
             except Exception as error:  # pictures are not affected
                 _LOG.debug("in the background of a session: %s", error)
                 message = failed(str(error) or type(error).__name__)

@@ -115,6 +115,13 @@ class Catalog:
         place, seen = self.which(state)
         media.require(self.media, state)
         state.furniture.require_shown(self.volume.space)
+        slices = state.slice
+        if slices.contour and not self.volume.is_labels:
+            raise OptionError(f"slice.contour must be 0, for the volume is no label map; got {slices.contour:g}")
+        if slices.contour and (slices.contour < 1 or slices.thickness):
+            raise OptionError(f"slice.contour must be from 1 to 16, and 0 of a slab; got {slices.contour:g}")
+        if slices.thickness and slices.project == "mean" and self.volume.is_labels:
+            raise OptionError("slice.project must be mip or minip of labels, because the mean of two is a third; got mean")
         rows = state.label_rows
         if (state.labels is not None or rows) and self.volumes is None:  # else another of them may have such labels
             if not self.volume.is_labels:

@@ -18,6 +18,7 @@ import numpy as np
 
 from clvol.base.errors import OptionError
 from clvol.base.printable import printable
+from clvol.filter.table import PICTURE_FILTER
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Corner, Plane
 from clvol.scene.joint import TransferFunction2D
@@ -166,9 +167,11 @@ def _as_labelled(state: State) -> State:
 def _cut(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int], result: str) -> list[str]:
     pane = SlicePane.of(state, resident.volume, "xyz".index(name), shown)
     words: dict[str, Any] = {key: tuple(getattr(pane, key).tolist()) for key in ("middle", "right", "down")}
-    words |= {"pixel": pane.pixel(size), "size": size}
+    words |= {"pixel": pane.pixel(size), "size": size} | pane.words
     words |= {"smooth": True} if as_mode(state.mode).regions else {}
     words |= media.slice_words(resident.catalog.media, state)
+    if state.slice.thickness and not resident.volume.is_labels:
+        words["filter"] = PICTURE_FILTER  # as of a plane, where the mode of a slab may have another
     words |= _reconstruction(state)
     finer = resident.finer_picture(state, shown, name, size)
     words |= {} if finer is None else finer.given

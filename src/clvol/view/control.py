@@ -14,7 +14,7 @@ from clvol.march.slices import window_of_slices
 from clvol.scene.mode import as_mode
 from clvol.view import events, picking
 from clvol.view.events import Context, Inputs
-from clvol.view.panes import PaneSize
+from clvol.view.panes import PaneSize, SlicePane
 from clvol.view.protocol import Change
 from clvol.view.resident import Resident
 from clvol.view.state import History, State
@@ -121,7 +121,7 @@ class Control:
         """The state, unless only the volume can refuse it; where another volume is shown the camera stays as it was fitted."""
         state, resident = self.state, self._resident
         required = [
-            (one.index, one.labels, one.label_rows, one.media, one.furniture) for one in (new, state)
+            (one.index, one.labels, one.label_rows, one.media, one.furniture, one.slice) for one in (new, state)
         ]  # all that `require` depends on
         if required[0] != required[1]:
             resident.catalog.require(new)
@@ -172,4 +172,5 @@ class Control:
             return (*common, replace(state, layout="3d", active="3d", tool=None, slice=first.slice, crosshair=None))
         point = state.crosshair or self._resident.volume.center
         smooth = (state.transfer,) if as_mode(state.mode).regions else ()
-        return (*common, *smooth, state.slice, state.slice_window, float(point["xyz".index(name)]))
+        pane = SlicePane.of(state, self._resident.volume, "xyz".index(name), size)
+        return (*common, *smooth, state.slice, state.slice_window, float(pane.normal @ point))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import ClvolError
 from clvol.march.empty import warn_of_refined
 from clvol.march.renderer import Renderer
-from clvol.march.slices import lay, plane_points, shaded
+from clvol.march.slices import lay, shaded
 from clvol.show.picture import Picture, heat, to_bytes
 from clvol.view import media
 from clvol.view.background import started
@@ -251,12 +251,12 @@ def _slice(resident: Resident, renderer: Renderer, order: Order, size: tuple[int
     """A slice of the first medium, with the others over it."""
     state, pane = order.state, order.context.pane(order.state, order.name)
     assert isinstance(pane, SlicePane)  # by its name
-    points = plane_points(pane.middle, pane.right, pane.down, pane.pixel(size), size)
-    values = on_slices(renderer, state.mode)(points, fill=np.nan)
+    sheet = pane.sheet(size)
+    values = sheet.values(on_slices(renderer, state.mode), None)
     window, cmap, transfer = map(media.slice_words(resident.catalog.media, state).get, ("window", "cmap", "transfer"))
     picture = shaded(values, labelled(renderer.volume, state), window, cmap, state.background, transfer)
     others = media.over_slices(resident.catalog.media, state)
-    lay(picture, [(on_slices(renderer, state.mode, k)(points, fill=np.nan), transfer) for k, transfer in others])
+    lay(picture, [(sheet.values(on_slices(renderer, state.mode, k), None), transfer) for k, transfer in others])
     return picture
 
 

@@ -29,6 +29,7 @@ from clvol.view.panes import (
     pane_of,
     rotation,
     triple,
+    turned_slices,
     vertical,
 )
 from clvol.view.state import LAYOUTS, PANES, ZOOMS, CameraState, State, Triple, name_of
@@ -40,7 +41,9 @@ KEYS: Mapping[str, str] = {
     "Arrow keys": "turn by 15°; on a slice: the next or previous slice",
     "PageUp, PageDown": "next / previous slice",
     "+, -": "zoom",
-    "[, ]": "roll by 15°",
+    "[, ]": "roll by 15°; on a slice: turn the slices across it",
+    "Alt (held)": "drag turns the slices across a slice",
+    "Double click": "with the volume and slices: one pane alone, and back",
     "1 to 9": "the mode",
     "x, y, z": "look along an axis; in slices: the slice across it",
     ", and .": "the previous / next of several volumes, along time if there are times",
@@ -205,6 +208,9 @@ def _up(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context
 
 def _double(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context, name: str) -> Reduced:  # noqa: ARG001
     x, y = _position(event)
+    if state.layout == "linked":
+        larger = replace(state, active=name, enlarged=not state.enlarged)  # type: ignore[arg-type]  # a pane's
+        return Reduced(larger, replace(inputs, drag=None))
     return Reduced(state, replace(inputs, drag=None), (("pick", name, x, y, True),))
 
 
@@ -219,10 +225,12 @@ def _drag_kind(state: State, inputs: Inputs, event: Mapping[str, Any], context: 
         return "window" if name != "3d" else "pan"
     if button == 3 or "Shift" in modifiers:
         return "pan"
+    if "Alt" in modifiers and name != "3d":
+        return "turn"
     if "Control" in modifiers or "Meta" in modifiers:
         return "roll" if name == "3d" else "zoom"
     if state.tool is not None:
-        elsewhere = {"crosshair": "orbit"} if name == "3d" else {"orbit": "crosshair", "roll": "zoom"}
+        elsewhere = {"crosshair": "orbit"} if name == "3d" else {"orbit": "crosshair", "roll": "turn"}
         return elsewhere.get(state.tool, state.tool)
     return "orbit" if name == "3d" else "crosshair"
 
@@ -306,6 +314,22 @@ def _roll(drag: Drag, context: Context, x: float, y: float) -> State:
     middle = size.width / 2, size.height / 2
     before, now = (math.atan2(b - middle[1], a - middle[0]) for a, b in ((drag.x, drag.y), (x, y)))
     return replace(began, camera=_rolled(began.camera, context, now - before))
+
+
+def _turn(drag: Drag, context: Context, x: float, y: float) -> State:
+    """The slices across this one turn about the crosshair, with the pointer."""
+    began = drag.began
+    pane = context.pane(began, drag.pane)
+    assert isinstance(pane, SlicePane)  # not of the volume
+    middle = pane.project(context.volume.center if began.crosshair is None else began.crosshair)
+    before, now = (math.atan2(b - middle[1], a - middle[0]) for a, b in ((drag.x, drag.y), (x, y)))
+    return _turned_about(began, pane, now - before)
+
+
+def _turned_about(state: State, pane: SlicePane, angle: float) -> State:
+    """Turn the slices across this one clockwise, as it is seen."""
+    turn = turned_slices(state.slice, np.cross(pane.right, pane.down), angle)
+    return replace(state, slice=replace(state.slice, turn=turn))
 
 
 def _rolled(camera: CameraState, context: Context, angle: float) -> CameraState:
@@ -426,6 +450,7 @@ _DRAGS: Mapping[str, Callable[[Drag, Context, float, float], State]] = {
     "pan": _pan,
     "zoom": _zoom_drag,
     "roll": _roll,
+    "turn": _turn,
     "window": _window,
     "isovalue": _isovalue,
     "crop": _crop,
@@ -494,12 +519,12 @@ def _zoomed(
 
 def _sliced(state: State, context: Context, name: str, slices: float) -> State:
     """The crosshair moved across slices, which are a voxel thick."""
-    axis = "xyz".index(name)
-    volume = context.volume
-    along = np.abs(volume.direction[axis])
+    volume, pane = context.volume, context.pane(state, name)
+    assert isinstance(pane, SlicePane)  # not of the volume
+    along = np.abs(pane.normal @ volume.direction)
     thick = volume.spacing[int(along.argmax())]
     point = np.array(volume.center if state.crosshair is None else state.crosshair, np.float64)
-    point[axis] += slices * thick
+    point += slices * thick * pane.normal
     return replace(state, crosshair=_inside(context, point))
 
 
@@ -535,6 +560,10 @@ def _key(state: State, inputs: Inputs, event: Mapping[str, Any], context: Contex
         pinned = context.pinned(state)
         rolled = _rolled(pinned.camera, context, _STEP if low == "]" else -_STEP)
         return Reduced(replace(pinned, camera=rolled), inputs, (), "key roll")
+    if low in ("[", "]"):
+        pane = context.pane(state, name)
+        assert isinstance(pane, SlicePane)  # not of the volume
+        return Reduced(_turned_about(state, pane, _STEP if low == "]" else -_STEP), inputs, (), "key turn")
     if low in (",", "."):
         result = context.stepped(state, 1 if low == "." else -1)
         return Reduced(state if result == state else replace(context.pinned(state), index=result.index), inputs, (), "key volume")

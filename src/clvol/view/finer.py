@@ -22,7 +22,7 @@ from clvol.device import Device
 from clvol.march.bricks import STEPPED_AT_MOST, level_of, level_within, nearest_to
 from clvol.march.function import row_for
 from clvol.march.renderer import Renderer
-from clvol.march.slices import plane_points, shaded
+from clvol.march.slices import shaded
 from clvol.scene.mode import as_mode, virtual_samples
 from clvol.show.picture import Picture
 from clvol.view.panes import SlicePane
@@ -112,8 +112,7 @@ class Finer:
                     raise ChunkError(self.stored.damages[known])
                 return result
             pane, pixel = wanted.pane, wanted.pane.pixel(wanted.size)
-            points = plane_points(pane.middle, pane.right, pane.down, pixel, wanted.size)
-            values = renderer.field_of_level(level_within(self.stored, max(pixel)))(points, fill=np.nan, progress=progress)
+            values = pane.sheet(wanted.size).values(renderer.field_of_level(level_within(self.stored, max(pixel))), progress)
             return shaded(values, resident, given["window"], wanted.state.cmap, wanted.state.background)
         return None
 

@@ -37,7 +37,7 @@ __all__ = ["Opened", "Viewable", "first_state", "in_memory", "opened"]
 
 Viewable: TypeAlias = Scene | Medium | Volume | LazyVolume | Volumes | Field | ArrayLike
 _OF_LIGHT = ("shadow", "shadow_rays", "occlusion", "linear_light")
-_STATED = ("step", "transfer", *WORDS, *FACTORS, "material", "lights", *_OF_LIGHT, "background", "clip")
+_STATED = ("layout", "step", "transfer", *WORDS, *FACTORS, "material", "lights", *_OF_LIGHT, "background", "clip")
 
 
 class Opened(NamedTuple):
@@ -163,6 +163,8 @@ def first_state(volume: Volume, given: dict[str, Any]) -> State:
         values["lights"] = (lights,)
     if camera is not None:
         instance("camera", camera, Camera)
+    scan = volume.space == "LPS" and min(volume.size) > 1  # which is read by its slices
+    values.setdefault("layout", "linked" if scan else "3d")
     return State(
         camera=_camera_state(volume, camera or usual_camera(volume)),
         mode=chosen.name,

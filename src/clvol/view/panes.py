@@ -8,10 +8,11 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from clvol.march.slices import axis_directions
+from clvol.march.slices import Sheet, axis_directions
 from clvol.scene.camera import Camera, Viewpoint
-from clvol.view.state import PANES, State, Triple
+from clvol.view.state import PANES, SliceState, State, Triple
 from clvol.volume.volume import Volume
 
 __all__ = [
@@ -24,13 +25,16 @@ __all__ = [
     "camera_of",
     "pane_of",
     "rotation",
+    "traces",
     "triple",
+    "turned_slices",
     "vertical",
     "visible",
 ]
 
 Vector: TypeAlias = NDArray[np.float64]
 _MARGIN = 1.04
+_STRAIGHT = 1e-9  # sine of an angle that is none
 
 
 class PaneSize(NamedTuple):
@@ -63,7 +67,7 @@ def visible(state: State) -> tuple[str, ...]:
         return ("3d",)
     if state.layout == "slice":
         return (state.active if state.active != "3d" else "z",)
-    return PANES
+    return (state.active,) if state.enlarged else PANES
 
 
 def active_pane(state: State) -> str:
@@ -142,24 +146,39 @@ class Pane3D:
 
 @dataclass(frozen=True)
 class SlicePane:
-    """A slice across an axis of the world, seen as by radiologists: from the feet, the patient's right on the left."""
+    """A slice across an axis of the world, seen as by radiologists: from the feet, the patient's right on the left.
+
+    Where slices are turned it stands as it would if it had been turned there the shortest way.
+    """
 
     size: PaneSize
-    axis: int  # that it is across
+    normal: Vector  # a unit vector: the axis that it is across, if slices are not turned
     middle: Vector  # the world point in the middle of the pane
     right: Vector  # world directions in the picture
     down: Vector
     per_pixel: float  # world units per CSS pixel
+    words: dict[str, Any]  # of a slab and of contours, as `clvol.slice` takes them
 
     @classmethod
     def of(cls, state: State, volume: Volume, axis: int, size: PaneSize) -> SlicePane:
         """The pane of a state."""
-        right, down = axis_directions(volume.space, axis)
-        extents = np.ptp(volume.corners, axis=0)
-        fitted = _MARGIN * max(extents @ np.abs(right) / size.width, extents @ np.abs(down) / size.height)
+        frames = [_frame(state.slice, volume.space, i) for i in (range(3) if state.slice.alike else (axis,))]
+        fitted = _MARGIN * max(
+            max(np.ptp(volume.corners @ right) / size.width, np.ptp(volume.corners @ down) / size.height)
+            for _, right, down in frames
+        )
+        normal, right, down = _frame(state.slice, volume.space, axis)
         middle = np.array(volume.center if state.slice.center is None else state.slice.center, np.float64)
-        middle[axis] = (volume.center if state.crosshair is None else state.crosshair)[axis]
-        return cls(size, axis, middle, right, down, float(fitted) / state.slice.zoom)
+        through = np.asarray(volume.center if state.crosshair is None else state.crosshair, np.float64)
+        if state.slice.turn is None:
+            middle[axis] = through[axis]
+        else:
+            middle += ((through - middle) @ normal) * normal
+        return cls(size, normal, middle, right, down, float(fitted) / state.slice.zoom, state.slice.words)
+
+    def sheet(self, size: tuple[int, int]) -> Sheet:
+        """The points of a picture that fills it, and what its pixels show."""
+        return Sheet.of(self.middle, self.right, self.down, self.pixel(size), size, self.words)
 
     def pixel(self, size: tuple[int, int]) -> tuple[float, float]:
         """World units per pixel of a picture that fills it, along rows and columns."""
@@ -180,6 +199,37 @@ class SlicePane:
     def unit_pixels(self) -> float:
         """CSS pixels per world unit."""
         return 1 / self.per_pixel
+
+
+def _frame(state: SliceState, space: str, axis: int) -> tuple[Vector, Vector, Vector]:
+    """The normal of the slice of an axis, and its directions to the right and down."""
+    across, (right, down) = np.eye(3)[axis], axis_directions(space, axis)
+    if state.turn is None:
+        return across, right, down
+    whole = Rotation.from_rotvec(state.turn)
+    normal = np.asarray(whole.apply(across))
+    about, cosine = np.cross(across, normal), float(across @ normal)
+    sine = float(np.linalg.norm(about))
+    if sine > _STRAIGHT:  # the shortest way: a plane that turns about its normal stays as it is
+        whole = Rotation.from_rotvec(about / sine * math.atan2(sine, cosine))
+    elif cosine > 0:
+        return normal, right, down
+    return normal, np.asarray(whole.apply(right)), np.asarray(whole.apply(down))
+
+
+def traces(state: State, volume: Volume, name: str, pane: SlicePane) -> list[tuple[float, float]]:
+    """Directions, to the right and down, of the lines in which the two other slices cut this one."""
+    found = []
+    for axis in (i for i in range(3) if "xyz"[i] != name):
+        along = np.cross(pane.normal, _frame(state.slice, volume.space, axis)[0])
+        found.append((float(along @ pane.right), float(along @ pane.down)))
+    return found
+
+
+def turned_slices(state: SliceState, axis: Vector, angle: float) -> Triple:
+    """`SliceState.turn` after the planes have turned further, by an angle in radians, about a unit axis."""
+    before = Rotation.from_rotvec((0.0, 0.0, 0.0) if state.turn is None else state.turn)
+    return triple((Rotation.from_rotvec(angle * axis) * before).as_rotvec())
 
 
 def pane_of(state: State, name: str, volume: Volume, size: PaneSize, placed: Camera) -> Pane3D | SlicePane:

@@ -23,10 +23,11 @@ To the client:
   first may come without, and a second one once that is known.
 - `{"type": "frame", "number", "pane", "width", "height", "shown_width", "shown_height", "format", "final", "seconds", "step"?,
   "few"?, "share_visited"?}` and its bytes. A frame with `few` shows few of the samples: coefficients of all are being computed.
-- `{"type": "overlay", "pane", "crosshair": [x, y] | null, "box": [[x, y] | null, ... 8] | null, "faces", "unit_pixels", "right",
-  "down"}`: where to draw the crosshair and the crop box, in CSS pixels of the pane (corner ``i`` is at the high end along x, y, z
-  where bit 0, 1, 2 of ``i`` is set); `faces` has ``[axis, side, x, y]`` of each clip plane that can be dragged there; CSS pixels
-  per world unit; the world directions that run right and down. Sent when one changed.
+- `{"type": "overlay", "pane", "crosshair": [x, y] | null, "lines", "box": [[x, y] | null, ... 8] | null, "faces", "unit_pixels",
+  "right", "down"}`: where to draw the crosshair and the crop box, in CSS pixels of the pane (corner ``i`` is at the high end along
+  x, y, z where bit 0, 1, 2 of ``i`` is set); `lines` are the directions of both lines of a slice's crosshair; `faces` has
+  ``[axis, side, x, y]`` of each clip plane that can be dragged there; CSS pixels per world unit; the world directions that run
+  right and down. Sent when one changed.
 - `{"type": "readout", "pane", "position", "voxel", "units", "values"}`: what lies under the pointer, at most ten times a second,
   and again when the picture there has changed: world position, the voxel (x, y, z) of the first volume, and for each medium its
   "name", "value" (null outside) and, of label maps, the "label" by name. "pane" alone: there is nothing.

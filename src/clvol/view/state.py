@@ -375,13 +375,44 @@ class CameraState(_Checked):
 
 @dataclass(frozen=True)
 class SliceState(_Checked):
-    """Magnification of all slices, the world point in their middle (None: the volume's centre), and their own window."""
+    """How slices are seen: all of them alike.
+
+    Attributes
+    ----------
+    zoom : float
+        Magnification.
+    center : three numbers, optional
+        The world point in their middle; by default the volume's centre.
+    window : (center, width), optional
+        Values from black to white; by default the state's.
+    turn : three numbers, optional
+        By which the planes are turned from across the axes of the world: a direction, as long as the angle in radians.
+    thickness : float
+        Of a slab, in world units; 0 is the plane itself.
+    project : {"mip", "mean", "minip"}
+        What is shown of a slab.
+    contour : float
+        The width of lines along the boundaries of labels, in pixels; 0 fills areas.
+    alike : bool
+        Whether slices across all axes have the same scale.
+    """
 
     zoom: float = _of(number, 1.0, minimum=ZOOMS[0], maximum=ZOOMS[1])
     center: Triple | None = _of(_triple, None)
     window: tuple[float, float] | None = _of(_window, None)
+    turn: Triple | None = _of(_triple, None)
+    thickness: float = _of(number, 0.0, minimum=0, maximum=_FARTHEST)
+    project: Literal["mip", "mean", "minip"] = _of(name_of, "mip", allowed=("mip", "mean", "minip"))
+    contour: float = _of(number, 0.0, minimum=0, maximum=16)
+    alike: bool = _of(_switch, False)
 
     _WITHIN = "slice."
+
+    @property
+    def words(self) -> dict[str, Any]:
+        """Options of `clvol.slice`: those of a slab and of contours."""
+        slab = {"thickness": self.thickness, "mode": self.project} if self.thickness else {}
+        return slab | ({"contour": self.contour} if self.contour else {})
 
 
 @dataclass(frozen=True)
@@ -444,6 +475,8 @@ class State(_Checked):
         The volume, one slice (`active`), or the volume and three slices with one crosshair.
     active : {"3d", "x", "y", "z"}
         The pane that keys and copies are for.
+    enlarged : bool
+        Whether the layout "linked" shows that pane alone.
     tool : str or None
         What the first button drags; by default "orbit" in the volume, "crosshair" in slices.
     camera : CameraState
@@ -488,6 +521,7 @@ class State(_Checked):
     index: Mapping[str, int | str] = _of(_index, {})
     layout: Literal["3d", "slice", "linked"] = _of(name_of, "3d", allowed=LAYOUTS)
     active: Pane = _of(name_of, "3d", allowed=PANES)
+    enlarged: bool = _of(_switch, False)
     tool: str | None = _of(name_of, None, allowed=_TOOLS)
     camera: CameraState = _part(CameraState, CameraState())
     slice: SliceState = _part(SliceState, SliceState())

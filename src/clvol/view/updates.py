@@ -16,7 +16,7 @@ from clvol.view.catalog import Which
 from clvol.view.control import Control
 from clvol.view.drawing import Shot, png, share_visited
 from clvol.view.notices import Notices
-from clvol.view.panes import bounds, visible
+from clvol.view.panes import Pane3D, bounds, traces, visible
 from clvol.view.protocol import Message
 from clvol.view.resident import Resident
 from clvol.view.state import State
@@ -104,6 +104,7 @@ class Updates:
             "type": "overlay",
             "pane": name,
             "crosshair": pane.project(point) if state.layout == "linked" or name != "3d" else None,
+            "lines": [] if isinstance(pane, Pane3D) else traces(state, volume, name, pane),
             "box": box,
             "faces": faces,
             "unit_pixels": pane.unit_pixels,

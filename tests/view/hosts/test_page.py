@@ -134,7 +134,7 @@ class Page:
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[tuple[Browser, Serving, Watched]]:
-    view = Watched(head())
+    view = Watched(head(), layout="3d")
     with serve(view) as server, open_browser(*SIZE) as browser:
         yield browser, server, view
 

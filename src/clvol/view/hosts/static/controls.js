@@ -12,6 +12,7 @@ const LINE_HEIGHT = 16; // CSS pixels per line of a wheel
 const PINCH = 60; // dy of a wheel for two fingers twice as far apart
 const PINCHED = 12; // CSS pixels after which two fingers zoom or pan
 const GRASP = 12; // CSS pixels around the dot of a clip plane, as in the session
+const FAR = 9999; // CSS pixels: past the edge of any pane
 const NOTHING = "\u2013";
 const WAITING = "waiting for the first picture";
 

@@ -237,13 +237,13 @@ class Pane {
   }
 
   /** The crosshair, the edges of the crop box, and a dot for each plane that can be dragged here. */
-  drawing({ crosshair, box, faces = [] }) {
+  drawing({ crosshair, lines = [], box, faces = [] }) {
     const paths = [];
     if (crosshair) {
       const [x, y] = crosshair;
-      const through = `M${x} 0V${y - 6}M${x} ${y + 6}V9999M0 ${y}H${x - 6}M${x + 6} ${y}H9999`;
+      const ray = (dx, dy) => `M${x + 6 * dx} ${y + 6 * dy}L${x + FAR * dx} ${y + FAR * dy}`; // those of slices leave the middle free
       const small = `M${x - 10} ${y}h20M${x} ${y - 10}v20`;
-      paths.push(make("path", { class: "clvol-crosshair", d: this.name === "3d" ? small : through }));
+      paths.push(make("path", { class: "clvol-crosshair", d: lines.map(([dx, dy]) => ray(dx, dy) + ray(-dx, -dy)).join("") || small }));
     }
     if (box) {
       const edges = [0, 1, 2].flatMap((axis) => box.map((_, i) => [i, i | (1 << axis)]).filter(([i, j]) => i !== j && box[i] && box[j]));

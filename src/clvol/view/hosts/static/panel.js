@@ -285,8 +285,14 @@ class Panel {
     this.level = slider("Level", { low: 0, high: 1, open: true }, windowed(0), "the value in the middle of the greys of slices");
     this.width = slider("Window", { low: 0, high: 1, open: true }, windowed(1), "from black to white in slices");
     const given = button("As the picture", () => this.viewer.set({ "slice.window": null }), { title: "slices have no window of their own" });
-    const buttons = make("div", { class: "clvol-buttons" }, given);
-    return make("div", {}, this.plane.element, ...[...this.crosshair, this.level, this.width].map((c) => c.element), buttons);
+    this.straight = button("Straight", () => this.viewer.set({ "slice.turn": null }), { title: "across the axes of the world again; Alt and a drag turn slices" });
+    this.thickness = slider("Thickness", { low: 0, high: 1 }, this.setter("slice.thickness", (value) => Math.max(0, value)), "of a slab, in world units; 0 is the plane itself");
+    this.projected = choice("Slab shows", this.setter("slice.project"), "of the values across a slab");
+    this.contour = slider("Contours", { low: 0, high: 8, step: 1 }, this.setter("slice.contour"), "lines along the boundaries of labels, in pixels; 0 fills areas");
+    this.alike = toggle("Same scale", this.setter("slice.alike"), "slices across all axes are equally magnified");
+    const buttons = make("div", { class: "clvol-buttons" }, given, this.straight);
+    const rows = [...this.crosshair, this.level, this.width, this.thickness, this.projected, this.contour, this.alike];
+    return make("div", {}, this.plane.element, ...rows.map((c) => c.element), buttons);
   }
 
   /** Centre and width of the greys of slices. */
@@ -385,6 +391,10 @@ class Panel {
     const [least, most] = info.volume.range;
     this.level.limit(least, most);
     this.width.limit((most - least) / 1000, most - least);
+    this.thickness.limit(0, Math.min(...high.map((c, i) => c - low[i])));
+    const { labels } = info.volume;
+    this.projected.fill([["mip", "the largest"], ["minip", "the smallest"], ...(labels ? [] : [["mean", "the mean"]])]);
+    this.contour.element.hidden = !labels;
     this.made = null;
     this.around.find(([name]) => name === "letters")[1].element.hidden = info.volume.space !== "LPS";
     this.axes.tell(info);
@@ -435,6 +445,13 @@ class Panel {
     const [level, width] = this.sliceWindow();
     this.level.show(level);
     this.width.show(width);
+    this.thickness.show(state.slice.thickness);
+    this.projected.show(state.slice.project);
+    this.projected.element.hidden = !state.slice.thickness;
+    this.contour.show(state.slice.contour);
+    this.contour.unheard(state.slice.thickness ? "of a plane: the thickness must be 0" : "");
+    this.alike.show(state.slice.alike);
+    this.straight.disabled = !state.slice.turn;
     this.projection.show(state.camera.projection);
     this.style.show(state.camera.style);
     this.fov.show(state.camera.fov);

@@ -20,7 +20,7 @@ class Viewer {
     this.noted = ""; // a line that stays until something is done
     this.onConfirmed = () => {};
     this.grid = make("div", { class: "clvol-panes" });
-    this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, WAITING);
+    this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, make("span", {}, WAITING));
     this.panel = new Panel(this);
     this.hide = button("Settings", () => this.togglePanel(), { kind: "clvol-hide", title: "show or hide the settings" });
     this.hide.setAttribute("aria-expanded", "true");
@@ -111,8 +111,9 @@ class Viewer {
 
   /** The panes of the layout; those that stay keep their pictures, and a pane keeps the focus. */
   arrange() {
-    const { layout, active } = this.state;
-    const wanted = layout === "slice" ? [active === "3d" ? "z" : active] : PANES[layout];
+    const { layout, active, enlarged } = this.state;
+    const alone = layout === "linked" && enlarged;
+    const wanted = layout === "slice" ? [active === "3d" ? "z" : active] : alone ? [active] : PANES[layout];
     if (same([...this.panes.keys()], wanted)) return;
     const focused = this.grid.contains(document.activeElement);
     for (const [name, pane] of this.panes) {
@@ -122,7 +123,7 @@ class Viewer {
     }
     const panes = wanted.map((name) => [name, this.panes.get(name) ?? new Pane(this, name)]);
     this.panes = new Map(panes);
-    this.grid.dataset.layout = layout;
+    this.grid.dataset.layout = alone ? "slice" : layout;
     let next = this.grid.firstElementChild;
     for (const [, { element }] of panes) {
       if (element === next) next = next.nextElementSibling; // one that is moved would lose the focus
@@ -143,7 +144,7 @@ class Viewer {
   }
 
   status(text, kind = "info") {
-    this.line.textContent = text || this.noted;
+    this.line.firstElementChild.textContent = text || this.noted;
     this.line.dataset.kind = !text && this.noted ? "error" : kind;
   }
 
