@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from math import isfinite, prod
+from operator import mul
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -201,8 +202,8 @@ class Small:
                 coordinates = np.asarray(coordinates)
             except ValueError:
                 return None
-        ndim = self.data.ndim
-        if coordinates.dtype not in _KNOWN or coordinates.ndim < 2 or len(coordinates) != ndim:
+        ndim, dtype = self.data.ndim, coordinates.dtype
+        if (dtype is not _DOUBLE and dtype not in _KNOWN) or coordinates.ndim < 2 or len(coordinates) != ndim:
             return None
         if not self._few(coordinates.size // ndim) or not _finite(coordinates):
             return None
@@ -270,7 +271,7 @@ class Small:
         factors = per_axis("zoom", zoom, len(shape))
         if min(factors) < 0 or factors.count(1) == len(shape):
             return None
-        if not 0 < prod([round(n * factor) for n, factor in zip(shape, factors, strict=True)]) <= self.plan.most:
+        if not 0 < prod(map(round, map(mul, shape, factors))) <= self.plan.most:
             return None
         return self._by(partial(originals()["zoom"], grid_mode=True) if grid_mode else "zoom", factors)
 
