@@ -27,7 +27,7 @@ from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
 from clvol.show.picture import to_bytes
 from clvol.view import State, View, code, from_toml, from_url
-from clvol.view.drawing import Drawer, Order, Shot
+from clvol.view.drawing import Drawer, Order
 from clvol.view.panes import PaneSize
 from clvol.view.session import Session
 from tests import cases
@@ -400,35 +400,6 @@ def test_after_a_click_and_a_change_the_session_still_responds(client: Client, m
     client.still()
     assert budgets
     assert max(budgets) < 1
-
-
-def test_the_sizes_of_a_drag_do_not_alternate(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
-    """If its pictures would be coarse they may take longer, until it rests."""
-    client = Client(view)
-    client.resize(512, 512)
-    client.still()
-    budgets: list[float] = []
-
-    def shots(order: Order) -> Iterator[Shot]:
-        if order.coarse:
-            budgets.append(order.budget)
-        edge = 60 if order.budget < 0.05 else 200
-        yield Shot(np.zeros((edge, edge, 3), np.uint8), not order.coarse)
-
-    monkeypatch.setattr(client.session._drawer, "shots", shots)
-    for _ in range(2):
-        client.event("pointer_down", x=200, y=200, button=1)
-        for i in range(8):
-            client.event("pointer_move", x=210 + i, y=200, button=1)
-            time.sleep(0.03)
-        client.event("pointer_up", x=217, y=200, button=1)
-        client.forget()
-        client.set(camera__zoom=1.3)
-        client.still()
-    assert len(budgets) > 4
-    first = [i for i, budget in enumerate(budgets) if budget < 0.05]
-    assert 1 <= len(first) < len(budgets) / 2  # of each drag, and where it paused
-    client.close()
 
 
 def test_an_error_of_one_pane_stays_while_others_are_drawn(view: View, monkeypatch: pytest.MonkeyPatch) -> None:

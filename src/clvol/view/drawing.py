@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator
 from concurrent.futures import Future, wait
 from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,12 +20,14 @@ from clvol.base.errors import ClvolError
 from clvol.march.empty import warn_of_refined
 from clvol.march.renderer import Renderer
 from clvol.march.slices import lay, shaded
+from clvol.scene.mode import as_mode, tolerance_of
 from clvol.show.picture import Picture, heat, to_bytes
 from clvol.view import media
 from clvol.view.background import started
 from clvol.view.catalog import labelled
 from clvol.view.events import Context
 from clvol.view.finer import Stopped, Wanted, asking
+from clvol.view.pace import Pace
 from clvol.view.panes import SlicePane
 from clvol.view.renderers import on_slices, own_arguments
 from clvol.view.resident import Resident
@@ -38,7 +41,9 @@ _COARSE = 3  # pixels of a heat map that is dragged, along each edge
 _TOUR = 96  # pixels along the longer edge of the picture that measures the share of visited samples
 WHOLE = 3600.0  # seconds: a budget in which every picture is drawn in one go
 _TICK = 0.01  # seconds between checks whether a picture is still wanted
+_LONGEST = 8.0  # voxels; the longest step while something is dragged
 _QUICK = 1  # of zlib: twice as fast as its default, with a fifth more bytes
+_SMALL = 640 * 480  # pixels of a JPEG whose colours are not halved
 _KEPT = 2  # final pictures of the wiper's two filters
 
 
@@ -87,6 +92,7 @@ class Drawer:
         self._finals: dict[object, Shot] = {}
         self._sketch: Sketch | None = None
         self._sketched: tuple[State, tuple[int, int]] | None = None
+        self._pace = Pace()
         self._slice_rate = 0.0  # seconds per pixel of the last slice
         self._reading: _Reading | None = None
 
@@ -233,7 +239,24 @@ class Drawer:
                 given = self._resident.arguments(state, bare=coarse)
                 if coarse:  # where it is with what stands around, which is drawn at rest
                     given["camera"] = self._resident.placed(state, size[0] / size[1])
-                yield from _refined(renderer, order, given)
+                    yield from self._moving(renderer, order, chosen, given)
+                else:
+                    yield from _refined(renderer, order, given, partial(self._pace.rested, (chosen, state.mode)))
+
+    def _moving(self, renderer: Renderer, order: Order, chosen: str | None, given: dict[str, Any]) -> Generator[Shot, None, None]:
+        """The one picture of something that is dragged: with as many pixels as its time allows."""
+        state, mode = order.state, as_mode(order.state.mode, order.state.options)
+        kind = chosen, state.mode
+        longest = 0.0 if mode.stretches or mode.regions else _LONGEST  # surfaces are found whatever the step
+        size, step = self._pace.choose(kind, order.size, state.step, longest, order.budget)
+        if tolerance_of(mode) is not None:
+            given["tolerance"] = None  # probes take longer than the picture
+        given |= {"step": step, "rays": 1}
+        given.pop("pixel_filter", None)  # of several rays
+        began = time.perf_counter()
+        for picture in renderer.refine(given.pop("camera"), given.pop("mode"), size, seconds=WHOLE, cancelled=order.stop, **given):
+            self._pace.took(kind, size, step, time.perf_counter() - began)
+            yield Shot(to_bytes(picture), False, picture.step)
 
     def _slice_size(self, size: tuple[int, int], budget: float) -> tuple[int, int]:
         """The size of a slice that takes no longer than a budget, but at least a quarter along each edge."""
@@ -260,7 +283,10 @@ def _slice(resident: Resident, renderer: Renderer, order: Order, size: tuple[int
     return picture
 
 
-def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generator[Shot, None, None]:
+def _refined(
+    renderer: Renderer, order: Order, given: dict[str, Any], rested: Callable[[tuple[int, int], float, float], None]
+) -> Generator[Shot, None, None]:
+    """Pictures at rest; `rested` is told the size, the step and the time of the last one."""
     if not math.isfinite(order.budget):
         with suppress(Stopped):
             picture = renderer.render(size=order.size, progress=asking(order.stop), **given)
@@ -270,9 +296,8 @@ def _refined(renderer: Renderer, order: Order, given: dict[str, Any]) -> Generat
     for picture in renderer.refine(camera, mode, order.size, seconds=order.budget, cancelled=order.stop, **given):
         if picture.final:
             warn_of_refined(renderer, picture, camera, mode, **own_arguments(renderer, given))
-        yield Shot(to_bytes(picture), picture.final and not order.coarse, picture.step)
-        if order.coarse:
-            return
+            rested(order.size, picture.step, picture.seconds)
+        yield Shot(to_bytes(picture), picture.final, picture.step)
 
 
 def share_visited(resident: Resident, state: State, shape: tuple[float, float]) -> float | None:
@@ -312,8 +337,9 @@ def png(pixels: NDArray[np.uint8]) -> bytes:
 
 
 def jpeg(pixels: NDArray[np.uint8], quality: int) -> bytes:
-    """Eight-bit colours as JPEG, over black."""
-    return _encoded(opaque(pixels), "JPEG", quality=quality)
+    """Eight-bit colours as JPEG, over black; small ones with the colours of each pixel, which are enlarged on the screen."""
+    small = pixels.shape[0] * pixels.shape[1] <= _SMALL
+    return _encoded(opaque(pixels), "JPEG", quality=quality, subsampling=0 if small else 2)
 
 
 def _encoded(pixels: NDArray[np.uint8], form: str, **options: int) -> bytes:

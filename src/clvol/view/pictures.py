@@ -20,8 +20,6 @@ from clvol.view.updates import Updates
 __all__ = ["Pictures"]
 
 _BUDGET = 0.04  # seconds for a first picture
-_LONGER = 0.065  # seconds for those of a drag that goes on, if they would have fewer than `_FINE` pixels
-_FINE = 80 * 80
 _STILL = 0.25  # seconds for the first picture at rest: if the final one takes no longer, nothing comes before it
 _SOON = 1.0  # seconds: nothing comes before a final picture if the last one took no longer than this
 _UNSIZED = 0.5  # seconds that a client has to give the size of its panes; then facts no longer wait for its first picture
@@ -40,7 +38,6 @@ class Pictures:
         self._began = time.monotonic()
         self._shown: dict[str, Shown] = {}
         self._took: dict[str, tuple[object, float]] = {}  # by pane: what its last final picture showed, and its seconds
-        self._coarse: set[str] = set()  # panes whose pictures of this drag would be coarse
 
     def forget(self) -> None:
         """Draw all of them again."""
@@ -69,14 +66,12 @@ class Pictures:
         key, size = control.key(name), context.size(name)
         self._shown[name] = Shown(key, True)  # what fails is not tried again before something changes
         look = control.look(name)
-        if not moving:
-            self._coarse.clear()
         known, took = self._took.get(name, (None, 0.0))
         # whether nothing comes before the final picture: what is shown is close to it
         at_once = not moving and (not first or name == control.released) and known == look and took <= _SOON
         if name == control.released:
             control.released = None
-        budget = WHOLE if at_once else _STILL if not first else _LONGER if name in self._coarse else _BUDGET
+        budget = WHOLE if at_once else _BUDGET if first else _STILL
         sent = 0
 
         def stop() -> bool:
@@ -95,8 +90,6 @@ class Pictures:
                 if not throttle.full:  # pictures in between are left out if the client is slow
                     self._send(name, size, shot, time.perf_counter() - began)
                     sent, last = sent + 1, shot
-                    if moving and shot.pixels.shape[0] * shot.pixels.shape[1] < min(_FINE, wanted[0] * wanted[1]):
-                        self._coarse.add(name)  # until it rests, or sizes would alternate
                 if stop():
                     break
         done = last is not None and last.final
