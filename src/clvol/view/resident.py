@@ -22,7 +22,7 @@ from clvol.scene.fit import Seen, box_around, fitted
 from clvol.scene.joint import TransferFunction2D
 from clvol.scene.look import look
 from clvol.scene.mode import BY_DISTANCE, CURVATURES, Mode, as_mode, colored_by, mode_options, modes, tolerance_of
-from clvol.scene.preset import presets
+from clvol.scene.preset import label_color, presets
 from clvol.scene.scene import Medium
 from clvol.scene.transfer import TransferFunction
 from clvol.view import media
@@ -304,7 +304,6 @@ def targeted(camera: Camera, volume: Volume) -> Camera:
 def _description(volume: Volume, title: str, axes: list[dict[str, Any]], labels: tuple[list[list[Any]], int]) -> dict[str, Any]:
     """The `info` message of a volume; `axes` and `labels` are those of `Catalog`."""
     rows, count = labels
-    counts, edges = _histogram(volume)
     return {
         "type": "info",
         "title": title,
@@ -321,7 +320,7 @@ def _description(volume: Volume, title: str, axes: list[dict[str, Any]], labels:
         },
         "axes": axes,
         "labels": {"count": count, "rows": rows} if volume.is_labels else None,
-        "histogram": {"edges": edges, "counts": counts},
+        "histogram": _histogram(volume),
         "modes": {name: _options(mode) for name, mode in modes().items()},
         "filters": [*filters(), "bspline3(auto)"],
         "boundaries": list(boundaries()),
@@ -348,7 +347,8 @@ def _option(default: Any, name: str, says: str) -> dict[str, Any]:
     return option | _SCALES.get(name, {})
 
 
-def _histogram(volume: Volume) -> tuple[list[int], list[float]]:
+def _histogram(volume: Volume) -> dict[str, list[Any]]:
+    """Counts between edges, and of labels the number and the colour of each bar: those of the one it has most of."""
     low, high = volume.value_range
     stride = max(1, round(max(1.0, volume.data.size / _SAMPLED) ** (1 / 3)))
     some = volume.data[::stride, ::stride, ::stride].astype(np.float64).ravel()
@@ -359,4 +359,14 @@ def _histogram(volume: Volume) -> tuple[list[int], list[float]]:
     span = (low - 0.5, high + 0.5) if whole else (low, high)  # a bin per value, centred on it
     bins = round(span[1] - span[0]) if whole else _BINS
     counts, edges = np.histogram(some, bins=bins, range=span)
-    return [int(n) for n in counts], [float(e) for e in edges]
+    found: dict[str, list[Any]] = {"edges": edges.tolist(), "counts": counts.tolist()}
+    if not volume.is_labels:
+        return found
+    labels: list[int | None] = [None] * bins
+    numbers, often = np.unique(some, return_counts=True)
+    background = 0 if 0 in numbers else numbers[often.argmax()] if numbers.size else 0
+    for at in often.argsort(kind="stable"):
+        if numbers[at] != background:
+            labels[min(int(np.searchsorted(edges, numbers[at], "right")) - 1, bins - 1)] = int(numbers[at])
+    colors = [None if label is None else [round(part, 4) for part in label_color(label, volume)] for label in labels]
+    return found | {"labels": labels, "colors": colors}

@@ -119,12 +119,17 @@ def test_labels_are_hidden_and_shown_again(browser: Browser, organs: Watched) ->
 
 def test_labels_get_other_colours_and_opacities(browser: Browser, organs: Watched) -> None:
     as_given = picture(browser)
+    bars = "[...document.querySelectorAll('.clvol-graph [data-label]')].map((bar) => [bar.dataset.label, bar.getAttribute('fill')])"
+    swatches = f"{ROWS}.map((row) => row.querySelector('.clvol-swatch').value)"
+    own = browser.js(f"return {swatches}")
+    assert browser.js(f"return {bars}") == [[number, color] for number, color in zip("127", own, strict=True)]
 
     def put(control: str, value: str) -> None:
         events = "for (const e of ['input', 'change']) c.dispatchEvent(new Event(e, { bubbles: true }))"
         browser.js(f"const c = {ROWS}[0].querySelector('{control}'); c.value = '{value}'; {events}")
 
     put(".clvol-swatch", "#0000ff")
+    browser.wait(lambda: browser.js(f"return {bars}") == [["1", "#0000ff"], ["2", own[1]], ["7", own[2]]])
     put("input[type=range]", "0.25")
     changed = ("label_colors", {"1": [0, 0, 1]}), ("label_opacities", {"1": 0.25})
     browser.wait(lambda: all(organs.last.state.json()[word] == value for word, value in changed))
@@ -159,6 +164,8 @@ def test_labels_are_reached_by_keys(browser: Browser, organs: Watched) -> None:
 def test_the_search_finds_labels_beyond_the_list(browser: Browser, many: Watched) -> None:
     assert browser.js(f"return {ROWS}.length") == 200
     assert browser.js(f"return {NOTE}") == "599 of 599 shown; the first 200 of them are listed"
+    fills = "[...document.querySelectorAll('.clvol-graph [data-label]')].map((bar) => bar.getAttribute('fill'))"
+    assert len(browser.js(f"return {fills}")) == 256  # each that of one of the two or three labels in it
     search = "document.querySelector('.clvol-panel input[type=search]')"
     assert browser.js(f"return {search}.checkVisibility()")
 

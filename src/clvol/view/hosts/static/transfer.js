@@ -19,6 +19,7 @@ class TransferEditor {
     this.parts = {
       stops: make("linearGradient", { id: this.gradient }),
       bars: make("path", { class: "clvol-bars" }),
+      labels: make("g", {}),
       area: make("path", { class: "clvol-area", fill: `url(#${this.gradient})` }),
       line: make("path", { class: "clvol-curve" }),
       strip: make("rect", { x: 0, height: GRAPH.strip, fill: `url(#${this.gradient})` }),
@@ -104,7 +105,9 @@ class TransferEditor {
     const edges = this.viewer.info?.histogram?.edges ?? [0, 1];
     const values = [edges[0], edges.at(-1), ...points.map((p) => p[0])];
     if (!this.held) this.range = [Math.min(...values), Math.max(...values)];
-    parts.bars.setAttribute("d", this.bars(edges, this.viewer.info?.histogram?.counts ?? []));
+    const tops = this.tops(this.viewer.info?.histogram?.counts ?? []);
+    parts.bars.setAttribute("d", this.bars(edges, tops));
+    this.drawLabels(edges, tops);
     attributes(parts.strip, { x: 8, y: GRAPH.height + 4, width: this.width });
     this.svg.setAttribute("height", GRAPH.height + 4 + GRAPH.strip + GRAPH.bar);
     this.ends.forEach((end, i) => (end.value = short(this.range[i])));
@@ -125,15 +128,34 @@ class TransferEditor {
     this.remove.disabled = points.length < 2;
   }
 
-  bars(edges, counts) {
+  /** Where each bar ends. */
+  tops(counts) {
     const heights = counts.map((n) => (this.log ? Math.log1p(n) : n));
     const sorted = [...heights].sort((a, b) => b - a);
     const top = (this.log ? sorted[0] : sorted[Math.min(2, sorted.length - 1)]) || 1; // the bar of the background may be cut off
-    const steps = heights.map((n, i) => {
-      const y = GRAPH.height - (GRAPH.height - 8) * Math.min(n / top, 1);
-      return `H${this.x(edges[i]).toFixed(1)}V${y.toFixed(1)}`;
-    });
+    return heights.map((n) => GRAPH.height - (GRAPH.height - 8) * Math.min(n / top, 1));
+  }
+
+  bars(edges, tops) {
+    const steps = tops.map((y, i) => `H${this.x(edges[i]).toFixed(1)}V${y.toFixed(1)}`);
     return `M8 ${GRAPH.height}${steps.join("")}H${this.x(edges.at(-1)).toFixed(1)}V${GRAPH.height}Z`;
+  }
+
+  /** Of labels each bar has the colour of its label, down into the strip: between them there is none. */
+  drawLabels(edges, tops) {
+    const { labels, colors } = this.viewer.info?.histogram ?? {};
+    for (const part of [this.parts.area, this.parts.strip]) part.style.display = labels ? "none" : "";
+    const bar = (label, i) => {
+      const [left, right] = [this.x(edges[i]), this.x(edges[i + 1])];
+      const d = `M${left} ${tops[i]}H${right}V${GRAPH.height}H${left}ZM${left} ${GRAPH.height + 4}H${right}v${GRAPH.strip}H${left}Z`;
+      return label === null ? null : make("path", { d, fill: hex(this.colorOf(label, colors[i])), "data-label": label });
+    };
+    this.parts.labels.replaceChildren(...(labels ?? []).map(bar).filter(Boolean));
+  }
+
+  /** The colour of a label: of the points, if there are some, for more labels its own. */
+  colorOf(label, own) {
+    return this.points.length ? this.between(label)[0] : (this.viewer.state?.label_colors[label] ?? own);
   }
 
   drawPoints() {
