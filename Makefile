@@ -14,7 +14,7 @@ HOURS ?= 1
 # What tells whether a version of a dependency is too old
 LOWEST = test_package.py show/test_picture.py interfaces/test_interpolator.py ndimage/test_gaps.py $(addprefix formats/test_,medical.py tiff.py hdf5.py)
 
-.PHONY: demo test thorough check style types bench docs fuzz soak lowest sbom clean
+.PHONY: demo test thorough check style types bench gpu runtimes docs fuzz soak lowest sbom clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/python examples/figure6.py --output figure6.png
@@ -37,6 +37,14 @@ types: $(VENV)/test.stamp
 
 bench: $(VENV)/bench.stamp
 	$(BIN)/python -m bench
+
+# Errors and times on a GPU; without one on the processor
+gpu: $(VENV)/demo.stamp
+	$(BIN)/python -m bench.gpu
+
+# Errors with each OpenCL runtime for the processor: pip's, and those of the system
+runtimes: $(VENV)/demo.stamp $(VENV)/intel.stamp
+	$(BIN)/python -m bench.runtimes
 
 docs: $(VENV)/docs.stamp
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --jobs 2 --doctree-dir docs/_build/doctrees docs docs/_build/html

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 import clvol
-from bench import cases, machine, ndimage, scene, soak
+from bench import cases, machine, ndimage, parity, runtimes, scene, soak
 from bench.deeds import DEEDS, NOT_DONE
+from clvol.base.errors import DeviceError
 from clvol.device import as_device
 from clvol.march.planes import Planes
 
@@ -45,10 +46,16 @@ NEW = {
 }
 
 
-def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+def command(*arguments: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
     return subprocess.run(
-        [sys.executable, "-m", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, encoding="utf-8"
+        [sys.executable, "-m", *arguments],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        encoding="utf-8",
     )
 
 
@@ -168,6 +175,59 @@ def test_roofline_names_the_limit_that_binds() -> None:
     limits = machine.Limits(copy=10.0, update=20.0, loads=100.0, multiply_adds=1000.0)
     assert limits.share(machine.Cost(bytes=2, loads=1, multiply_adds=10), 5.0) == (0.5, "bandwidth")
     assert limits.share(machine.Cost(bytes=1, loads=50), 1.0) == (0.5, "loads")
+
+
+def test_parity_names_the_worst_filter_and_what_fails() -> None:
+    def refused() -> Any:
+        raise DeviceError("no images")
+
+    row = parity.Row("taps", "value")
+    row.add("a", lambda: (np.array([3e-6, 1e-6]), 1e-5))
+    row.add("b", lambda: (np.array([4e-6]), 1e-4))
+    assert (row.count, row.worst, row.most, row.tolerance, row.failed) == (2, "a", 3e-6, 1e-5, [])
+    assert row.rms == pytest.approx(5**0.5 * 1e-6)
+    row.add("c", lambda: (np.array([2e-5]), 1e-5))
+    row.add("d", lambda: (np.array([np.nan, 0]), 1e-5))
+    row.add("e", refused)
+    assert row.count == 5
+    assert row.failed == ["c: 2e-05", "d: nan", "e: no images"]
+
+
+def test_parity_meets_every_filter_in_every_work() -> None:
+    """By the route that a device takes; points by both routes that they have."""
+    device: Any = SimpleNamespace(kind="cpu", has_images=True, sampler_bits=24.0)
+    plan = [*parity.planned(device)]
+    assert {work for route, work in plan if route == "planes"} == set(parity.MODES)
+    assert {route for route, work in plan if work == "curvature"} == {"taps", "paired, images"}
+    assert len(plan) == len(set(plan)) == 3 * len(parity.MODES) + 2 * len(parity.DERIVATIVES)
+    device.has_images = False
+    assert {route for route, _ in parity.planned(device)} == {"taps", "planes"}
+
+
+def test_runtimes_of_another_system_are_found(tmp_path: Path) -> None:
+    vendors = tmp_path / "etc/OpenCL/vendors"
+    vendors.mkdir(parents=True)
+    (tmp_path / "etc/os-release").write_text('NAME="x"\nPRETTY_NAME="Debian 99"\n')
+    for name in ("mesa", "pocl", "rusticl"):
+        (vendors / f"{name}.icd").write_text(f"lib{name}.so\n")
+    found = [one for one in runtimes.found([tmp_path]) if one.root == tmp_path]
+    assert [(one.name, one.library) for one in found] == [
+        ("pocl, Debian 99", "libpocl.so"),
+        ("rusticl, Debian 99", "librusticl.so"),
+    ]
+    found[0].lines = [{}, {"work": "mip", "count": 4, "failed": ["a"], "most": 2.0, "tolerance": 4.0}]
+    assert found[0].result(("mip",)) == "3 of 4 (1 of 3 parts), 0.50"
+    assert found[0].result(("mean",)) == "not reached"
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("module", ["gpu", "runtimes"])
+def test_kernels_are_compared_and_told_in_a_table(module: str) -> None:
+    """On whatever device there is."""
+    options = {"gpu": ["--only-parity"], "runtimes": ["--only", "pip"]}[module]
+    done = command(f"bench.{module}", *options, timeout=3000)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "isosurface" in done.stdout
 
 
 @pytest.mark.thorough

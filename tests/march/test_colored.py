@@ -16,8 +16,8 @@ from clvol.device import Device
 from clvol.interfaces.again import render_again
 from clvol.reference.march import march as reference
 from clvol.reference.march.media import render_media
+from tests.march.agreement import block
 from tests.march.looks import TILES
-from tests.march.test_march import block
 from tests.march.test_media import FIRST, MEDIA, SIZE, blobs, camera
 
 SHADES = TransferFunction([(0.2, "navy"), (0.5, "lime"), (0.8, "red")], [(0.3, 1), (0.6, 0.4), (0.7, 0)])

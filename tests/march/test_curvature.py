@@ -14,8 +14,8 @@ from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.reference.march import march as reference
 from clvol.spline.curvature import principal_curvatures
+from tests.march.agreement import block
 from tests.march.looks import TILES
-from tests.march.test_march import block
 
 KINDS = ("k1", "k2", "mean curvature", "gaussian curvature")
 

@@ -15,7 +15,7 @@ from clvol.device import Device
 from clvol.reference.march import march as reference
 from clvol.reference.march.light import light_of, shown_as
 from clvol.reference.march.media import render_media
-from tests.march.test_march import CAMERA, SIZE, STEP, TRANSFER, block
+from tests.march.agreement import CAMERA, SIZE, STEP, TRANSFER, block
 from tests.march.test_media import FIRST, MEDIA, camera
 
 SHELLS = [(0.35, "orange", 0.3), (0.6, "teal", 0.6), (0.85, "white", 0.9)]

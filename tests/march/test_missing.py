@@ -30,8 +30,8 @@ from clvol.volume.histogram import clims_of, isovalue_of
 from clvol.volume.missing import EXTRAPOLATED, Missing, extrapolated
 from clvol.volume.volume import Volume, masked
 from tests.cases import MODES
+from tests.march.agreement import CAMERA, OPTIONS, SIZE, Allowance, compare
 from tests.march.looks import TILES, suited
-from tests.march.test_march import CAMERA, OPTIONS, SIZE, Allowance, compare
 
 STEP = 0.53  # no plane of these volumes then lies halfway between samples, where rounding decides what is missing
 RADIUS, CENTER = 8.2, (11.67, 11.37, 11.42)  # in samples, x first

@@ -20,7 +20,7 @@ from clvol.reference.march import shadow as reference
 from clvol.scene.clip import Cuts, cuts_of
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import MinMax
-from tests.march.test_march import block
+from tests.march.agreement import block
 
 SUN = Light((0.0, 0.0, 1.0))
 SUNNY: dict[str, Any] = {

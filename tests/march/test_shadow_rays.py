@@ -12,7 +12,7 @@ from clvol import Camera, Corner, Light, Material, Medium, Plane, Scene, Volume
 from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.reference.march import march as reference
-from tests.march.test_march import block
+from tests.march.agreement import block
 
 LIGHTS = [Light((0.5, -0.4, 0.7)), Light((-0.8, 0.1, 0.3), (0.5, 0.3, 0.2))]
 SHELLS = [(0.35, "bisque", 0.3), (0.5, "tomato", 0.4), (0.65, "white", 0.8)]
