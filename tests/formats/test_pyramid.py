@@ -186,6 +186,7 @@ def test_each_sample_is_read_about_once(tmp_path: Path) -> None:
     assert counted.read <= counted.data.size + looked_at
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("budget", "levels", "most"), [(None, None, 27), (None, 1, 27), (122 * MIB, 2, 80)])
 def test_dask_chunks_are_computed_about_once(tmp_path: Path, budget: int | None, levels: int | None, most: int) -> None:
     """Small arrays too."""

@@ -32,6 +32,7 @@ KINDS: dict[str, tuple[str, str, Volume, str, dict[str, Any]]] = {  # mode, rays
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_pictures_are_the_references(device: Device, kind: str) -> None:
     """On another grid, which is smaller than the medium's."""

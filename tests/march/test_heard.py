@@ -83,7 +83,7 @@ def test_every_option_has_values() -> None:
     assert VALUES.keys() | CHANGES_NO_BIT | OF_A_SCENE == PictureOptions.__annotations__.keys() | ModeOptions.__annotations__.keys()
 
 
-@pytest.mark.one_in(7)
+@pytest.mark.one_in(12)
 @pytest.mark.filterwarnings("ignore:preset 'ct-bone' is in Hounsfield")
 @pytest.mark.parametrize("own", OWN, ids=str)
 @pytest.mark.parametrize("mode", cases.MODES)
@@ -162,7 +162,6 @@ def test_a_comparison_takes_the_words_of_a_picture(device: Device) -> None:
         clvol.figures.compare(volume, ["linear"], 24, device=device, cmap="viridis")
 
 
-@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("mode", "flags", "named"),
     [

@@ -82,7 +82,7 @@ def test_two_merged_halves_of_the_rays_make_the_picture(renderer: Renderer, mode
                     check(finish_states(merge_states(front, back)), whole, mode)
 
 
-@pytest.mark.one_in(7)
+@pytest.mark.one_in(14)
 @pytest.mark.parametrize("mode", cases.MODES)
 def test_continued_states_make_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
     """In segments of any length, with and without skipping."""
@@ -116,7 +116,7 @@ def test_segmented_rays_of_few_samples_make_the_picture_to_the_last_bit(renderer
                 np.testing.assert_array_equal(picture, whole[name], err_msg=name)
 
 
-@pytest.mark.one_in(7)
+@pytest.mark.one_in(14)
 @pytest.mark.parametrize("mode", cases.MODES)
 def test_segmented_rays_with_gaps_make_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
     """Two corners, one thinner than a step, leave three parts of some rays, whose ends share sample numbers."""

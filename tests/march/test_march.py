@@ -98,7 +98,7 @@ def check(
 
 
 # "attenuated" ranks samples as "mip" does, in the same kernel file: it meets each filter's values where mip does
-@pytest.mark.one_in(50)
+@pytest.mark.one_in(100)
 @pytest.mark.parametrize(
     ("mode", "filter"), [*product([mode for mode in cases.MODES if mode != "attenuated"], [*filters(), "bspline3(0.1)"])]
 )
@@ -175,7 +175,7 @@ VIEWS |= {
 }
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize("mode", cases.MODES)
 @pytest.mark.parametrize("view", VIEWS)
 def test_every_view(device: Device, keep: dict[Any, Renderer], view: str, mode: str) -> None:
@@ -235,6 +235,7 @@ GRADED = {
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("graded", GRADED)
 def test_opacity_by_more_than_the_value(device: Device, keep: dict[Any, Renderer], graded: str) -> None:
     allowed = replace(allowance("bspline3", "composite", device), rgba=5e-4, rms=3e-5)  # nodes are steep
@@ -309,7 +310,7 @@ def test_the_default_look_matches_the_reference(device: Device, mode: str) -> No
 # -- what the picture may not depend on ------------------------------------------------------------------------------
 
 
-@pytest.mark.one_in(7)
+@pytest.mark.one_in(14)
 @pytest.mark.parametrize("mode", cases.MODES)
 def test_tiles_of_rays_render_the_same(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
     """One ray per work-item, eight at once, and tiles that share planes."""
@@ -358,6 +359,7 @@ def test_touching_labels_have_no_seam(mode: str, device: Device) -> None:
     np.testing.assert_allclose(pictures[1], pictures[0], atol=1e-6)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("shading", [True, False])
 def test_virtual_samples(keep: dict[Any, Renderer], device: Device, *, shading: bool) -> None:
     options: Any = {"transfer": TRANSFER, "virtual": 3, "shading": shading}

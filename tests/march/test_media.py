@@ -66,7 +66,7 @@ def errors(scene: Scene, view: str, device: Device) -> tuple[float, float, float
     return float(apart.max()), float(np.sqrt((apart**2).mean())), float(deep)
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("other", MEDIA)
 def test_two_media_are_the_references(device: Device, other: str, tile: str) -> None:
@@ -77,6 +77,7 @@ def test_two_media_are_the_references(device: Device, other: str, tile: str) -> 
     assert deep < 1e-5
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("clip", [None, Plane((-0.4, -0.7, 0.3), (11, 10, 9))])
 def test_opaque_media_have_their_colors(device: Device, clip: Any) -> None:
     opaque = TransferFunction([(0, "black"), (0.5, "red")], [(0.4, 0), (0.5, 1)])
@@ -243,7 +244,7 @@ ALIKE: dict[str, Any] = {
 }
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(10)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("case", ALIKE)
 def test_media_of_one_kind_are_drawn_together_to_the_bit(
@@ -442,7 +443,7 @@ BRICKED: dict[str, tuple[Medium, ...]] = {
 }
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(9)
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("case", BRICKED)
 def test_bricks_change_no_bit(case: str, view: str, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -126,7 +126,7 @@ def test_a_surface_ends_where_samples_do(method: str, device: Device) -> None:
     assert abs(len(at) / (np.linalg.norm(disc, axis=1) < RADIUS).sum() - 1) < 0.05
 
 
-@pytest.mark.one_in(12)
+@pytest.mark.one_in(18)
 @pytest.mark.parametrize("filter", ["bspline3", "linear", "nearest"])
 @pytest.mark.parametrize("mode", [*MODES, "stepped"])
 def test_pictures_agree_with_the_reference_and_skipping_changes_no_bit(mode: str, filter: str, device: Device) -> None:
@@ -187,7 +187,7 @@ def test_a_linear_function_is_continued_almost_exactly(device: Device) -> None:
     assert errors["smooth"] > 0.15
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip", "mean"])
 def test_a_mask_is_as_good_as_nan(mode: str, device: Device) -> None:
     whole = np.arange(24 * 24 * 24, dtype=np.uint16).reshape(24, 24, 24) % 997
@@ -444,7 +444,7 @@ def _stored(kind: str, data: np.ndarray[Any, Any], folder: Path) -> tuple[Path, 
     return folder / "v.zarr", file, place
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("kind", ["zarr2", "zarr3", "sharded", "hdf5", "tiff"])
 def test_a_damaged_chunk_is_left_out_and_named(kind: str, device: Device, tmp_path: Path) -> None:
     """It made every picture of the store an error. Truth: the picture of the other samples in memory."""

@@ -29,6 +29,7 @@ def _shown(volume: clvol.Volume) -> clvol.TransferFunction:
     return own.with_opacity([(0, 0), (4, 0), (5, 0.4), (9, 0.4), (10, 0), (14, 0), (15, 1)])
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("spacing", [(1, 1, 1), (1, 1, 5)])
 def test_a_ball_is_where_it_is(device: Device, spacing: tuple[float, float, float]) -> None:
     """A ball in samples, within 0.11 of them (RMS), and normals in the world within 8 degrees (mean); from six sides."""

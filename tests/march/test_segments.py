@@ -109,7 +109,7 @@ def same(
 UNHURRIED = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 
 
-@pytest.mark.one_in(8)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize(("mode", "tile"), [*product(MODES, TILES)])
 @settings(deadline=None, max_examples=examples(60), suppress_health_check=UNHURRIED)
 @given(volume=volumes(), view=views(), boundary=st.sampled_from(RULES), shading=st.booleans())
@@ -179,7 +179,7 @@ def test_even_matter_is_skipped(device: Device) -> None:
     assert np.mean(got[np.isfinite(got)]) < 0.25
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(9)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("mode", MODES)
 def test_most_of_an_empty_volume_is_skipped(device: Device, mode: str, tile: str) -> None:

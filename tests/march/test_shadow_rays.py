@@ -25,6 +25,7 @@ def cuts(volume: Volume) -> list[Any]:
     return [Plane((1, 0.3, 0), (x + 2, y, z)), Corner((x - 1.5, y - 9, z - 1.0), (x + 0.5, y + 9, z + 9))]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("mode", MODES)
 def test_it_is_the_references(device: Device, mode: str) -> None:
     """Of translucent and opaque surfaces, cut open, in an oblique frame; but for pixels on the edges of shadows."""

@@ -148,12 +148,14 @@ def test_volumes(function: Callable[[Array], Array], sigma: float) -> None:
         assert chosen.sigma == pytest.approx(sigma, rel=0.1)
 
 
+@pytest.mark.one_in(2)
 @functions
 def test_larger_volumes(function: Callable[[Array], Array]) -> None:
     chosen = require_good(function, noisy(function, (72, 64, 80), 0.05))
     assert chosen.sigma == pytest.approx(0.05, rel=0.05)
 
 
+@pytest.mark.one_in(3)
 @functions
 @pytest.mark.parametrize("sigma", [0.05, 0.2])
 def test_images(function: Callable[[Array], Array], sigma: float) -> None:

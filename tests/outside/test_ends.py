@@ -141,6 +141,7 @@ def test_the_error_at_clip_planes_is_of_second_order(device: Device, camera: str
         assert order > 1.7, (name, order)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("tile", TILES)
 def test_a_thin_slab_has_its_opacity_wherever_it_lies(device: Device, tile: str) -> None:
     """0.2 voxel of matter that absorbs half of the light per voxel: 1 - 0.5^0.2 = 0.1294."""

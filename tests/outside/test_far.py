@@ -160,7 +160,7 @@ def test_cameras_as_far_as_float64_reaches_are_rejected(device: Device) -> None:
                 clvol.render(ball((0, 0, 0)), Camera.look_at(position, target), "mip", size=(8, 8), device=device)
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_long_axes_are_exact_or_rejected(device: Device, axis: int) -> None:
     """A ramp at the far end of an axis: its surface is at the isovalue within 1/64 voxel."""
@@ -184,6 +184,7 @@ def test_long_axes_are_exact_or_rejected(device: Device, axis: int) -> None:
         assert np.abs(got[there] - (n - 64 + 34.25)).max() < 1 / 64
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_samples_are_exact_on_axes_that_pictures_reject(device: Device, axis: int) -> None:
     n, shape = 2_000_000, [2, 2, 2]

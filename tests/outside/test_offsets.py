@@ -89,6 +89,7 @@ def test_a_constant_outside_moves_with_the_samples(device: Device, name: str, bo
                 assert_allclose(field(outside), value, rtol=0, atol=1e-6)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("offset", [PRESSURE, -1e12, 1e15], ids=str)
 @pytest.mark.parametrize("name", ["linear", "bspline3", "bspline5"])
 def test_double_precision_far_from_zero(device: Device, name: str, offset: float) -> None:
@@ -530,6 +531,7 @@ def test_sums_far_from_zero_keep_every_digit_that_samples_have(device: Device, h
         assert_allclose(found - 1e12, zoomed, rtol=0, atol=allowed)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("how", [None, "gaussian", "least-squares"])
 @pytest.mark.parametrize(("offset", "scale"), [(1e12, 1.0), (0.0, 1e300), (0.0, 1e-300), (3e9, None), (0.0, 1.0)])
 def test_arrays_of_dask_keep_what_one_array_keeps(device: Device, how: Any, offset: float, scale: float | None) -> None:

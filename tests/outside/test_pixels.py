@@ -57,7 +57,7 @@ def response(name: str, f: float) -> float:
     return float((k * np.cos(2 * np.pi * f * x)).sum() / k.sum())
 
 
-@pytest.mark.one_in(10)
+@pytest.mark.one_in(15)
 @pytest.mark.parametrize("f", [0.1, 0.25, 0.4, 0.8])
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline2-approx", "bspline3-approx", "mitchell", "catmull-rom", "lanczos3"])
 def test_waves_are_damped_by_the_filters_response(device: Device, name: str, f: float) -> None:

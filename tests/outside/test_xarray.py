@@ -230,7 +230,7 @@ def uneven(n: int, seed: int, low: float = 0.3) -> Array:
     return np.cumsum(np.random.default_rng(seed).uniform(low, 2, n))
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize(("name", "order"), [("bspline2", 2), ("bspline3", 3), ("bspline5", 5)])
 @pytest.mark.parametrize("lazy", [False, True], ids=["in memory", "dask"])
 def test_uneven_splines_match_scipy(name: str, order: int, lazy: bool) -> None:
