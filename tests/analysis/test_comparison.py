@@ -328,6 +328,7 @@ def finite(table: ErrorTable) -> bool:
     return all(v is None or isinstance(v, str) or np.isfinite(v) for row in table for v in vars(row).values())
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("source", [np.full((9, 9, 9), 3.0), np.zeros((20, 20)), lambda p: np.full(p.shape[0], 2.5)])
 def test_constant_data_give_values(source: Any) -> None:
     table = compare(source, [*filters(), EXACT_SINC], size=9, points=100, timing=False)
@@ -352,7 +353,7 @@ def test_units_of_the_data_change_nothing(unit: float) -> None:
             assert getattr(scaled, key) == (None if one is None else pytest.approx(one, rel=1e-6))
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 2), (3, 5), (1, 1, 1), (1, 7, 2), (2, 3, 4)])
 def test_data_smaller_than_the_filter_give_values(shape: tuple[int, ...]) -> None:
     data = np.random.default_rng(0).normal(size=shape)

@@ -32,6 +32,7 @@ def test_linear_by_its_closed_form() -> None:
     assert got.attenuation == pytest.approx(-40 * math.log10(abs(sinc_of(3 * math.pi / 2))), rel=1e-9)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", filters())
 def test_every_filter_has_bands_that_its_response_confirms(name: str) -> None:
     got = bands(name, 1.0)

@@ -25,7 +25,7 @@ KINDS = {
 }
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize("noise", KINDS)
 def test_advice_is_right_or_silent(noise: str) -> None:
     case = measure("balls", noise, TRUTHS["balls"], points=8000)
@@ -52,7 +52,7 @@ def of_size(noise: str, structure: str, size: int, axes: int, seed: int = 0) -> 
     return measure(structure, noise, TRUTHS[structure], size, seed, points=3000, axes=axes)
 
 
-@pytest.mark.one_in(10)
+@pytest.mark.one_in(17)
 @pytest.mark.parametrize("noise", SMALL)
 @pytest.mark.parametrize(("size", "axes", "seed"), [(24, 3, 0), (24, 3, 1), (32, 3, 0), (64, 2, 0), (64, 2, 1)])
 def test_advice_for_few_samples_is_right_or_silent(noise: str, size: int, axes: int, seed: int) -> None:
@@ -62,6 +62,7 @@ def test_advice_for_few_samples_is_right_or_silent(noise: str, size: int, axes: 
         assert case.advice.filter is None or noise not in DOUBTED, structure
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("size", "axes"), [(32, 3), (48, 3), (64, 2)])
 def test_white_noise_is_found_and_advised_on(size: int, axes: int) -> None:
     for noise in ("white .1", "white .3"):

@@ -62,6 +62,7 @@ def test_overshoot_by_hand(name: str, overshoot: float) -> None:
     assert metrics(name).overshoot == pytest.approx(overshoot, abs=1e-12)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", ["bspline3", "bspline5", "mitchell", "hybrid"])
 def test_a_filter_and_its_response_give_the_same(name: str) -> None:
     row, response = metrics(name), metrics(lambda w: frequency_response(name, w))

@@ -69,6 +69,7 @@ def test_the_error_at_jumps_is_that_of_a_step(name: str) -> None:
 # -- a volume -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_error_of_waves_is_the_error_kernel(name: str) -> None:
     """Waves along x: the expected error is Blu and Unser's kernel at their frequency."""
@@ -81,6 +82,7 @@ def test_the_error_of_waves_is_the_error_kernel(name: str) -> None:
     assert row.noise == 0
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "nearest"])
 def test_the_gradient_error_of_waves_is_the_error_kernel_of_derivatives(name: str) -> None:
     omega = 2 * np.pi * 5 / 32

@@ -130,7 +130,7 @@ def test_a_failed_chunk_is_read_again() -> None:
     np.testing.assert_array_equal(read[at], DATA[at])
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(10)
 @pytest.mark.parametrize("view", [(0, 0), (90, 0), (0, 90), (40, 20), (220, -20)])
 @pytest.mark.parametrize("chunks", [(1, 96, 96), (48, 4, 96)])
 def test_long_chunks_are_unpacked_once_per_picture(chunks: tuple[int, ...], view: tuple[float, float], device: Device) -> None:

@@ -80,6 +80,7 @@ CALLS: dict[str, Any] = {
 }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("call", CALLS)
 def test_results_match_the_whole_volume(call: str) -> None:
     found, truth = CALLS[call](lazy()), CALLS[call](VOLUME)
@@ -99,6 +100,7 @@ def test_a_few_points_read_a_few_bricks() -> None:
     np.testing.assert_allclose(values, clvol.sample(data.data[200:], [[20.5, 33.0, 80.1]]), rtol=0, atol=BOUND)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("call", CALLS)
 def test_volumes_whose_coefficients_do_not_fit(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """They are evaluated by bricks."""

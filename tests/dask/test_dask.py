@@ -210,7 +210,7 @@ CALLS: dict[str, Any] = {
 }
 
 
-@pytest.mark.one_in(34)
+@pytest.mark.one_in(68)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", CALLS)
 @given(data=st.data())
@@ -269,6 +269,7 @@ def test_booleans_are_computed_in_double_precision() -> None:
         assert np.abs(exact[got != wanted] - 1).max(initial=0) < 1e-12
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("mode", ["constant", "wrap"])
 def test_jumps_at_edges_keep_their_positions(mode: str) -> None:
     """Grids whose points lie on the outer samples, up to rounding."""
@@ -366,6 +367,7 @@ def test_zoomed_least_squares_is_bit_identical(kind: str) -> None:
 # -- pyramids ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("kind", "shape", "about"),
     [
@@ -506,6 +508,7 @@ def recorded(shape: tuple[int, ...], chunks: int, dtype: str = "f4") -> tuple[An
     return da.map_blocks(block, chunks=sizes, dtype=dtype, meta=np.empty((0,) * len(shape), dtype)), read
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", [*CALLS, "prefilter", "resample", "magnify", "spline_filter", "geometric_transform"])
 def test_nothing_is_read_before_compute(name: str) -> None:
     data, read = recorded((40, 40, 40), 8)

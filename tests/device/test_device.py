@@ -85,7 +85,7 @@ def test_a_failing_linker_is_an_error_not_an_abort(device: Device, tmp_path: Pat
     assert "binutils" in done.stdout
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("home", ["/dev/null", "/nonexistent/home", "read-only", None])
 def test_an_unwritable_home_is_no_error(device: Device, home: str | None, tmp_path: Path) -> None:
     if home == "read-only":

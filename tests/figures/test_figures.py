@@ -676,6 +676,7 @@ def test_every_figure_can_be_drawn_by_name() -> None:
             figures.draw(bad)  # type: ignore[arg-type]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf", ".jpg", ".tif"])
 def test_figures_are_written_by_suffix(tmp_path: Path, suffix: str) -> None:
     drawing = figures.draw("2", filters=("linear",))

@@ -246,7 +246,7 @@ def test_compare_reports_the_automatic_smoothing(device: Device) -> None:
     assert max(far[1:]) < 0.7 * far[0]
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("rule", ["mirror", "reflect", "wrap"])
 @pytest.mark.parametrize("mode", ["isosurface", "composite"])
 def test_compare_draws_the_exact_sinc(device: Device, rule: str, mode: str) -> None:

@@ -145,6 +145,7 @@ def test_what_made_it_has_nothing_left_open(folder: Path) -> None:
     assert isinstance(surface.options["mode"].isovalue, float)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("several", [False, True])
 def test_a_volume_that_is_read_by_bricks_is_again(tmp_path: Path, several: bool) -> None:
     pytest.importorskip("zarr")

@@ -65,7 +65,9 @@ print(json.dumps({"grown": peak() - before, "read": read, "dropped": dropped}))
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="Linux measures the peak")
-@pytest.mark.parametrize("stored", [None, (1, 256, 256)], ids=["parts", "planes"])
+@pytest.mark.parametrize(
+    "stored", [pytest.param(None, marks=pytest.mark.thorough, id="parts"), pytest.param((1, 256, 256), id="planes")]
+)
 def test_pictures_and_grids_of_a_volume_many_times_the_budget(stored: tuple[int, ...] | None, tmp_path: Path) -> None:
     """256³ of float32 are 64 MiB; bricks take more with margins, and are read again for each of three results."""
     script = tmp_path / "child.py"

@@ -404,7 +404,7 @@ def test_lines_are_independent(device: Device, dtype: str, axis: int) -> None:
     np.testing.assert_allclose(ndimage.shift(data, shift, mode="mirror", device=device), expected, atol=1e-12)
 
 
-@pytest.mark.one_in(8)
+@pytest.mark.one_in(16)
 @pytest.mark.parametrize("order", [1, 3])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("cval", [0.3, np.nan, np.inf])

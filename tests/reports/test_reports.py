@@ -194,7 +194,7 @@ def test_a_report_replaces_an_old_one(tmp_path: Path, device: Device) -> None:
 # -- data of any kind ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(
     "data",
     [np.full((9, 9, 9), 4.0), np.zeros((1, 1, 1)), np.arange(8.0).reshape(2, 2, 2), np.eye(6)[:, :, None] * np.ones(3)],

@@ -207,6 +207,7 @@ EVERYTHING: dict[str, Any] = {
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("background", ["black", "white", "#808080", "red", None])
 def test_everything_is_read_on_every_background(background: str | None) -> None:
     made = clvol.render(volume(), size=SIZE, background=background, **EVERYTHING)

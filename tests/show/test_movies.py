@@ -116,6 +116,7 @@ def test_without_an_encoder_the_error_names_the_extra(monkeypatch: pytest.Monkey
 # -- the command ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.usefixtures("device")
 @pytest.mark.parametrize("form", FORMS)
 def test_the_command(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -192,7 +193,7 @@ def test_invalid_movies_are_rejected(
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 @pytest.mark.usefixtures("device")
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("form", FORMS)
 def test_an_interrupt_leaves_nothing(form: str, tmp_path: Path) -> None:
     code = f"""

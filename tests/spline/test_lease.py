@@ -98,6 +98,7 @@ def closing(close: Callable[[], None], *, in_thread: bool) -> Callable[[float], 
     return report
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("in_thread", [False, True], ids=["callback", "thread"])
 def test_a_renderer_closed_during_a_picture(device: Device, in_thread: bool) -> None:
     with Renderer(DATA, "bspline3", device=device) as other:
@@ -111,6 +112,7 @@ def test_a_renderer_closed_during_a_picture(device: Device, in_thread: bool) -> 
         renderer.render(**VIEW)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("in_thread", [False, True], ids=["callback", "thread"])
 def test_a_field_closed_during_rendering_and_sampling(device: Device, in_thread: bool) -> None:
     field = Field(DATA, device=device)

@@ -111,7 +111,7 @@ def test_coefficients_of_smoothing_splines(device: Device, name: str, rule: str)
         np.testing.assert_allclose(prefilter(data, name, rule, device), wanted, rtol=0, atol=allowed * largest)
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize(
     ("name", "error"),
     [("bspline2(30)", 2e-5), ("bspline3(100)", 2e-5), ("bspline3(1e5)", 1e-4), ("bspline5(1e3)", 2e-5), ("bspline5(1e5)", 5e-4)],

@@ -40,7 +40,7 @@ def matrix(filter: str, boundary: str, n: int, m: int, start: float, step: float
 # -- the weights -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(11)
 @pytest.mark.parametrize("boundary", ["mirror", "reflect", "wrap"])
 @pytest.mark.parametrize("filter", FILTERS)
 def test_the_result_is_the_least_squares_solution(filter: str, boundary: str) -> None:
@@ -184,6 +184,7 @@ def test_double_precision_is_rejected_where_it_is_unsupported(device: Device, mo
 # -- volumes -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("kind", ["u1", ">i2", "f4", ">f8"])
 @pytest.mark.parametrize("filter", ["linear", "bspline3"])
 def test_a_volume_is_reduced_along_each_axis(filter: str, kind: str, device: Device) -> None:

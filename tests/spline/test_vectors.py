@@ -24,6 +24,7 @@ def rotation(device: Device, n: int = 33) -> clvol.VectorField:
     return clvol.VectorField(parts, device=device)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("shape", "row", "boundary", "precision"),
     [

@@ -59,7 +59,7 @@ def copied(client: Client, volume: Volume) -> NDArray[np.uint8]:
     return to_bytes(space["picture"])[..., :3]
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize(
     "look",
     [

@@ -122,6 +122,7 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("look", LOOKS)
 def test_the_still_picture_matches_the_copied_program(client: Client, volume: Volume, look: str) -> None:
     client.set(**LOOKS[look])

@@ -56,6 +56,7 @@ def test_a_preview_comes_first_and_facts_after_it(client: Client) -> None:
     assert kinds.index(("frame", False)) < kinds.index(("state", True))
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("mode", ["isosurface", "composite", "mip"])
 def test_a_preview_has_the_placement_and_look_of_the_volume(volume: Volume, device: Device, mode: str) -> None:
     resident = Resident(volume, device=device, mode=mode)

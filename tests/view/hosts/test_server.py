@@ -894,6 +894,7 @@ def test_the_command_renders_and_ctrl_c_stops_it(device: Device) -> None:
         visit_url(command.url, work)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_the_command_can_be_stopped_while_reading(by: int) -> None:
     slow = "import clvol, time; clvol.phantoms.by_name = lambda name: time.sleep(60)"
