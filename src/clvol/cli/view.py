@@ -164,6 +164,7 @@ def view(
         key=key,
         limits=Limits(clients=clients, idle=60 * idle),
         doing=f"reading {Path(name).name}",
+        folder=Path(name).absolute().parent if Path(name).exists() else None,
     )
 
     def failed(error: BaseException) -> bool:

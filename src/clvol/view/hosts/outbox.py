@@ -32,6 +32,8 @@ class Limits:
         Messages per second that are read from one client, and how many at once; more wait in its connection.
     flood : float
         Seconds for which it may send more than that before it is disconnected.
+    upload : int
+        Bytes of the longest file that a page may send.
     waiting : int
         Bytes that may wait for one client, pictures that it asked for included.
     messages : int
@@ -47,13 +49,14 @@ class Limits:
     rate: float = 500.0
     burst: float = 1000.0
     flood: float = 10.0
+    upload: int = 1 << 30
     waiting: int = 64 << 20
     messages: int = 256
     idle: float = 1800.0
     stuck: float = 30.0
 
     def __post_init__(self) -> None:
-        for name in ("clients", "message", "waiting", "messages"):
+        for name in ("clients", "message", "upload", "waiting", "messages"):
             whole(name, getattr(self, name), minimum=1)
         for name in ("rate", "burst", "flood", "idle", "stuck"):
             number(name, getattr(self, name), above=0)

@@ -1,7 +1,8 @@
 """A view as a page of a web server: the page's files, and a websocket for each client.
 
 By default it listens on this machine only. Clients prove that they may look by a random token: once in the address, then by a
-cookie (`clvol.view.hosts.access`). No path of a request is ever opened: there is a table of the package's own files.
+cookie (`clvol.view.hosts.access`). No path of a request is opened: there is a table of the package's own files, and volumes come
+from one folder that the server's user gave, or from a browser (`clvol.view.hosts.files`).
 
 On the wire each message is one JSON text; where bytes follow it, it says how many (``"bytes"``), and they are the next message.
 
@@ -14,6 +15,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import socket
 import ssl
 import threading
@@ -28,6 +30,7 @@ from clvol.base.errors import ClvolError, MissingDependencyError, OptionError
 from clvol.view.background import Result, started
 from clvol.view.hosts.access import Access, Refused, from_another_site, is_any, is_loopback
 from clvol.view.hosts.assets import asset
+from clvol.view.hosts.files import Files
 from clvol.view.hosts.outbox import Limits, Outbox, Rate
 from clvol.view.protocol import Message, Receiver, SessionFactory, status
 
@@ -218,6 +221,8 @@ class Server:
         What clients may cost.
     doing : str
         A status for clients while the view is made.
+    folder : path, optional
+        Volumes below it may be opened by pages as further layers; none by default. What a browser sends may be shown in any case.
     """
 
     def __init__(
@@ -233,6 +238,7 @@ class Server:
         key: str | Path | None = None,
         limits: Limits | None = None,
         doing: str = "reading the volume",
+        folder: str | os.PathLike[str] | None = None,
     ) -> None:
         self.host, self.port = host, whole("port", port, minimum=0, maximum=65535)
         self.limits, self.doing = limits or Limits(), doing
@@ -240,7 +246,7 @@ class Server:
         self._access = Access(host, names)
         self._root = _as_root(root_path)
         self._tls = _tls(certificate, key)
-        self._files = _static()
+        self._files, self._shelf = _static(), Files(folder, self.limits)
         self._headers = _headers([*map(_as_ancestor, frame_ancestors)])
         self._clients: set[_Client] = set()
         self._rest: asyncio.TimerHandle | None = None
@@ -334,12 +340,13 @@ class Server:
 
     async def _routed(self, request: web.BaseRequest) -> web.StreamResponse:
         self._access.check(request)
-        if request.method not in ("GET", "HEAD"):
-            raise Refused(405, "only GET is allowed here")
         path = request.rel_url.raw_path
         if self._root and (path == self._root or path.startswith(f"{self._root}/")):
             path = path[len(self._root) :]
-        given = request.query.get("token")
+        sends = request.method == "POST" and path in ("/open", "/upload")
+        if request.method not in ("GET", "HEAD") and not sends:
+            raise Refused(405, "only GET is allowed here")
+        given = None if sends else request.query.get("token")
         if given is not None:
             return self._let_in(request, given)
         if not self._access.has_cookie(request, self._cookie):
@@ -349,10 +356,30 @@ class Server:
         name = "index.html" if path == "/" else path[1:]
         if name == "ws":
             return await self._connect(request)
+        if name == "files" or sends:
+            return await self._layered(request, name)
         found = self._files.get(name)
         if found is None:
             raise Refused(404, "there is no such page")
         return self._response(*found)
+
+    async def _layered(self, request: web.BaseRequest, name: str) -> web.Response:
+        """List files, or show one as a layer."""
+        if not self.opened.done():
+            raise Refused(503, self.doing)
+        try:
+            view = self.opened.result()
+            if not hasattr(view, "layers"):
+                raise Refused(404, "this view takes no files")
+            if name == "files":
+                answer = await self._shelf.listed()
+            else:
+                answer = await (self._shelf.opened if name == "open" else self._shelf.received)(request, view)
+        except Refused:
+            raise
+        except Exception as error:
+            raise Refused(422, said(error)) from error
+        return self._response(json.dumps(answer).encode(), "application/json")
 
     def _let_in(self, request: web.BaseRequest, given: str) -> web.Response:
         """Exchange the token for a cookie, and go to the address without the token."""

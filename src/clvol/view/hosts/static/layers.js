@@ -7,12 +7,17 @@ class Layers {
     this.about = [];
     this.rows = [];
     this.list = make("ul", { class: "clvol-layers", "aria-label": "layers" });
-    this.element = section("Layers", true, this.list);
+    this.opening = viewer.opens ? new Opening(viewer) : null;
+    this.element = section("Layers", true, this.list, this.opening?.element);
     this.element.hidden = true;
   }
 
+  close() {
+    this.opening?.close();
+  }
+
   tell({ media = [], colormaps = [] }) {
-    this.element.hidden = media.length < 2;
+    this.element.hidden = media.length < 2 && !this.opening;
     if (same(media, this.about)) return;
     this.about = media;
     this.rows = media.map((about, k) => this.rowOf(about, k, colormaps));

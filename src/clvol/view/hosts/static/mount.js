@@ -24,7 +24,7 @@ export function mount(element, channel, options = {}) {
 /** The page of `clvol view`: a websocket, with a JSON header before the bytes of each frame. */
 export function page(element) {
   const socket = new Socket(element.dataset.socket || "ws");
-  const viewer = mount(element, socket, { onLink: (text) => new URL(text.slice(text.indexOf("#")), location.href).href });
+  const viewer = mount(element, socket, { opens: true, onLink: (text) => new URL(text.slice(text.indexOf("#")), location.href).href });
   const address = new Address(viewer);
   const anew = renewal(viewer);
   viewer.line.parentElement.after(anew);

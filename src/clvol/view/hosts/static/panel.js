@@ -194,6 +194,7 @@ class Panel {
     this.transfer.close();
     this.joint.close();
     this.labels.close();
+    this.layers.close();
   }
 
   /** Sets one field as soon as a control changes. */

@@ -1,8 +1,8 @@
 // -- the viewer: panes, panel, and the channel to the session ----------------------------------------------------
 
 class Viewer {
-  constructor(element, channel, { embedded = false, onLink = null } = {}) {
-    Object.assign(this, { channel, embedded, onLink });
+  constructor(element, channel, { embedded = false, onLink = null, opens = false } = {}) {
+    Object.assign(this, { channel, embedded, onLink, opens });
     this.info = null;
     this.state = null;
     this.confirmed = null; // the session's last state
@@ -28,6 +28,7 @@ class Viewer {
     this.inner = make("div", { class: "clvol-frame" }, stage, this.panel.element);
     this.root = make("div", { class: `clvol${embedded ? " clvol-embedded" : ""}` }, this.inner);
     this.keys = new Keys(this);
+    this.panel.layers.opening?.listen(this.root);
     for (const type of ["pointerdown", "keydown"]) this.root.addEventListener(type, () => this.noted && this.note(""), true);
     element.replaceChildren(this.root);
     channel.onmessage = (message, data) => this.receive(message, data);
