@@ -25,6 +25,7 @@ from clvol.view.post import Gone
 from clvol.view.protocol import Change, Request
 from clvol.view.resident import Resident
 from clvol.view.state import name_of
+from clvol.view.updates import Updates
 
 __all__ = ["Parts", "action_of", "copied", "pixels_of"]
 
@@ -43,6 +44,7 @@ class Parts:
     resident: Resident
     control: Control
     drawer: Drawer
+    updates: Updates
     status: Callable[[str, str], None]
     closed: Callable[[], bool]
 
@@ -86,6 +88,12 @@ def _joint(parts: Parts, request: Request) -> Answer:  # noqa: ARG001  # it take
 
 def _remove_layer(parts: Parts, request: Request) -> Answer:
     parts.resident.layers.remove(whole("layer", request.arguments.get("layer"), 1, MOST_MEDIA))
+    return {}, None
+
+
+def _curve(parts: Parts, request: Request) -> Answer:
+    """From now on, or no longer, the values at the crosshair along a series."""
+    parts.updates.curves = bool(request.arguments.get("on"))
     return {}, None
 
 
@@ -170,4 +178,5 @@ _TABLE: Mapping[str, Callable[[Parts, Request], Answer]] = {
     "labels": _labels,
     "joint": _joint,
     "remove_layer": _remove_layer,
+    "curve": _curve,
 }

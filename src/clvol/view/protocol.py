@@ -10,8 +10,8 @@ From the client:
   The number comes back as "heard" with states that include the change, so that a client that has sent more shows that.
 - `{"type": "do", "what": "...", "id": ..., ...}`: answered by a `reply` with that id. `save_picture` (width, height, pane) gives a
   PNG; `movie` (width, height, frames, format: "gif", "mp4", "webm" or "zip" of PNG) a file; `pick` (x, y, pane) what lies there;
-  a double click gives such a reply without an id. `restore` (url) shows the state of an address. `joint` gives a "transfer" of
-  value and gradient to begin with.
+  a double click gives such a reply without an id. `restore` (url) shows the state of an address. `curve` (on) has the values at the
+  crosshair along a series sent whenever they change. `joint` gives a "transfer" of value and gradient to begin with.
 - `{"type": "hover", "pane", "x", "y"}`: the pointer rests or moves there, in CSS pixels; without "pane" it has left. Only the last
   counts, it interrupts no picture, and is answered by a `readout`.
 - `{"type": "ack", "frame": number}`: the client has shown a frame.
@@ -34,6 +34,8 @@ To the client:
 - `{"type": "wiper", "errors": {...} | null}`: the measured error of both filters (`clvol.view.wiper`); null until it is known.
 - `{"type": "joint", "values": [low, high], "steepest", "image"}`: how often which value and gradient occur, where the transfer
   function is of both; `image` is a PNG as a data URL, opaque where they are frequent, the steepest at its top.
+- `{"type": "curve", "axis", "position", "values": [...]}`, or with a "problem": the values at the crosshair of all volumes along an
+  axis, null where samples are not finite.
 - `info`, `stats`, `status` ("text", and "kind": "info", "busy", "warning" or "error") and `reply`.
 """
 

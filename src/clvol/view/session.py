@@ -51,7 +51,7 @@ class Session:
         resident.layers.watch(post)
         self._notices = Notices(post.tell)
         self._updates = Updates(resident, self._control, post.background, post.tell, self._notices, post.is_closed)
-        self._parts = actions.Parts(resident, self._control, self._drawer, self._doing, post.is_closed)
+        self._parts = actions.Parts(resident, self._control, self._drawer, self._updates, self._doing, post.is_closed)
         self._pictures = Pictures(resident, self._control, self._drawer, self._updates, self._notices, post)
         self._readout = Readout(self._control, post)
         self._lost_at: State | None = None  # the state in which the device failed
@@ -185,6 +185,7 @@ class Session:
         self._guarded(self._updates.volume)  # once, however many steps along an axis came: only the last is drawn
         if self._control.inputs.drag is None and not self._control.moving:
             self._updates.state()
+            self._updates.curve()
         self._updates.overlays()
 
     def _handle(self, received: Mapping[str, Any]) -> None:

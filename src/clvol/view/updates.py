@@ -14,6 +14,7 @@ from clvol.view import events, wiper
 from clvol.view.background import Background
 from clvol.view.catalog import Which
 from clvol.view.control import Control
+from clvol.view.curve import curve, what_curve
 from clvol.view.drawing import Shot, png, share_visited
 from clvol.view.notices import Notices
 from clvol.view.panes import Pane3D, bounds, traces, visible
@@ -45,6 +46,8 @@ class Updates:
         self._send, self._notices, self._closed = send, notices, closed
         self.heard: int | None = None
         """The number of the last change."""
+        self.curves = False
+        """Whether the client shows values along a series."""
         self.complete = False
         """Whether the last state was sent with all that follows from the volume."""
         self._state: Any = None
@@ -119,6 +122,18 @@ class Updates:
         self._notices.put("samples", *(_SKETCHED if shot.few else _COARSER if shot.coarser else _COMPLETE))
         if not self.complete:
             self.find_facts()
+
+    def curve(self) -> None:
+        """The values at the crosshair along a series, if the client wants them and they may have changed."""
+        state, resident, background = self._control.state, self._resident, self._background
+        if not self.curves or (what := what_curve(resident, state)) is None:
+            return
+        key = "curve", *what
+        background.submit(
+            key,
+            lambda: curve(resident, state, lambda: self._closed() or not background.asked(key)),
+            lambda reason: {"type": "curve", "axis": what[0], "problem": reason},
+        )
 
     @property
     def finding_facts(self) -> bool:

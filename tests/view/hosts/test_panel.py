@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -235,6 +236,25 @@ def test_times_are_played_one_after_the_other(browser: Browser, cells: Watched) 
     assert played[:11] == [*range(1, 9), 0, 1, 2]
     click(browser, "document.querySelector('.clvol-buttons button')")
     browser.wait(lambda: cells.last.state.index == {}, what="the state before")
+    assert not browser.console()
+
+
+def test_the_curve_of_the_crosshair_follows_it_and_is_clicked(browser: Browser, cells: Watched) -> None:
+    plot, caption = ".clvol-series", "document.querySelector('.clvol-series + .clvol-note').textContent"
+    click(browser, "document.querySelector('.clvol-more summary')")
+    browser.wait(lambda: browser.js(f"return {caption}").startswith("time 0: "), what="the curve")
+    path = "document.querySelector('.clvol-series path').getAttribute('d')"
+    first = browser.js(f"return {path}")
+    assert first.count("L") == 8
+    cells.state = replace(cells.state, crosshair=(4.0, 8.0, 8.0))  # the ball comes from there
+    browser.wait(lambda: browser.js(f"return {path}") != first, what="another curve")
+    left, top, width, height = browser.box(plot)
+    browser.js(f"document.querySelector('{plot}').scrollIntoView()")
+    left, top, width, height = browser.box(plot)
+    browser.mouse("mousePressed", left + 0.75 * width, top + height / 2)
+    browser.mouse("mouseReleased", left + 0.75 * width, top + height / 2)
+    browser.wait(lambda: cells.last.state.index.get("time") == 6)
+    browser.wait(lambda: browser.js(f"return {caption}").startswith("time 6: "))
     assert not browser.console()
 
 

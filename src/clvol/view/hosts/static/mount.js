@@ -34,6 +34,7 @@ export function page(element) {
     for (const pane of viewer.panes.values()) pane.latest = 0;
     if (viewer.state) viewer.setAll(); // from before the connection was lost
     else address.begin();
+    viewer.panel.axes.series.begin();
     for (const pane of viewer.panes.values()) pane.resized();
   };
   socket.onlost = (words, how) => {

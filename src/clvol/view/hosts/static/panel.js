@@ -157,6 +157,7 @@ class Axes {
 
   show({ index }) {
     this.about.forEach(({ axis, first }, i) => this.controls[i].show(index[axis] ?? first));
+    this.series.draw();
   }
 }
 

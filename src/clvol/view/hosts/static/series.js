@@ -2,6 +2,7 @@
 
 const RATES = [1, 2, 5, 10, 15, 20, 25, 30]; // volumes a second
 const RATE = 10;
+const PLOTTED = [280, 90]; // width and height of the curve, in its own units
 const COUNTED = 12; // steps by which the rate is measured that is reached
 
 /** Shows one volume after the other along an axis, and begins again after the last. The next one waits for all panes to show the last. */
@@ -16,8 +17,16 @@ class Series {
     this.rate = make("select", { "aria-label": "volumes a second", title: "volumes a second", onchange: () => this.tellRate() });
     this.rate.append(...RATES.map((rate) => new Option(`${rate} a second`, rate, rate === RATE, rate === RATE)));
     this.note = make("span", { class: "clvol-note" });
-    this.element = make("div", { class: "clvol-buttons" }, this.button, this.rate, this.note);
+    this.plot = make("svg", { class: "clvol-graph clvol-series", viewBox: `0 0 ${PLOTTED.join(" ")}`, role: "img", preserveAspectRatio: "none" });
+    this.plot.addEventListener("pointerdown", (event) => this.seek(event));
+    this.caption = make("p", { class: "clvol-note" });
+    const more = make("details", { class: "clvol-more" }, make("summary", {}, "Values at the crosshair"), this.plot, this.caption);
+    more.addEventListener("toggle", () => this.listen(more.open));
+    this.more = more;
+    const bar = make("div", { class: "clvol-buttons" }, this.button, this.rate, this.note);
+    this.element = make("div", {}, bar, more);
     this.element.hidden = true;
+    this.curve = null; // the session's message
   }
 
   close() {
@@ -30,6 +39,53 @@ class Series {
     this.element.hidden = !this.about;
     if (!this.about) this.close();
     else this.tellRate();
+  }
+
+  /** Has the session send the curve, or no longer. */
+  listen(on) {
+    this.viewer.ask("curve", { on }).catch(() => {}); // the error is shown
+  }
+
+  /** A session that has just begun does not know that the curve is wanted. */
+  begin() {
+    if (this.more.open) this.listen(true);
+  }
+
+  tellCurve(curve) {
+    this.curve = curve;
+    this.draw();
+  }
+
+  /** The curve, with a line at the place that is shown. */
+  draw() {
+    const { curve } = this;
+    if (!curve || !this.about || !this.viewer.state) return;
+    const values = curve.values ?? [];
+    const known = values.filter((value) => value !== null);
+    const [low, high] = [Math.min(...known), Math.max(...known)];
+    const [width, height] = PLOTTED;
+    const x = (at) => (values.length > 1 ? 4 + ((width - 8) * at) / (values.length - 1) : width / 2);
+    const y = (value) => (high > low ? height - 5 - ((height - 10) * (value - low)) / (high - low) : height / 2);
+    const line = values.map((value, at) => (value === null ? "" : `${at && values[at - 1] !== null ? "L" : "M"}${x(at).toFixed(2)} ${y(value).toFixed(2)}`));
+    const here = make("line", { class: "clvol-here", x1: x(this.place), x2: x(this.place), y1: 0, y2: height });
+    this.plot.replaceChildren(here, make("path", { class: "clvol-curve", d: line.join("") }));
+    const value = values[this.place];
+    const where = curve.position ? ` at (${curve.position.map((c) => short(c, 4)).join(", ")})` : "";
+    const text = curve.problem ?? `${this.about.axis} ${this.place}: ${short(value, 5)}; from ${short(low)} to ${short(high)}${where}`;
+    this.caption.textContent = text;
+    this.plot.setAttribute("aria-label", `values along ${this.about.axis}; ${text}`);
+  }
+
+  /** Shows the volume whose value was clicked. */
+  seek(event) {
+    const show = (other, live) => {
+      const { left, width } = this.plot.getBoundingClientRect();
+      const share = ((other.clientX - left) / width) * PLOTTED[0];
+      const at = Math.round(((share - 4) / (PLOTTED[0] - 8)) * (this.about.count - 1));
+      this.viewer.set({ [`index.${this.about.axis}`]: clamp(at, 0, this.about.count - 1) }, live);
+    };
+    drag(event, this.plot, (other) => show(other, true), (other) => show(other, false));
+    show(event, true);
   }
 
   get place() {

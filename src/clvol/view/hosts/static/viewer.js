@@ -64,6 +64,7 @@ class Viewer {
     else if (message.type === "reply") this.reply(message, data);
     else if (message.type === "overlay") this.overlay(message);
     else if (message.type === "readout") for (const pane of this.panes.values()) pane.readout.show(pane.name === message.pane ? message : null);
+    else if (message.type === "curve") this.panel.axes.series.tellCurve(message);
     else if (message.type === "joint") this.panel.joint.tell(message);
     else if (message.type === "wiper") this.compared(message.errors);
   }
