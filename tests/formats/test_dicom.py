@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clvol import ClvolWarning, DataError, FormatError, read, read_all
+from clvol import ClvolWarning, DataError, FormatError, formats, read, read_all
 
 pydicom = pytest.importorskip("pydicom")
 pixels = pytest.importorskip("pydicom.pixels")
@@ -539,3 +539,44 @@ def test_slices_that_say_where_they_lie_in_other_words(tmp_path: Path) -> None:
     times = [{"FrameContentSequence": [item(TemporalPositionIndex=k + 1)]} for k in range(3)]
     save(tmp_path / "times.dcm", data, **frames(3, lambda k: at(7.0) | times[k]))
     assert read_all(tmp_path / "times.dcm").shape == (3, 1, *SHAPE)
+
+
+# -- folders below the one that is given -------------------------------------------------------------------------
+
+
+def test_the_only_folder_of_images_below_one_is_read_and_named(tmp_path: Path) -> None:
+    disc = tmp_path / "disc"
+    data = stack(disc / "study" / "head")
+    (disc / "viewer").mkdir()
+    (disc / "viewer" / "readme.txt").write_text("no image")
+    with pytest.warns(ClvolWarning, match="disc holds no DICOM images itself; the series in study/head was read"):
+        assert np.array_equal(read(disc).data, data)
+    directory = item(SOPClassUID="1.2.840.10008.1.3.10", SOPInstanceUID="1.2.9")
+    directory.file_meta = pydicom.dataset.FileMetaDataset()
+    directory.file_meta.TransferSyntaxUID, directory.file_meta.MediaStorageSOPClassUID = LITTLE, directory.SOPClassUID
+    directory.file_meta.MediaStorageSOPInstanceUID = directory.SOPInstanceUID
+    directory.save_as(disc / "DICOMDIR", enforce_file_format=True)
+    assert np.array_equal(read(disc, series=0).data, data)
+
+
+def test_several_folders_of_images_are_listed_and_one_is_chosen(tmp_path: Path) -> None:
+    one = stack(tmp_path / "a" / "ct", SeriesDescription="head")
+    other = stack(tmp_path / "b", 4, dtype="uint16", SeriesInstanceUID="1.2.4", Modality="MR")
+    stack(tmp_path / "copy" / "ct", SeriesDescription="head")
+    with pytest.raises(DataError, match=r"holds 3 series: 0: .*MR, 4 files, in b.*choose one by series=") as error:
+        read(tmp_path)
+    assert all(f"in {where}" in str(error.value) for where in ("a/ct", "copy/ct"))
+    assert [one.id for one in formats.series_of(tmp_path)] == ["1.2.4", "a/ct/1.2.3", "copy/ct/1.2.3"]
+    assert np.array_equal(read(tmp_path, series="1.2.4").data, other)
+    assert np.array_equal(read(tmp_path, series="a/ct/1.2.3").data, one)
+
+
+def test_folders_without_images_below_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    with pytest.raises(FormatError, match="a folder must hold DICOM files, itself or in folders below it"):
+        read(tmp_path)
+    for n in range(501):
+        (tmp_path / f"b{n}").mkdir()
+    stack(tmp_path / "a", 1)
+    with pytest.raises(FormatError, match="at most 500 folders below it"):
+        read(tmp_path)

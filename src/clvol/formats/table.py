@@ -63,6 +63,8 @@ class Format:
         Lists the images of a file or folder, as a tuple of `Series`, if ``series=`` chooses one.
     file, folder : callable or None
         Recognise a file by its content, where its suffix is unknown or that of another format too; or a folder.
+    below : callable or None
+        Recognise a folder by the folders below it, where its own files are of no format.
     native : tuple of str
         Modules with native code that read it: in another process, which imports them, unless the file is trusted. Empty: Python
         and NumPy read it in this process.
@@ -76,6 +78,7 @@ class Format:
     series: Callable[[Path], tuple[Series, ...]] | None = None
     file: Callable[[Path], bool] | None = None
     folder: Callable[[Path], bool] | None = None
+    below: Callable[[Path], bool] | None = None
     native: tuple[str, ...] = ()
 
     @property
@@ -110,7 +113,16 @@ FORMATS = (
     _of(mgz, "FreeSurfer MGH", ".mgh", ".mgz"),
     _of(mrc, "MRC", *(f".{kind}{packed}" for kind in ("mrc", "mrcs", "map", "ccp4") for packed in ("", ".gz")), file=mrc.is_file),
     _of(zarr, "Zarr", ".zarr.zip", ".ozx", ".zip", folder=zarr.is_one, native=("zarr",)),
-    _of(dicom, "DICOM", *dicom.SUFFIXES, series=dicom.series_of, file=dicom.is_file, folder=dicom.is_folder, native=_DICOM),
+    Format(
+        "DICOM",
+        dicom.SUFFIXES,
+        dicom.read,
+        series=dicom.series_of,
+        file=dicom.is_file,
+        folder=dicom.is_folder,
+        below=dicom.is_above,
+        native=_DICOM,
+    ),
     _of(tiff, "TIFF stack", ".tif", ".tiff", native=("tifffile",)),
     _of(minc, "MINC", ".mnc", file=minc.is_file, native=("h5py",)),
     _of(hdf5, "HDF5", ".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".vtkhdf", file=hdf5.is_file, native=("h5py",)),
@@ -124,7 +136,7 @@ FORMATS = (
     _of(raw, "raw samples", ".raw", ".bin"),
 )
 
-_FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
+_FOLDERS = "DICOM files, itself or in folders below it, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
 _SAMPLED = "clvol.Volume(pyvista.ImageData(...).sample(pyvista.read(path)))"
 _ROUTES = {
     "clvol.Volume(nibabel.load(path))": ".par .rec .head .brik .brik.gz .nii.bz2 .nii.zst .img.bz2 .mnc.gz .mgh.gz",
@@ -148,6 +160,7 @@ def format_of(path: Path) -> Format:
             raise FormatError(f"cannot read {path}: there is no such file or folder")
         if path.is_dir():
             found = next((f for f in FORMATS if f.folder is not None and f.folder(path)), None)
+            found = found or next((f for f in FORMATS if f.below is not None and f.below(path)), None)
             if found is None:
                 raise FormatError(f"cannot read {path}: a folder must hold {_FOLDERS}; this one holds {_holdings(path)}")
             return found

@@ -5,7 +5,6 @@ Source: DICOM PS3.3, A.51 and C.8.20 (segmentations).
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from clvol.base.errors import FormatError, OptionError
-from clvol.formats._choice import Choice, Pick, Series, chosen_series
+from clvol.formats._choice import Choice, Pick, Series
 from clvol.formats._errors import foreign_errors
-from clvol.formats.dicom.header import ROOT, SUFFIXES, Frame, frames_of, has_pictures, leniently, names_of, numbers_of, read_header
+from clvol.formats.dicom.folders import files_in, files_of, is_above, is_file, is_folder, series_in
+from clvol.formats.dicom.header import ROOT, SUFFIXES, Frame, frames_of, leniently, names_of, numbers_of, read_header
 from clvol.formats.dicom.samples import decoded, samples_of
 from clvol.formats.dicom.stack import finite, geometry_of, grid_of, order_of, require_alike, spread_out
 from clvol.formats.guarded.limits import announce
@@ -23,87 +23,29 @@ from clvol.formats.guarded.messages import empty
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
-__all__ = ["SUFFIXES", "is_file", "is_folder", "read", "series_of"]
+__all__ = ["SUFFIXES", "is_above", "is_file", "is_folder", "read", "series_of"]
 
 _SEGMENTATION = ROOT + "5.1.4.1.1.66.4"
-_LISTED = (
-    "SOPClassUID",
-    "SeriesInstanceUID",
-    "SeriesNumber",
-    "Modality",
-    "SeriesDescription",
-    "SpecificCharacterSet",
-    "Rows",
-    "Columns",
-)
 _STACKED = ("CT", "MR", "PT")  # modalities whose slices make volumes
 
 
-def is_file(path: Path) -> bool:
-    """Whether a file says that it is DICOM."""
-    with path.open("rb") as stream:
-        return stream.read(132)[128:] == b"DICM"
-
-
-def is_folder(path: Path) -> bool:
-    """Whether a folder holds DICOM files itself, not in folders below."""
-    return any(file.suffix.lower() in SUFFIXES or is_file(file) for file in _files(path))
-
-
-def _files(path: Path) -> list[Path]:
-    """Those in a folder that may be slices, by their names; systems leave hidden files beside them, such as ._1.dcm."""
-    return sorted(file for file in path.iterdir() if not file.name.startswith(".") and file.is_file())
-
-
 def series_of(path: Path) -> tuple[Series, ...]:
-    """The series in a folder, by their numbers; none of a file, which holds one."""
+    """The series in a folder or in those below it, by their numbers; none of a file, which holds one."""
     if not path.is_dir():
         return ()
     with foreign_errors(f"read {path}"), leniently(path):
-        return tuple(_found(path))
+        return tuple(series_in(path))
 
 
 def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
     """The slices of one series, ordered by where they lie in the patient and not by their names; or those of one file."""
     with foreign_errors(f"read {path}"), leniently(path):
         if path.is_dir():
-            files = _series(path, series)
+            files = files_of(path, series)
             return _volumes(path, files, choose, alone=len(files) == 1)
         if series is not None:
             raise OptionError(f"series is for a folder of DICOM files; {path.name} is one file")
         return _volumes(path, [path], choose)
-
-
-def _found(path: Path) -> dict[Series, list[Path]]:
-    """The files of each series in a folder, the series by their numbers."""
-    files: dict[str, list[Path]] = defaultdict(list)
-    firsts: dict[str, Any] = {}
-    for file in _files(path):
-        if file.suffix.lower() in SUFFIXES or is_file(file):
-            header = read_header(file, *_LISTED)
-            if has_pictures(header):
-                if "Rows" not in header or "Columns" not in header:
-                    raise FormatError(f"{path} must hold sound DICOM files; {file.name} is damaged or cut short")
-                uid = str(header.get("SeriesInstanceUID") or "")
-                files[uid].append(file)
-                firsts.setdefault(uid, header)
-    if not files:
-        raise FormatError(f"{path} must be a folder that holds DICOM files itself (not in folders below); found none with pictures")
-    found = {}
-    for uid in sorted(files, key=lambda uid: (finite(numbers_of(firsts[uid], "SeriesNumber")[:1]), uid)):
-        count = len(files[uid])
-        text = ", ".join(filter(None, (*names_of(firsts[uid]), f"{count} file{'s' * (count > 1)}")))
-        found[Series(uid, text)] = files[uid]
-    return found
-
-
-def _series(path: Path, choice: int | str | None) -> list[Path]:
-    """The files of the series that is chosen, by its number in the listing or its id."""
-    found = _found(path)
-    chosen = list(found)[chosen_series(path.name, list(found), choice, what="series", first=False)]
-    if not chosen.id and len(found) > 1:
-        raise FormatError(f"{path} holds slices without a series id beside other series: part them into folders")
-    return found[chosen]
 
 
 def _volumes(path: Path, files: Sequence[Path], choose: Choice, alone: bool = False) -> Content:
@@ -174,7 +116,7 @@ def _film(header: Any) -> float | None:
 
 def _beside(path: Path) -> int:
     """How many other files of a folder may be slices."""
-    return sum(file != path and file.suffix == path.suffix and is_file(file) for file in _files(path.parent))
+    return sum(file != path and file.suffix == path.suffix and is_file(file) for file in files_in(path.parent))
 
 
 def _about(header: Any, middle: Frame) -> dict[str, Any]:
