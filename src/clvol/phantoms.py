@@ -45,6 +45,11 @@ def marschner_lobb(size: Size = 41, alpha: float = 0.25, f_m: float = 6.0) -> Vo
         Samples along each axis, at least 2; the outer ones are on the faces of the cube.
     alpha, f_m : float
         Amplitude and frequency of the waves; usually 0.25 and 6, for which 41 samples are just enough.
+
+    References
+    ----------
+    - S. R. Marschner and R. J. Lobb, "An evaluation of reconstruction filters for volume rendering", IEEE Visualization
+      1994, 100–107.
     """
     return _on_cube(size, lambda points: marschner_lobb_function(points, alpha, f_m))
 

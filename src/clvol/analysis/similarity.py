@@ -43,6 +43,11 @@ def ssim(a: ArrayLike, b: ArrayLike, data_range: float | None = None, sigma: flo
         Shapes differ, or a value is not finite.
     OptionError
         `data_range` or `sigma` lies outside its bounds, or `b` is constant and no range was given.
+
+    References
+    ----------
+    - Z. Wang, A. C. Bovik, H. R. Sheikh and E. P. Simoncelli, "Image quality assessment: from error visibility to
+      structural similarity", IEEE Transactions on Image Processing 13(4), 2004, 600–612.
     """
     from scipy import ndimage
 

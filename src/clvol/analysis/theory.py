@@ -113,6 +113,11 @@ def error_kernel(filter: str | Filter, omega: ArrayLike, derivative: int = 0) ->
     ------
     OptionError
         Unknown filter, frequencies beyond ±2000, or another derivative.
+
+    References
+    ----------
+    - T. Blu and M. Unser, "Quantitative Fourier analysis of approximation techniques: part I, interpolators and
+      projectors", IEEE Transactions on Signal Processing 47(10), 1999, 2783–2795.
     """
     chosen, derivative = as_filter(filter), whole("derivative", derivative, 0, 1)
     w = reals("omega", omega)

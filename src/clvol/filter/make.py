@@ -50,6 +50,13 @@ def bspline(
         The degree is outside 0 to 9; smoothing is negative or above 10⁵, the limit of float32, or given for a filter
         without a prefilter (degrees 0 and 1 have none).
 
+    References
+    ----------
+    - M. Unser, A. Aldroubi and M. Eden, "Fast B-spline transforms for continuous image representation and interpolation",
+      IEEE Transactions on Pattern Analysis and Machine Intelligence 13(3), 1991, 277–285: reference [15] of the paper.
+    - M. Unser, A. Aldroubi and M. Eden, "B-spline signal processing", parts I and II, IEEE Transactions on Signal
+      Processing 41(2), 1993, 821–848.
+
     Examples
     --------
     >>> import clvol
@@ -101,6 +108,11 @@ def quasi(degree: int) -> Filter:
     ------
     OptionError
         Another degree; for even degrees the mean error is 0.
+
+    References
+    ----------
+    - L. Condat, T. Blu and M. Unser, "Beyond interpolation: optimal reconstruction by quasi-interpolation", IEEE
+      International Conference on Image Processing, 2005.
     """
     bernoulli = {1: Fraction(1, 6), 3: Fraction(1, 30), 5: Fraction(1, 42)}
     if whole("degree", degree, 1, 5) not in bernoulli:
@@ -239,6 +251,11 @@ def bc(B: Number, C: Number) -> Filter:
 
     (1, 0) is the cubic B-spline without prefilter, (1/3, 1/3) their choice, (0, 1/2) Catmull-Rom.
 
+    References
+    ----------
+    - D. P. Mitchell and A. N. Netravali, "Reconstruction filters in computer graphics", Computer Graphics (SIGGRAPH) 22(4),
+      1988, 221–228.
+
     Examples
     --------
     >>> import clvol
@@ -275,6 +292,11 @@ def sinc(radius: int = 4, *, normalized: bool = False) -> Filter:
     As in the paper, the weights do not sum to one (off by up to 0.08 at radius 4), so that the effect of truncation shows.
     With `normalized` they are divided by their sum, as programs do; the result is Berrut's rational interpolant of the
     nearest ``2 radius`` samples (Computers & Mathematics with Applications 15, 1988).
+
+    References
+    ----------
+    - J.-P. Berrut, "Rational functions for guaranteed and experimentally well-conditioned global interpolation", Computers
+      & Mathematics with Applications 15(1), 1988, 1–16.
     """
     return _sinc(_radius(radius), flag("normalized", normalized))
 
@@ -290,6 +312,10 @@ def lanczos(radius: int, *, normalized: bool = False) -> Filter:
     """Sinc windowed by sinc(x / radius), radius 1 to 8.
 
     The weights sum to one only approximately; with `normalized` they are divided by their sum.
+
+    References
+    ----------
+    - C. E. Duchon, "Lanczos filtering in one and two dimensions", Journal of Applied Meteorology 18(8), 1979, 1016–1022.
     """
     return _lanczos(_radius(radius), flag("normalized", normalized))
 
@@ -343,6 +369,11 @@ def moms3(weight: Number = Fraction(1, 56)) -> Filter:
     ----------
     weight : number
         Less than 1/12; the prefilter does not exist above.
+
+    References
+    ----------
+    - T. Blu, P. Thévenaz and M. Unser, "MOMS: maximal-order interpolation of minimal support", IEEE Transactions on Image
+      Processing 10(7), 2001, 1069–1080.
     """
     w = _exact("weight", weight)
     return _moms3("moms3" if w == Fraction(1, 56) else f"moms3({w})", Fraction(w))

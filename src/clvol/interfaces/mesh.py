@@ -343,6 +343,15 @@ def mesh(
         The samples or the triangles do not fit; how many they are is known before they are made, and told by a `ClvolWarning` if
         they are 100 million or more.
 
+    References
+    ----------
+    - W. E. Lorensen and H. E. Cline, "Marching cubes: a high resolution 3D surface construction algorithm", Computer
+      Graphics (SIGGRAPH) 21(4), 1987, 163–169: reference [8] of the paper.
+    - W. Schroeder, R. Maynard and B. Geveci, "Flying edges: a high-performance scalable isocontouring algorithm", IEEE
+      Symposium on Large Data Analysis and Visualization, 2015, 33–40.
+    - S. F. F. Gibson, "Constrained elastic surface nets: generating smooth surfaces from binary segmented data", Medical
+      Image Computing and Computer-Assisted Intervention, 1998, 888–898.
+
     Examples
     --------
     >>> import numpy as np, clvol

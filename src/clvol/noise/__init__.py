@@ -189,6 +189,10 @@ def estimate(samples: NDArray[Any], missing: NDArray[np.bool_] | None = None) ->
     ------
     DataError
         A sample used is NaN or infinite.
+
+    References
+    ----------
+    - D. L. Donoho and I. M. Johnstone, "Ideal spatial adaptation by wavelet shrinkage", Biometrika 81(3), 1994, 425–455.
     """
     data = samples
     places = _places(data.shape, (1,) * data.ndim)

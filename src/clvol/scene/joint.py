@@ -132,6 +132,13 @@ class TransferFunction2D(TransferFunction):
     the most opaque one counts. The image and the arches are those of Kniss, Kindlmann and Hansen (2002) and of Kindlmann and Durkin
     (1998).
 
+    References
+    ----------
+    - J. Kniss, G. Kindlmann and C. Hansen, "Multidimensional transfer functions for interactive volume rendering", IEEE
+      Transactions on Visualization and Computer Graphics 8(3), 2002, 270–285.
+    - G. Kindlmann and J. W. Durkin, "Semi-automatic generation of transfer functions for direct volume rendering", IEEE
+      Symposium on Volume Visualization, 1998, 79–86.
+
     Examples
     --------
     >>> import clvol

@@ -268,6 +268,13 @@ class Composite(Mode):
         square of the differences of its colours (0..1, as they are shown) where it shows matter. Small pictures of the same view
         tell how long steps may be, from 1 voxel to 1/64; a picture's `recipe` has the step. It is an estimate: see
         `clvol.march.tolerance`.
+
+    References
+    ----------
+    - M. Levoy, "Display of surfaces from volume data", IEEE Computer Graphics and Applications 8(3), 1988, 29–37: reference
+      [7] of the paper.
+    - N. Max, "Optical models for direct volume rendering", IEEE Transactions on Visualization and Computer Graphics 1(2),
+      1995, 99–108.
     """
 
     shading: bool = True
@@ -372,6 +379,11 @@ class Isosurface(_OfSurfaces):
     outline : float
         Thickness in pixels of a dark line along its rim as it is seen, also in front of other parts of it; from its exact curvature
         along the ray (Kindlmann et al., 2003), so that it is as thick everywhere. 0: none.
+
+    References
+    ----------
+    - G. Kindlmann, R. Whitaker, T. Tasdizen and T. Möller, "Curvature-based transfer functions for direct volume rendering:
+      methods and applications", IEEE Visualization 2003, 513–520.
 
     Examples
     --------

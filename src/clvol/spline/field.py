@@ -563,6 +563,12 @@ def sample(
     DataError, DeviceError, OutOfMemoryError
         As `Field` and a call of it raise them.
 
+    References
+    ----------
+    - P. Thévenaz, T. Blu and M. Unser, "Interpolation revisited", IEEE Transactions on Medical Imaging 19(7), 2000,
+      739–758.
+    - C. Sigg and M. Hadwiger, "Fast third-order texture filtering", GPU Gems 2, chapter 20, Addison-Wesley, 2005, 313–329.
+
     Examples
     --------
     >>> import clvol
@@ -843,6 +849,13 @@ def prefilter(
     ``10⁻¹⁴ G R`` in double precision, G being the sum of the prefilter's weights and R the range of the samples, and by rounding.
     The largest that coefficients may be is G times the samples. Samples that lie far from zero compared with their range are
     filtered with all their digits, and coefficients of single precision then rounded to float32.
+
+    References
+    ----------
+    - M. Unser, A. Aldroubi and M. Eden, "Fast B-spline transforms for continuous image representation and interpolation",
+      IEEE Transactions on Pattern Analysis and Machine Intelligence 13(3), 1991, 277–285: reference [15] of the paper.
+    - M. Unser, A. Aldroubi and M. Eden, "B-spline signal processing", parts I and II, IEEE Transactions on Signal
+      Processing 41(2), 1993, 821–848.
 
     Examples
     --------
