@@ -121,13 +121,15 @@ LABELS = clvol.Volume((SHELL.data > 0.5).astype(np.uint8), labels={1: "inside"},
 LAYERED = clvol.Scene([SHELL, clvol.Medium(CORE, cmap="hot"), clvol.Medium(LABELS, opacity=0.4)])
 
 
-@pytest.mark.parametrize(
-    "change", [[], [{"visible": False}, {}, {}], [{}, {"cmap": "green", "opacity": 0.3, "window": [0.5, 0.2]}, {}]]
-)
-def test_slices_show_all_layers_and_copy_them(change: list[dict[str, Any]], device: Device) -> None:
+GREEN = {"cmap": "green", "opacity": 0.3, "window": [0.5, 0.2]}
+SLAB = {"slice__thickness": 2.0, "slice__project": "mean"}
+
+
+@pytest.mark.parametrize(("change", "more"), [([], {}), ([{"visible": False}, {}, {}], {}), ([{}, GREEN, {}], {}), ([], SLAB)])
+def test_slices_show_all_layers_and_copy_them(change: list[dict[str, Any]], more: dict[str, Any], device: Device) -> None:
     view = View(LAYERED, device=device)
     with at_rest(view, (48, 40)) as client:
-        client.set(layout="slice", active="z", media=change, crosshair=[9, 9, 12])
+        client.set(layout="slice", active="z", media=change, crosshair=[9, 9, 12], **more)
         _, shown = client.still("z")
         text = client.session.python()
     names: dict[str, Any] = {"clvol": clvol, "volume": SHELL, "others": list(LAYERED.media[1:])}

@@ -110,7 +110,7 @@ class SliceOptions(TypedDict, total=False):
         Up to 7 media that are laid over the slice, whole, as far as their transfer functions are opaque; in words, what they show
         as a little of matter covers. Where they meet, extinctions add and colours are weighted by extinction, as in pictures of a
         scene, so that their order changes nothing. Their cuts, surfaces and what colours them are for 3-D; `smooth` and `contour`
-        are of their labels too.
+        are of their labels too, of which a mean shows the largest.
     """
 
     thickness: float
@@ -271,17 +271,16 @@ def section(
     memory.require(width * height * _OF_A_PIXEL, f"a slice of {width} × {height} pixels")
     usual = as_mode(mode or "mean").picture_filter if thickness else PICTURE_FILTER
     areas = Sheet.of(middle, right, down, pixel, (width, height), options)
-    plain, count = replace(areas, contour=0.0), 1 + len(over)
+    count = 1 + len(over)
     with _function(given, usual, max(pixel), options) as function:
-        found = (areas if known.is_labels else plain).values(function, part_of(progress, 0, 1 / count))
+        found = (areas if known.is_labels else replace(areas, contour=0.0)).values(function, part_of(progress, 0, 1 / count))
     picture, laid = shaded(found, known, window, cmap, background, transfer), []
     for k, medium in enumerate(over, 1):
         own, smooth = medium.volume.preview(), has_smooth_labels(medium, None, flag("smooth", options.get("smooth", False)))
-        _require_no_mean(own, thickness != 0, mode)
         how: SliceOptions = {"filter": medium.filter, "boundary": medium.boundary, "smooth": smooth}
         how |= {"device": options.get("device"), "memory": options.get("memory")}
-        with _function(medium.volume, usual, max(pixel), how) as function:
-            found = (areas if own.is_labels else plain).values(function, part_of(progress, k / count, (k + 1) / count))
+        with _function(medium.volume, PICTURE_FILTER, max(pixel), how) as function:
+            found = areas.over(own).values(function, part_of(progress, k / count, (k + 1) / count))
         laid.append((found, over_slices(medium)))
     lay(picture, laid)
     picture.spacing = (float(pixel[0]), float(pixel[1]))
@@ -442,6 +441,12 @@ class Sheet:
         across = options.get("thickness", 0.0) * np.cross(right, down)
         points = plane_points(middle, right, down, pixel, size)
         return cls(points, axes, across, options.get("mode"), options.get("contour", 0.0))
+
+    def over(self, volume: Volume) -> Sheet:
+        """The same of a volume that is laid over another: values have no contours, and labels no mean but the largest."""
+        if not volume.is_labels:
+            return replace(self, contour=0.0)
+        return replace(self, mode="mip") if self.across.any() and self.mode in (None, "mean") else self
 
     def values(self, function: Shown, progress: Progress | None) -> NDArray[Any]:
         """What the pixels show of a function; NaN outside, and beside contours."""

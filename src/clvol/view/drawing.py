@@ -275,11 +275,13 @@ def _slice(resident: Resident, renderer: Renderer, order: Order, size: tuple[int
     state, pane = order.state, order.context.pane(order.state, order.name)
     assert isinstance(pane, SlicePane)  # by its name
     sheet = pane.sheet(size)
-    values = sheet.values(on_slices(renderer, state.mode), None)
+    found = sheet.values(on_slices(renderer, state.mode), None)
     window, cmap, transfer = map(media.slice_words(resident.catalog.media, state).get, ("window", "cmap", "transfer"))
-    picture = shaded(values, labelled(renderer.volume, state), window, cmap, state.background, transfer)
+    picture = shaded(found, labelled(renderer.volume, state), window, cmap, state.background, transfer)
     others = media.over_slices(resident.catalog.media, state)
-    lay(picture, [(sheet.values(on_slices(renderer, state.mode, k), None), transfer) for k, transfer in others])
+    sheets = [sheet.over(renderer.scene.media[k].volume) for k, _ in others]
+    shown = [each.values(on_slices(renderer, state.mode, k), None) for (k, _), each in zip(others, sheets, strict=True)]
+    lay(picture, [(values, transfer) for values, (_, transfer) in zip(shown, others, strict=True)])
     return picture
 
 
