@@ -423,6 +423,28 @@ def test_a_movie_is_saved_in_the_chosen_format(page: Page, kind: str, head: byte
     assert page.js("return window.kind") == ("image/gif" if kind == "gif" else f"video/{kind}")
 
 
+def test_a_server_that_hangs_is_said_within_a_second(page: Page, shared: tuple[Browser, Serving, Watched]) -> None:
+    loop = shared[1]._loop
+    assert loop is not None  # it runs
+    loop.call_soon_threadsafe(time.sleep, 2.5)
+    began = time.monotonic()
+    page.wait(lambda: page.told() == "clvol does not answer", 2.4)
+    assert time.monotonic() - began < 2
+    page.wait(lambda: page.told() == "")
+
+
+def test_keys_are_listed_and_the_cube_turns_the_volume(page: Page) -> None:
+    page.browser.key("?")
+    page.wait("document.querySelector('dialog').open")
+    assert "Alt (held)" in page.js("return document.querySelector('dialog').textContent")
+    page.press("Close")
+    page.js("""const left = [...document.querySelectorAll('.clvol-side')].find((side) => side.textContent.includes('left'));
+        left.dispatchEvent(new PointerEvent('pointerdown', {bubbles: true}));""")
+    page.becomes(lambda state: state.camera.direction == (-1.0, 0.0, 0.0))
+    page.press("Superior")
+    page.becomes(lambda state: (state.camera.direction, state.camera.up) == ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)))
+
+
 def test_copied_python_is_shown_if_the_clipboard_is_blocked(page: Page) -> None:
     page.js("navigator.clipboard.writeText = async () => { throw new Error('no'); }; document.execCommand = () => false")
     page.press("Python")
@@ -499,6 +521,7 @@ def test_it_can_be_used_by_keyboard_alone(page: Page) -> None:
 
 
 def test_keys_work_beside_every_control_and_take_none_of_its_own(page: Page) -> None:
+    page.js("for (const s of document.querySelectorAll('details')) s.open = true")
     focused = "document.activeElement.closest('.clvol-pane')?.dataset.pane"
     page.js(f"document.querySelector({PANE!r}).focus()")
     for layout, pane in (("slice", "z"), ("linked", "z"), ("3d", "3d")):  # the pane that has the focus stays, or another has it

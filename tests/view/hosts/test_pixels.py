@@ -21,7 +21,7 @@ from clvol.view.hosts.server import Serving, serve
 
 pytestmark = pytest.mark.skipif(bool(why_none()), reason=why_none())
 WIDTH, HEIGHT = 683, 431  # of the page, in CSS pixels, so that edges lie between the screen's pixels
-BARE = ".clvol-overlay, .clvol-wiper { visibility: hidden } .clvol-pane { outline: none !important }"
+BARE = ".clvol-overlay, .clvol-wiper, .clvol-status { visibility: hidden } .clvol-pane { outline: none !important }"
 DRESS = """const sheet = new CSSStyleSheet();
     sheet.replaceSync(arguments[0]);
     document.adoptedStyleSheets.push(sheet);"""

@@ -8,7 +8,7 @@ __all__ = ["asset"]
 
 # parts of one module: notebooks take a single file. What is used while a part is read stands in one before it
 _PARTS = (
-    *("controls", "keys", "pane", "transfer", "joint", "readout", "wiper", "series", "opening", "layers", "panel"),
+    *("controls", "keys", "pane", "transfer", "joint", "readout", "wiper", "cube", "series", "opening", "layers", "panel"),
     *("viewer", "address", "socket", "mount"),
 )
 

@@ -122,6 +122,9 @@ class _Client:
             if isinstance(message, str):
                 self._outbox.put(status(message, "error"))
                 continue
+            if message["type"] == "ping":  # which is nothing that its user does
+                self._outbox.put({"type": "pong"})
+                continue
             if message["type"] != "ack":
                 self._last = time.monotonic()
             if self._session is None:

@@ -14,6 +14,7 @@ const PINCHED = 12; // CSS pixels after which two fingers zoom or pan
 const GRASP = 12; // CSS pixels around the dot of a clip plane, as in the session
 const FAR = 9999; // CSS pixels: past the edge of any pane
 const NOTHING = "\u2013";
+const HINT = "drag to turn, wheel to zoom; ? lists all keys";
 const WAITING = "waiting for the first picture";
 
 // -- small parts -----------------------------------------------------------------------------------------------
@@ -29,7 +30,7 @@ function short(value, digits = 4) {
 
 /** An element; keys of `properties` that start with "on" are listeners, others are attributes. */
 function make(tag, properties = {}, ...children) {
-  const svg = ["svg", "g", "path", "line", "circle", "rect", "text", "defs", "image", "linearGradient", "stop"].includes(tag);
+  const svg = ["svg", "g", "path", "line", "circle", "polygon", "rect", "text", "title", "defs", "image", "linearGradient", "stop"].includes(tag);
   const element = svg ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
   for (const [key, value] of Object.entries(properties)) {
     if (key.startsWith("on")) element.addEventListener(key.slice(2), value);

@@ -15,12 +15,23 @@ class Keys {
     const place = viewer.embedded ? viewer.root : document; // a page has keys for nothing else
     on(place, "keydown", (event) => this.down(event));
     on(place, "keyup", (event) => this.up(event));
+    this.help = make("dialog", { class: "clvol-help", "aria-label": "keys" });
+    this.help.addEventListener("click", ({ target }) => target === this.help && this.help.close()); // beside the list
+    this.button = button("Keys", () => this.help.showModal(), { kind: "clvol-hide", title: "all keys (?)" });
     on(window, "blur", () => this.release());
     on(viewer.root, "focusout", ({ relatedTarget: to }) => viewer.root.contains(to) || this.release()); // its release may not be seen
   }
 
   close() {
     this.stop.abort();
+    this.help.close();
+  }
+
+  /** Lists the keys of the session. */
+  tell(keys = {}) {
+    const rows = Object.entries({ ...keys, "?": "this list" }).flatMap(([key, text]) => [make("dt", {}, make("kbd", {}, key)), make("dd", {}, text)]);
+    const done = button("Close", () => this.help.close());
+    this.help.replaceChildren(make("dl", { class: "clvol-statistics clvol-keys" }, ...rows), done);
   }
 
   down(event) {
@@ -35,6 +46,13 @@ class Keys {
       return;
     }
     if (this.viewer.embedded && key !== "Tab") event.stopPropagation(); // notebooks have their own shortcuts
+    if (key === "?") {
+      this.take(event);
+      if (this.help.open) this.help.close();
+      else this.help.showModal();
+      return;
+    }
+    if (this.help.open) return;
     if (!SHORTCUTS.test(key) || this.needs(target, key)) return;
     this.take(event);
     if (event.repeat && !REPEATED.test(key)) return;

@@ -73,6 +73,7 @@ class Pane {
     context.imageSmoothingQuality = "high";
     context.clearRect(0, 0, canvas.width, canvas.height);
     context.drawImage(bitmap, (canvas.width - width) / 2, (canvas.height - height) / 2, width, height);
+    if (this.name === "3d" && this.decoratedFor !== this.frame.final) this.decorate(); // it may have its own scale bar and cube
     Object.assign(this.element.dataset, { frame: this.frame.number, final: Boolean(this.frame.final) });
   }
 
@@ -231,9 +232,20 @@ class Pane {
   /** `seen`: the session's message "overlay", in CSS pixels. */
   decorate(seen = this.seen) {
     this.seen = seen;
+    this.decoratedFor = this.frame?.final;
     const parts = [make("span", { class: "clvol-name" }, this.viewer.paneName(this.name))];
-    if (seen) parts.push(this.drawing(seen), ...this.letters(seen), this.name === "3d" ? null : this.scale(1 / seen.unit_pixels));
+    if (seen) parts.push(this.drawing(seen), ...this.letters(seen), ...this.around(seen));
     this.overlay.replaceChildren(...parts.filter(Boolean));
+  }
+
+  /** A scale bar, and of the volume a cube, unless the picture has its own. */
+  around({ unit_pixels: pixels, right, down }) {
+    if (this.name !== "3d") return [this.scale(1 / pixels)];
+    const { furniture } = this.viewer.state ?? {};
+    const { space } = this.viewer.info?.volume ?? {};
+    const still = this.frame?.final;
+    const cube = !(still && furniture?.cube) && cubeOf(space, right, down, (normal) => this.viewer.look(normal));
+    return [still && furniture?.scale_bar ? null : this.scale(1 / pixels), cube || null];
   }
 
   /** The crosshair, the edges of the crop box, and a dot for each plane that can be dragged here. */

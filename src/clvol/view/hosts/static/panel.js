@@ -22,6 +22,7 @@ const DARK = {
   shadow: ["Shadow", "of lights, which then stand still while the camera moves"],
   occlusion: ["Occlusion", "of light from all around"],
 };
+const ADVANCED = ["termination", "virtual", "tolerance", "method"];
 const TOOL_HINT = "what the first button drags";
 const EDITED = "\u0000edited";
 const LOOKED_FOR = 12; // labels from which there is a search field
@@ -165,6 +166,7 @@ class Panel {
   constructor(viewer) {
     this.viewer = viewer;
     this.options = make("div", { class: "clvol-options" });
+    this.advanced = make("div", { class: "clvol-options" }); // those that trade time for accuracy
     this.transfer = new TransferEditor(viewer);
     this.joint = new JointEditor(viewer);
     this.axes = new Axes(viewer);
@@ -179,6 +181,7 @@ class Panel {
       this.labels.element,
       section("Look", true, this.lookControls()),
       section("Reconstruction", true, this.filterControls()),
+      section("Advanced", false, make("div", {}, this.step.element, this.advanced)),
       section("Slices", false, this.sliceControls()),
       section("Camera", false, this.cameraControls()),
       section("Light", false, this.lightControls()),
@@ -186,7 +189,6 @@ class Panel {
       section("Around the picture", false, this.aroundControls()),
       section("Share", true, this.shareControls()),
       section("Statistics", false, this.statisticsControls()),
-      (this.keySection = section("Keys", false)),
     );
   }
 
@@ -267,7 +269,7 @@ class Panel {
     this.compare = toggle("Compare with", (on) => this.viewer.set({ wiper: on ? { filter: this.other.list.value || "linear", at: 0.5 } : null }), "A/B: another filter to the right of a bar");
     this.other = choice("Other filter", (value) => this.viewer.state.wiper && this.viewer.set({ "wiper.filter": value }));
     this.errors = make("p", { class: "clvol-note", "aria-live": "polite" });
-    return make("div", {}, this.filter.element, this.boundary.element, this.step.element, this.compare.element, this.other.element, this.errors);
+    return make("div", {}, this.filter.element, this.boundary.element, this.compare.element, this.other.element, this.errors);
   }
 
   sliceControls() {
@@ -309,7 +311,8 @@ class Panel {
     this.style.fill(["turntable", "trackball"]);
     this.fov = slider("Angle of view", { low: 5, high: 100, step: 1 }, this.setter("camera.fov"));
     this.zoom = slider("Zoom (log₂)", { low: -3, high: 6 }, this.setter("camera.zoom", (value) => 2 ** clamp(value, -4, 9)));
-    return make("div", {}, this.projection.element, this.style.element, this.fov.element, this.zoom.element);
+    this.views = make("div", { class: "clvol-buttons", role: "toolbar", "aria-label": "views" });
+    return make("div", {}, this.views, this.projection.element, this.style.element, this.fov.element, this.zoom.element);
   }
 
   lightControls() {
@@ -393,6 +396,7 @@ class Panel {
     const [least, most] = info.volume.range;
     this.level.limit(least, most);
     this.width.limit((most - least) / 1000, most - least);
+    this.views.replaceChildren(...facesOf(info.volume.space).map(({ name, title, normal }) => button(name, () => this.viewer.look(normal), { title })));
     this.thickness.limit(0, Math.min(...high.map((c, i) => c - low[i])));
     const { labels } = info.volume;
     this.projected.fill([["mip", "the largest"], ["minip", "the smallest"], ...(labels ? [] : [["mean", "the mean"]])]);
@@ -402,10 +406,6 @@ class Panel {
     this.axes.tell(info);
     this.layers.tell(info);
     this.labels.tell(info);
-    const keys = Object.entries(info.keys ?? {});
-    const list = make("dl", { class: "clvol-statistics clvol-keys" }, ...keys.flatMap(([key, text]) => [make("dt", {}, make("kbd", {}, key)), make("dd", {}, text)]));
-    this.keySection.lastElementChild.replaceChildren(list);
-    this.keySection.hidden = !keys.length;
   }
 
   show(state) {
@@ -501,7 +501,9 @@ class Panel {
     if (this.made !== state.mode) {
       this.made = state.mode;
       this.optionControls = Object.entries(known).map(([name, about]) => [name, about, this.optionControl(name, about)]);
-      this.options.replaceChildren(...this.optionControls.map(([, , control]) => control.element));
+      const shown = (advanced) => this.optionControls.filter(([name]) => ADVANCED.includes(name) === advanced).map(([, , control]) => control.element);
+      this.options.replaceChildren(...shown(false));
+      this.advanced.replaceChildren(...shown(true));
     }
     for (const [name, about, control] of this.optionControls) control.show(state.options?.[name] ?? this.viewer.effective.options?.[name] ?? about.default);
   }

@@ -5,6 +5,9 @@ const DOUBTFUL = 4; // tries after which clvol may have ended
 const IDLE = 4000; // close code of an idle page, which keeps its state
 const LEFT_ALONE = [1008, 1009, 4001]; // close codes after which the page does not reconnect by itself
 const REFUSED = [401, 403, 404];
+const BEAT = 250; // milliseconds between looks at whether clvol answers
+const UNHEARD = 350; // milliseconds of silence after which it is asked
+const SILENT = 900; // and after which it is said that it does not answer
 const RENEWED = "open the address that clvol prints when it is started again";
 
 class Socket {
@@ -14,7 +17,27 @@ class Socket {
     this.onmessage = () => {};
     this.onopen = () => {};
     this.onlost = () => {}; // (words, how): "retry", "doubtful" while it tries on, "wait" for a click, "ended" or "final"
+    this.onsilent = () => {}; // with true if clvol does not answer, and with false once it does
     this.tries = 0;
+    this.heard = this.looked = performance.now();
+    this.silent = false;
+    setInterval(() => this.look(), BEAT);
+  }
+
+  /** Asks whether clvol still answers: a server that hangs keeps its connection. */
+  look() {
+    const now = performance.now();
+    const stood = document.hidden || this.socket?.readyState !== WebSocket.OPEN || now - this.looked > 2 * BEAT; // the page itself
+    this.looked = now;
+    if (stood) this.heard = Math.max(this.heard, now - UNHEARD);
+    if (this.socket?.readyState !== WebSocket.OPEN) this.silent = false; // that is said otherwise
+    else if (now - this.heard >= UNHEARD) this.send({ type: "ping" });
+    if (!stood && now - this.heard >= SILENT && !this.silent) this.onsilent((this.silent = true));
+  }
+
+  hear() {
+    this.heard = performance.now();
+    if (this.silent) this.onsilent((this.silent = false));
   }
 
   send(object) {
@@ -32,6 +55,7 @@ class Socket {
       this.onopen();
     };
     this.socket.onmessage = ({ data }) => {
+      this.hear();
       if (typeof data !== "string") {
         const message = header;
         header = null;
@@ -39,6 +63,7 @@ class Socket {
         return;
       }
       const message = JSON.parse(data);
+      if (message.type === "pong") return;
       if (message.bytes !== undefined) header = message;
       else this.onmessage(message, null);
     };

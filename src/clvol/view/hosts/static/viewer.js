@@ -22,14 +22,16 @@ class Viewer {
     this.grid = make("div", { class: "clvol-panes" });
     this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, make("span", {}, WAITING));
     this.panel = new Panel(this);
+    this.root = make("div", { class: `clvol${embedded ? " clvol-embedded" : ""}` });
+    this.keys = new Keys(this);
     this.hide = button("Settings", () => this.togglePanel(), { kind: "clvol-hide", title: "show or hide the settings" });
     this.hide.setAttribute("aria-expanded", "true");
-    const stage = make("div", { class: "clvol-stage" }, this.grid, make("div", { class: "clvol-foot" }, this.line, this.hide));
+    const stage = make("div", { class: "clvol-stage" }, this.grid, make("div", { class: "clvol-foot" }, this.line, this.keys.button, this.hide));
     this.inner = make("div", { class: "clvol-frame" }, stage, this.panel.element);
-    this.root = make("div", { class: `clvol${embedded ? " clvol-embedded" : ""}` }, this.inner);
-    this.keys = new Keys(this);
+    this.heading = embedded ? null : make("h1", { class: "clvol-offscreen" }, "clvol"); // notebooks have their own
+    this.root.append(...[this.heading, this.inner, this.keys.help].filter(Boolean));
     this.panel.layers.opening?.listen(this.root);
-    for (const type of ["pointerdown", "keydown"]) this.root.addEventListener(type, () => this.noted && this.note(""), true);
+    for (const type of ["pointerdown", "keydown"]) this.root.addEventListener(type, () => this.begun(), true);
     element.replaceChildren(this.root);
     channel.onmessage = (message, data) => this.receive(message, data);
   }
@@ -72,6 +74,8 @@ class Viewer {
   tell(info) {
     this.info = info;
     if (this.onLink && info.title) document.title = `${info.title} · clvol`;
+    if (info.title) this.heading?.replaceChildren(info.title);
+    this.keys.tell(info.keys);
     this.panel.tell(info);
     if (this.state) this.show();
   }
@@ -138,6 +142,8 @@ class Viewer {
 
   frame(message, data) {
     if (this.line.textContent === WAITING) this.status(""); // in notebooks no connection clears it
+    if (!this.hinted && !this.line.textContent) this.status(HINT);
+    this.hinted = true;
     const pane = this.panes.get(message.pane ?? "3d");
     if (!pane || !data) return this.channel.send({ type: "ack", frame: message.number });
     const step = message.step ? `, step ${short(message.step, 3)}` : "";
@@ -148,6 +154,12 @@ class Viewer {
   status(text, kind = "info") {
     this.line.firstElementChild.textContent = text || this.noted;
     this.line.dataset.kind = !text && this.noted ? "error" : kind;
+  }
+
+  /** Something was done: what was to be read before is over. */
+  begun() {
+    if (this.noted) this.note("");
+    else if (this.line.textContent === HINT) this.status("");
   }
 
   /** Shows an error whenever there is no other status, until something is done. */
@@ -184,6 +196,7 @@ class Viewer {
   }
 
   tellSet({ changes, whole, ...more }) {
+    this.begun();
     this.lastSet += 1;
     this.unheard.push({ number: this.lastSet, changes, whole });
     this.channel.send({ type: "set", changes, whole, number: this.lastSet, ...more });
@@ -202,6 +215,14 @@ class Viewer {
       for (const word of words.slice(0, -1)) part = part[word] ??= {};
       part[words.at(-1)] = value;
     }
+  }
+
+  /** Looks at the volume from the side of a face. */
+  look(normal) {
+    const { space } = this.info.volume;
+    const level = Math.abs(normal[2]) < 0.5;
+    const up = level ? [0, 0, space === "image" ? -1 : 1] : [0, ["LPS", "image"].includes(space) ? -1 : 1, 0];
+    this.set({ "camera.direction": normal.map((c) => 0 - c), "camera.up": up });
   }
 
   /** Ends live changes: the next one is a new step of undo. */
