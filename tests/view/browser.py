@@ -109,11 +109,12 @@ class Browser:
         return np.asarray(iio.imread(io.BytesIO(base64.b64decode(url.partition(",")[2])), mode="RGBA"))
 
     def box(self, selector: str = _CANVAS) -> tuple[float, float, float, float]:
-        """Left, top, width and height of an element in CSS pixels of the window."""
-        found = self.js(
-            "const r = document.querySelector(arguments[0]).getBoundingClientRect(); return [r.left, r.top, r.width, r.height]",
-            selector,
-        )
+        """Left, top, width and height of an element in CSS pixels of the window, into which it is scrolled."""
+        code = """const e = document.querySelector(arguments[0]);
+            e.scrollIntoView({block: "nearest"});
+            const r = e.getBoundingClientRect();
+            return [r.left, r.top, r.width, r.height]"""
+        found = self.js(code, selector)
         left, top, width, height = map(float, found)
         return left, top, width, height
 
