@@ -56,6 +56,7 @@ __all__ = [
     "section",
     "shaded",
     "slice",
+    "slice_function",
     "window_of_slices",
 ]
 
@@ -272,14 +273,14 @@ def section(
     usual = as_mode(mode or "mean").picture_filter if thickness else PICTURE_FILTER
     areas = Sheet.of(middle, right, down, pixel, (width, height), options)
     count = 1 + len(over)
-    with _function(given, usual, max(pixel), options) as function:
+    with slice_function(given, usual, max(pixel), options) as function:
         found = (areas if known.is_labels else replace(areas, contour=0.0)).values(function, part_of(progress, 0, 1 / count))
     picture, laid = shaded(found, known, window, cmap, background, transfer), []
     for k, medium in enumerate(over, 1):
         own, smooth = medium.volume.preview(), has_smooth_labels(medium, None, flag("smooth", options.get("smooth", False)))
         how: SliceOptions = {"filter": medium.filter, "boundary": medium.boundary, "smooth": smooth}
         how |= {"device": options.get("device"), "memory": options.get("memory")}
-        with _function(medium.volume, PICTURE_FILTER, max(pixel), how) as function:
+        with slice_function(medium.volume, PICTURE_FILTER, max(pixel), how) as function:
             found = areas.over(own).values(function, part_of(progress, k / count, (k + 1) / count))
         laid.append((found, over_slices(medium)))
     lay(picture, laid)
@@ -381,7 +382,7 @@ def _given(volume: Any, options: SliceOptions) -> Any:
 
 
 @contextmanager
-def _function(volume: Any, usual: str, pixel: float, options: SliceOptions) -> Iterator[Shown]:
+def slice_function(volume: Any, usual: str, pixel: float, options: SliceOptions) -> Iterator[Shown]:
     """The function of a slice: the one given, a volume's, or that of the level whose voxels are about as long as a pixel."""
     row, boundary, device = options.get("filter"), options.get("boundary"), options.get("device")
     if isinstance(volume, Regions):

@@ -26,12 +26,13 @@ from clvol.view.audience import Pick
 from clvol.view.code import from_toml, from_url
 from clvol.view.layers import Layers
 from clvol.view.links import link
+from clvol.view.marks import measured
 from clvol.view.panes import PaneSize
 from clvol.view.renderers import rule_of
 from clvol.view.resident import Resident
 from clvol.view.session import Session
 from clvol.view.sketch import without_prefilter
-from clvol.view.state import State
+from clvol.view.state import Mark, State
 from clvol.view.watched import Watched
 
 if TYPE_CHECKING:
@@ -47,7 +48,21 @@ if TYPE_CHECKING:
     from clvol.view.protocol import Send
     from clvol.volume.volume import Volume
 
-__all__ = ["Layers", "Pick", "Session", "State", "View", "Watched", "from_toml", "from_url", "link", "section", "show"]
+__all__ = [
+    "Layers",
+    "Mark",
+    "Pick",
+    "Session",
+    "State",
+    "View",
+    "Watched",
+    "from_toml",
+    "from_url",
+    "link",
+    "measured",
+    "section",
+    "show",
+]
 
 _SMALL = 64  # pixels along the edges of a picture that nobody sees
 

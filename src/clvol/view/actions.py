@@ -20,7 +20,9 @@ from clvol.view import code
 from clvol.view.control import Control
 from clvol.view.drawing import Drawer, Order, png
 from clvol.view.events import turned
+from clvol.view.marks import as_csv
 from clvol.view.panes import PaneSize, active_pane
+from clvol.view.picking import measured_all
 from clvol.view.post import Gone
 from clvol.view.protocol import Change, Request
 from clvol.view.resident import Resident
@@ -84,6 +86,12 @@ def _joint(parts: Parts, request: Request) -> Answer:  # noqa: ARG001  # it take
     """A transfer function of value and gradient to begin with."""
     volume = parts.resident.catalog.volume_of(parts.control.state)
     return {"transfer": TransferFunction2D.automatic(volume).json()}, None
+
+
+def _csv(parts: Parts, request: Request) -> Answer:  # noqa: ARG001  # it takes no arguments
+    state = parts.control.state
+    told = measured_all(parts.resident, state)
+    return {"text": as_csv(state.marks, told["rows"], told["units"])}, None
 
 
 def _remove_layer(parts: Parts, request: Request) -> Answer:
@@ -177,6 +185,7 @@ _TABLE: Mapping[str, Callable[[Parts, Request], Answer]] = {
     "movie": _movie,
     "labels": _labels,
     "joint": _joint,
+    "measures_csv": _csv,
     "remove_layer": _remove_layer,
     "curve": _curve,
 }

@@ -62,10 +62,12 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     lines += ["from dataclasses import replace"] if state.media else []
     lines += ["from clvol.device import as_device"] if resident.limits else []
     lines += ["from clvol.show.picture import heat, to_bytes"] if state.heat and name == "3d" else []
-    lines += ["from clvol.view import section"] if name != "3d" else []
+    names = [*(["Mark", "measured"] if state.marks else []), *(["section"] if name != "3d" else [])]
+    lines += [f"from clvol.view import {', '.join(names)}"] if names else []
     lines += [""]
+    held = "volume"
     if resident.finer is not None and resident.finer_picture(state, shown, name, size) is not None:
-        source = resident.finer.source
+        source, held = resident.finer.source, "level"
         lines += ["# volume: the clvol.LazyVolume that was viewed" if source is None else f"volume = {source}"]
     else:
         lines += _volume(resident, state)
@@ -83,7 +85,17 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
         for side, chosen in (("left", state.filter), ("right", state.wiper.filter)):
             lines += _limited(resident, draw(resident, replace(state, filter=chosen), name, shown, size, side))
         lines += [f"picture = np.concatenate([left[:, :{edge}], right[:, {edge}:]], axis=1)"]
+    lines += _limited(resident, _measured(resident, state, held)) if state.marks else []
     return "\n".join(lines) + "\n"
+
+
+def _measured(resident: Resident, state: State, held: str) -> list[str]:
+    """Lines that measure what the marks do, in the volume in memory."""
+    words = _reconstruction(state) | _device(resident) | ({"smooth": True} if as_mode(state.mode).regions else {})
+    given = "".join(f", {name}={_text(value)}" for name, value in words.items())
+    lines = [line.replace("volume", held) for line in _volume(resident, state)] if held != "volume" else []
+    lines += ["marks = [", *(f"    Mark({mark.kind!r}, {_text(mark.points)})," for mark in state.marks), "]"]
+    return [*lines, f"measures = [measured(mark, {held}{given}) for mark in marks]"]
 
 
 def _volume(resident: Resident, state: State) -> list[str]:

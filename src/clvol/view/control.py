@@ -169,7 +169,7 @@ class Control:
         common = (size, which, state.filter, state.boundary, state.cmap, state.background, state.wiper, layers)
         if name == "3d":
             first = self._resident.initial
-            return (*common, replace(state, layout="3d", active="3d", tool=None, slice=first.slice, crosshair=None))
+            return (*common, replace(state, layout="3d", active="3d", tool=None, slice=first.slice, marks=(), crosshair=None))
         point = state.crosshair or self._resident.volume.center
         smooth = (state.transfer,) if as_mode(state.mode).regions else ()
         pane = SlicePane.of(state, self._resident.volume, "xyz".index(name), size)

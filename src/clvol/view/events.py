@@ -18,6 +18,7 @@ from clvol.base.checks import number
 from clvol.base.errors import OptionError
 from clvol.scene.camera import Camera
 from clvol.scene.mode import modes
+from clvol.view import marks
 from clvol.view.panes import (
     Pane3D,
     PaneSize,
@@ -32,7 +33,7 @@ from clvol.view.panes import (
     turned_slices,
     vertical,
 )
-from clvol.view.state import LAYOUTS, PANES, ZOOMS, CameraState, State, Triple, name_of
+from clvol.view.state import LAYOUTS, MARKS, PANES, ZOOMS, CameraState, State, Triple, name_of
 from clvol.volume.volume import Volume
 
 __all__ = ["KEYS", "Context", "Drag", "Inputs", "Reduced", "faces", "reduce", "shows_box"]
@@ -126,6 +127,7 @@ class Drag:
     y: float
     began: State
     face: tuple[int, int] | None = None  # of the crop box: axis, and 0 (low) or 1 (high)
+    more: bool = False  # whether it appends to the mark that is being drawn
     moved: bool = False
 
 
@@ -135,6 +137,7 @@ class Inputs:
 
     drag: Drag | None = None
     keys: frozenset[str] = frozenset()
+    marking: bool = False  # whether the last mark takes further points
     anchor: tuple[float, float, str, Triple] | None = None  # of the wheel: x, y, pane, and the world point there
 
 
@@ -173,7 +176,9 @@ def _down(state: State, inputs: Inputs, event: Mapping[str, Any], context: Conte
     kind = "crop" if face is not None else _drag_kind(state, inputs, event, context, name, x, button)
     face = _nearest_face(began, context, name, x, y) if kind == "crop" and face is None else face
     pinned = context.pinned(began) if kind in ("orbit", "pan", "roll", "zoom") and name == "3d" else began
-    drag = Drag(kind, name, button, x, y, pinned, face)
+    pane = context.pane(began, name) if kind == "mark" else None
+    more = inputs.marking and isinstance(pane, SlicePane) and marks.continues(began, pane)
+    drag = Drag(kind, name, button, x, y, pinned, face, more)
     moved = _crosshair_at(began, context, name, x, y) if kind == "crosshair" else began
     return Reduced(moved, replace(inputs, drag=drag, anchor=None), (), "drag")
 
@@ -199,6 +204,8 @@ def _up(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context
     result = _move(state, inputs, {key: value for key, value in event.items() if key != "buttons"}, context, name)
     free = replace(result.inputs, drag=None)
     assert result.inputs.drag is not None  # it was there
+    if drag.kind == "mark":
+        return _marked(drag, result, free, context)
     if not result.inputs.drag.moved and drag.pane == "3d" and drag.button == 1:
         # a click in the volume moves the crosshair of linked slices
         effects = (("pick", "3d", drag.x, drag.y, True),) if state.layout == "linked" else ()
@@ -206,8 +213,28 @@ def _up(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context
     return Reduced(result.state, free, (), "drag")
 
 
+def _marked(drag: Drag, result: Reduced, free: Inputs, context: Context) -> Reduced:
+    """After a drag or a click that draws a mark."""
+    pane = context.pane(drag.began, drag.pane)
+    assert isinstance(pane, SlicePane)  # or it would turn the volume
+    assert result.inputs.drag is not None  # it was there
+    if result.inputs.drag.moved:
+        state, marking = result.state, marks.continues(result.state, pane)
+    else:
+        state, marking = marks.clicked(drag.began, pane, (drag.x, drag.y), drag.more)
+    return Reduced(state, replace(free, marking=marking), (), "drag")
+
+
+def _mark(drag: Drag, context: Context, x: float, y: float) -> State:
+    pane = context.pane(drag.began, drag.pane)
+    assert isinstance(pane, SlicePane)  # or it would turn the volume
+    return marks.dragged(drag.began, pane, (drag.x, drag.y), (x, y), drag.more)
+
+
 def _double(state: State, inputs: Inputs, event: Mapping[str, Any], context: Context, name: str) -> Reduced:  # noqa: ARG001
     x, y = _position(event)
+    if state.tool in MARKS and name != "3d":  # its clicks drew
+        return Reduced(state, replace(inputs, drag=None, marking=False))
     if state.layout == "linked":
         larger = replace(state, active=name, enlarged=not state.enlarged)  # type: ignore[arg-type]  # a pane's
         return Reduced(larger, replace(inputs, drag=None))
@@ -230,6 +257,8 @@ def _drag_kind(state: State, inputs: Inputs, event: Mapping[str, Any], context: 
     if "Control" in modifiers or "Meta" in modifiers:
         return "roll" if name == "3d" else "zoom"
     if state.tool is not None:
+        if state.tool in MARKS:
+            return "orbit" if name == "3d" else "mark"
         elsewhere = {"crosshair": "orbit"} if name == "3d" else {"orbit": "crosshair", "roll": "turn"}
         return elsewhere.get(state.tool, state.tool)
     return "orbit" if name == "3d" else "crosshair"
@@ -456,6 +485,7 @@ _DRAGS: Mapping[str, Callable[[Drag, Context, float, float], State]] = {
     "crop": _crop,
     "crosshair": lambda drag, context, x, y: _crosshair_at(drag.began, context, drag.pane, x, y),
     "wiper": _wiper,
+    "mark": _mark,
 }
 
 

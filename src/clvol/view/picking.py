@@ -18,14 +18,16 @@ from clvol.spline.field import Field
 from clvol.spline.regions import Regions
 from clvol.view import media
 from clvol.view.events import Context
+from clvol.view.marks import measures
 from clvol.view.panes import Pane3D, SlicePane, triple
+from clvol.view.protocol import Message
 from clvol.view.renderers import on_slices
 from clvol.view.resident import Resident
 from clvol.view.state import State
 from clvol.volume.histogram import label_numbers
 from clvol.volume.volume import Volume
 
-__all__ = ["anchor", "picked"]
+__all__ = ["anchor", "measured_all", "picked"]
 
 _PROBES = 17  # of a label, along a step of a ray
 
@@ -146,3 +148,13 @@ def _within(volume: Volume, point: NDArray[np.float64]) -> bool:
     index = volume.world_to_index(point)
     slack = 1e-6 * max(volume.size)
     return bool((index >= -0.5 - slack).all() and (index <= np.asarray(volume.size) - 0.5 + slack).all())
+
+
+def measured_all(resident: Resident, state: State) -> Message:
+    """What the marks of a state measure in the volume that it shows."""
+    rows: list[dict[str, Any]] = []
+    if state.marks:
+        with resident.renderers.renderer(*resident.catalog.key(state)) as renderer:
+            function = on_slices(renderer, state.mode)
+            rows = [measures(mark, function) for mark in state.marks]
+    return {"type": "measures", "units": resident.volume.units, "rows": rows}

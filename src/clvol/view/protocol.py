@@ -29,6 +29,8 @@ To the client:
   x, y, z where bit 0, 1, 2 of ``i`` is set); `lines` are the directions of both lines of a slice's crosshair; `faces` has
   ``[axis, side, x, y]`` of each clip plane that can be dragged there; CSS pixels per world unit; the world directions that run
   right and down. Sent when one changed.
+- `{"type": "measures", "units", "rows"}`: what each of the state's marks measures, as `clvol.view.measured` says. `overlay` has
+  "marks", those that lie on the slice: their "number" in the state, "kind", and "points" in CSS pixels.
 - `{"type": "readout", "pane", "position", "voxel", "units", "values"}`: what lies under the pointer, at most ten times a second,
   and again when the picture there has changed: world position, the voxel (x, y, z) of the first volume, and for each medium its
   "name", "value" (null outside) and, of label maps, the "label" by name. "pane" alone: there is nothing.

@@ -186,6 +186,7 @@ class Session:
         if self._control.inputs.drag is None and not self._control.moving:
             self._updates.state()
             self._updates.curve()
+        self._updates.measures()
         self._updates.overlays()
 
     def _handle(self, received: Mapping[str, Any]) -> None:

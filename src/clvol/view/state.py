@@ -33,6 +33,7 @@ from clvol.volume.volumes import COMPUTED
 
 __all__ = [
     "LAYOUTS",
+    "MARKS",
     "MOST_LABELS",
     "MOST_POINTS",
     "PANES",
@@ -41,6 +42,7 @@ __all__ = [
     "CameraState",
     "History",
     "LabelState",
+    "Mark",
     "MediumState",
     "SliceState",
     "State",
@@ -63,7 +65,17 @@ MOST_POINTS = 512  # of a transfer function; they fit into one message
 _LONGEST_IMAGE = 40_000  # characters of that of a transfer function; likewise
 MOST_LABELS = 2048  # that are hidden or shown; they fit into one message
 _WHOLE = re.compile(r"-?\d{1,16}")
-_TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair")
+MARKS: Mapping[str, tuple[int, int]] = {
+    "distance": (2, 2),
+    "angle": (1, 3),
+    "area": (1, 64),
+    "rectangle": (3, 3),
+    "ellipse": (3, 3),
+}
+"""What can be measured, and the least and the most points of it."""
+
+_MOST_MARKS, _MOST_CORNERS = 64, 512  # they fit into one message
+_TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair", *MARKS)
 _MOST_LABEL = 1 << 53  # the largest integer up to which float64 holds all
 _LONGEST_TITLE = 200  # characters
 _MOST_PLACES = (1 << 31) - 1  # volumes along an axis
@@ -303,6 +315,28 @@ def _media_of(what: str, value: object) -> tuple[MediumState, ...]:
     return tuple(_dataclass_of(what, one, MediumState) for one in value)
 
 
+def _points(what: str, value: Any) -> tuple[Triple, ...]:
+    if not isinstance(value, (list, tuple)) or len(value) > _MOST_CORNERS:
+        raise OptionError(f"{what} must be a list of points; got {value!r:.200}")
+    return tuple(_triple(what, point) for point in value)
+
+
+def _marks(what: str, value: Any) -> tuple[Mark, ...]:
+    marks = tuple(value)
+    rule = f"up to {_MOST_MARKS} of Mark, with up to {_MOST_CORNERS} points in all"
+    if len(marks) > _MOST_MARKS or not all(isinstance(mark, Mark) for mark in marks):
+        raise OptionError(f"{what} must be {rule}; got {value!r:.200}")
+    if (count := sum(len(mark.points) for mark in marks)) > _MOST_CORNERS:
+        raise OptionError(f"{what} must be {rule}; got {count} points")
+    return marks
+
+
+def _marks_of(what: str, value: object) -> tuple[Mark, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise OptionError(f"{what} must be a list of up to {_MOST_MARKS} marks; got {value!r:.200}")
+    return tuple(_dataclass_of(what, mark, Mark) for mark in value)
+
+
 def _furniture(what: str, value: Any) -> Furniture:
     instance(what, value, Furniture)
     if value.theme != "screen":
@@ -463,6 +497,26 @@ class MediumState(_Checked):
 
 
 @dataclass(frozen=True)
+class Mark(_Checked):
+    """Something that is measured on a slice, by points in the world.
+
+    A "distance" is between two points, an "angle" at the second of three, an "area" within a polygon of up to 64. A "rectangle",
+    and an "ellipse" within one, have a corner and both corners next to it. An angle or area may lack points that are to come.
+    """
+
+    kind: str = _of(name_of, allowed=MARKS)
+    points: tuple[Triple, ...] = _of(_points)
+
+    _WITHIN = "marks."
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        least, most = MARKS[self.kind]
+        if not least <= len(self.points) <= most:
+            raise OptionError(f"marks.points of {self.kind} must be {least} to {most}; got {len(self.points)}")
+
+
+@dataclass(frozen=True)
 class State(_Checked):
     """What a viewer shows of a volume; `json` and `from_json` convert it.
 
@@ -511,6 +565,8 @@ class State(_Checked):
         Of a scene of several, what is changed of each; of the first only whether it is seen, for its look is the state's.
     furniture : Furniture
         What stands around the volume's picture, but no theme: that is a background.
+    marks : tuple of Mark
+        What is measured on slices.
     crosshair : three numbers, optional
         In world units; by default the volume's centre.
     wiper : Wiper, optional
@@ -550,6 +606,7 @@ class State(_Checked):
     label_opacities: Mapping[int, float] = _of(_by_label, {}, each=partial(number, minimum=0, maximum=1))
     media: tuple[MediumState, ...] = _of(_media, (), _media_of)
     furniture: Furniture = _of(_furniture, Furniture(), partial(_dataclass_of, kind=Furniture), _furniture_json)
+    marks: tuple[Mark, ...] = _of(_marks, (), _marks_of)
     crosshair: Triple | None = _of(_triple, None)
     wiper: Wiper | None = _part(Wiper)
     heat: bool = _of(_switch, False)

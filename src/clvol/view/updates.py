@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from clvol.scene.joint import TransferFunction2D
+from clvol.scene.mode import as_mode
 from clvol.spline.joint import joint_histogram
 from clvol.view import events, wiper
 from clvol.view.background import Background
@@ -16,11 +17,14 @@ from clvol.view.catalog import Which
 from clvol.view.control import Control
 from clvol.view.curve import curve, what_curve
 from clvol.view.drawing import Shot, png, share_visited
+from clvol.view.marks import on_pane
 from clvol.view.notices import Notices
-from clvol.view.panes import Pane3D, bounds, traces, visible
-from clvol.view.protocol import Message
+from clvol.view.panes import Pane3D, SlicePane, bounds, traces, visible
+from clvol.view.picking import measured_all
+from clvol.view.protocol import Message, status
 from clvol.view.resident import Resident
 from clvol.view.state import State
+from clvol.volume.volume import Volume
 
 __all__ = ["Updates"]
 
@@ -54,6 +58,7 @@ class Updates:
         self._place: object = None
         self._overlays: dict[str, Message] = {}
         self._compared: object = None
+        self._measured: object = None
 
     def state(self, *, again: bool = False) -> None:
         """What is shown; what follows from the volume comes later if it is not known yet: pictures do not wait for it.
@@ -110,6 +115,7 @@ class Updates:
             "lines": [] if isinstance(pane, Pane3D) else traces(state, volume, name, pane),
             "box": box,
             "faces": faces,
+            "marks": [] if isinstance(pane, Pane3D) else _on_pane(state, volume, pane),
             "unit_pixels": pane.unit_pixels,
             "right": pane.right.tolist(),
             "down": pane.down.tolist(),
@@ -122,6 +128,17 @@ class Updates:
         self._notices.put("samples", *(_SKETCHED if shot.few else _COARSER if shot.coarser else _COMPLETE))
         if not self.complete:
             self.find_facts()
+        self.measures()  # which may have waited for the coefficients
+
+    def measures(self) -> None:
+        """What the marks measure, if that may have changed."""
+        state, resident = self._control.state, self._resident
+        key = resident.catalog.key(state)
+        what = state.marks, key, as_mode(state.mode).regions
+        if what != self._measured and (not state.marks or resident.renderers.soon(*key)):
+            if state.marks or self._measured is not None:
+                self._background.submit(("measures", what), lambda: measured_all(resident, state), lambda why: status(why, "error"))
+            self._measured = what
 
     def curve(self) -> None:
         """The values at the crosshair along a series, if the client wants them and they may have changed."""
@@ -193,3 +210,10 @@ def _joint(resident: Resident, key: tuple[str | None, str, Which]) -> Message:
     pixels[..., 3] = np.round(often * (255 / often.max()))
     image = "data:image/png;base64," + base64.b64encode(png(pixels)).decode()
     return {"type": "joint", "values": values[[0, -1]].tolist(), "steepest": float(gradients[-1]), "image": image}
+
+
+def _on_pane(state: State, volume: Volume, pane: SlicePane) -> list[dict[str, Any]]:
+    """The marks that a slice shows: their number, kind and points in CSS pixels."""
+    thick = min(volume.spacing)
+    shown = [(number, mark) for number, mark in enumerate(state.marks) if on_pane(mark, pane, thick)]
+    return [{"number": k, "kind": mark.kind, "points": [list(pane.project(p)) for p in mark.points]} for k, mark in shown]

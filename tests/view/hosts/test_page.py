@@ -220,6 +220,21 @@ def test_the_edge_of_a_pane_tells_what_lies_under_the_pointer(page: Page) -> Non
     page.wait(f"{said} === ''")
 
 
+def test_a_distance_is_drawn_on_a_slice_listed_and_removed(page: Page) -> None:
+    page.choose("Draw", "distance")
+    slice_ = ".clvol-pane[data-pane='z']"
+    page.wait(f"document.querySelector(`{slice_}`)?.dataset.final === 'true'")
+    page.browser.drag((80, 0), slice_)
+    page.becomes(lambda state: len(state.marks) == 1)
+    listed = "document.querySelector('.clvol-measures')?.textContent ?? ''"
+    page.wait(f"({listed}).includes(' mm')")
+    one, other = np.array(page.state.marks[0].points)
+    assert f"distance · {np.linalg.norm(other - one):.4g} mm" in page.js(f"return {listed}")
+    assert page.js(f"return document.querySelector(`{slice_} .clvol-measured`).textContent").startswith("1: ")
+    page.press("Remove all")
+    page.wait(f"!document.querySelector(`{slice_} .clvol-mark`)")
+
+
 def test_mode_filter_and_option_are_set(page: Page) -> None:
     page.choose("Mode", "isosurface")
     page.becomes(lambda state: state.mode == "isosurface")

@@ -249,7 +249,7 @@ class Pane {
   }
 
   /** The crosshair, the edges of the crop box, and a dot for each plane that can be dragged here. */
-  drawing({ crosshair, lines = [], box, faces = [] }) {
+  drawing({ crosshair, lines = [], box, faces = [], marks = [] }) {
     const paths = [];
     if (crosshair) {
       const [x, y] = crosshair;
@@ -266,6 +266,7 @@ class Pane {
         paths.push(make("circle", { class: `clvol-face${held}`, cx: x, cy: y, r: 6 }));
       }
     }
+    paths.push(...drawnMarks(marks, this.viewer.panel.measures));
     return paths.length ? make("svg", {}, ...paths) : null;
   }
 

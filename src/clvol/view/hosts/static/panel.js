@@ -171,6 +171,7 @@ class Panel {
     this.joint = new JointEditor(viewer);
     this.axes = new Axes(viewer);
     this.layers = new Layers(viewer);
+    this.measures = new Measures(viewer);
     this.labels = new Labels(viewer);
     this.made = null; // mode whose options are shown
     this.element = make("div", { class: "clvol-panel", role: "region", "aria-label": "settings" });
@@ -183,6 +184,7 @@ class Panel {
       section("Reconstruction", true, this.filterControls()),
       section("Advanced", false, make("div", {}, this.step.element, this.advanced)),
       section("Slices", false, this.sliceControls()),
+      this.measures.element,
       section("Camera", false, this.cameraControls()),
       section("Light", false, this.lightControls()),
       section("Clip planes", false, this.cropControls()),
@@ -413,7 +415,7 @@ class Panel {
     this.undo.disabled = !viewer.canUndo;
     this.redo.disabled = !viewer.canRedo;
     this.layout.show(state.layout);
-    this.tool.show(state.tool === "orbit" || state.tool === "crosshair" ? "" : state.tool);
+    this.tool.show(state.tool === "orbit" || state.tool === "crosshair" || state.tool in MEASURES ? "" : state.tool);
     this.mode.show(state.mode);
     this.showOptions(state);
     const matter = state.mode === "composite" && !viewer.info.volume.labels;
@@ -480,6 +482,7 @@ class Panel {
     this.heat.show(state.heat);
     this.axes.show(state);
     this.layers.show(state);
+    this.measures.show(state);
     this.labels.show(state);
   }
 

@@ -67,6 +67,7 @@ class Viewer {
     else if (message.type === "overlay") this.overlay(message);
     else if (message.type === "readout") for (const pane of this.panes.values()) pane.readout.show(pane.name === message.pane ? message : null);
     else if (message.type === "curve") this.panel.axes.series.tellCurve(message);
+    else if (message.type === "measures") this.measured(message);
     else if (message.type === "joint") this.panel.joint.tell(message);
     else if (message.type === "wiper") this.compared(message.errors);
   }
@@ -91,6 +92,11 @@ class Viewer {
     this.effective = message.effective ?? this.effective;
     this.onConfirmed(this.confirmed);
     this.show();
+  }
+
+  measured(message) {
+    this.panel.measures.tell(message);
+    for (const pane of this.panes.values()) pane.decorate();
   }
 
   overlay(message) {
