@@ -17,7 +17,11 @@
 #include "spline/filter.cl"
 #include "march/window.cl"
 
-#define PLANE_EDGE 48   // coefficients along an edge of a plane, at most
+#if PLANES
+#define PLANE_EDGE 64   // coefficients along an edge of a plane, at most: rays may lie 3.7 voxels apart
+#else
+#define PLANE_EDGE 48   // none is made, but a compiler may keep its room
+#endif
 #define PLANE_ROOM (PLANE_EDGE * PLANE_EDGE + 8)
 
 typedef struct {

@@ -41,7 +41,7 @@ _COARSE = 3  # pixels of a heat map that is dragged, along each edge
 _TOUR = 96  # pixels along the longer edge of the picture that measures the share of visited samples
 WHOLE = 3600.0  # seconds: a budget in which every picture is drawn in one go
 _TICK = 0.01  # seconds between checks whether a picture is still wanted
-_LONGEST = 8.0  # voxels; the longest step while something is dragged
+_LONGEST = 8.0, 4.0  # voxels; the longest step while something is dragged, without and with light, which shows gaps
 _QUICK = 1  # of zlib: twice as fast as its default, with a fifth more bytes
 _SMALL = 640 * 480  # pixels of a JPEG whose colours are not halved
 _KEPT = 2  # final pictures of the wiper's two filters
@@ -247,7 +247,7 @@ class Drawer:
         """The one picture of something that is dragged: with as many pixels as its time allows."""
         state, mode = order.state, as_mode(order.state.mode, order.state.options)
         kind = chosen, state.mode
-        longest = 0.0 if mode.stretches or mode.regions else _LONGEST  # surfaces are found whatever the step
+        longest = 0.0 if mode.stretches or mode.regions else _LONGEST[mode.shaded]  # surfaces are found whatever the step
         size, step = self._pace.choose(kind, order.size, state.step, longest, order.budget)
         if tolerance_of(mode) is not None:
             given["tolerance"] = None  # probes take longer than the picture
