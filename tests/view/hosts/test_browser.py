@@ -5,7 +5,7 @@ from __future__ import annotations
 import http.server
 import threading
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -83,7 +83,10 @@ def test_the_page_responds_to_gestures_and_contacts_no_other_machine(browser: Br
 class Plain(http.server.BaseHTTPRequestHandler):
     """A page of another server on this machine, without a policy."""
 
+    got: ClassVar[list[list[tuple[str, str]]]] = []  # headers
+
     def do_GET(self) -> None:
+        self.got.append(self.headers.items())
         self.send_response(200)
         self.send_header("Content-Type", "text/html")
         self.end_headers()
@@ -93,7 +96,7 @@ class Plain(http.server.BaseHTTPRequestHandler):
 
 
 def test_another_page_in_the_same_browser_gets_nothing(browser: Browser, served: Serving) -> None:
-    """Browsers send the cookie to all ports of a machine: the origin is rejected."""
+    """The origin is rejected, with the right token too; and no request to another port of the machine has a secret."""
     opened(browser, served)
     base = served.url.partition("?")[0]
     ask = """
@@ -120,17 +123,24 @@ def test_another_page_in_the_same_browser_gets_nothing(browser: Browser, served:
         ws.onerror = () => done("refused");
     """
     assert browser.driver.execute_async_script(own, base.replace("http", "ws") + "ws") == "open"  # the page itself may
+    secret = browser.js("return Object.entries(localStorage).join()")
+    assert len(secret) > 43
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Plain) as other:
         threading.Thread(target=other.serve_forever, daemon=True).start()
         browser.open(f"http://127.0.0.1:{other.server_port}/")
         assert browser.driver.execute_async_script(ask, base, "?" + served.url.partition("?")[2]) == ["refused"] * 4
+        assert browser.js("return document.cookie + Object.entries(localStorage).join()") == ""
         other.shutdown()
+    assert Plain.got
+    sent = [header for headers in Plain.got for header in headers]
+    assert not [value for name, value in sent if name.lower() == "cookie" or secret.partition(",")[2] in value]
     browser.wait(lambda: served.clients == 0)
 
 
 def test_a_page_without_the_token_explains_what_to_do(browser: Browser, served: Serving) -> None:
     browser.open(served.url.partition("?")[0])
-    assert "open the address that was printed" in browser.js("return document.body.innerText")
+    browser.wait("document.body.innerText.includes('open the one that was printed where clvol was started')")
+    assert served.clients == 0
 
 
 def test_two_pages_have_independent_views(browser: Browser, served: Serving) -> None:
@@ -180,3 +190,13 @@ def test_a_page_of_a_viewer_that_has_ended_says_so_and_hands_its_state_over(brow
         browser.js("const box = document.querySelector('.clvol-renewal input'); box.value = arguments[0]; box.focus()", second.url)
         browser.key("Enter", windowsVirtualKeyCode=13)
         browser.wait(f"document.querySelector('.clvol-pane') && {mode}.value === 'mip' && {told} === ''")
+
+
+def test_a_reload_and_another_tab_need_no_token(browser: Browser, served: Serving) -> None:
+    first = opened(browser, served)
+    browser.driver.refresh()
+    np.testing.assert_array_equal(settled(browser), first)
+    browser.js("window.open(arguments[0], '_blank', 'noopener')", served.url.partition("?")[0])
+    browser.driver.switch_to.window(browser.driver.window_handles[1])
+    settled(browser)
+    assert served.clients == 2

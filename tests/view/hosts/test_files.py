@@ -149,7 +149,7 @@ def test_only_pages_that_are_let_in_may_open_and_send(served: tuple[Serving, Vie
 
     async def work(visitor: Visitor) -> None:
         paths = "upload?name=parts.nii.gz", "open?name=parts.nii.gz"
-        for path in paths:  # without the cookie, also with the token
+        for path in paths:  # without the secret, also with the token
             for more in ("", f"&{token}"):
                 assert (await post(visitor, path + more, data, headers=AS_FILE))[0] == 403
         assert await visitor.status("files") == 403

@@ -63,12 +63,7 @@ class Page:
 
     def open(self, fragment: str = "") -> None:
         self.browser.open("about:blank")  # else only the fragment changes
-        if fragment:
-            self.browser.open(self.url)  # for the cookie; the token's redirect has no fragment
-            self.browser.open("about:blank")
-            self.browser.open(self.url.partition("?")[0] + fragment)
-        else:
-            self.browser.open(self.url)
+        self.browser.open(self.url + fragment)
         self.wait(f"{SHOWN} && {FINAL}", 60)
 
     def choose(self, label: str, value: str) -> None:

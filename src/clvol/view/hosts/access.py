@@ -18,9 +18,11 @@ from clvol.base.errors import OptionError
 if TYPE_CHECKING:
     from aiohttp import web
 
-__all__ = ["Access", "Refused", "from_another_site", "is_any", "is_loopback"]
+__all__ = ["INVALID", "SECRET", "Access", "Refused", "from_another_site", "is_any", "is_loopback"]
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
+SECRET = "X-Clvol-Secret"
+INVALID = "this address is not, or no longer, valid: open the one that was printed where clvol was started"
 _TICKET = 60.0  # seconds that a browser has to start
 
 
@@ -33,7 +35,7 @@ class Refused(Exception):
 
 
 class Access:
-    """Checks requests: `Host` and `Origin` whatever token they bring, then the token or the cookie that it was exchanged for.
+    """Checks requests: `Host` and `Origin` whatever token they bring, then the token or the secret that it was exchanged for.
 
     So neither another site in the same browser nor a name that was made to point here gets in.
 
@@ -45,7 +47,7 @@ class Access:
         self._tickets: dict[str, float] = {}  # until when each is valid
         self.token = secrets.token_urlsafe(32)
         self.secret = secrets.token_urlsafe(32)
-        """The cookie's value: the address does not reveal it."""
+        """What pages keep: the address does not reveal it."""
 
     def ticket(self) -> str:
         """A token that is valid once, for a minute."""
@@ -81,16 +83,19 @@ class Access:
         if from_another_site(request) and not navigates and not origins:
             raise Refused(403, "requests from other sites are not allowed")
 
-    def check_token(self, request: web.BaseRequest, given: str, cookie: str) -> None:
-        """Refuse a wrong token; tickets are spent."""
-        now, until = time.monotonic(), self._tickets.pop(given, -math.inf)
+    def admits(self, hello: object) -> bool:
+        """Whether the first message of a websocket has a token or the secret; tickets are spent."""
+        if not isinstance(hello, dict) or hello.get("type") != "hello":
+            return False
+        token, secret = (given if isinstance(given := hello.get(name), str) else "" for name in ("token", "secret"))
+        now, until = time.monotonic(), self._tickets.pop(token, -math.inf)
         self._tickets = {ticket: end for ticket, end in self._tickets.items() if end > now}
-        if not (_equal(given, self.token) or now < until or self.has_cookie(request, cookie)):
-            raise Refused(403, "this address is not, or no longer, valid: open the one that was printed where clvol was started")
+        return _equal(token, self.token) or now < until or _equal(secret, self.secret)
 
-    def has_cookie(self, request: web.BaseRequest, cookie: str) -> bool:
-        """Whether a request has the cookie of this name."""
-        return _equal(request.cookies.get(cookie, ""), self.secret)
+    def check_secret(self, request: web.BaseRequest) -> None:
+        """Refuse a request without the secret, which pages send in a header of their own: no proxy has a use for it."""
+        if not _equal(request.headers.get(SECRET, ""), self.secret):
+            raise Refused(403, INVALID)
 
 
 def from_another_site(request: web.BaseRequest) -> bool:

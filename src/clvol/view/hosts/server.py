@@ -1,8 +1,9 @@
 """A view as a page of a web server: the page's files, and a websocket for each client.
 
-By default it listens on this machine only. Clients prove that they may look by a random token: once in the address, then by a
-cookie (`clvol.view.hosts.access`). No path of a request is opened: there is a table of the package's own files, and volumes come
-from one folder that the server's user gave, or from a browser (`clvol.view.hosts.files`).
+By default it listens on this machine only. Clients prove that they may look by a random token, once, then by a secret
+(`clvol.view.hosts.greeting`); the page's own files hold nothing that is not in the package. No path of a request is opened: there
+is a table of these files, and volumes come from one folder that the server's user gave, or from a browser
+(`clvol.view.hosts.files`).
 
 On the wire each message is one JSON text; where bytes follow it, it says how many (``"bytes"``), and they are the next message.
 
@@ -28,7 +29,7 @@ from typing import Any, Self
 from clvol.base.checks import whole
 from clvol.base.errors import ClvolError, MissingDependencyError, OptionError
 from clvol.view.background import Result, started
-from clvol.view.hosts.access import Access, Refused, from_another_site, is_any, is_loopback
+from clvol.view.hosts.access import Access, Refused, is_any, is_loopback
 from clvol.view.hosts.assets import asset
 from clvol.view.hosts.files import Files
 from clvol.view.hosts.outbox import Limits, Outbox, Rate
@@ -37,6 +38,7 @@ from clvol.view.protocol import Message, Receiver, SessionFactory, status
 try:
     from aiohttp import WSCloseCode, WSMsgType, web
 
+    from clvol.view.hosts.greeting import Greeter
     from clvol.view.hosts.listener import Listener
 except ImportError as missing:
     raise MissingDependencyError("the viewer's page needs aiohttp, which is not installed: pip install clvol[view]") from missing
@@ -247,6 +249,7 @@ class Server:
         self.limits, self.doing = limits or Limits(), doing
         self._make = (lambda: view) if hasattr(view, "session") else view
         self._access = Access(host, names)
+        self._greeter = Greeter(self._access)
         self._root = _as_root(root_path)
         self._tls = _tls(certificate, key)
         self._files, self._shelf = _static(), Files(folder, self.limits)
@@ -349,17 +352,13 @@ class Server:
         sends = request.method == "POST" and path in ("/open", "/upload")
         if request.method not in ("GET", "HEAD") and not sends:
             raise Refused(405, "only GET is allowed here")
-        given = None if sends else request.query.get("token")
-        if given is not None:
-            return self._let_in(request, given)
-        if not self._access.has_cookie(request, self._cookie):
-            raise Refused(403, "open the address that was printed where clvol was started, with its token")
         if path == "":
-            return self._redirect()
+            return self._redirect(request)
         name = "index.html" if path == "/" else path[1:]
         if name == "ws":
             return await self._connect(request)
         if name == "files" or sends:
+            self._access.check_secret(request)
             return await self._layered(request, name)
         found = self._files.get(name)
         if found is None:
@@ -384,28 +383,10 @@ class Server:
             raise Refused(422, said(error)) from error
         return self._response(json.dumps(answer).encode(), "application/json")
 
-    def _let_in(self, request: web.BaseRequest, given: str) -> web.Response:
-        """Exchange the token for a cookie, and go to the address without the token."""
-        self._access.check_token(request, given, self._cookie)
-        if from_another_site(request):
-            # a redirect would be part of the other site's navigation, which brings no strict cookie
-            body = f'<!doctype html><meta http-equiv="refresh" content="0; url={self._root or "."}/">'.encode()
-            response = self._response(body, "text/html; charset=utf-8")
-        else:
-            response = self._redirect()
-        secure = self._tls is not None or request.headers.get("X-Forwarded-Proto", "").lower() == "https"
-        response.set_cookie(
-            self._cookie, self._access.secret, path=f"{self._root}/", httponly=True, samesite="Strict", secure=secure or None
-        )
-        return response
-
-    @property
-    def _cookie(self) -> str:
-        return f"clvol-{self.port}"  # browsers keep one jar for all ports of a machine
-
-    def _redirect(self) -> web.Response:
+    def _redirect(self, request: web.BaseRequest) -> web.Response:
         response = self._response(b"", "text/plain", 303)
-        response.headers["Location"] = f"{self._root or '.'}/"
+        query = request.rel_url.raw_query_string
+        response.headers["Location"] = f"{self._root or '.'}/{query and '?'}{query}"
         return response
 
     def _refusal(self, words: str, status: int) -> web.Response:
@@ -422,10 +403,13 @@ class Server:
             raise Refused(400, "this is the address of a websocket")
         socket.headers.update(self._headers)
         await socket.prepare(request)
+        if not await self._greeter.admits(socket):
+            return socket
         if len(self._clients) >= self.limits.clients:  # said here: pages do not learn why a handshake failed
             text = f"{self.limits.clients} pages are open, the maximum; close one"
             await socket.close(code=WSCloseCode.TRY_AGAIN_LATER, message=text.encode())
             return socket
+        await self._greeter.welcome(socket)
         client = _Client(self, socket)
         self._clients.add(client)
         try:

@@ -70,7 +70,7 @@ class Opening {
   async ask(path, options = {}, reads = "") {
     if (reads) this.viewer.status(`reading ${reads}`, "busy");
     try {
-      const answer = await fetch(path, options);
+      const answer = await fetch(path, { ...options, headers: { ...options.headers, ...this.viewer.channel.headers } });
       if (!answer.ok) throw new Error((await answer.text()).replace(/^clvol: /, "").trim());
       const found = await answer.json();
       if (reads) this.viewer.status("");

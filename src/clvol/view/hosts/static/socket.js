@@ -4,7 +4,7 @@ const RETRY = [500, 1000, 2000, 4000, 8000, 16_000, 30_000]; // milliseconds bef
 const DOUBTFUL = 4; // tries after which clvol may have ended
 const IDLE = 4000; // close code of an idle page, which keeps its state
 const LEFT_ALONE = [1008, 1009, 4001]; // close codes after which the page does not reconnect by itself
-const REFUSED = [401, 403, 404];
+const REFUSED = 4003; // close code of a page that the server does not know
 const BEAT = 250; // milliseconds between looks at whether clvol answers
 const UNHEARD = 350; // milliseconds of silence after which it is asked
 const SILENT = 900; // and after which it is said that it does not answer
@@ -19,6 +19,9 @@ class Socket {
     this.onlost = () => {}; // (words, how): "retry", "doubtful" while it tries on, "wait" for a click, "ended" or "final"
     this.onsilent = () => {}; // with true if clvol does not answer, and with false once it does
     this.tries = 0;
+    this.welcomed = false; // ever
+    this.token = new URLSearchParams(location.search).get("token"); // until it is exchanged for the secret
+    this.name = `clvol ${this.url.pathname}`;
     this.heard = this.looked = performance.now();
     this.silent = false;
     setInterval(() => this.look(), BEAT);
@@ -40,6 +43,33 @@ class Socket {
     if (this.silent) this.onsilent((this.silent = false));
   }
 
+  /** What proves that this page may look: kept by the browser for the page's origin, as cookies are for all ports of a machine. */
+  get secret() {
+    try {
+      return localStorage.getItem(this.name) ?? this.own ?? "";
+    } catch {
+      return this.own ?? ""; // without storage
+    }
+  }
+
+  /** Headers of requests beside the socket. */
+  get headers() {
+    return { "X-Clvol-Secret": this.secret };
+  }
+
+  /** Keeps the secret; the address loses the token. */
+  welcome({ secret }) {
+    this.own = secret;
+    try {
+      localStorage.setItem(this.name, secret);
+    } catch {} // without storage a reload needs the printed address
+    this.welcomed = true;
+    this.tries = 0;
+    if (this.token !== null) history.replaceState(history.state, "", location.pathname + location.hash);
+    this.token = null;
+    this.onopen();
+  }
+
   send(object) {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(object));
   }
@@ -50,10 +80,7 @@ class Socket {
     this.socket = new WebSocket(url);
     this.socket.binaryType = "arraybuffer";
     let header = null; // of the bytes that follow
-    this.socket.onopen = () => {
-      this.tries = 0;
-      this.onopen();
-    };
+    this.socket.onopen = () => this.send({ type: "hello", token: this.token ?? "", secret: this.secret });
     this.socket.onmessage = ({ data }) => {
       this.hear();
       if (typeof data !== "string") {
@@ -64,30 +91,22 @@ class Socket {
       }
       const message = JSON.parse(data);
       if (message.type === "pong") return;
-      if (message.bytes !== undefined) header = message;
+      if (message.type === "welcome") this.welcome(message);
+      else if (message.bytes !== undefined) header = message;
       else this.onmessage(message, null);
     };
     this.socket.onclose = (event) => this.closed(event);
   }
 
-  async closed({ code, reason }) {
+  closed({ code, reason }) {
     if (code === IDLE) return this.onlost(`${reason}; click to continue`, "wait");
     if (LEFT_ALONE.includes(code)) return this.onlost(`${reason || "the connection to clvol was lost"}; reload to continue`, "final");
-    if (await this.refused()) return this.onlost(`this viewer has ended; ${RENEWED}`, "ended");
+    if (code === REFUSED) return this.onlost(this.welcomed ? `this viewer has ended; ${RENEWED}` : reason, "ended");
     const wait = RETRY[Math.min(this.tries++, RETRY.length - 1)];
     const doubtful = this.tries > DOUBTFUL;
     const words = doubtful ? `clvol does not answer; if it has ended, ${RENEWED}` : reason || "the connection to clvol was lost";
     setTimeout(() => this.connect(), wait);
     return this.onlost(`${words}; trying again in ${wait / 1000} s`, doubtful ? "doubtful" : "retry");
-  }
-
-  /** Whether a server answers that does not know this page: another one was started. Browsers do not say why a websocket fails. */
-  async refused() {
-    try {
-      return REFUSED.includes((await fetch(new URL(".", this.url), { method: "HEAD", cache: "no-store" })).status);
-    } catch {
-      return false; // there is none
-    }
   }
 }
 
