@@ -2,11 +2,11 @@
 
     python -m bench.small [--quick] [--only WORD] [--markdown] [--picture FILE] [--small {scipy,opencl}]
 
-A ratio is SciPy's time by clvol's: below 1 clvol is slower. Calls alternate in short batches, and the median of the batches' ratios
-counts, so that a busy machine lengthens both. The table has the lowest ratio of all modes and orders for each function and size,
-and names them. `--small opencl` measures what the same calls take on the device. `--picture` measures arrays of one sample to 16
-million instead (of one axis, to 1 million), the largest ones once, and draws the median and the lowest ratio of orders and modes.
-It needs matplotlib.
+A ratio is SciPy's time by clvol's: below 1 clvol is slower. Calls alternate in short batches, and the fastest of each counts.
+SciPy's time is that of its one thread, which a busy machine does not lengthen; clvol's passes by the clock. The table has the
+lowest ratio of all modes and orders for each function and size, and names them. `--small opencl` measures what the same calls
+take on the device. `--picture` measures arrays of one sample to 16 million instead (of one axis, to 1 million), SciPy's of the
+largest once, and draws the median and the lowest ratio of orders and modes. It needs matplotlib.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ DRAWN = {1: tuple(16**k for k in range(6)), 2: tuple(4**k for k in range(7)), 3:
 _LARGE = 1 << 12  # samples from which not every order and mode is measured
 _HUGE = 1 << 18  # from which one mode is, and no function of Python's
 _ONCE = 1 << 20  # above which order 3 is, once
-_BATCH = 1e-3  # seconds that a batch of SciPy's calls takes, at least
+_BATCH = 1e-3  # seconds that a batch of both takes, at least
+_LONG = 1.0  # from which on SciPy's call is timed once
 _TOLERATED = 0.9
 
 
@@ -116,16 +117,13 @@ def ratio(call: Call, small: str, batches: int) -> tuple[float, float, float]:
     ours = partial(call, ndimage if small == "scipy" else _OnDevice())
     theirs = partial(call, scipy_ndimage)
     ours()
-    count = 1
-    if batches > 1:
-        theirs()
-        count = max(1, round(_BATCH / (_seconds(theirs, 1) + _seconds(ours, 1))))
-    pairs = [(_seconds(theirs, count), _seconds(ours, count)) for _ in range(batches)]
-    return (
-        statistics.median(them / us for them, us in pairs),
-        statistics.median(them for them, _ in pairs),
-        statistics.median(us for _, us in pairs),
-    )
+    them, us = _seconds(theirs, 1, time.thread_time), _seconds(ours, 1)
+    count = max(1, round(_BATCH / (them + us)))
+    for _ in range(batches):
+        if them < _LONG:
+            them = min(them, _seconds(theirs, count, time.thread_time))
+        us = min(us, _seconds(ours, count))
+    return them / us, them, us
 
 
 class _OnDevice:
@@ -135,11 +133,11 @@ class _OnDevice:
         return partial(getattr(ndimage, name), small="opencl")
 
 
-def _seconds(call: Callable[[], Any], count: int) -> float:
-    start = time.perf_counter()
+def _seconds(call: Callable[[], Any], count: int, clock: Callable[[], float] = time.perf_counter) -> float:
+    start = clock()
     for _ in range(count):
         call()
-    return (time.perf_counter() - start) / count
+    return (clock() - start) / count
 
 
 def main() -> None:
@@ -154,10 +152,10 @@ def main() -> None:
     for cell in cells(quick=options.quick, drawn=bool(options.picture)):
         if options.only in cell.function:
             count = cell.side**cell.ndim
-            batches = 1 if count > _ONCE else 3 if options.quick or options.picture else 9
+            batches = 3 if options.quick or count > _ONCE else 9
             one = ratio(cell.call(), options.small, batches)
             if one[0] < _TOLERATED and count <= _ONCE:  # once more: another program may have interfered
-                one = max(one, ratio(cell.call(), options.small, 3 * batches))
+                one = max(one, ratio(cell.call(), options.small, 9 * batches))
             found[cell[:3]].append((*one, cell))
     worst = {key: min(each) for key, each in found.items()}
     _print(worst, markdown=options.markdown)

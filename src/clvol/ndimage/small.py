@@ -165,27 +165,39 @@ class Small:
     """The input and the options of a call that both would compute; its methods return None where the call is not small."""
 
     __slots__ = ("cval", "data", "output", "plan")
-
-    def __init__(self, data: Array, output: Array | np.dtype[Any], cval: float, plan: _Plan) -> None:
-        self.data, self.output, self.cval, self.plan = data, output, cval, plan
+    data: Array
+    output: Array | np.dtype[Any]
+    cval: float
+    plan: _Plan
 
     @classmethod
     def of(
         cls, given: object, output: Any, order: object, mode: object, cval: object, prefilter: object, how: tuple[Any, ...]
     ) -> Small | None:
         """None if the input is large or anything is not of the simplest kind; `how` is as for `coefficients`."""
-        if _by_clvol(how) or type(order) is not int or not isinstance(cval, (float, int)) or not -_MOST < cval < _MOST:
+        if _by_clvol(how) or type(order) is not int:
+            return None
+        if (type(cval) is not float and not isinstance(cval, (float, int))) or not -_MOST < cval < _MOST:
             return None
         if type(given) is not np.ndarray:
             if not isinstance(given, _ARRAYS):
                 return None
             given = as_array(given)
-        into = output if type(output) is np.ndarray and _writable(output, given) else None
+        kind = output
+        if type(output) is np.ndarray:
+            if not _writable(output, given):
+                return None
+            kind = output.dtype
         try:
-            plan = _plan(given.shape, given.dtype, output if into is None else into.dtype, order, mode, prefilter)
+            plan = _plan(given.shape, given.dtype, kind, order, mode, prefilter)
         except TypeError:  # what cannot be hashed
             return None
-        return None if plan is None else cls(given, plan.kind if into is None else into, cval, plan)
+        if plan is None:
+            return None
+        call = cls()  # whose attributes are set sooner here than by a method
+        call.data, call.cval, call.plan = given, cval, plan
+        call.output = plan.kind if kind is output else output
+        return call
 
     def _few(self, count: int) -> bool:
         """Whether SciPy computes a result at so many given points."""
@@ -308,7 +320,7 @@ class Small:
             along = _plane_plan(self.data.shape, plan.kind, plan.order, plan.mode, tuple(plane))
             if along is None:
                 return None
-            plan = along
+            self.plan = along
         left, flat = 3 - sum(plane), tuple(shape[axis] for axis in plane)
 
         def turning(data: Array, output: Any, *options: Any) -> Array:
@@ -320,7 +332,7 @@ class Small:
                 one(given, turn, start, flat, made, *options)
             return result
 
-        return Small(self.data, self.output, self.cval, plan)._by(turning)
+        return self._by(turning)
 
     def _by(self, function: str | Callable[..., Array], *arguments: Any) -> Array | None:
         """The result of a function of SciPy's; what it refuses is left to clvol, whose error tells more."""
@@ -443,11 +455,11 @@ def _rule(mode: str) -> Boundary:
 
 def _filtered(data: Array, plan: _Plan) -> Array | None:
     """The coefficients of an array, along the axes of a plan; None if they may not be finite: a matrix times infinity warns."""
+    if plan.line:  # along which one sample that is not finite makes all coefficients so
+        data = (_functions or originals())["spline_filter1d"](data, plan.order, 0, _DOUBLE, plan.mode)
+        return data if isfinite(data[0]) else None
     if plan.order < 2:
         return data if plan.kind is _DOUBLE or _finite(data) else None
-    if plan.line:  # along which one sample that is not finite makes all coefficients so
-        data = originals()["spline_filter1d"](data, plan.order, 0, np.float64, plan.mode)
-        return data if isfinite(data[0]) else None
     if not _finite(data):
         return None
     if plan.whole is not None:
