@@ -317,10 +317,15 @@ def lay(picture: NDArray[Any], layers: Sequence[tuple[NDArray[Any], TransferFunc
     elif layers:
         opaque = np.stack(shares).astype(np.float64)
         weights = -np.log1p(-np.minimum(opaque, _OPAQUE))
-        total = np.sort(weights, 0).sum(0)[..., None]
-        colors = np.sort(weights[..., None] * np.stack([one[..., :3] for one in seen]), 0).sum(0)
+        total = _sorted(weights).sum(0)[..., None]
+        colors = _sorted(weights[..., None] * np.stack([one[..., :3] for one in seen])).sum(0)
         colors = np.divide(colors, total, out=np.zeros_like(colors), where=total > 0)
-        _cover(picture, colors, 1 - np.sort(1 - opaque, 0).prod(0))
+        _cover(picture, colors, 1 - _sorted(1 - opaque).prod(0))
+
+
+def _sorted(layers: NDArray[Any]) -> NDArray[Any]:
+    """Along axis 0, so that sums do not depend on the order; those of two do not anyway."""
+    return layers if len(layers) == 2 else np.sort(layers, 0)
 
 
 def _cover(picture: NDArray[Any], shown: NDArray[Any], opacities: NDArray[Any]) -> None:

@@ -342,6 +342,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         "the material": heard.get("material") not in (None, Material()),
         "the other filter of the wiper": state.wiper is not None,
         "the other media": bool(resident.catalog.media),
+        "what is measured": bool(state.marks),
         "the heat map (--heat-map FILE)": state.heat,
     }
     unsaid = [words for words, is_so in inexpressible.items() if is_so]

@@ -199,7 +199,7 @@ def test_a_file_is_dropped_on_the_page_and_removed_again(browser: Browser, serve
     )
     browser.wait(f"{rows}[1] === 'parts.nii.gz'")
     browser.wait(final, 60)
-    browser.js("document.querySelector('.clvol-opening button').click()")
+    browser.js("document.querySelector('.clvol-open').click()")
     browser.wait("document.querySelectorAll('.clvol-opening option').length === 3")
     browser.js(
         """const list = document.querySelector('.clvol-opening select');

@@ -283,7 +283,7 @@ def test_a_point_of_the_transfer_function_is_dragged_as_one_step(page: Page) -> 
 
 def test_points_are_added_coloured_and_deleted(page: Page) -> None:
     count = page.js("return document.querySelectorAll('.clvol-dot').length")
-    left, top, width, _ = page.browser.box(".clvol-graph")
+    left, top, width, _ = page.browser.box(".clvol-transfer .clvol-graph")
     for clicks in (1, 2):
         for kind in ("mousePressed", "mouseReleased"):
             page.browser.mouse(kind, left + 0.9 * width, top + 60, clickCount=clicks)

@@ -8,7 +8,7 @@ class Layers {
     this.rows = [];
     this.list = make("ul", { class: "clvol-layers", "aria-label": "layers" });
     this.opening = viewer.opens ? new Opening(viewer) : null;
-    this.element = section("Layers", true, this.list, this.opening?.element);
+    this.element = section("Layers", true, this.list);
     this.element.hidden = true;
   }
 
@@ -17,7 +17,7 @@ class Layers {
   }
 
   tell({ media = [], colormaps = [] }) {
-    this.element.hidden = media.length < 2 && !this.opening;
+    this.element.hidden = media.length < 2;
     if (same(media, this.about)) return;
     this.about = media;
     this.rows = media.map((about, k) => this.rowOf(about, k, colormaps));

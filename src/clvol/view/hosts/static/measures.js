@@ -1,6 +1,8 @@
 // -- measures on slices: lines over the pictures, and a list in the panel --------------------------------------------
 
 const MEASURES = { distance: "distance", angle: "angle", area: "area", rectangle: "rectangle", ellipse: "ellipse" };
+const ROOMY = 260; // CSS pixels of a pane in which marks have more than their numbers
+const LETTER = 7.5; // CSS pixels, at most
 
 /** What a row of the session's message "measures" says, in a few words. */
 function measureWords(row, units) {
@@ -25,14 +27,16 @@ function markPath(kind, points) {
   return `M${ends[0].join(" ")}A${rx} ${ry} 0 1 1 ${ends[1].join(" ")}A${rx} ${ry} 0 1 1 ${ends[0].join(" ")}`;
 }
 
-/** Elements of SVG for the marks of a pane, each with its number and what it measures. */
-function drawnMarks(marks, measures) {
+/** Elements of SVG for the marks of a pane, each with its number and, where there is room, what it measures. */
+function drawnMarks(marks, measures, width) {
   return marks.flatMap(({ number, kind, points }) => {
     const path = markPath(kind, points);
     const [x, y] = points.reduce((best, p) => (p[0] > best[0] ? p : best));
     const row = measures.rows[number];
-    const said = row?.kind === kind ? measureWords(row, measures.units) : "";
-    const text = make("text", { class: "clvol-measured", x: x + 6, y: y - 6 }, `${number + 1}${said ? `: ${said}` : ""}`);
+    const said = row?.kind === kind && width >= ROOMY ? measureWords(row, measures.units) : "";
+    const words = `${number + 1}${said ? `: ${said}` : ""}`;
+    const left = Math.min(x + 6, width - LETTER * words.length);
+    const text = make("text", { class: "clvol-measured", x: left, y: y - 6 }, words);
     return [make("path", { class: "clvol-mark-edge", d: path }), make("path", { class: "clvol-mark", d: path }), text];
   });
 }

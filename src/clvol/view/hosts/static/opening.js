@@ -7,10 +7,9 @@ class Opening {
     this.place = make("span", { class: "clvol-note" });
     const file = make("input", { type: "file", multiple: true, hidden: true, "aria-label": "files of this device", onchange: () => this.send([...file.files]).then(() => (file.value = "")) });
     const buttons = [button("Show", () => this.open(), { title: "show the volume as a layer" }), button("From this device", () => file.click(), { title: "send a file of this device to clvol" })];
-    this.box = make("div", { hidden: true }, this.place, this.list, make("div", { class: "clvol-buttons" }, ...buttons, file));
-    this.button = button("Open\u2026", () => this.toggle(), { title: "show another volume as a layer; or drop its file on the page" });
+    this.box = make("div", { class: "clvol-opening", hidden: true }, this.place, this.list, make("div", { class: "clvol-buttons" }, ...buttons, file));
+    this.button = button("Open\u2026", () => this.toggle(), { title: "show another volume as a layer; or drop its file on the page", kind: "clvol-open" });
     this.button.setAttribute("aria-expanded", "false");
-    this.element = make("div", { class: "clvol-opening" }, this.button, this.box);
     this.stop = new AbortController();
   }
 

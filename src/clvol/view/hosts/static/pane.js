@@ -266,7 +266,7 @@ class Pane {
         paths.push(make("circle", { class: `clvol-face${held}`, cx: x, cy: y, r: 6 }));
       }
     }
-    paths.push(...drawnMarks(marks, this.viewer.panel.measures));
+    paths.push(...drawnMarks(marks, this.viewer.panel.measures, this.element.clientWidth));
     return paths.length ? make("svg", {}, ...paths) : null;
   }
 

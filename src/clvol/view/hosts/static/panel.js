@@ -217,8 +217,8 @@ class Panel {
     this.layout.fill([["3d", "3-D"], ["slice", "slice"], ["linked", "3-D and slices"]]);
     this.tool = choice("Drag", this.setter("tool", (value) => value || null), TOOL_HINT);
     this.tool.fill([["", "orbit, crosshair"], ["pan", "pan"], ["zoom", "zoom"], ["roll", "roll"], ["window", "window"], ["isovalue", "isovalue"], ["crop", "clip planes"]]);
-    const bar = make("div", { class: "clvol-buttons", role: "toolbar", "aria-label": "history and view" }, this.undo, this.redo, fit, reset);
-    return make("div", { class: "clvol-head" }, bar, this.layout.element, this.tool.element);
+    const bar = make("div", { class: "clvol-buttons", role: "toolbar", "aria-label": "history and view" }, this.undo, this.redo, fit, reset, this.layers.opening?.button);
+    return make("div", { class: "clvol-head" }, bar, this.layers.opening?.box, this.layout.element, this.tool.element);
   }
 
   oneSlice() {
