@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import ClvolError
+from clvol.base.progress import Progress
 from clvol.march.empty import warn_of_refined
 from clvol.march.renderer import Renderer
 from clvol.march.slices import lay, shaded
@@ -59,6 +60,7 @@ class Order(NamedTuple):
     coarse: bool = False  # only the first picture: something is dragged
     elsewhere: Callable[[], object] = lambda: False
     """Asked while there is nothing to draw: whether the thread is needed for something else, and comes back to this order."""
+    progress: Progress | None = None  # of a final picture in one go; it may raise
 
     def interrupted(self) -> bool:
         """Whether to wait no longer."""
@@ -291,7 +293,7 @@ def _refined(
     """Pictures at rest; `rested` is told the size, the step and the time of the last one."""
     if not math.isfinite(order.budget):
         with suppress(Stopped):
-            picture = renderer.render(size=order.size, progress=asking(order.stop), **given)
+            picture = renderer.render(size=order.size, progress=order.progress or asking(order.stop), **given)
             yield Shot(to_bytes(picture), True, picture.recipe.step)
         return
     camera, mode = given.pop("camera"), given.pop("mode")

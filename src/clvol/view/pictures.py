@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import closing
 
 from clvol.base.checks import heard_by
@@ -35,6 +36,8 @@ class Pictures:
     ) -> None:
         self._resident, self._control, self._drawer = resident, control, drawer
         self._updates, self._notices, self._post = updates, notices, post
+        self.meanwhile: Callable[[], None] = lambda: None
+        """Called in the session's thread while a picture is drawn and there is something to tell of files."""
         self._began = time.monotonic()
         self._shown: dict[str, Shown] = {}
         self._took: dict[str, tuple[object, float]] = {}  # by pane: what its last final picture showed, and its seconds
@@ -76,10 +79,12 @@ class Pictures:
 
         def stop() -> bool:
             """The first picture comes in any case, or a drag without a pause would show none; but not when that ends."""
+            if len(post.jobs):
+                self.meanwhile()  # a picture may take longer than a file
             return post.closed or (post.busy() if sent > 0 or not first or at_once else moving and post.drag_ends())
 
         wanted = pixels_of(size, _MOVING_PIXELS * throttle.scale if moving else _MOST_PIXELS)
-        order = Order(context, control.state, name, wanted, budget, stop, moving, post.background.__len__)
+        order = Order(context, control.state, name, wanted, budget, stop, moving, post.has_results)
         began, last = time.perf_counter(), None
         warned: list[str] = []
         with heard_by(warned.append), closing(self._drawer.shots(order)) as shots:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from clvol.view.background import Background
+from clvol.view.jobs import Jobs
 from clvol.view.protocol import Message, Send, ends_drag
 from clvol.view.throttle import Inbox, Throttle
 
@@ -27,6 +28,7 @@ class Post:
         self._send = send
         self.condition = threading.Condition()
         self.inbox, self.throttle, self.background = Inbox(), Throttle(), Background(self.condition)
+        self.jobs = Jobs(self.condition)
         self.closed = False
         self.woken = False
         """Whether what is viewed has changed, which no message says."""
@@ -67,6 +69,7 @@ class Post:
         with self.condition:
             self.closed = True
             self.background.close()
+            self.jobs.close()
             self.inbox.clear()
             self.condition.notify_all()
 
@@ -80,7 +83,11 @@ class Post:
 
     def came(self) -> bool:
         """Whether there is anything to take."""
-        return self.busy() or len(self.background) > 0
+        return self.busy() or self.has_results()
+
+    def has_results(self) -> bool:
+        """Whether anything is ready that other threads have made."""
+        return len(self.background) + len(self.jobs) > 0
 
     def drag_ends(self) -> bool:
         """Whether a message came that ends a drag."""

@@ -8,10 +8,13 @@ From the client:
 - `{"type": "set", "changes": {...}, "live": true?, "gesture": "..."?, "number": n?, "whole": true?}`: `live` changes are
   one step of undo (a slider that is dragged); one without it ends them, and belongs to the same step if it has the gesture's name.
   The number comes back as "heard" with states that include the change, so that a client that has sent more shows that.
-- `{"type": "do", "what": "...", "id": ..., ...}`: answered by a `reply` with that id. `save_picture` (width, height, pane) gives a
-  PNG; `movie` (width, height, frames, format: "gif", "mp4", "webm" or "zip" of PNG) a file; `pick` (x, y, pane) what lies there;
+- `{"type": "do", "what": "...", "id": ..., ...}`: answered by a `reply` with that id. `pick` (x, y, pane) what lies there;
   a double click gives such a reply without an id. `restore` (url) shows the state of an address. `curve` (on) has the values at the
   crosshair along a series sent whenever they change. `joint` gives a "transfer" of value and gradient to begin with.
+  Files take long: `save_picture` (width, height, pane) gives a PNG; `movie` (width, height, frames, format: "gif", "webp", "mp4",
+  "webm" or "zip" of PNG); `mesh` (format: "ply", "stl", "obj" or "glb", faces?) the isosurface, or the surfaces of labels. The
+  reply, with a "name", comes when one is ready, and pictures meanwhile; `cancel` (file: the id of its request) gives it up, and
+  the reply says "cancelled".
 - `{"type": "hover", "pane", "x", "y"}`: the pointer rests or moves there, in CSS pixels; without "pane" it has left. Only the last
   counts, it interrupts no picture, and is answered by a `readout`.
 - `{"type": "ack", "frame": number}`: the client has shown a frame.
@@ -39,6 +42,7 @@ To the client:
   function is of both; `image` is a PNG as a data URL, opaque where they are frequent, the steepest at its top.
 - `{"type": "curve", "axis", "position", "values": [...]}`, or with a "problem": the values at the crosshair of all volumes along an
   axis, null where samples are not finite.
+- `{"type": "job", "id", "name", "doing", "share"}`: how far the file of a request is, from 0 to 1.
 - `info`, `stats`, `status` ("text", and "kind": "info", "busy", "warning" or "error") and `reply`.
 """
 

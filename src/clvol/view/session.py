@@ -12,6 +12,7 @@ from clvol.view import actions, code, protocol
 from clvol.view.audience import Pick
 from clvol.view.control import Control
 from clvol.view.drawing import Drawer
+from clvol.view.files import FILES
 from clvol.view.layers import follow
 from clvol.view.notices import Notices
 from clvol.view.pictures import Pictures
@@ -51,8 +52,10 @@ class Session:
         resident.layers.watch(post)
         self._notices = Notices(post.tell)
         self._updates = Updates(resident, self._control, post.background, post.tell, self._notices, post.is_closed)
-        self._parts = actions.Parts(resident, self._control, self._drawer, self._updates, self._doing, post.is_closed)
+        self._parts = actions.Parts(resident, self._control, self._updates, post.jobs)
+        post.jobs.waits = lambda: self._control.moving
         self._pictures = Pictures(resident, self._control, self._drawer, self._updates, self._notices, post)
+        self._pictures.meanwhile = self._tell_files
         self._readout = Readout(self._control, post)
         self._lost_at: State | None = None  # the state in which the device failed
         self._told = first  # what listeners know
@@ -88,6 +91,7 @@ class Session:
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout)
             self._post.background.join(timeout)
+            self._post.jobs.join(timeout)
 
     def python(self) -> str:
         """A program that draws the final picture of the active pane, bit for bit."""
@@ -133,9 +137,6 @@ class Session:
                 self._lost_at = self.state
                 self._pictures.forget()
         self._notices.put(source, _said(error), "error")
-
-    def _doing(self, text: str, kind: str) -> None:
-        self._notices.put("doing", text, kind)
 
     def _wait(self) -> bool:
         """Wait for something to do; False at the end."""
@@ -188,6 +189,20 @@ class Session:
             self._updates.curve()
         self._updates.measures()
         self._updates.overlays()
+        self._tell_files()
+
+    def _tell_files(self) -> None:
+        """How far files are, and those that are ready."""
+        jobs = self._post.jobs
+        news, ready = jobs.take()
+        for message in news:
+            self._post.tell(message)
+        for done in ready:
+            self._post.tell(done.message, done.data)
+            if done.error is not None:
+                self._fail(done.error)
+        if news or ready:
+            self._notices.put("doing", jobs.doing, "busy")
 
     def _handle(self, received: Mapping[str, Any]) -> None:
         follow(self._control)
@@ -236,17 +251,18 @@ class Session:
         self._updates.state()
 
     def _do(self, request: Request) -> None:
-        act = actions.action_of(request)
+        act = actions.action_of(request, FILES)
         answer = {"type": "reply", "id": request.id, "what": request.what}
         try:
+            if act is None:
+                self._post.jobs.start(answer, FILES[request.what](self._parts, request))
+                return
             more, data = act(self._parts, request)
         except Gone:
             raise
         except Exception as error:
             self._post.tell({**answer, "error": str(error) or type(error).__name__})
             raise
-        finally:
-            self._doing("", "info")
         self._post.tell({**answer, **more}, data)
         self._updates.state()
 

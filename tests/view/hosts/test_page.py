@@ -408,9 +408,23 @@ def test_the_saved_picture_is_the_still_one(page: Page) -> None:
     page.js(
         "URL.createObjectURL = (b) => { b.arrayBuffer().then((a) => { window.saved = [...new Uint8Array(a)]; }); return 'data:,'; }"
     )
+    page.js("HTMLAnchorElement.prototype.click = function () { window.named = this.download; }")
     page.press("Save picture")
     data = bytes(page.wait("window.saved"))
+    assert page.js("return window.named") == "a-head.png"
     np.testing.assert_array_equal(iio.imread(io.BytesIO(data))[..., :3], page.picture()[..., :3])
+
+
+def test_a_file_that_is_being_made_can_be_cancelled(page: Page) -> None:
+    page.js("document.querySelector('[aria-label=\"size of the picture\"]').value = '4'")
+    page.type("Step", "0.02")  # so that it takes long
+    page.press("Save picture")
+    page.wait("document.querySelector('.clvol-files progress')?.value > 0", what="its progress")
+    page.browser.drag((60, 0), PANE)
+    page.becomes(lambda state: state.camera.target is not None)  # meanwhile
+    page.press("Cancel")
+    page.wait("document.querySelectorAll('.clvol-files li').length === 0", what="the row is gone")
+    page.wait(lambda: page.told() in ("", "cancelled"), 20, "nothing is left of it")
 
 
 @pytest.mark.one_in(3)

@@ -249,8 +249,6 @@ def test_the_curve_of_the_crosshair_follows_it_and_is_clicked(browser: Browser, 
     cells.state = replace(cells.state, crosshair=(4.0, 8.0, 8.0))  # the ball comes from there
     browser.wait(lambda: browser.js(f"return {path}") != first, what="another curve")
     left, top, width, height = browser.box(plot)
-    browser.js(f"document.querySelector('{plot}').scrollIntoView()")
-    left, top, width, height = browser.box(plot)
     browser.mouse("mousePressed", left + 0.75 * width, top + height / 2)
     browser.mouse("mouseReleased", left + 0.75 * width, top + height / 2)
     browser.wait(lambda: cells.last.state.index.get("time") == 6)

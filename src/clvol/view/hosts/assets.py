@@ -8,8 +8,8 @@ __all__ = ["asset"]
 
 # parts of one module: notebooks take a single file. What is used while a part is read stands in one before it
 _PARTS = (
-    *("controls", "keys", "pane", "transfer", "joint", "readout", "wiper", "cube", "series", "measures", "opening", "layers"),
-    *("panel", "viewer", "address", "socket", "mount"),
+    *("controls", "keys", "pane", "transfer", "joint", "readout", "wiper", "cube", "series", "measures", "files", "opening"),
+    *("layers", "panel", "viewer", "address", "socket", "mount"),
 )
 
 

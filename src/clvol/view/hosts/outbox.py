@@ -15,7 +15,8 @@ from clvol.view.protocol import Message
 
 __all__ = ["Limits", "Outbox", "Rate"]
 
-_NEWEST_WINS = ("frame", "info", "overlay", "state", "stats", "status")  # a slow client gets only the last, of each pane
+_NEWEST_WINS = ("curve", "frame", "info", "job", "overlay", "state", "stats", "status")  # a slow client gets only the last ...
+_ABOUT = "type", "pane", "id"  # ... of those with the same of these
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Outbox:
             if self.closed:
                 return
             if kind in _NEWEST_WINS:
-                self._drop(lambda other: other.get("type") == kind and other.get("pane") == message.get("pane"))
+                self._drop(lambda other: all(other.get(word) == message.get(word) for word in _ABOUT))
             elif data is not None and len(data) > self._limits.waiting // 2:
                 size = f"{len(data) / 2**20:.0f} MiB, more than the {self._limits.waiting / 2**21:g} that a page may get at once"
                 message, data = {**message, "error": f"the file has {size}; make it smaller"}, None

@@ -35,6 +35,7 @@ export function page(element) {
     if (viewer.state) viewer.setAll(); // from before the connection was lost
     else address.begin();
     viewer.panel.axes.series.begin();
+    viewer.panel.files.clear();
     for (const pane of viewer.panes.values()) pane.resized();
   };
   socket.onlost = (words, how) => {

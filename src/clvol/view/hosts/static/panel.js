@@ -170,6 +170,7 @@ class Panel {
     this.transfer = new TransferEditor(viewer);
     this.joint = new JointEditor(viewer);
     this.axes = new Axes(viewer);
+    this.files = new Files(viewer);
     this.layers = new Layers(viewer);
     this.measures = new Measures(viewer);
     this.labels = new Labels(viewer);
@@ -352,11 +353,8 @@ class Panel {
     const { viewer } = this;
     const copy = (what, name) => button(name, () => viewer.copy(what, name), { title: `copy this picture as ${name}` });
     const buttons = [copy("copy_python", "Python"), copy("copy_toml", "TOML"), copy("copy_url", "URL")];
-    const save = button("Save picture", () => viewer.save("save_picture"), { title: "the final picture, lossless" });
-    this.movie = button("Save movie", () => viewer.save("movie", { format: this.movieAs.value }), { title: "one turn" });
-    this.movieAs = make("select", { "aria-label": "movie format" }, new Option("GIF", "gif"), new Option("MP4", "mp4"), new Option("WebM", "webm"), new Option("PNGs in a zip", "zip"));
     this.text = make("textarea", { class: "clvol-text", readonly: true, rows: 4, hidden: true, "aria-label": "text to copy" });
-    return make("div", {}, make("div", { class: "clvol-buttons" }, make("span", {}, "Copy as"), ...buttons), make("div", { class: "clvol-buttons" }, save, make("span", { class: "clvol-together" }, this.movie, this.movieAs)), this.text);
+    return make("div", {}, make("div", { class: "clvol-buttons" }, make("span", {}, "Copy as"), ...buttons), this.files.element, this.text);
   }
 
   statisticsControls() {

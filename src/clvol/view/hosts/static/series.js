@@ -17,7 +17,7 @@ class Series {
     this.rate = make("select", { "aria-label": "volumes a second", title: "volumes a second", onchange: () => this.tellRate() });
     this.rate.append(...RATES.map((rate) => new Option(`${rate} a second`, rate, rate === RATE, rate === RATE)));
     this.note = make("span", { class: "clvol-note" });
-    this.plot = make("svg", { class: "clvol-graph clvol-series", viewBox: `0 0 ${PLOTTED.join(" ")}`, role: "img", preserveAspectRatio: "none" });
+    this.plot = make("svg", { class: "clvol-series", viewBox: `0 0 ${PLOTTED.join(" ")}`, role: "img", preserveAspectRatio: "none" });
     this.plot.addEventListener("pointerdown", (event) => this.seek(event));
     this.caption = make("p", { class: "clvol-note" });
     const more = make("details", { class: "clvol-more" }, make("summary", {}, "Values at the crosshair"), this.plot, this.caption);

@@ -66,6 +66,7 @@ class Viewer {
     else if (message.type === "reply") this.reply(message, data);
     else if (message.type === "overlay") this.overlay(message);
     else if (message.type === "readout") for (const pane of this.panes.values()) pane.readout.show(pane.name === message.pane ? message : null);
+    else if (message.type === "job") this.panel.files.tell(message);
     else if (message.type === "curve") this.panel.axes.series.tellCurve(message);
     else if (message.type === "measures") this.measured(message);
     else if (message.type === "joint") this.panel.joint.tell(message);
@@ -248,6 +249,7 @@ class Viewer {
   reply(message, data) {
     if (message.what === "pick") return this.picked(message);
     const waiting = this.asked.get(message.id);
+    this.panel.files.end(message.id);
     this.asked.delete(message.id);
     if (!waiting) return;
     if (message.error) waiting.refused(new Error(message.error));
@@ -275,15 +277,14 @@ class Viewer {
     this.status(copied ? `copied as ${name}` : "no access to the clipboard: copy the selected text", copied ? "info" : "error");
   }
 
+  /** Has a file made, which takes a while, and downloads it. */
   async save(what, more = {}) {
-    this.status(what === "movie" ? "drawing the movie" : "drawing the picture", "busy");
     const answer = await this.ask(what, more).catch(() => null); // the error is shown already
     if (!answer) return undefined;
     const { message, data } = answer;
+    if (message.cancelled) return this.status("cancelled");
     if (!data) return this.status(message.text ?? "no result", "error");
-    const kind = { mp4: "video/mp4", webm: "video/webm", zip: "application/zip" }[message.format] ?? `image/${message.format ?? "png"}`;
-    const name = message.name ?? `${(this.info.title ?? "clvol").replace(/[^\w.-]+/g, "-")}.${kind.split("/")[1]}`;
-    return this.download(new Blob([data], { type: kind }), name);
+    return this.download(new Blob([data], { type: KINDS[message.format] ?? `image/${message.format}` }), message.name);
   }
 
   download(blob, name) {
