@@ -6,6 +6,7 @@ Found are PoCL and Intel's runtime as pip installs them, and those that the syst
 mesa-opencl-icd; of the latter rusticl, on llvmpipe). `--root` adds those of another Debian in a folder, as debootstrap makes it,
 with /proc, /sys and /dev mounted, this checkout at the same path, and in /opt/clvol a virtual environment with clvol's
 dependencies; this takes root. What does not end within the minutes is killed, and what it had done by then is printed.
+POCL_EXTRA_BUILD_FLAGS=-cl-opt-disable is passed on: most of the time goes into optimising kernels.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ class Runtime:
             command = [sys.executable, "-m", "bench.parity"]
             if self.root != Path("/"):
                 command = ["chroot", str(self.root), "sh", "-c", f'cd "{ROOT}" && exec {_PYTHON} -m bench.parity']
-            kept = {name: value for name, value in os.environ.items() if not name.startswith(("POCL_", "CLVOL_", "CL_"))}
+            others = {name for name in os.environ if name.startswith(("POCL_", "CLVOL_", "CL_"))} - {"POCL_EXTRA_BUILD_FLAGS"}
+            kept = {name: value for name, value in os.environ.items() if name not in others}
             with tempfile.TemporaryFile("w+", encoding="utf-8") as errors:
                 with subprocess.Popen(command, cwd=ROOT, env=kept | asked, stdout=-1, stderr=errors, encoding="utf-8") as process:
                     timer = threading.Timer(60 * minutes, process.kill)
