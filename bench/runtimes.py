@@ -6,7 +6,8 @@ Found are PoCL and Intel's runtime as pip installs them, and those that the syst
 mesa-opencl-icd; of the latter rusticl, on llvmpipe). `--root` adds those of another Debian in a folder, as debootstrap makes it,
 with /proc, /sys and /dev mounted, this checkout at the same path, and in /opt/clvol a virtual environment with clvol's
 dependencies; this takes root. What does not end within the minutes is killed, and what it had done by then is printed.
-POCL_EXTRA_BUILD_FLAGS=-cl-opt-disable is passed on: most of the time goes into optimising kernels.
+POCL_EXTRA_BUILD_FLAGS=-cl-opt-disable is passed on: most of the time goes into optimising kernels. Only PoCL 3.0 takes it: 6.0 and
+7.1 make wrong kernels with it.
 """
 
 from __future__ import annotations
