@@ -207,38 +207,37 @@ def elsewhere(url: str, size: int, seconds: float) -> dict[str, float]:
     """
 
     async def drag() -> tuple[list[tuple[int, float]], float]:
-        async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as client:
-            await (await client.get(url)).read()
-            async with client.ws_connect(url.partition("?")[0] + "ws", max_msg_size=0) as socket:
+        async with aiohttp.ClientSession() as client, client.ws_connect(url.partition("?")[0] + "ws", max_msg_size=0) as socket:
+            await socket.send_json({"type": "hello", "token": url.partition("token=")[2]})
 
-                async def event(kind: str, **more: Any) -> None:
-                    await socket.send_json({"type": "event", "event": {"event_type": kind, "pane": "3d", **more}})
+            async def event(kind: str, **more: Any) -> None:
+                await socket.send_json({"type": "event", "event": {"event_type": kind, "pane": "3d", **more}})
 
-                async def frames() -> AsyncIterator[dict[str, Any]]:
-                    async for message in socket:
-                        if message.type == aiohttp.WSMsgType.TEXT and (told := json.loads(message.data))["type"] == "frame":
-                            await socket.send_json({"type": "ack", "frame": told["number"]})
-                            yield told
+            async def frames() -> AsyncIterator[dict[str, Any]]:
+                async for message in socket:
+                    if message.type == aiohttp.WSMsgType.TEXT and (told := json.loads(message.data))["type"] == "frame":
+                        await socket.send_json({"type": "ack", "frame": told["number"]})
+                        yield told
 
-                await event("resize", width=size, height=size, pixel_ratio=1)
-                async for frame in frames():
-                    if frame["final"]:
-                        break
-                await event("pointer_down", x=size / 2, y=size / 2, button=1, buttons=[1])
-                found, begun, n = [], time.monotonic(), 0
-                await event("pointer_move", x=size / 2 + 9, y=size / 2, buttons=[1])
-                async for frame in frames():
-                    found.append((frame["width"] * frame["height"], time.monotonic() - begun))
-                    if found[-1][1] > seconds:
-                        break
-                    n += 1
-                    x, y = size / 2 + 150 * math.sin(n / 40), size / 2 + 40 * math.sin(n / 25)
-                    await event("pointer_move", x=x, y=y, buttons=[1])
-                released = time.monotonic()
-                await event("pointer_up", x=x, y=y, button=1, buttons=[])
-                async for frame in frames():
-                    if frame["final"]:
-                        return found, time.monotonic() - released
+            await event("resize", width=size, height=size, pixel_ratio=1)
+            async for frame in frames():
+                if frame["final"]:
+                    break
+            await event("pointer_down", x=size / 2, y=size / 2, button=1, buttons=[1])
+            found, begun, n = [], time.monotonic(), 0
+            await event("pointer_move", x=size / 2 + 9, y=size / 2, buttons=[1])
+            async for frame in frames():
+                found.append((frame["width"] * frame["height"], time.monotonic() - begun))
+                if found[-1][1] > seconds:
+                    break
+                n += 1
+                x, y = size / 2 + 150 * math.sin(n / 40), size / 2 + 40 * math.sin(n / 25)
+                await event("pointer_move", x=x, y=y, buttons=[1])
+            released = time.monotonic()
+            await event("pointer_up", x=x, y=y, button=1, buttons=[])
+            async for frame in frames():
+                if frame["final"]:
+                    return found, time.monotonic() - released
         raise RuntimeError("the server ended the connection")
 
     found, still = asyncio.run(drag())

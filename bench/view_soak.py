@@ -89,9 +89,9 @@ async def visit(url: str, seed: str, faults: Faults, counts: Counter[str]) -> No
     chance = random.Random(seed)
     size = chance.randint(64, 256), chance.randint(64, 256)
     stays, answered = chance.random() < 0.5, asyncio.Event()
-    async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as client:
-        await (await client.get(url)).read()
+    async with aiohttp.ClientSession() as client:
         async with client.ws_connect(url.partition("?")[0] + "ws", max_msg_size=0) as socket:
+            await socket.send_json({"type": "hello", "token": url.partition("token=")[2]})
 
             async def listen() -> None:
                 async for got in socket:
