@@ -98,7 +98,7 @@ def random_changes(chance: random.Random) -> dict[str, Any]:
     made: dict[str, Any] = {
         "layout": chance.choice(["3d", "slice", "linked"]),
         "active": chance.choice(["3d", "x", "y", "z"]),
-        "tool": chance.choice([None, "pan", "window", "crop"]),
+        "tool": chance.choice([None, "pan", "window", "crop", "rectangle", "area"]),
         "camera.direction": vector(),
         "camera.up": vector(),
         "camera.zoom": chance.uniform(0.1, 50),
