@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["HtmlOptions", "save_html"]
 
-_SHADERS = ("function.glsl", "look.glsl", "ray.glsl", "slice.glsl")
+_SHADERS = ("function.glsl", "look.glsl", "ray.glsl", "slice.glsl", "probe.glsl")
 _PARTS = ("data", "camera", "gl", "main")  # of one script; what is used while a part is read stands in one before it
 _LEVEL = 6  # of zlib: 9 takes four times as long, for 2 % less
 _SIZE = (512, 512)  # of the picture that an open camera is fitted to

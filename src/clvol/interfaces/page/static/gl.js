@@ -15,7 +15,6 @@ class Drawing {
     if (Math.max(...this.size) > most)
       throw new Error(`This device holds volumes of up to ${most} samples along an axis; this one has ${Math.max(...this.size)}.`);
     this.programs = new Map();
-    this.byHand = false;
   }
 
   load(texels) {
@@ -29,6 +28,7 @@ class Drawing {
     const rows = look.pieces.flatMap(([start, length, from, until]) => [...from, ...until, start, length, 0, 0]);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 3, look.pieces.length, 0, gl.RGBA, gl.FLOAT, new Float32Array(rows));
     this.look();
+    this.coarse = look.filter > 0 && this.samplesCoarsely();
     if (gl.getError()) throw new Error("The graphics device has no room for the volume.");
   }
 
@@ -48,7 +48,28 @@ class Drawing {
     return made;
   }
 
-  /** The program of a picture or of slices, with its textures. */
+  /** Whether the sampler's weights have so few bits, 8 on most devices, that a picture at rest shows it. */
+  samplesCoarsely() {
+    const { gl } = this, target = gl.createFramebuffer(), texture = gl.createTexture(), pixels = new Uint8Array(4 * PROBES);
+    const probe = this.texture(gl.TEXTURE_3D, gl.LINEAR);
+    gl.texImage3D(gl.TEXTURE_3D, 0, gl.RG8, 2, 1, 1, 0, gl.RG, gl.UNSIGNED_BYTE, new Uint8Array([0, 0, 255, 0]));
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, PROBES, 1);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    this.program("probe.glsl").probe(0);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_3D, probe);
+    gl.viewport(0, 0, PROBES, 1);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.readPixels(0, 0, PROBES, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    for (const made of [probe, texture]) gl.deleteTexture(made);
+    gl.deleteFramebuffer(target);
+    return pixels.some((level, i) => i % 4 === 0 && Math.abs(level - 64) > 16); // exact weights give 64 in all
+  }
+
+  /** The program of a picture, of slices or of the probe, with its textures. */
   program(name) {
     const { gl } = this;
     if (!this.programs.has(name)) {
@@ -86,12 +107,12 @@ class Drawing {
     return set;
   }
 
-  /** Sets everything for a picture of this size; `cut`: a plane beside the look's own. */
-  prepare(camera, width, height, cut) {
+  /** Sets everything for a picture of this size; `cut`: a plane beside the look's own; `byHand`: without the sampler's weights. */
+  prepare(camera, width, height, cut, byHand) {
     const lights = camera.lights(), cuts = [...look.cuts, ...(cut ? [cut] : [])], colors = look.surfaces.map((one) => one[1]);
     const filled = (rows, most) => [...rows.flat(), ...Array(most * rows[0].length - rows.flat().length).fill(0)];
     const values = {
-      ...camera.rays(width, height), ...look.uniforms, extent: this.size, byHand: this.byHand, pictureHeight: height,
+      ...camera.rays(width, height), ...look.uniforms, extent: this.size, byHand, pictureHeight: height,
       count: look.pieces.length, background: look.background, directed: lights.length,
       lights: filled(lights.length ? lights.map(([way]) => way) : [[0, 0, 0]], 4),
       lightColors: filled(lights.length ? lights.map(([, color]) => color) : [[0, 0, 0]], 4),
@@ -107,7 +128,7 @@ class Drawing {
   /** A whole picture at once. */
   draw(camera, width, height, cut) {
     const { gl, canvas } = this;
-    this.prepare(camera, width, height, cut);
+    this.prepare(camera, width, height, cut, false);
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     gl.viewport(0, 0, width, height);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
@@ -124,7 +145,7 @@ class Drawing {
     for (let y = 0; y < height && !stale(); ) {
       const some = Math.min(strip, height - y), begun = performance.now();
       gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-      this.prepare(camera, width, height, cut);
+      this.prepare(camera, width, height, cut, this.coarse);
       gl.viewport(0, 0, width, height);
       gl.enable(gl.SCISSOR_TEST);
       gl.scissor(0, y, width, some);
@@ -182,6 +203,7 @@ class Drawing {
 }
 
 const MOST_CUTS = 17;
+const PROBES = 64;
 const STRIP_MS = 30;
 const SETTERS = {
   0x1406: (gl, at, v) => gl.uniform1fv(at, [v].flat()), 0x8b50: (gl, at, v) => gl.uniform2fv(at, v),
