@@ -21,3 +21,7 @@ limb = clvol.Volume(hu, (80 / 63, 80 / 63, 80 / 47), (-40, -40, -40), units="mm"
 names = "ct-skin", "ct-soft-tissue", "ct-bone", "ct-angiography"
 pictures = [clvol.render(limb, preset=name, size=(320, 320), rays=4) for name in names]
 picture = np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])
+
+# %%
+# The bones as one file, without a server, which browsers draw by WebGL2: drag to turn it.
+page = clvol.save_html(limb, "presets.html", preset="ct-bone")
