@@ -559,7 +559,7 @@ def test_errors_are_reported_and_the_session_continues(client: Client) -> None:
 def test_what_is_said_goes_once_it_no_longer_holds(client: Client) -> None:
     """Warnings of a picture until the next one without, errors of a request until the next that is granted."""
     client.resize(*SIZE)
-    client.set(mode="isosurface", options__isovalue=1e9)
+    client.set(mode="isosurface", options__isovalue=1e9, furniture__cube=True)  # which is no matter
     told, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "warning")
     assert "nothing is seen: isovalue 1e+09 is outside the samples" in told["text"]
     client.set(step=-1)

@@ -61,7 +61,7 @@ def warn_of_refined(
     source, chosen = renderer._source, chosen_mode(mode, options)
     fine = Fineness.of(chosen, picture.shape[1::-1], step, options)  # type: ignore[arg-type]
     look = with_virtual(look_of(source, camera, chosen, options), source, fine, step)  # type: ignore[arg-type]  # by name
-    warn_if_empty(look, fine, source, options, picture)
+    warn_if_empty(look, fine, source, options, picture if picture.furnished is None else picture.furnished.bare)
 
 
 def _alike(look: ResolvedLook, limits: tuple[float, float] | None, given: bool) -> str:
@@ -139,9 +139,9 @@ def _is_empty(look: ResolvedLook, rgba: NDArray[np.floating[Any]]) -> bool:
     background = look.scene.background
 
     def plain(pixels: NDArray[np.floating[Any]]) -> bool:
-        if background is None:
-            return not pixels[..., 3].any()
-        return bool((pixels[..., :3] == np.asarray(background, pixels.dtype)).all())
+        if not pixels[..., 3].any():
+            return True
+        return background is not None and bool((pixels[..., :3] == np.asarray(background, pixels.dtype)).all())
 
     return plain(rgba[::_STEP, ::_STEP]) and plain(rgba)
 
