@@ -442,7 +442,9 @@ def test_a_click_in_the_volume_picks_if_slices_are_linked() -> None:
     assert drag(state, (100, 90), (140, 91), pane="3d").effects == ()
     double = {"event_type": "double_click", "x": 5, "y": 6, "pane": "y"}
     assert reduce(replace(state, layout="slice"), Inputs(), double, context()).effects == (("pick", "y", 5.0, 6.0, True),)
-    larger = reduce(state, Inputs(), double, context()).state
+    made = reduce(state, Inputs(), double, context())
+    assert made.effects == (("pick", "y", 5.0, 6.0, False),)
+    larger = made.state
     assert (visible(larger), visible(reduce(larger, Inputs(), double, context()).state)) == (("y",), PANES)
 
 

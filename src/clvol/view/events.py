@@ -237,7 +237,7 @@ def _double(state: State, inputs: Inputs, event: Mapping[str, Any], context: Con
         return Reduced(state, replace(inputs, drag=None, marking=False))
     if state.layout == "linked":
         larger = replace(state, active=name, enlarged=not state.enlarged)  # type: ignore[arg-type]  # a pane's
-        return Reduced(larger, replace(inputs, drag=None))
+        return Reduced(larger, replace(inputs, drag=None), (("pick", name, x, y, False),))  # the clicks have moved the crosshair
     return Reduced(state, replace(inputs, drag=None), (("pick", name, x, y, True),))
 
 
