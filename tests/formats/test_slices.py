@@ -174,7 +174,8 @@ def test_a_folder_without_images_lists_its_contents(tmp_path: Path) -> None:
     for name in ("red", "green"):
         (tmp_path / name).mkdir()
     with pytest.raises(
-        FormatError, match=r"DICOM files, image slices.*Zarr.*2 files \.txt, 1 file \.csv, 2 folders \(green, red\)"
+        FormatError,
+        match=r"DICOM files, itself.*below it, image slices.*Zarr.*2 files \.txt, 1 file \.csv, 2 folders \(green, red\)",
     ):
         clvol.read(tmp_path)
     with pytest.raises(FormatError, match="this one holds nothing"):
