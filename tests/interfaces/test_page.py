@@ -46,6 +46,7 @@ def test_the_page_draws_what_python_draws(device: Device, tmp_path: Path) -> Non
     cases: dict[str, tuple[clvol.Volume, dict[str, Any]]] = {
         "mip": (clvol.phantoms.marschner_lobb(32), {"mode": "mip"}),
         "composite": (clvol.phantoms.marschner_lobb(32), {"clip": clvol.Plane((0.3, -1, 0.4), (0, 0, 0))}),
+        "ridges": (clvol.phantoms.marschner_lobb(32), {"mode": "isosurface", "isovalue": 0.5}),
         "surface": (BALL, {"mode": "isosurface", "isovalue": 300.0}),
         "labels": (clvol.Volume(names, labels=True), {}),
     }

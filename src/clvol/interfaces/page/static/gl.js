@@ -107,12 +107,17 @@ class Drawing {
     return set;
   }
 
-  /** Sets everything for a picture of this size; `cut`: a plane beside the look's own; `byHand`: without the sampler's weights. */
-  prepare(camera, width, height, cut, byHand) {
+  /**
+   * Sets everything for a picture of this size; `cut`: a plane beside the look's own. At rest coarse samplers' weights are not used,
+   * and surfaces are looked for twice as often, so that rays miss no thin ridge.
+   */
+  prepare(camera, width, height, cut, rest) {
+    const rays = camera.rays(width, height);
+    if (rest && look.mode === "surfaces") rays.planes[3] /= 2;
     const lights = camera.lights(), cuts = [...look.cuts, ...(cut ? [cut] : [])], colors = look.surfaces.map((one) => one[1]);
     const filled = (rows, most) => [...rows.flat(), ...Array(most * rows[0].length - rows.flat().length).fill(0)];
     const values = {
-      ...camera.rays(width, height), ...look.uniforms, extent: this.size, byHand, pictureHeight: height,
+      ...rays, ...look.uniforms, extent: this.size, byHand: rest && this.coarse, pictureHeight: height,
       count: look.pieces.length, background: look.background, directed: lights.length,
       lights: filled(lights.length ? lights.map(([way]) => way) : [[0, 0, 0]], 4),
       lightColors: filled(lights.length ? lights.map(([, color]) => color) : [[0, 0, 0]], 4),
@@ -145,7 +150,7 @@ class Drawing {
     for (let y = 0; y < height && !stale(); ) {
       const some = Math.min(strip, height - y), begun = performance.now();
       gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-      this.prepare(camera, width, height, cut, this.coarse);
+      this.prepare(camera, width, height, cut, true);
       gl.viewport(0, 0, width, height);
       gl.enable(gl.SCISSOR_TEST);
       gl.scissor(0, y, width, some);
