@@ -450,10 +450,10 @@ def test_a_movie_is_saved_in_the_chosen_format(page: Page, kind: str, head: byte
 def test_a_server_that_hangs_is_said_within_a_second(page: Page, shared: tuple[Browser, Serving, Watched]) -> None:
     loop = shared[1]._loop
     assert loop is not None  # it runs
-    loop.call_soon_threadsafe(time.sleep, 2.5)
+    loop.call_soon_threadsafe(time.sleep, 4)
     began = time.monotonic()
-    page.wait(lambda: page.told() == "clvol does not answer", 2.4)
-    assert time.monotonic() - began < 2
+    page.wait(lambda: page.told() == "clvol does not answer", 4)
+    assert time.monotonic() - began < 3  # a second, and what a busy machine adds
     page.wait(lambda: page.told() == "")
 
 
