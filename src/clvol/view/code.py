@@ -93,27 +93,27 @@ def _measured(resident: Resident, state: State, held: str) -> list[str]:
     """Lines that measure what the marks do, in the volume in memory."""
     words = _reconstruction(state) | _device(resident) | ({"smooth": True} if as_mode(state.mode).regions else {})
     given = "".join(f", {name}={_text(value)}" for name, value in words.items())
-    lines = [line.replace("volume", held) for line in _volume(resident, state)] if held != "volume" else []
+    lines = _volume(resident, state, held) if held != "volume" else []
     lines += ["marks = [", *(f"    Mark({mark.kind!r}, {_text(mark.points)})," for mark in state.marks), "]"]
     return [*lines, f"measures = [measured(mark, {held}{given}) for mark in marks]"]
 
 
-def _volume(resident: Resident, state: State) -> list[str]:
-    """Lines that read the volume of a state."""
+def _volume(resident: Resident, state: State, name: str = "volume") -> list[str]:
+    """Lines that read the volume of a state into a variable."""
     which = resident.catalog.which(state)
     if resident.catalog.volumes is None:
-        lines = ["# volume: the clvol.Volume that was viewed"] if resident.source is None else [f"volume = {resident.source}"]
+        lines = [f"# {name}: the clvol.Volume that was viewed"] if resident.source is None else [f"{name} = {resident.source}"]
     elif resident.source is None:
         words = ", ".join(f"{axis}={at!r}" for axis, at in resident.catalog.places(state).items())
-        lines = ["# volumes: the clvol.Volumes that were viewed", f"volume = volumes.pick({words})"]
+        lines = ["# volumes: the clvol.Volumes that were viewed", f"{name} = volumes.pick({words})"]
     else:
-        lines = [f"volume = {_source(resident, state)}"]
+        lines = [f"{name} = {_source(resident, state)}"]
     if which.labels is not None:
         what = "only" if which.labels.hidden is None else "without"
         chosen = which.labels.shown if which.labels.hidden is None else which.labels.hidden
-        lines += [f"volume = clvol.labels.{what}(volume, {list(chosen or ())!r})"]
+        lines += [f"{name} = clvol.labels.{what}({name}, {list(chosen or ())!r})"]
     if state.label_rows:
-        lines += [f"volume = clvol.labels.with_table(volume, {state.label_rows!r})"]
+        lines += [f"{name} = clvol.labels.with_table({name}, {state.label_rows!r})"]
     return lines
 
 

@@ -197,9 +197,8 @@ _all: weakref.WeakSet[Jobs] = weakref.WeakSet()
 
 
 def _remember(jobs: Jobs) -> None:
-    if not _all:
-        atexit.unregister(_end)
-        atexit.register(_end)  # again, to be called before what devices register
+    atexit.unregister(_end)
+    atexit.register(_end)  # again, to be called before what devices register
     _all.add(jobs)
 
 

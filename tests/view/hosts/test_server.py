@@ -234,7 +234,7 @@ def test_strangers_do_not_take_the_places_of_clients(monkeypatch: pytest.MonkeyP
 
     async def work(visitor: Visitor) -> None:
         silent = [await visitor.http.ws_connect(visitor.base + "ws") for _ in range(3)]
-        assert (await ended(await visitor.greet({"token": visitor.token})))[0] == REFUSED
+        assert (await ended(await visitor.greet({"token": visitor.token})))[0] == aiohttp.WSCloseCode.TRY_AGAIN_LATER
         await silent.pop().close()
         async with await visitor.connect() as ws:
             await told(ws, "info")

@@ -10,7 +10,7 @@ import asyncio
 import json
 from typing import Any
 
-from aiohttp import WSMsgType, web
+from aiohttp import WSCloseCode, WSMsgType, web
 
 from clvol.view.hosts.access import INVALID, Access
 
@@ -32,7 +32,10 @@ class Greeter:
         """Whether its first message proves that it may look; else it is closed."""
         self._waiting += 1
         try:
-            admitted = self._waiting <= _STRANGERS and self._access.admits(await _first(socket))
+            if self._waiting > _STRANGERS:  # it may have the secret, and comes again
+                await socket.close(code=WSCloseCode.TRY_AGAIN_LATER, message=b"too many pages wait to be let in")
+                return False
+            admitted = self._access.admits(await _first(socket))
         finally:
             self._waiting -= 1
         if not admitted:
