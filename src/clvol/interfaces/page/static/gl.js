@@ -48,15 +48,22 @@ class Drawing {
     return made;
   }
 
-  /** Whether the sampler's weights have so few bits, 8 on most devices, that a picture at rest shows it. */
-  samplesCoarsely() {
-    const { gl } = this, target = gl.createFramebuffer(), texture = gl.createTexture(), pixels = new Uint8Array(4 * PROBES);
-    const probe = this.texture(gl.TEXTURE_3D, gl.LINEAR);
-    gl.texImage3D(gl.TEXTURE_3D, 0, gl.RG8, 2, 1, 1, 0, gl.RG, gl.UNSIGNED_BYTE, new Uint8Array([0, 0, 255, 0]));
+  /** A picture beside the canvas, which is drawn to from now on: the framebuffer and its texture. */
+  target(width, height) {
+    const { gl } = this, target = gl.createFramebuffer(), texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, PROBES, 1);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    return [target, texture];
+  }
+
+  /** Whether the sampler's weights have so few bits, 8 on most devices, that a picture at rest shows it. */
+  samplesCoarsely() {
+    const { gl } = this, pixels = new Uint8Array(4 * PROBES);
+    const probe = this.texture(gl.TEXTURE_3D, gl.LINEAR);
+    gl.texImage3D(gl.TEXTURE_3D, 0, gl.RG8, 2, 1, 1, 0, gl.RG, gl.UNSIGNED_BYTE, new Uint8Array([0, 0, 255, 0]));
+    const [target, texture] = this.target(PROBES, 1);
     this.program("probe.glsl").probe(0);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_3D, probe);
@@ -141,11 +148,7 @@ class Drawing {
 
   /** A picture in strips, between which the browser stays alive; returns false if `stale` says that nobody wants it any more. */
   async drawn(camera, width, height, cut, stale) {
-    const { gl, canvas } = this, target = gl.createFramebuffer(), rows = gl.createTexture();
-    gl.bindTexture(gl.TEXTURE_2D, rows);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, width, height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, rows, 0);
+    const { gl, canvas } = this, [target, rows] = this.target(width, height);
     let strip = 16;
     for (let y = 0; y < height && !stale(); ) {
       const some = Math.min(strip, height - y), begun = performance.now();
@@ -189,11 +192,7 @@ class Drawing {
 
   /** The pixels of a slice, the top row first. */
   slice(corner, right, down, width, height) {
-    const { gl } = this, target = gl.createFramebuffer(), texture = gl.createTexture(), pixels = new Uint8ClampedArray(4 * width * height);
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, width, height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    const { gl } = this, [target, texture] = this.target(width, height), pixels = new Uint8ClampedArray(4 * width * height);
     const values = { corner, right, down, sliceSize: [width, height], window_: look.window, extent: this.size, byHand: true, count: look.pieces.length };
     const set = this.program("slice.glsl");
     for (const name in set) if (name in values) set[name](values[name]);
