@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable
+from inspect import unwrap
 from typing import Any, ClassVar
 
 import pytest
@@ -36,8 +37,13 @@ class InDouble:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Select one test in n, if the environment says so."""
-    items[:] = items[:: int(os.environ.get("EVERY", "1"))]
+    """Select one test in n, if the environment says so, and one of each function that none of these calls."""
+    selected = items[:: int(os.environ.get("EVERY", "1"))]
+    for name in interpolation.__all__:
+        calling = [item for item in items if isinstance(item, pytest.Function) and name in unwrap(item.function).__code__.co_names]
+        if not any(item in selected for item in calling):
+            selected += calling[:1]
+    items[:] = selected
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
