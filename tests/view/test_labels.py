@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,9 @@ from clvol.view import State, View, from_toml, from_url, section
 from clvol.view.catalog import Which
 from clvol.view.resident import Resident
 from clvol.view.state import LabelState
-from tests.view.clients import Client, at_rest
+from tests.view.clients import Client
 
-SIZE = 96, 72
+AT_REST = SIZE = 96, 72
 NAMES = {1: "left ball", 2: "right ball"}
 
 
@@ -38,19 +37,6 @@ def balls() -> NDArray[np.uint8]:
 @pytest.fixture(scope="module")
 def volume() -> Volume:
     return Volume(balls(), spacing=(1, 1.1, 1.2), labels=NAMES)
-
-
-@pytest.fixture(scope="module")
-def view(volume: Volume, device: Device) -> Iterator[View]:
-    made = View(volume, device=device)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def client(view: View) -> Iterator[Client]:
-    with at_rest(view, SIZE) as made:
-        yield made
 
 
 def copied(client: Client, volume: Volume) -> NDArray[np.uint8]:

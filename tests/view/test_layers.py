@@ -17,13 +17,13 @@ from clvol.show.picture import to_bytes
 from clvol.view import View
 from clvol.view.panes import camera_of
 from clvol.volume.volumes import Leading
-from tests.view.clients import Client, at_rest
+from tests.view.clients import Client
 
 Z, Y, X = np.mgrid[-1:1:16j, -1:1:16j, -1:1:16j].astype(np.float32)
 BALL = clvol.Volume(1 - np.sqrt(X**2 + Y**2 + Z**2), name="ball")
 SPOT = clvol.Volume(np.exp(-8 * ((X - 0.3) ** 2 + Y**2 + Z**2)), name="spot")
 PARTS = clvol.Volume((X > 0).astype(np.uint8), labels={1: "right"}, name="parts")
-SIZE = 48, 40
+AT_REST = SIZE = 48, 40
 
 
 @pytest.fixture
@@ -31,12 +31,6 @@ def view(device: Device) -> Iterator[View]:
     made = View(BALL, device=device)
     yield made
     made.close()
-
-
-@pytest.fixture
-def client(view: View) -> Iterator[Client]:
-    with at_rest(view, SIZE) as made:
-        yield made
 
 
 def names(client: Client) -> list[str]:

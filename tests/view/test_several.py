@@ -23,9 +23,9 @@ from clvol.view import State, View, from_toml, from_url
 from clvol.view.catalog import Which
 from clvol.view.resident import Resident
 from clvol.volume.volumes import Leading
-from tests.view.clients import Client, at_rest, decoded
+from tests.view.clients import Client, decoded
 
-SIZE = 96, 72
+AT_REST = SIZE = 96, 72
 TIMES = 4
 
 
@@ -51,12 +51,6 @@ def view(volumes: Volumes, device: Device) -> Iterator[View]:
     made = View(volumes, device=device)
     yield made
     made.close()
-
-
-@pytest.fixture
-def client(view: View) -> Iterator[Client]:
-    with at_rest(view, SIZE) as made:
-        yield made
 
 
 def ask(client: Client, what: str, **more: Any) -> dict[str, Any]:

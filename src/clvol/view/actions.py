@@ -21,9 +21,10 @@ from clvol.view.resident import Resident
 from clvol.view.state import name_of
 from clvol.view.updates import Updates
 
-__all__ = ["Parts", "action_of", "copied", "pixels_of"]
+__all__ = ["MOST_PIXELS", "Parts", "action_of", "copied", "pixels_of"]
 
-_MOST_PIXELS = 3840 * 2160
+MOST_PIXELS = 3840 * 2160
+"""Of a picture of a pane."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Parts:
     jobs: Jobs
 
 
-def pixels_of(size: PaneSize, most: float = _MOST_PIXELS) -> tuple[int, int]:
+def pixels_of(size: PaneSize, most: float = MOST_PIXELS) -> tuple[int, int]:
     """Pixels of a picture that fills a pane."""
     width, height = size.width * size.ratio, size.height * size.ratio
     shrink = min(1.0, math.sqrt(most / (width * height)))

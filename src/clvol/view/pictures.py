@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import closing
 
 from clvol.base.checks import heard_by
-from clvol.view.actions import pixels_of
+from clvol.view.actions import MOST_PIXELS, pixels_of
 from clvol.view.control import Control
 from clvol.view.drawing import WHOLE, Drawer, Order, Shot, has_sketch, jpeg, png
 from clvol.view.notices import Notices
@@ -25,7 +25,6 @@ _STILL = 0.25  # seconds for the first picture at rest: if the final one takes n
 _SOON = 1.0  # seconds: nothing comes before a final picture if the last one took no longer than this
 _UNSIZED = 0.5  # seconds that a client has to give the size of its panes; then facts no longer wait for its first picture
 _MOVING_PIXELS = 1920 * 1080
-_MOST_PIXELS = 3840 * 2160
 
 
 class Pictures:
@@ -83,7 +82,7 @@ class Pictures:
                 self.meanwhile()  # a picture may take longer than a file
             return post.closed or (post.busy() if sent > 0 or not first or at_once else moving and post.drag_ends())
 
-        wanted = pixels_of(size, _MOVING_PIXELS * throttle.scale if moving else _MOST_PIXELS)
+        wanted = pixels_of(size, _MOVING_PIXELS * throttle.scale if moving else MOST_PIXELS)
         order = Order(context, control.state, name, wanted, budget, stop, moving, post.has_results)
         began, last = time.perf_counter(), None
         warned: list[str] = []
