@@ -99,6 +99,9 @@ def test_arrays_channels_and_names(view: View) -> None:
     assert len(view.layers) == 4
     assert [one.cmap for one in view.layers][2:] == [None, None]  # they have colours of their own
     assert view.resident.info()["media"][1]["name"] == "of the same grid"
+    unnamed = View(replace(BALL, name=""), name="ball.nii", device=view.resident.device)  # as of a file
+    unnamed.layers.add(SPOT)
+    assert unnamed.layers.names == ["ball.nii", "spot"]
 
 
 @pytest.mark.parametrize(

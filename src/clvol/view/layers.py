@@ -47,7 +47,7 @@ class Layers:
     """
 
     def __init__(self, resident: Resident, scene: Scene | None) -> None:
-        self._resident = resident
+        self._resident, self._first = resident, resident.name if scene is None else ""
         self._lock = threading.Lock()
         first = Medium(resident.volume) if scene is None else scene.media[0]
         self._alone = None if scene is None or not first.beyond_words else replace(scene, media=(first,))
@@ -67,7 +67,13 @@ class Layers:
         return self._scene.media[number]
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__} {', '.join(one.volume.name or str(one.volume) for one in self)}>"
+        return f"<{type(self).__name__} {', '.join(self.names)}>"
+
+    @property
+    def names(self) -> list[str]:
+        """What people know them by."""
+        names = [one.volume.name or f"medium {number}" for number, one in enumerate(self, 1)]
+        return [self[0].volume.name or self._first or names[0], *names[1:]]
 
     def add(
         self,

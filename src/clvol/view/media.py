@@ -16,7 +16,7 @@ from clvol.scene.scene import Medium
 from clvol.scene.transfer import FACTORS, TransferFunction, is_curve
 from clvol.view.state import MediumState, State
 
-__all__ = ["changes", "described", "names", "of_state", "over_slices", "require", "slice_words", "ungraded"]
+__all__ = ["changes", "described", "of_state", "over_slices", "require", "slice_words", "ungraded"]
 
 _UNSEEN = TransferFunction(((0.0, (0.0, 0.0, 0.0)),), ((0.0, 0.0),))
 
@@ -101,14 +101,9 @@ def require(media: Sequence[Medium], state: State) -> None:
     of_state(media, state)
 
 
-def names(media: Sequence[Medium]) -> list[str]:
-    """What people know them by."""
-    return [medium.volume.name or f"medium {number}" for number, medium in enumerate(media, 1)]
-
-
-def described(media: Sequence[Medium]) -> list[dict[str, Any]]:
+def described(media: Sequence[Medium], names: Sequence[str]) -> list[dict[str, Any]]:
     """For a panel: each medium's name, how it is seen if a state leaves it open, and whether it takes other colours."""
-    return [_described(medium, name, number) for number, (medium, name) in enumerate(zip(media, names(media), strict=True), 1)]
+    return [_described(medium, name, number) for number, (medium, name) in enumerate(zip(media, names, strict=True), 1)]
 
 
 def _described(medium: Medium, name: str, number: int) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from clvol.scene.mode import as_mode
 from clvol.scene.transfer import WORDS
 from clvol.spline.field import Field
 from clvol.spline.regions import Regions
-from clvol.view import media
 from clvol.view.events import Context
 from clvol.view.marks import measures
 from clvol.view.panes import Pane3D, SlicePane, triple
@@ -79,9 +78,8 @@ def _values(
 ) -> list[dict[str, Any]]:
     """The value of each medium at a point; None outside its domain, and where samples are missing."""
     functions = [first, *(on_slices(renderer, mode, number) for number in range(1, len(renderer.scene.media)))]
-    named = media.names(resident.catalog.media) or [resident.name]
     found = []
-    for name, medium, function in zip(named, renderer.scene.media, functions, strict=True):
+    for name, medium, function in zip(resident.layers.names, renderer.scene.media, functions, strict=True):
         value = float(function(point[None], fill=np.nan)[0])
         one: dict[str, Any] = {"name": name, "value": value if np.isfinite(value) else None}
         found.append(one | {"label": name_of(medium.volume, round(value))} if medium.volume.is_labels and value == value else one)

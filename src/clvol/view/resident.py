@@ -285,7 +285,7 @@ class Resident:
             if key not in self._descriptions:
                 volume = self.catalog.volume_at(Which(place))
                 described = _description(volume, self.name, self.catalog.axes(), self.catalog.labels(state))
-                described["media"] = media.described(self.catalog.media)
+                described["media"] = media.described(self.catalog.media, self.layers.names)
                 described["stops_light"] = not (self._others_graded or self._smooth)
                 while len(self._descriptions) >= _KEPT:
                     del self._descriptions[next(iter(self._descriptions))]
