@@ -80,7 +80,9 @@ class Runtime:
                 "XDG_CACHE_HOME": inside,
                 "RUSTICL_ENABLE": "llvmpipe",
             }
-            asked |= {"PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT}", "CLVOL_DEVICE": "0"}
+            if self.library and self.root == Path("/"):
+                _without_pocl(Path(folder))
+            asked |= {"PYTHONPATH": os.pathsep.join((inside, str(ROOT / "src"), str(ROOT))), "CLVOL_DEVICE": self.device}
             command = [sys.executable, "-m", "bench.parity"]
             if self.root != Path("/"):
                 command = ["chroot", str(self.root), "sh", "-c", f'cd "{ROOT}" && exec {_PYTHON} -m bench.parity']
@@ -116,10 +118,18 @@ class Runtime:
         return f"{count - failed} of {count}{parts}, {worst:.2f}"
 
 
+def _without_pocl(folder: Path) -> None:
+    """A copy of pyopencl without the PoCL that pip puts beside its loader, which would always be loaded too."""
+    spec = find_spec("pyopencl")
+    assert spec is not None
+    assert spec.origin is not None
+    without = shutil.ignore_patterns("pocl.icd", "libpocl*", "__pycache__")
+    shutil.copytree(Path(spec.origin).parent, folder / "pyopencl", ignore=without)
+
+
 def found(roots: list[Path]) -> Iterator[Runtime]:
     """Those of this environment, of the system, and of other ones."""
-    pip = find_spec("pocl_binary_distribution") is not None
-    if pip:
+    if find_spec("pocl_binary_distribution") is not None:
         yield Runtime("PoCL, pip", _POCL)
     library = intel.library()
     if library is not None:
@@ -129,9 +139,8 @@ def found(roots: list[Path]) -> Iterator[Runtime]:
         system = next((line[13:].strip('"') for line in release.splitlines() if line.startswith("PRETTY_NAME=")), str(root))
         for file in sorted((root / _VENDORS).glob("*.icd")):
             device = {"pocl": _POCL, "rusticl": "llvmpipe"}.get(file.stem)
-            if device is None or (pip and device == _POCL and root == Path("/")):
-                continue  # for GPUs; and two versions of PoCL in a process, of which pip's is always loaded
-            yield Runtime(f"{file.stem}, {system}", device, file.read_text(encoding="utf-8").strip(), root.resolve())
+            if device is not None:  # else for GPUs
+                yield Runtime(f"{file.stem}, {system}", device, file.read_text(encoding="utf-8").strip(), root.resolve())
 
 
 def main() -> None:

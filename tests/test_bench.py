@@ -220,6 +220,16 @@ def test_runtimes_of_another_system_are_found(tmp_path: Path) -> None:
     assert found[0].result(("mean",)) == "not reached"
 
 
+def test_a_runtime_is_tried_without_pips_pocl(tmp_path: Path) -> None:
+    """That is loaded whatever the environment says, and would be the device that is compared."""
+    runtimes._without_pocl(tmp_path)
+    code = "import pyopencl as cl; print(cl.__file__); cl.get_platforms()"
+    environment = os.environ | {"PYTHONPATH": str(tmp_path), "OCL_ICD_VENDORS": str(tmp_path), "OPENCL_VENDOR_PATH": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout.startswith(str(tmp_path))
+    assert "PLATFORM_NOT_FOUND" in done.stderr, done.stdout + done.stderr
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("module", ["gpu", "runtimes"])
 def test_kernels_are_compared_and_told_in_a_table(module: str) -> None:
