@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
+import io
+import struct
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +18,7 @@ import clvol
 from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.view import View
+from tests.formats.test_hostile_files import bomb, nifti
 from tests.view.browser import Browser, open_browser, why_none
 from tests.view.hosts.test_server import Visitor, visit
 
@@ -66,12 +71,7 @@ def test_files_of_the_folder_are_listed_and_shown(served: tuple[Serving, View]) 
         await visitor.enter()
         async with visitor.http.get(visitor.base + "files") as answer:
             found = await answer.json()
-        assert found == {
-            "folder": "data",
-            "files": ["broken.nii", "parts.nii.gz", "deeper/ball.npz"],
-            "recent": [],
-            "most": 1 << 20,
-        }
+        assert found == {"folder": "data", "files": ["broken.nii", "parts.nii.gz", "deeper/ball.npz"], "recent": []}
         for name in ("parts.nii.gz", "deeper/ball.npz"):
             assert (await post(visitor, f"open?name={name}"))[0] == 200
         async with visitor.http.get(visitor.base + "files") as answer:
@@ -136,11 +136,40 @@ def test_what_a_page_sends_is_shown_and_does_not_stay(served: tuple[Serving, Vie
 
 
 def npy(data: np.ndarray) -> bytes:
-    import io
-
     stream = io.BytesIO()
     np.save(stream, data)
     return stream.getvalue()
+
+
+def test_errors_tell_the_name_that_was_sent(served: tuple[Serving, View], folder: Path) -> None:
+    server, _ = served
+
+    async def work(visitor: Visitor) -> None:
+        await visitor.enter()
+        for name in ("broken.nii.gz", "broken.npz"):
+            status, said = await post(visitor, f"upload?name={name}", b"no volume", headers=AS_FILE)
+            assert (status, name in said, str(folder.parent) in said or "clvol-" in said) == (422, True, False), said
+
+    visit(server, work)
+
+
+def test_what_unpacks_to_far_more_is_refused_unread(served: tuple[Serving, View], folder: Path) -> None:
+    server, view = served
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("data.npy", bytes(1 << 20))
+    listed = archive.getvalue().replace(struct.pack("<I", 1 << 20), struct.pack("<I", (1 << 32) - 2))  # what its members take
+    packed = gzip.compress(nifti(dim=(40, "8h", (3, 5000, 5000, 4000, 1, 1, 1, 1)))) + bomb(1000)
+
+    async def work(visitor: Visitor) -> None:
+        await visitor.enter()
+        for name, data, size in (("bomb.nii.gz", packed, 100_000_000_000), ("bomb.npz", listed, (1 << 32) - 2)):
+            status, said = await post(visitor, f"upload?name={name}", data, headers=AS_FILE)
+            assert (status, said.endswith(f"says {size} bytes\n"), "1000 times" in said) == (422, True, True), said
+
+    visit(server, work)
+    assert len(view.layers) == 1
+    assert left(folder) == []
 
 
 def test_only_pages_that_are_let_in_may_open_and_send(served: tuple[Serving, View], folder: Path) -> None:
@@ -183,6 +212,26 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
+DROP = """const files = new DataTransfer();
+    files.items.add(new File([Uint8Array.from(arguments[0])], arguments[1]));
+    const drop = new DragEvent("drop", { dataTransfer: files, bubbles: true, cancelable: true });
+    document.querySelector(".clvol-pane").dispatchEvent(drop);"""
+
+
+@pytest.mark.skipif(bool(why_none()), reason=why_none())
+def test_the_page_does_not_send_what_is_too_large(browser: Browser, served: tuple[Serving, View]) -> None:
+    server, _ = served
+    browser.open(server.url)
+    browser.wait("document.querySelector('.clvol-pane[data-frame]')", 60)
+    browser.js("window.fetch = () => document.title = 'sent'")
+    browser.js(DROP.replace("Uint8Array.from(arguments[0])", "new Uint8Array(3 << 20)"), None, "large.nii")
+    browser.wait("document.querySelector('.clvol-status').textContent.startsWith('large.nii')")
+    assert browser.js("return document.querySelector('.clvol-status').textContent") == (
+        "large.nii has 3 MiB; a file that is sent may have up to 1 MiB: put it into the folder of clvol, and open it from there"
+    )
+    assert browser.js("return document.title") != "sent"
+
+
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_a_file_is_dropped_on_the_page_and_removed_again(browser: Browser, served: tuple[Serving, View], folder: Path) -> None:
     server, view = served
@@ -190,13 +239,7 @@ def test_a_file_is_dropped_on_the_page_and_removed_again(browser: Browser, serve
     rows = "[...document.querySelectorAll('.clvol-layers li')].map((row) => row.querySelector('label').textContent)"
     browser.open(server.url)
     browser.wait(final, 60)
-    browser.js(
-        """const files = new DataTransfer();
-        files.items.add(new File([Uint8Array.from(arguments[0])], "parts.nii.gz"));
-        const drop = new DragEvent("drop", { dataTransfer: files, bubbles: true, cancelable: true });
-        document.querySelector(".clvol-pane").dispatchEvent(drop);""",
-        list((folder / "parts.nii.gz").read_bytes()),
-    )
+    browser.js(DROP, list((folder / "parts.nii.gz").read_bytes()), "parts.nii.gz")
     browser.wait(f"{rows}[1] === 'parts.nii.gz'")
     browser.wait(final, 60)
     browser.js("document.querySelector('.clvol-open').click()")

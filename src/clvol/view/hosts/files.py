@@ -12,8 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clvol.base.errors import OptionError
+from clvol.base.errors import ClvolError, DataError, OptionError
 from clvol.formats import read_all
+from clvol.formats.guarded.limits import MORE
 from clvol.formats.table import FORMATS
 from clvol.view.background import started
 from clvol.view.hosts.access import Refused
@@ -52,7 +53,7 @@ class Files:
         """The names of files that can be opened, and those that were opened last."""
         names = [] if self._folder is None else await _in_thread(lambda: _below(self._folder))
         folder = None if self._folder is None else self._folder.name
-        return {"folder": folder, "files": names, "recent": self._recent, "most": self._limits.upload}
+        return {"folder": folder, "files": names, "recent": self._recent}
 
     async def opened(self, request: web.BaseRequest, view: Any) -> dict[str, Any]:
         """Show a file of the folder, by its name in `listed`."""
@@ -80,9 +81,10 @@ class Files:
         with self._one(), tempfile.TemporaryDirectory(prefix="clvol-", ignore_cleanup_errors=True) as folder:
             if shutil.disk_usage(folder).free < 2 * length:
                 raise Refused(507, "there is no room for the file where clvol runs")
-            path = Path(folder) / name
+            path = Path(folder).resolve() / name
             await self._saved(request, path, length)
-            await _in_thread(lambda: _shown(view, path, name, f"clvol.read({name!r})"))
+            with _as_sent(path):
+                await _in_thread(lambda: _shown(view, path, name, f"clvol.read({name!r})"))
         return {"opened": name}
 
     async def _saved(self, request: web.BaseRequest, path: Path, length: int) -> None:
@@ -124,6 +126,16 @@ class Files:
             yield
         finally:
             self._reading = False
+
+
+@contextmanager
+def _as_sent(path: Path) -> Iterator[None]:
+    """Have errors tell the name of a file that was sent, not where it is for now; nor options, which a page has not."""
+    try:
+        yield
+    except (ClvolError, OSError) as error:
+        words = str(error).replace(str(path), path.name).replace(str(path.parent), "its folder")
+        raise DataError(words.removesuffix(f"; {MORE}")) from error
 
 
 def _shown(view: Any, path: Path, name: str, source: str) -> None:

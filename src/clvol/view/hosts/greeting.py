@@ -1,7 +1,7 @@
 """How a websocket begins: its page says a token or the secret that it got before, and gets the secret, or is refused.
 
-`{"type": "hello", "token"?, "secret"?}` is the first message, `{"type": "welcome", "secret"}` its answer. Pages keep the secret in
-the storage of their origin: browsers send cookies to all ports of a machine.
+`{"type": "hello", "token"?, "secret"?}` is the first message, `{"type": "welcome", "secret", "upload"}` its answer. Pages keep the
+secret in the storage of their origin: browsers send cookies to all ports of a machine.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _STRANGERS = 32  # sockets that may be waiting for theirs
 class Greeter:
     """Lets websockets in."""
 
-    def __init__(self, access: Access) -> None:
-        self._access = access
+    def __init__(self, access: Access, upload: int) -> None:
+        self._access, self._upload = access, upload
         self._waiting = 0
 
     async def admits(self, socket: web.WebSocketResponse) -> bool:
@@ -43,8 +43,8 @@ class Greeter:
         return admitted
 
     async def welcome(self, socket: web.WebSocketResponse) -> None:
-        """Give it the secret."""
-        await socket.send_json({"type": "welcome", "secret": self._access.secret})
+        """Give it the secret, and the most bytes of a file that it may send."""
+        await socket.send_json({"type": "welcome", "secret": self._access.secret, "upload": self._upload})
 
 
 async def _first(socket: web.WebSocketResponse) -> Any:

@@ -249,7 +249,7 @@ class Server:
         self.limits, self.doing = limits or Limits(), doing
         self._make = (lambda: view) if hasattr(view, "session") else view
         self._access = Access(host, names)
-        self._greeter = Greeter(self._access)
+        self._greeter = Greeter(self._access, self.limits.upload)
         self._root = _as_root(root_path)
         self._tls = _tls(certificate, key)
         self._files, self._shelf = _static(), Files(folder, self.limits)

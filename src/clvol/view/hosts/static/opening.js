@@ -49,7 +49,6 @@ class Opening {
     this.list.replaceChildren(...group("Recent", found.recent), ...group(found.folder ?? "", found.files));
     this.list.hidden = !found.files.length;
     this.place.textContent = found.files.length ? "" : "no volumes are in the folder of clvol";
-    this.most = found.most;
     return true;
   }
 
@@ -59,10 +58,17 @@ class Opening {
   }
 
   async send(files) {
-    for (const file of files) {
+    const most = this.viewer.channel.upload;
+    const mib = (bytes) => Math.ceil(bytes / 2 ** 20);
+    const large = files.filter(({ size }) => size > most).map(({ name, size }) => `${name} has ${mib(size)} MiB`);
+    const words = `${large.join(", ")}; a file that is sent may have up to ${mib(most)} MiB: put it into the folder of clvol, and open it from there`;
+    const refuse = () => large.length && this.viewer.status(words, "error");
+    refuse();
+    for (const file of files.filter(({ size }) => size <= most)) {
       const headers = { "Content-Type": "application/octet-stream" };
       await this.ask(`upload?name=${encodeURIComponent(file.name)}`, { method: "POST", headers, body: file }, file.name);
     }
+    refuse(); // what was read meanwhile took its place
   }
 
   /** An answer of the server; if it refuses, its reason is shown. */

@@ -20,6 +20,7 @@ class Socket {
     this.onsilent = () => {}; // with true if clvol does not answer, and with false once it does
     this.tries = 0;
     this.welcomed = false; // ever
+    this.upload = Infinity;
     this.token = new URLSearchParams(location.search).get("token"); // until it is exchanged for the secret
     this.name = `clvol ${this.url.pathname}`;
     this.heard = this.looked = performance.now();
@@ -58,8 +59,9 @@ class Socket {
   }
 
   /** Keeps the secret; the address loses the token. */
-  welcome({ secret }) {
+  welcome({ secret, upload }) {
     this.own = secret;
+    this.upload = upload; // bytes that a file may have that is sent
     try {
       localStorage.setItem(this.name, secret);
     } catch {} // without storage a reload needs the printed address
