@@ -102,8 +102,11 @@ def require(media: Sequence[Medium], state: State) -> None:
 
 
 def described(media: Sequence[Medium], names: Sequence[str]) -> list[dict[str, Any]]:
-    """For a panel: each medium's name, how it is seen if a state leaves it open, and whether it takes other colours."""
-    return [_described(medium, name, number) for number, (medium, name) in enumerate(zip(media, names, strict=True), 1)]
+    """For a panel: each medium's name, how it is seen if a state leaves it open, and whether it takes other colours.
+
+    A view of one medium lists none, but has its name.
+    """
+    return [_described(medium, name, number) for number, (medium, name) in enumerate(zip(media, names, strict=False), 1)]
 
 
 def _described(medium: Medium, name: str, number: int) -> dict[str, Any]:
