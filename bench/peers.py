@@ -1,7 +1,7 @@
 """The same work by other programs: every entry of `TASKS` prepares a `Peer`, whose `run` is timed.
 
 Preparation is outside of the time as far as the peer allows: points in its own arrays, coefficients unless they are the work,
-textures, normals. Peers are an extra (``pip install clvol[bench]``); one that is missing or does not work here is omitted, with
+textures, normals. Peers are an extra (``pip install "clvol[bench]"``); one that is missing or does not work here is omitted, with
 the reason.
 """
 

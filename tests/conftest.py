@@ -101,7 +101,7 @@ def device(request: pytest.FixtureRequest) -> Device:
     if request.param is None:
         if os.environ.get("CLVOL_ALLOW_NO_DEVICE") == "1":
             pytest.skip("no OpenCL device, and CLVOL_ALLOW_NO_DEVICE=1")
-        pytest.fail("no OpenCL device was found: pip install clvol[intel] or clvol[pocl], or set CLVOL_ALLOW_NO_DEVICE=1 to skip")
+        pytest.fail('no OpenCL device was found: pip install "clvol[intel]" or clvol[pocl], or set CLVOL_ALLOW_NO_DEVICE=1 to skip')
     found: Device = request.param
     found.require_usable()
     return found

@@ -24,5 +24,5 @@ import pytest
 def test_a_missing_package_is_named_with_its_extra(missing: str, code: str) -> None:
     hidden = f"import sys; sys.modules[{missing!r}] = None; {code}"
     done = subprocess.run([sys.executable, "-c", hidden], capture_output=True, encoding="utf-8", timeout=60, check=False)
-    assert done.stderr.strip().splitlines()[-1].endswith(f"pip install clvol[{missing}]"), done.stderr
+    assert done.stderr.strip().splitlines()[-1].endswith(f'pip install "clvol[{missing}]"'), done.stderr
     assert "MissingDependencyError" in done.stderr

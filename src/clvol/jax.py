@@ -126,7 +126,7 @@ def _jax() -> Any:
     try:
         import jax
     except ImportError as error:
-        raise MissingDependencyError("clvol.jax needs JAX: pip install clvol[jax]") from error
+        raise MissingDependencyError('clvol.jax needs JAX: pip install "clvol[jax]"') from error
     return jax
 
 

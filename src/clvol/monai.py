@@ -27,7 +27,7 @@ try:
     from monai.transforms.utils import resolves_modes
     from monai.utils import LazyAttr, TraceKeys, convert_to_numpy, get_torch_dtype_from_string
 except ImportError as missing:
-    raise MissingDependencyError("clvol.monai needs MONAI: pip install clvol[monai]") from missing
+    raise MissingDependencyError('clvol.monai needs MONAI: pip install "clvol[monai]"') from missing
 
 __all__ = [
     "Affine",

@@ -32,7 +32,7 @@ try:
     from nitransforms.nonlinear import DenseFieldTransform
     from nitransforms.resampling import cap_dtype
 except ImportError as missing:
-    raise MissingDependencyError("clvol.nitransforms needs NiTransforms: pip install clvol[nitransforms]") from missing
+    raise MissingDependencyError('clvol.nitransforms needs NiTransforms: pip install "clvol[nitransforms]"') from missing
 
 __all__ = ["apply", "coefficients"]
 

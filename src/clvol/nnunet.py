@@ -185,7 +185,7 @@ def install() -> Path:
     try:
         import nnunetv2.preprocessing.resampling as theirs
     except ImportError as error:
-        raise MissingDependencyError("clvol.nnunet.install needs nnU-Net: pip install clvol[nnunet]") from error
+        raise MissingDependencyError('clvol.nnunet.install needs nnU-Net: pip install "clvol[nnunet]"') from error
     path = Path(theirs.__path__[0]) / _PLANS_FILE
     with staged(path, ".py") as file:
         file.write_text(f"from clvol.nnunet import resample_to_shape as {_PLANS_NAME}  # noqa: F401\n", encoding="utf-8")

@@ -155,7 +155,7 @@ def _torch() -> Any:
     try:
         import torch
     except ImportError as error:
-        raise MissingDependencyError("clvol.torch needs PyTorch: pip install clvol[torch]") from error
+        raise MissingDependencyError('clvol.torch needs PyTorch: pip install "clvol[torch]"') from error
     return torch
 
 

@@ -23,7 +23,7 @@ try:
     import torchio
     from torchio.data.io import nib_to_sitk
 except ImportError as missing:
-    raise MissingDependencyError("clvol.torchio needs TorchIO: pip install clvol[torchio]") from missing
+    raise MissingDependencyError('clvol.torchio needs TorchIO: pip install "clvol[torchio]"') from missing
 
 __all__ = ["Affine", "ElasticDeformation", "RandomAffine", "RandomElasticDeformation", "Resample"]
 

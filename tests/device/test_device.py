@@ -176,6 +176,9 @@ def test_unknown_devices_are_rejected_and_known_ones_listed(device: Device, monk
         with pytest.raises(OptionError, match="device must be one of 'cpu', 'gpu'") as caught:
             as_device(bad)
         assert device.name in str(caught.value)
+    absent = next(kind for kind in ("gpu", "accelerator") if kind not in {one.kind for one in devices()})
+    with pytest.raises(OptionError, match=f"device '{absent}' needs a device of that kind with an OpenCL driver; found are 0 "):
+        as_device(absent)
     monkeypatch.setenv("CLVOL_DEVICE", "no such device")
     with pytest.raises(OptionError):
         as_device()

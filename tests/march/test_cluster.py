@@ -831,7 +831,7 @@ def test_tls_without_certificates() -> None:
 
 def test_a_worker_without_opencl(monkeypatch: pytest.MonkeyPatch, volume: clvol.LazyVolume) -> None:
     def none(*_: object) -> Any:
-        raise DeviceError("no OpenCL device: pip install clvol[pocl]")
+        raise DeviceError('no OpenCL device: pip install "clvol[pocl]"')
 
     monkeypatch.setattr(parts, "worker_device", none)
     recipe = parts._Recipe(

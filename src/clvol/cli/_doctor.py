@@ -24,10 +24,14 @@ _USES = {
     "medical": "DICOM, NRRD, MetaImage, MGH; writing NIfTI",
     "microscopy": "TIFF stacks, Zarr",
     "hdf5": "HDF5, netCDF-4, Imaris",
+    "s3": "stores at s3:// and https://",
     "vtk": "VTK files compressed with LZ4",
     "mesh": "meshes of surfaces, and their files",
     "bioio": "microscope vendors' files",
     "figures": "figures and reports",
+    "movie": "movies as mp4 and webm",
+    "view": "the viewer, in a browser and in notebooks",
+    "desktop": "the viewer in a window",
     "xarray": "labelled arrays",
     "dask": "arrays larger than memory, clusters",
     "torch": "gradients of tensors",
@@ -79,7 +83,7 @@ def extras() -> Iterator[Check]:
             except PackageNotFoundError:
                 missing.append(name)
         uses = _USES.get(extra, "")
-        what = [f"for {uses}: " if uses else "", f"pip install clvol[{extra}]", f" (brings {', '.join(missing)})"]
+        what = [f"for {uses}: " if uses else "", f'pip install "clvol[{extra}]"', f" (brings {', '.join(missing)})"]
         detail = "".join(what) if missing else ", ".join(there) + (f": {uses}" if uses else "")
         yield Check(f"{extra} (optional)", not missing, detail)
 
@@ -146,7 +150,7 @@ def _silent_intel() -> str:
     except DeviceError:  # reported by another check
         return ""
     except OSError as error:
-        return f"{runtime} does not load ({error}): pip install clvol[intel] brings what it needs"
+        return f'{runtime} does not load ({error}): pip install "clvol[intel]" brings what it needs'
     why = "by an administrator's shell" if sys.platform == "win32" else "by OCL_ICD_VENDORS"
     return f"{runtime} is kept out {why}, or cannot run on this processor"
 

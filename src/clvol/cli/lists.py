@@ -64,7 +64,7 @@ def doctor(*, json: Json = False) -> None:
     if json:
         print_json({"usable": usable, "checks": [check._asdict() for check in (*needed, *optional)]})
     else:
-        for check in (*needed, *optional):
+        for check in (*optional, *needed):  # what keeps clvol from computing is the last line on the screen
             print(f"{'ok' if check.ok else '--'}  {check.check}: {printable(check.detail)}")
     if not usable:
         raise SystemExit(1)

@@ -95,7 +95,7 @@ def view(
     terminal
         Show it in this terminal, in 24-bit colours; arrow keys turn it, q quits. Without a keyboard it prints one still picture.
     desktop
-        Show it in a separate window, by Qt (pip install clvol[desktop]).
+        Show it in a separate window, by Qt (pip install "clvol[desktop]").
     serve
         Do not open a browser here: the page is for another machine.
     port

@@ -23,7 +23,7 @@ from clvol.base.errors import MissingDependencyError
 try:
     import dask.array  # noqa: F401  # all modules here stand on it
 except ImportError as missing:
-    raise MissingDependencyError("clvol.dask needs dask: pip install clvol[dask]") from missing
+    raise MissingDependencyError('clvol.dask needs dask: pip install "clvol[dask]"') from missing
 
 from clvol.dask.pyramids import pyramid
 from clvol.filter.margin import reach

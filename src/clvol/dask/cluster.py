@@ -315,7 +315,7 @@ def as_cluster(choice: ClusterLike) -> Cluster:
     try:
         distributed = importlib.import_module("distributed")
     except ImportError as missing:
-        raise MissingDependencyError("a cluster needs distributed: pip install clvol[dask]") from missing
+        raise MissingDependencyError('a cluster needs distributed: pip install "clvol[dask]"') from missing
     if isinstance(choice, distributed.Client):
         if choice.asynchronous:
             raise OptionError("cluster must be a client that is not asynchronous; got one that is: Client(...) outside a coroutine")

@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Any
 
 from clvol.base.checks import one_of
-from clvol.base.errors import ClvolWarning, DeviceError
+from clvol.base.errors import ClvolWarning, DeviceError, OptionError
 from clvol.device import cache
 from clvol.device.device import Device
 from clvol.device.driver import require_unforked
@@ -93,6 +93,8 @@ def as_device(choice: Device | str | int | None = None) -> Device:
             if text == device.kind or (text not in _KINDS and text in f"{device.platform} {device.name}".lower()):
                 return device
     names = [f"{i} ({d.kind}: {d.name}, {d.platform})" for i, d in enumerate(found)]
+    if text in _KINDS:
+        raise OptionError(f"device {choice!r} needs a device of that kind with an OpenCL driver; found are {', '.join(names)}")
     raise one_of("device", choice, ["'cpu', 'gpu', or a part of a name", *names])
 
 

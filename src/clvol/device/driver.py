@@ -21,7 +21,7 @@ T = TypeVar("T")
 _GONE = ("DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE")
 _LINKER = (
     "; install 'binutils' and 'gcc' (Debian, Ubuntu: apt install binutils gcc), or another OpenCL runtime: "
-    "'pip install clvol[intel]' brings one that needs neither"
+    "'pip install \"clvol[intel]\"' brings one that needs neither"
 )
 
 

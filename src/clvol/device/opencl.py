@@ -20,10 +20,10 @@ __all__ = ["INSTALL", "kept_out", "kernel_cache", "opencl", "why_not"]
 
 _WITHOUT_GPU = {
     "linux": (
-        "'pip install clvol[intel]' brings one that runs on the processor and needs nothing else, "
-        "'pip install clvol[pocl]' a smaller one that needs 'ld' and gcc"
+        "'pip install \"clvol[intel]\"' brings one that runs on the processor and needs nothing else, "
+        "'pip install \"clvol[pocl]\"' a smaller one that needs 'ld' and gcc"
     ),
-    "win32": "'pip install clvol[intel]' brings one that runs on the processor",
+    "win32": "'pip install \"clvol[intel]\"' brings one that runs on the processor",
 }
 _X86 = platform.machine() in ("x86_64", "AMD64")
 _ADVICE = (_WITHOUT_GPU.get(sys.platform) if _X86 else None) or "install PoCL (apt install pocl-opencl-icd; conda install pocl)"

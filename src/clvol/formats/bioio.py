@@ -102,7 +102,7 @@ def _opened(path: Path) -> Any:
     module = plugin.replace("-", "_")
     missing = [name for name in ("bioio", module) if find_spec(name) is None]
     if missing:
-        extra = "clvol[bioio]" if plugin == "bioio-czi" else f"clvol[bioio] {plugin}"
+        extra = '"clvol[bioio]"' if plugin == "bioio-czi" else f'"clvol[bioio]" {plugin}'
         raise MissingDependencyError(f"{suffix} files need bioio and its plug-in {plugin}: pip install {extra}")
     logger = logging.getLogger("bioio.bio_image")
     level = logger.level

@@ -95,7 +95,7 @@ def opened(path: Path) -> Any:
     try:
         import h5py
     except ImportError as error:
-        raise MissingDependencyError("HDF5 files need h5py: pip install clvol[hdf5]") from error
+        raise MissingDependencyError('HDF5 files need h5py: pip install "clvol[hdf5]"') from error
     return h5py.File(path, "r", locking="best-effort", rdcc_nbytes=_CACHED)
 
 

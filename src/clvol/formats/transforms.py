@@ -37,7 +37,7 @@ _UNPACKED = 20  # bytes in memory per byte of a file, at most: a displacement of
 def read_transform(path: str | os.PathLike[str], *, trusted: bool = False, limits: Limits | None = None) -> list[Transform]:
     """Read a transform from a file that ITK, SimpleITK, elastix or ANTs wrote, or an image of displacements.
 
-    SimpleITK reads them (``pip install clvol[medical]``).
+    SimpleITK reads them (``pip install "clvol[medical]"``).
 
     Parameters
     ----------

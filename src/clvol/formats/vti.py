@@ -339,7 +339,7 @@ def _unpacked_lz4(packed: bytes, size: int) -> bytes:
     try:
         from vtkmodules.vtkIOCore import vtkLZ4DataCompressor
     except ImportError as error:
-        raise MissingDependencyError("VTK's files that are packed by LZ4 need vtk: pip install clvol[vtk]") from error
+        raise MissingDependencyError('VTK\'s files that are packed by LZ4 need vtk: pip install "clvol[vtk]"') from error
     source: Any = np.frombuffer(packed, np.uint8)
     block: Any = np.empty(size, np.uint8)
     compressor = vtkLZ4DataCompressor()

@@ -193,7 +193,7 @@ class Mesh:
         FormatError
             Another suffix, or the file cannot be written.
         MissingDependencyError
-            trimesh is missing: ``pip install clvol[mesh]``.
+            trimesh is missing: ``pip install "clvol[mesh]"``.
         """
         suffix, target = require_suffix(path, MESHES, "meshes"), as_path(path)
         require_folder(target)
@@ -211,7 +211,7 @@ class Mesh:
         try:
             import trimesh
         except ModuleNotFoundError as error:
-            raise MissingDependencyError("meshes for trimesh, and mesh files, need trimesh: pip install clvol[mesh]") from error
+            raise MissingDependencyError('meshes for trimesh, and mesh files, need trimesh: pip install "clvol[mesh]"') from error
         vertices, normals = (in_frame(array, frame, self.space) for array in (self.vertices, self.normals.astype(float)))
         made = trimesh.Trimesh(vertices, self.faces, vertex_normals=normals, process=False)
         if self.curvature is not None:
@@ -338,7 +338,7 @@ def mesh(
     DataError
         Samples are missing, and `nan` does not say what to do; labels are no whole numbers.
     MissingDependencyError
-        VTK is missing, for a volume without labels: ``pip install clvol[mesh]``.
+        VTK is missing, for a volume without labels: ``pip install "clvol[mesh]"``.
     OutOfMemoryError
         The samples or the triangles do not fit; how many they are is known before they are made, and told by a `ClvolWarning` if
         they are 100 million or more.
@@ -426,7 +426,7 @@ def _vtk() -> Any:
     try:
         from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
     except ModuleNotFoundError as error:
-        raise MissingDependencyError("meshes need VTK: pip install clvol[mesh]") from error
+        raise MissingDependencyError('meshes need VTK: pip install "clvol[mesh]"') from error
     return vtkFlyingEdges3D
 
 

@@ -35,7 +35,7 @@ def simpleitk() -> Any:
     try:
         import SimpleITK
     except ImportError as error:
-        raise MissingDependencyError("medical files need SimpleITK: pip install clvol[medical]") from error
+        raise MissingDependencyError('medical files need SimpleITK: pip install "clvol[medical]"') from error
     return SimpleITK
 
 

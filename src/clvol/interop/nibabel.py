@@ -63,7 +63,7 @@ def nibabel() -> Any:
     try:
         import nibabel
     except ImportError as error:
-        raise MissingDependencyError("NIfTI and MGH files need nibabel: pip install clvol[medical]") from error
+        raise MissingDependencyError('NIfTI and MGH files need nibabel: pip install "clvol[medical]"') from error
     return nibabel
 
 

@@ -38,7 +38,7 @@ def to_xarray(data: NDArray[Any], grid: Volume, leading: Leading | None = None) 
     try:
         import xarray
     except ImportError as error:
-        raise MissingDependencyError("to_xarray needs xarray: pip install clvol[xarray]") from error
+        raise MissingDependencyError('to_xarray needs xarray: pip install "clvol[xarray]"') from error
     d = len(grid.spacing)
     dims = (*(leading.axes if leading else ()), *"zyx"[3 - d :])
     coords: dict[str, Any] = {axis: list(names) for axis, names in (leading.names if leading else {}).items()}

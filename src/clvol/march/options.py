@@ -170,7 +170,7 @@ class ModeOptions(TypedDict, total=False):
 
 
 class FurnitureOptions(TypedDict, total=False):
-    """What stands around a picture; nothing by default (``pip install clvol[figures]``).
+    """What stands around a picture; nothing by default (``pip install "clvol[figures]"``).
 
     Attributes
     ----------

@@ -585,7 +585,7 @@ def require_matplotlib(what: str = "figures need") -> Any:
     try:
         import matplotlib as mpl
     except ImportError:
-        raise MissingDependencyError(f"{what} matplotlib, which is not installed: pip install clvol[figures]") from None
+        raise MissingDependencyError(f'{what} matplotlib, which is not installed: pip install "clvol[figures]"') from None
     return mpl
 
 

@@ -61,7 +61,7 @@ def require_encoder(form: str) -> None:
         raise OptionError(f"format must be one of {', '.join(FORMATS)}; got {form!r}")
     if form in _ENCODERS and importlib.util.find_spec("imageio_ffmpeg") is None:
         raise MissingDependencyError(
-            f"movies as {form} need imageio-ffmpeg: pip install clvol[movie] (gif, webp and zip need nothing)"
+            f'movies as {form} need imageio-ffmpeg: pip install "clvol[movie]" (gif, webp and zip need nothing)'
         )
     if form == "webp" and not _has_webp():
         raise MissingDependencyError("movies as webp need a Pillow that was built with WebP: pip install --upgrade pillow")

@@ -242,7 +242,7 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     The file appears when it is complete. Depth and other outputs of `render` are written as displayed. A PNG file of a picture by
     `clvol.render` says what made it, with the path of the volume's file as seen from its folder: 'clvol render --from' renders it
     again. That of a plain array, ``numpy.array(picture)``, says nothing. In PDF and SVG what stands around a picture is lines and
-    letters, over the picture's pixels, 300 to the inch (``pip install clvol[figures]``).
+    letters, over the picture's pixels, 300 to the inch (``pip install "clvol[figures]"``).
 
     Raises
     ------

@@ -231,7 +231,7 @@ class View(Watched):
         return code.python(self.resident, self.state, "3d", PaneSize(*map(float, size)), size)
 
     def widget(self) -> Any:
-        """A widget of notebooks: see `clvol.view.hosts.notebook.Widget` (``pip install clvol[view]``)."""
+        """A widget of notebooks: see `clvol.view.hosts.notebook.Widget` (``pip install "clvol[view]"``)."""
         from clvol.view.hosts.notebook import Widget
 
         return Widget(self)

@@ -191,7 +191,7 @@ class Volume(Gridded):
         return self.data.__dlpack_device__()
 
     def to_sitk(self) -> Any:
-        """A SimpleITK image with a copy of the samples, in mm (``pip install clvol[medical]``).
+        """A SimpleITK image with a copy of the samples, in mm (``pip install "clvol[medical]"``).
 
         Raises
         ------
@@ -207,7 +207,7 @@ class Volume(Gridded):
     def to_nibabel(self) -> Any:
         """A nibabel image (NIfTI) in RAS and mm, with what `header` keeps of a NIfTI file, and `clim` as cal_min and cal_max.
 
-        Its samples are [x, y, z], a view of the volume's (``pip install clvol[medical]``).
+        Its samples are [x, y, z], a view of the volume's (``pip install "clvol[medical]"``).
 
         Raises
         ------
@@ -224,7 +224,7 @@ class Volume(Gridded):
         """A DataArray with dimensions z, y, x. It has coordinates in world units if its axes are parallel to the world's.
 
         Its attributes are "size", "spacing", "origin" and "direction", (x, y, z), "world_units", "space", and "clim" if there
-        is one. ``Volume(array)`` comes back, also of a part with coordinates (``pip install clvol[xarray]``).
+        is one. ``Volume(array)`` comes back, also of a part with coordinates (``pip install "clvol[xarray]"``).
 
         Raises
         ------

@@ -29,7 +29,7 @@ from clvol.spline.field import Precision
 try:
     import xarray
 except ImportError as missing:
-    raise MissingDependencyError("clvol.xarray needs xarray: pip install clvol[xarray]") from missing
+    raise MissingDependencyError('clvol.xarray needs xarray: pip install "clvol[xarray]"') from missing
 
 from clvol.xarray.lines import Line, indexer
 from clvol.xarray.spline import Spline

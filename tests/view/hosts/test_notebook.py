@@ -133,7 +133,7 @@ def test_without_anywidget_there_is_a_still_picture(device: Device, monkeypatch:
     monkeypatch.delattr("clvol.view.hosts.notebook")
     shown = small()._repr_mimebundle_()
     assert shown["image/png"].startswith(b"\x89PNG")
-    assert "pip install clvol[view]" in shown["text/plain"]
+    assert 'pip install "clvol[view]"' in shown["text/plain"]
 
 
 def test_outside_a_notebook_show_explains_what_to_do() -> None:

@@ -441,7 +441,7 @@ def test_a_movie_is_saved_in_the_chosen_format(page: Page, kind: str, head: byte
     )
     page.press("Save movie")
     if kind in ("mp4", "webm") and find_spec("imageio_ffmpeg") is None:
-        page.wait(lambda: "pip install clvol[movie]" in page.told(), 30, "what is missing")
+        page.wait(lambda: 'pip install "clvol[movie]"' in page.told(), 30, "what is missing")
         return
     assert head in bytes(page.wait("window.saved", 30))
     assert page.js("return window.kind") == ("image/gif" if kind == "gif" else f"video/{kind}")

@@ -975,7 +975,7 @@ def test_without_aiohttp_its_extra_is_named() -> None:
     with Command("phantom:sphere:8", code="import sys; sys.modules['aiohttp'] = None") as command:
         _, said = command.process.communicate(timeout=60)
     assert command.process.returncode == 1
-    assert said == "clvol: the viewer's page needs aiohttp, which is not installed: pip install clvol[view]\n"
+    assert said == 'clvol: the viewer\'s page needs aiohttp, which is not installed: pip install "clvol[view]"\n'
 
 
 def test_a_note_warns_of_public_and_unreachable_addresses() -> None:

@@ -134,7 +134,7 @@ def pydicom() -> Any:
         import pydicom as module
         import pydicom.pixels.utils
     except ImportError as error:
-        raise MissingDependencyError("DICOM files need pydicom: pip install clvol[medical]") from error
+        raise MissingDependencyError('DICOM files need pydicom: pip install "clvol[medical]"') from error
     return module
 
 

@@ -368,7 +368,7 @@ class _Writing:
         try:
             import zarr
         except ImportError as error:
-            raise MissingDependencyError("pyramids are Zarr stores, which need zarr: pip install clvol[microscopy]") from error
+            raise MissingDependencyError('pyramids are Zarr stores, which need zarr: pip install "clvol[microscopy]"') from error
         self._zarr = zarr
         self._volume, self._plan, self._journal, self._room, self._progress = volume, plan, journal, room, progress
         self._cache, self._read_out = cache, False

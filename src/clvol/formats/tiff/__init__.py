@@ -233,7 +233,7 @@ def _part_of(name: str, file: Any, image: Any, index: Index) -> Window:
         import zarr
     except ImportError as error:
         raise MissingDependencyError(
-            "TIFF files of strips and tiles are read part by part by way of zarr: pip install clvol[microscopy]"
+            'TIFF files of strips and tiles are read part by part by way of zarr: pip install "clvol[microscopy]"'
         ) from error
     array: Any = zarr.open(image.aszarr(level=0, squeeze=False), mode="r")
     if tuple(array.shape) != shape:

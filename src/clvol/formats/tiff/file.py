@@ -37,7 +37,7 @@ def tifffile() -> Any:
     try:
         import tifffile
     except ImportError as error:
-        raise MissingDependencyError("TIFF files need tifffile: pip install clvol[microscopy]") from error
+        raise MissingDependencyError('TIFF files need tifffile: pip install "clvol[microscopy]"') from error
     return tifffile
 
 

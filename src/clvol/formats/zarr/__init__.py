@@ -115,7 +115,7 @@ def _opened(source: Path | str, options: Mapping[str, Any] | None = None, watche
 
         from clvol.formats.zarr._store import open_store
     except ImportError as error:
-        raise MissingDependencyError("Zarr needs zarr: pip install clvol[microscopy]") from error
+        raise MissingDependencyError('Zarr needs zarr: pip install "clvol[microscopy]"') from error
     return open_store(source, options, watched)
 
 

@@ -79,7 +79,7 @@ def open_store(source: Path | str, options: Mapping[str, Any] | None = None, wat
             found = FsspecStore.from_url(place, storage_options=about, read_only=True)
         except ImportError as error:
             kind = source.partition("://")[0]
-            how = "pip install clvol[s3]" if kind in IN_EXTRA else str(error)  # fsspec names what other schemes need
+            how = 'pip install "clvol[s3]"' if kind in IN_EXTRA else str(error)  # fsspec names what other schemes need
             raise MissingDependencyError(f"{shown(source)} needs {error.name or 'what reads ' + kind}: {how}") from error
         return CheckedStore(found, name_of(source), said=partial(said, address=source, options=options)), ""
     name = source.name

@@ -1,4 +1,4 @@
-"""A window: any canvas of rendercanvas shows a session (``pip install clvol[desktop]``). It needs no GPU and no OpenGL.
+"""A window: any canvas of rendercanvas shows a session (``pip install "clvol[desktop]"``). It needs no GPU and no OpenGL.
 
 rendercanvas draws and receives events on its event loop, which here only shows what the session's thread has drawn.
 """
@@ -119,4 +119,4 @@ def _qt() -> Any:
             return import_module(f"rendercanvas.{name.lower()}")
         except ImportError:
             continue
-    raise MissingDependencyError("a window needs rendercanvas and PySide6: pip install clvol[desktop]")
+    raise MissingDependencyError('a window needs rendercanvas and PySide6: pip install "clvol[desktop]"')

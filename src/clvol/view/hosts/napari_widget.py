@@ -1,4 +1,4 @@
-"""In napari: a dock widget and a layer action that draw the selected layer as it is seen (``pip install clvol[napari]``)."""
+"""In napari: a dock widget and a layer action that draw the selected layer as it is seen (``pip install "clvol[napari]"``)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from clvol.volume.volumes import Volumes
 try:
     from magicgui import widgets
 except ImportError as missing:
-    raise MissingDependencyError("clvol in napari needs napari and magicgui: pip install clvol[napari]") from missing
+    raise MissingDependencyError('clvol in napari needs napari and magicgui: pip install "clvol[napari]"') from missing
 
 __all__ = ["RenderWidget", "camera_of", "picture_of", "render_selected", "volume_of"]
 

@@ -21,7 +21,7 @@ try:
     import anywidget
 except ImportError as missing:
     raise MissingDependencyError(
-        "the viewer in notebooks needs anywidget, which is not installed: pip install clvol[view]"
+        'the viewer in notebooks needs anywidget, which is not installed: pip install "clvol[view]"'
     ) from missing
 
 __all__ = ["Widget", "show"]

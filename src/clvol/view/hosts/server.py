@@ -41,7 +41,7 @@ try:
     from clvol.view.hosts.greeting import Greeter
     from clvol.view.hosts.listener import Listener
 except ImportError as missing:
-    raise MissingDependencyError("the viewer's page needs aiohttp, which is not installed: pip install clvol[view]") from missing
+    raise MissingDependencyError('the viewer\'s page needs aiohttp, which is not installed: pip install "clvol[view]"') from missing
 
 __all__ = ["Limits", "Server", "Serving", "serve"]
 
