@@ -14,7 +14,7 @@ import pytest
 
 import clvol
 from clvol.base.errors import OptionError
-from clvol.view import Pick, State, View, link
+from clvol.view import Pick, State, View, link, throttle
 from tests.view.clients import Client
 
 SIZE = 24
@@ -106,6 +106,27 @@ def test_an_assigned_state_is_shown_at_once_and_can_be_undone(opened: Opened) ->
     with pytest.raises(OptionError, match="index must be left out"):
         view.state = State(index={"time": 1})
     assert view.state.mode == "mip"
+
+
+def test_an_assigned_state_is_shown_also_if_too_many_messages_wait(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
+    view = opened.view()
+    client = opened.client(view)
+    client.still()
+    monkeypatch.setattr(throttle, "_MOST_WAITING", 2)
+    busy, enough = threading.Event(), threading.Event()
+    end = view.on_change(lambda _: (busy.set(), enough.wait(20)))
+    client.set(step=0.7)
+    assert busy.wait(20)
+    for zoom in (1.1, 1.2):
+        client.set(camera__zoom=zoom)
+    wanted = view.state.changed({"mode": "minip"})
+    view.state = wanted
+    end()
+    enough.set()
+    client.wait(lambda m: m["type"] == "state" and m["state"]["mode"] == "minip")
+    client.set(step=0.9)
+    client.wait(lambda m: m["type"] == "state" and m["state"]["step"] == 0.9)
+    assert view.state == wanted.changed({"step": 0.9})
 
 
 def test_a_double_click_calls_back_with_position_and_value(opened: Opened) -> None:
@@ -223,3 +244,12 @@ def test_views_are_linked_before_and_after_they_are_shown(opened: Opened) -> Non
             link(*wrong)
     with pytest.raises(OptionError, match="what must be one of"):
         link(first, second, what="position")
+
+
+def test_a_link_that_one_view_refuses_changes_none(opened: Opened) -> None:
+    parts = clvol.Volume((np.indices((8, 8, 8))[2] > 3).astype(np.uint8), labels={1: "right"})
+    first, second, third = View(parts), View(parts), opened.view()
+    first.state = first.state.changed({"slice.contour": 2})
+    with pytest.raises(OptionError, match=r"slice\.contour must be 0"):
+        link(first, second, third, what="slice")
+    assert (second.state.slice.contour, third.state.slice.contour) == (0, 0)

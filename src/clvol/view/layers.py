@@ -174,10 +174,11 @@ class Layers:
 
     def _put(self, media: tuple[Medium, ...], sources: list[str | None], *changes: int | None) -> None:
         resident, scene = self._resident, replace(self._scene, media=media)
-        self._scene, self._sources = scene, sources
+        initial = _followed(resident.initial, changes)
+        self._scene, self._sources = scene, sources  # from here on nothing fails
         resident.catalog.media = media if len(media) > 1 else ()
         resident.renderers.show(scene if len(media) > 1 else self._alone)
-        resident.initial = _followed(resident.initial, changes)
+        resident.initial = initial
         self.changes += changes
         for watcher in list(self._watchers):
             watcher.wake()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from clvol.base.checks import one_of
 from clvol.base.errors import OptionError
 from clvol.view.state import State
+from clvol.view.watched import require
 
 if TYPE_CHECKING:
     from clvol.view import View
@@ -61,8 +62,12 @@ def link(*views: View, what: str | Iterable[str] = _SHARED) -> Callable[[], None
         if name not in allowed:
             raise one_of("what", name, allowed)
     first, *others = views
-    for other in others:
-        other.state = other.state.changed(_part(first.state, names))
+    shared = _part(first.state, names)
+    states = [other.state.changed(shared) for other in others]
+    for other, state in zip(others, states, strict=True):
+        require(other.resident, state)
+    for other, state in zip(others, states, strict=True):  # in all of them, or in none
+        other.state = state
     made = _Link(views, names)
     ends = [end for view in views for end in made.listen(view)]
     return lambda: [end() for end in ends].clear()

@@ -82,8 +82,9 @@ class Session:
 
     def show(self, state: State) -> None:
         """Show another state, from any thread; it is in `state` at once."""
-        self._given = state
-        self.receive({"type": "set", "changes": state, "whole": True, "via": frozenset()})
+        with self._post.condition:  # together
+            self._given = state
+            self.receive(_shows(state))
 
     def close(self, timeout: float | None = 10.0) -> None:
         """End it; what is being drawn is stopped. Other sessions of the view go on."""
@@ -172,6 +173,7 @@ class Session:
         with post.condition:
             post.woken = False
             messages, warning = post.inbox.take_all()
+            given = self._given
             ready = post.background.take()
         for message in ready:
             post.tell(message)
@@ -181,6 +183,8 @@ class Session:
             if post.closed:
                 return
             self._guarded(lambda received=received: self._handle(received))  # type: ignore[misc]  # bound at once
+        if given is not None and self._given is given:  # it was among those dropped, but is in `state`
+            self._guarded(lambda: self._handle(_shows(given)))
         self._updates.forget_errors()
         follow(self._control)
         self._guarded(self._updates.volume)  # once, however many steps along an axis came: only the last is drawn
@@ -265,6 +269,11 @@ class Session:
             raise
         self._post.tell({**answer, **more}, data)
         self._updates.state()
+
+
+def _shows(state: State) -> protocol.Message:
+    """The message that shows a state of a program's."""
+    return {"type": "set", "changes": state, "whole": True, "via": frozenset()}
 
 
 def _said(error: Exception) -> str:

@@ -9,7 +9,13 @@ from clvol.view.audience import Pick
 from clvol.view.resident import Resident
 from clvol.view.state import State
 
-__all__ = ["Watched"]
+__all__ = ["Watched", "require"]
+
+
+def require(resident: Resident, state: State) -> None:
+    """Raise `OptionError` for a state that cannot be shown there."""
+    resident.catalog.require(state)
+    resident.transfer(state)
 
 
 class Watched:
@@ -33,8 +39,7 @@ class Watched:
 
     @state.setter
     def state(self, state: State) -> None:
-        self.resident.catalog.require(state)
-        self.resident.transfer(state)
+        require(self.resident, state)
         self.resident.initial = state
         self.resident.audience.show(state)
 
