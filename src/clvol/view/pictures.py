@@ -16,6 +16,7 @@ from clvol.view.post import Post
 from clvol.view.protocol import Message
 from clvol.view.resident import Resident
 from clvol.view.schedule import Job, Shown, next_job
+from clvol.view.state import PANES
 from clvol.view.updates import Updates
 
 __all__ = ["Pictures"]
@@ -41,9 +42,10 @@ class Pictures:
         self._shown: dict[str, Shown] = {}
         self._took: dict[str, tuple[object, float]] = {}  # by pane: what its last final picture showed, and its seconds
 
-    def forget(self) -> None:
-        """Draw all of them again."""
-        self._shown.clear()
+    def forget(self, pane: str = "") -> None:
+        """Draw all of them again, or one."""
+        for name in [pane] if pane else PANES:
+            self._shown.pop(name, None)
 
     def next_job(self, read_in: float | None) -> Job:
         """What to do next; `read_in` are seconds until what lies under the pointer may be told."""

@@ -218,6 +218,7 @@ class Session:
             match message:
                 case Resize(pane, size):
                     self._control.sizes[pane] = size
+                    self._pictures.forget(pane)  # it may be a new one, which shows nothing yet
                 case PointerOrKey(event):
                     for what, *rest in self._control.event(event):
                         if what == "pick":

@@ -198,6 +198,27 @@ def test_linked_slices_share_a_crosshair(page: Page) -> None:
     assert {"clvol-letter clvol-leftR", "clvol-letter clvol-downP"} <= set(letters)
 
 
+def test_panes_that_come_back_have_their_pictures(page: Page) -> None:
+    quick = """for (const layout of ["slice", "3d"]) {
+            const row = [...document.querySelectorAll('.clvol-row')].find((r) => r.firstChild.textContent === 'Layout');
+            const list = row.querySelector('select');
+            list.value = layout;
+            list.dispatchEvent(new Event('change'));
+        }"""
+    page.js(quick)  # before the session hears of it
+    page.wait(f"{SHOWN} && {FINAL}", 20, "the volume's picture")
+    page.choose("Layout", "linked")
+    finals = "[...document.querySelectorAll('.clvol-pane[data-final=true]')].map((pane) => pane.dataset.pane).join()"
+    page.wait(f"{finals} === 'z,3d,y,x'")
+    for _ in range(2):  # the second time the crosshair stays, and nothing else has changed
+        for panes in ("x", "z,3d,y,x"):
+            code = """const pane = document.querySelector(".clvol-pane[data-pane='x']"), box = pane.getBoundingClientRect();
+                const at = {clientX: box.left + box.width / 2, clientY: box.top + box.height / 2, bubbles: true};
+                pane.dispatchEvent(new MouseEvent('dblclick', at))"""
+            page.js(code)
+            page.wait(f"{finals} === '{panes}'")
+
+
 # -- the panel -----------------------------------------------------------------------------------------------
 
 
