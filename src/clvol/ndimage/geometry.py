@@ -12,7 +12,7 @@ from clvol.base.checks import flag
 from clvol.base.errors import OptionError, OptionTypeError, RefusedError
 from clvol.ndimage.arguments import Array, as_matrix, finite, per_axis, require_addressable
 
-__all__ = ["diagonal", "magnified", "placed", "require_rank", "shifted", "turned", "zoomed"]
+__all__ = ["diagonal", "magnified", "placed", "plane_of", "require_rank", "shifted", "turned", "zoomed"]
 
 
 def require_rank(ndim: int, result: int) -> None:
@@ -74,16 +74,30 @@ def magnified(before: Sequence[int], after: Sequence[int], whole: bool) -> list[
     return [None if m == n else _magnified(n, m, whole) for n, m in zip(before, after, strict=True)]
 
 
+def plane_of(axes: Sequence[int], ndim: int) -> list[int]:
+    """The two axes of `rotate`, in order."""
+    if ndim < 2:
+        raise OptionError(f"input must have at least two axes; got {ndim}")
+    if not np.iterable(axes):
+        raise OptionTypeError(f"axes must be two axes of input; got {axes!r}")
+    pair = list(axes)
+    if len(pair) != 2:
+        raise OptionError(f"axes must be exactly two axes of input; got {axes!r}")
+    if not all(type(axis) is int or finite("axes", axis).is_integer() for axis in pair):
+        raise OptionError(f"axes must be whole numbers; got {axes!r}")
+    plane = sorted(int(axis) + ndim if axis < 0 else int(axis) for axis in pair)
+    if not 0 <= plane[0] < plane[1] < ndim:
+        raise OptionError(f"axes must be two different ones of the {ndim} axes of input; got {axes!r}")
+    return plane
+
+
 def turned(
     angle: float, axes: Sequence[int], reshape: bool, before: Sequence[int]
 ) -> tuple[list[int], NDArray[np.float64], NDArray[np.float64], tuple[int, ...]]:
     """The plane of `rotate`, the matrix and offset in it, and the shape of the result."""
     from scipy import special
 
-    n = len(before)
-    if n < 2:
-        raise OptionError(f"input must have at least two axes; got {n}")
-    plane = _plane(axes, n)
+    plane = plane_of(axes, len(before))
     turn = finite("angle", angle)
     c, s = special.cosdg(turn), special.sindg(turn)
     matrix = np.array([[c, s], [-s, c]])
@@ -97,20 +111,6 @@ def turned(
     shape = list(before)
     shape[plane[0]], shape[plane[1]] = after.tolist()
     return plane, matrix, offset, tuple(shape)
-
-
-def _plane(axes: Sequence[int], ndim: int) -> list[int]:
-    if not np.iterable(axes):
-        raise OptionTypeError(f"axes must be two axes of input; got {axes!r}")
-    pair = list(axes)
-    if len(pair) != 2:
-        raise OptionError(f"axes must be exactly two axes of input; got {axes!r}")
-    if not all(finite("axes", axis).is_integer() for axis in pair):
-        raise OptionError(f"axes must be whole numbers; got {axes!r}")
-    plane = sorted(int(axis) + ndim if axis < 0 else int(axis) for axis in pair)
-    if not 0 <= plane[0] < plane[1] < ndim:
-        raise OptionError(f"axes must be two different ones of the {ndim} axes of input; got {axes!r}")
-    return plane
 
 
 def _scaled(size: int, scale: float, start: float) -> Array:

@@ -48,6 +48,7 @@ _LEFT_OUT = 5e-17
 """Share of the prefilter's weights outside the part that is cut out for a few points: less than float64 resolves."""
 
 _NUMBERS = {float, int, np.float64}
+_FEW = 16  # answers that take no longer at once
 
 _Floats = NDArray[np.float64]
 _Pass = tuple[list[int], Axes | Affine]
@@ -428,7 +429,7 @@ def _positions(matrix: _Floats, offset: _Floats, shape: Sequence[int], first: in
 
 def as_rows(answers: list[Any], count: int) -> _Floats:
     """The positions that a function returned, as rows."""
-    if set(map(type, answers)) == {tuple} and set(map(len, answers)) == {count}:
+    if len(answers) > _FEW and set(map(type, answers)) == {tuple} and set(map(len, answers)) == {count}:
         numbers = list(itertools.chain.from_iterable(answers))
         if set(map(type, numbers)) <= _NUMBERS:  # a tenth of the time below
             return np.array(numbers, np.float64).reshape(-1, count)

@@ -8,22 +8,23 @@ every result that is not finite. What depends on shapes, types and options alone
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
-from math import isfinite, prod
+from math import cos, isfinite, prod, radians, sin
 from operator import mul
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.base.checks import one_of
+from clvol.base.checks import flag, one_of
 from clvol.filter.boundary import Boundary, as_boundary
-from clvol.ndimage.arguments import BOUNDARIES, Array, as_array, as_shape, per_axis
+from clvol.ndimage.arguments import BOUNDARIES, Array, as_array, as_shape, finite, per_axis
 from clvol.ndimage.engine import FILTERED_AS, row_of
-from clvol.ndimage.geometry import diagonal, placed, turned
+from clvol.ndimage.geometry import diagonal, placed, plane_of, turned
 from clvol.ndimage.in_memory import as_rows
 
 __all__ = ["ALL", "BY", "Small", "calls_by_scipy", "coefficients", "count", "originals"]
@@ -46,8 +47,10 @@ _SHORT = 32
 """Samples along an axis up to which it is filtered by a matrix."""
 _ALONE = 1 << 13
 """Numbers up to which BLAS starts no threads, which may take longer than all the rest."""
-_SINGLE = 16
+_SINGLE = 12
 """Numbers up to which they are asked about one by one."""
+_ANSWERS = 4
+"""Positions up to which SciPy asks a function for them."""
 _FEW = 64
 """Samples up to which all axes are filtered together, by one matrix."""
 _PLANS = 256
@@ -68,6 +71,8 @@ _WIDEST = 1 << 60
 """Magnitudes of int64 up to which conversions of float64 cannot overflow."""
 
 _Floats = NDArray[np.float64]
+_vdot: Callable[[Array, Array], float] = inspect.unwrap(np.vdot)
+"""Without the question whether an argument has an ``__array_function__``, which takes half as long again."""
 
 
 _here = threading.local()
@@ -119,7 +124,21 @@ class _Plan(NamedTuple):
     filtered: bool
     by_scipy: bool
     most: int  # elements of a result
+    coordinates: int  # of given points, at most
     accepts: Callable[[Array], bool] | None  # whether a result is one that clvol would compute too
+
+
+class _Plans(dict[tuple[Any, ...], _Plan | None]):
+    """Plans by what they depend on; None if a call is not for SciPy. They are found sooner than by `lru_cache`."""
+
+    def __init__(self, make: Callable[..., _Plan | None]) -> None:
+        self.make = make
+
+    def __missing__(self, key: tuple[Any, ...]) -> _Plan | None:
+        if len(self) >= _PLANS:
+            self.clear()
+        self[key] = plan = self.make(*key)
+        return plan
 
 
 class _Step(NamedTuple):
@@ -148,7 +167,7 @@ def coefficients(given: object, output: Any, order: object, mode: object, axis: 
             output[...] = found
         return found if found is None else output
     try:
-        plan = _coefficients_plan(given.shape, given.dtype, output, order, mode, axis)
+        plan = _filters[given.shape, given.dtype, output, order, mode, axis]
     except TypeError:  # what cannot be hashed
         return None
     if plan is None:
@@ -189,7 +208,7 @@ class Small:
                 return None
             kind = output.dtype
         try:
-            plan = _plan(given.shape, given.dtype, kind, order, mode, prefilter)
+            plan = _interpolations[given.shape, given.dtype, kind, order, mode, prefilter]
         except TypeError:  # what cannot be hashed
             return None
         if plan is None:
@@ -198,12 +217,6 @@ class Small:
         call.data, call.cval, call.plan = given, cval, plan
         call.output = plan.kind if kind is output else output
         return call
-
-    def _few(self, count: int) -> bool:
-        """Whether SciPy computes a result at so many given points."""
-        if self.data.ndim == 1:
-            count = _POINTS * (count + (self.data.size // _COEFFICIENT if self.plan.filtered and count else 0))
-        return 0 < count <= self.plan.most
 
     def map_coordinates(self, coordinates: Any) -> Array | None:
         """As `clvol.ndimage.map_coordinates`."""
@@ -214,10 +227,10 @@ class Small:
                 coordinates = np.asarray(coordinates)
             except ValueError:
                 return None
-        ndim, dtype = self.data.ndim, coordinates.dtype
-        if (dtype is not _DOUBLE and dtype not in _KNOWN) or coordinates.ndim < 2 or len(coordinates) != ndim:
+        dtype = coordinates.dtype
+        if (dtype is not _DOUBLE and dtype not in _KNOWN) or coordinates.ndim < 2 or len(coordinates) != self.data.ndim:
             return None
-        if not self._few(coordinates.size // ndim) or not _finite(coordinates):
+        if not 0 < coordinates.size <= self.plan.coordinates or not _finite(coordinates):
             return None
         if type(self.output) is np.ndarray and np.may_share_memory(coordinates, self.output):
             return None
@@ -226,12 +239,12 @@ class Small:
     def geometric_transform(
         self, mapping: Callable[..., Sequence[float]], output_shape: Any, answers: list[Sequence[float]]
     ) -> Array | None:
-        """As `clvol.ndimage.geometric_transform`, of few elements; of more `positions` are sooner there.
+        """As `clvol.ndimage.geometric_transform`, of a few elements; of more `positions` are sooner there.
 
         `answers` are filled, for those if an answer is not as SciPy needs it.
         """
         shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
-        if not shape or prod(shape) > _SINGLE or not self._few(prod(shape)):
+        if not shape or prod(shape) > _ANSWERS or not 0 < prod(shape) * ndim <= self.plan.coordinates:
             return None
 
         def sound(index: tuple[int, ...]) -> Sequence[float]:
@@ -240,14 +253,14 @@ class Small:
                 raise ValueError
             return at
 
-        return self._by("geometric_transform", sound, shape)
+        return self._by("geometric_transform", sound, None, shape)
 
     def positions(
         self, mapping: Callable[..., Sequence[float]], output_shape: Any, answers: list[Sequence[float]]
     ) -> _Floats | None:
         """Where a function of the index says, as `map_coordinates` takes them; its first `answers` are there."""
         shape, ndim = self.data.shape if output_shape is None else as_shape(output_shape), self.data.ndim
-        if not shape or not self._few(prod(shape)):
+        if not shape or not 0 < prod(shape) * ndim <= self.plan.coordinates:
             return None
         rest = itertools.islice(itertools.product(*map(range, shape)), len(answers), None)
         return as_rows([*answers, *map(mapping, rest)], ndim).T.reshape(ndim, *shape)
@@ -289,52 +302,38 @@ class Small:
 
     def rotate(self, angle: Any, axes: Any, reshape: Any) -> Array | None:
         """As `clvol.ndimage.rotate`: planes one after the other, as SciPy, or together where that has fewer operations."""
-        data, plan = self.data, self.plan
-        taps = plan.order + 1
+        data, plan, shape = self.data, self.plan, list(self.data.shape)
+        plane, turn = plane_of(axes, data.ndim), finite("angle", angle)
+        if flag("reshape", reshape):
+            height, width = (shape[axis] for axis in plane)
+            c, s = abs(cos(radians(turn))), abs(sin(radians(turn)))
+            shape[plane[0]], shape[plane[1]] = round(c * height + s * width), round(s * height + c * width)
+        count, taps = prod(shape), plan.order + 1
         if data.ndim < 3:
-            if data.size > plan.most:
-                return None
-            _, turn, start, shape = turned(angle, axes, reshape, data.shape)
-            return self._by("affine_transform", turn, start, shape) if 0 < prod(shape) <= plan.most else None
-        if data.size * taps**2 > _OPERATIONS:
-            return None
-        plane, turn, start, shape = turned(angle, axes, reshape, data.shape)
-        count, left = prod(shape), 3 - sum(plane)
+            return self._by("rotate", turn, plane, reshape) if max(data.size, count) <= plan.most else None
+        left = 3 - sum(plane)
         by_planes, together = count * taps**2 + _CALL * shape[left], count * taps**3
-        if not 0 < count < by_planes < _OPERATIONS:
+        if data.size * taps**2 > _OPERATIONS or by_planes >= _OPERATIONS:
             return None
         if plan.by_scipy:  # which filters the padding too
             wide = [n + 2 * _PADDING for n in data.shape]
             together += 3 * _SAMPLE * prod(wide)
             by_planes += 2 * _SAMPLE * prod(wide) // wide[left] * shape[left]
-        if by_planes < together or (plan.order > 1 and not plan.filtered):
-            return self._by_planes(plane, turn, start, shape)
-        matrix, offset = np.eye(data.ndim), np.zeros(data.ndim)
-        matrix[np.ix_(plane, plane)], offset[plane] = turn, start
-        return self._by("affine_transform", matrix, offset, shape)
-
-    def _by_planes(self, plane: list[int], turn: _Floats, start: _Floats, shape: tuple[int, ...]) -> Array | None:
-        """`rotate` of a volume: an `affine_transform` for each plane."""
-        plan = self.plan
+        if by_planes >= together and (plan.order < 2 or plan.filtered):
+            plane, matrix, start, size = turned(turn, axes, reshape, data.shape)
+            turning, offset = np.eye(data.ndim), np.zeros(data.ndim)
+            turning[np.ix_(plane, plane)], offset[plane] = matrix, start
+            return self._by("affine_transform", turning, offset, size)
         if plan.filtered and not plan.by_scipy:
-            along = _plane_plan(self.data.shape, plan.kind, plan.order, plan.mode, tuple(plane))
+            along = _plane_plan(data.shape, plan.kind, plan.order, plan.mode, tuple(plane))
             if along is None:
                 return None
             self.plan = along
-        left, flat = 3 - sum(plane), tuple(shape[axis] for axis in plane)
+        return self._by("rotate", turn, plane, reshape)
 
-        def turning(data: Array, output: Any, *options: Any) -> Array:
-            result = output if isinstance(output, np.ndarray) else np.empty(shape, output)
-            if result.shape != shape:
-                raise ValueError
-            one = originals()["affine_transform"]
-            for given, made in zip(np.moveaxis(data, left, 0), np.moveaxis(result, left, 0), strict=True):
-                one(given, turn, start, flat, made, *options)
-            return result
-
-        return self._by(turning)
-
-    def _by(self, function: str | Callable[..., Array], *arguments: Any) -> Array | None:
+    def _by(
+        self, function: str | Callable[..., Array], at: Any, offset: Any = None, shape: tuple[int, ...] | bool | None = None
+    ) -> Array | None:
         """The result of a function of SciPy's; what it refuses is left to clvol, whose error tells more."""
         plan, data = self.plan, self.data
         if plan.by_scipy:
@@ -345,8 +344,13 @@ class Small:
                 return None
             data = filtered
         call = (_functions or originals())[function] if isinstance(function, str) else function
-        try:
-            result: Array = call(data, *arguments, self.output, plan.order, plan.mode, self.cval, plan.by_scipy)
+        try:  # with its arguments one by one: a tuple of them would take a tenth of the smallest calls' time
+            if shape is None:
+                result: Array = call(data, at, self.output, plan.order, plan.mode, self.cval, plan.by_scipy)
+            elif offset is None:
+                result = call(data, at, shape, self.output, plan.order, plan.mode, self.cval, plan.by_scipy)
+            else:
+                result = call(data, at, offset, shape, self.output, plan.order, plan.mode, self.cval, plan.by_scipy)
         except (RuntimeError, ValueError, TypeError):
             return None
         if plan.accepts is not None and not plan.accepts(result):
@@ -362,7 +366,7 @@ def _finite(numbers: Array) -> bool:
         return isfinite(sum(numbers.ravel().tolist()))
     if numbers.size > _ALONE:
         return bool(np.isfinite(numbers).all())
-    return isfinite(np.vdot(numbers, numbers))  # which, other than `dot`, does not warn
+    return isfinite(_vdot(numbers, numbers))  # which, other than `dot`, does not warn
 
 
 def _narrow(numbers: Array) -> bool:
@@ -379,8 +383,7 @@ def _writable(output: Array, input: Array) -> bool:
     return output.flags.writeable and not np.may_share_memory(input, output)
 
 
-@lru_cache(maxsize=_PLANS)
-def _plan(shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: int, mode: object, prefilter: object) -> _Plan | None:
+def _make(shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: int, mode: object, prefilter: object) -> _Plan | None:
     """The plan of an interpolation; None if it is not for SciPy."""
     if dtype not in _KNOWN or not 0 < len(shape) <= 3 or not prod(shape):
         return None
@@ -394,16 +397,15 @@ def _plan(shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: int,
     if left < 0:
         return None
     by_scipy = filtered and mode in _PADDED
-    plan = _Plan(kind, order, mode, None, (), False, filtered, by_scipy, left // (order + 1) ** len(shape), _check(kind, order))
+    most = left // (order + 1) ** len(shape)
+    points = most if len(shape) > 1 else most // _POINTS - (prod(shape) // _COEFFICIENT if filtered else 0)
+    plan = _Plan(kind, order, mode, None, (), False, filtered, by_scipy, most, points * len(shape), _check(kind, order))
     return _filtering(plan, shape, range(len(shape))) if filtered and not by_scipy else plan
 
 
-@lru_cache(maxsize=_PLANS)
-def _coefficients_plan(
-    shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: int, mode: object, axis: object
-) -> _Plan | None:
+def _make_filter(shape: tuple[int, ...], dtype: np.dtype[Any], output: Any, order: int, mode: object, axis: object) -> _Plan | None:
     """The plan of a filter along an axis, or along all of them."""
-    plan = _plan(shape, dtype, output, order, mode, False)
+    plan = _make(shape, dtype, output, order, mode, False)
     ndim = len(shape)
     if plan is None or plan.kind not in _FLOATS:
         return None
@@ -418,10 +420,13 @@ def _coefficients_plan(
     return _filtering(plan, shape, axes) if plan.order > 1 else plan
 
 
+_interpolations, _filters = _Plans(_make), _Plans(_make_filter)
+
+
 @lru_cache(maxsize=_PLANS)
 def _plane_plan(shape: tuple[int, ...], kind: np.dtype[Any], order: int, mode: str, plane: tuple[int, ...]) -> _Plan | None:
     """The plan of an interpolation in planes."""
-    return _filtering(_Plan(kind, order, mode, None, (), False, True, False, 0, _check(kind, order)), shape, plane)
+    return _filtering(_Plan(kind, order, mode, None, (), False, True, False, 0, 0, _check(kind, order)), shape, plane)
 
 
 def _most(ndim: int) -> int:
@@ -432,7 +437,7 @@ def _most(ndim: int) -> int:
 def _filtering(plan: _Plan, shape: Sequence[int], axes: Sequence[int]) -> _Plan | None:
     """A plan that filters some axes; None if SciPy would, inexactly."""
     order, mode = plan.order, plan.mode
-    if prod(shape) <= _FEW and (len(axes) > 1 or len(shape) == 1):
+    if 1 < prod(shape) <= _FEW:
         whole: Array = np.ones((1, 1))
         for axis, n in enumerate(shape):
             whole = np.kron(whole, _inverse(order, mode, n) if axis in axes and n > 1 else np.eye(n))
@@ -455,11 +460,11 @@ def _rule(mode: str) -> Boundary:
 
 def _filtered(data: Array, plan: _Plan) -> Array | None:
     """The coefficients of an array, along the axes of a plan; None if they may not be finite: a matrix times infinity warns."""
-    if plan.line:  # along which one sample that is not finite makes all coefficients so
-        data = (_functions or originals())["spline_filter1d"](data, plan.order, 0, _DOUBLE, plan.mode)
-        return data if isfinite(data[0]) else None
-    if plan.order < 2:
-        return data if plan.kind is _DOUBLE or _finite(data) else None
+    if plan.line:  # along which one sample that is not finite makes all coefficients NaN, and every result that they have a part in
+        line: Array = (_functions or originals())["spline_filter1d"](data, plan.order, 0, _DOUBLE, plan.mode)
+        return line
+    if plan.order < 2 and plan.kind is _DOUBLE:
+        return data
     if not _finite(data):
         return None
     if plan.whole is not None:
