@@ -80,6 +80,26 @@ def test_a_mesh_is_that_of_the_picture(view: View) -> None:
     client.close()
 
 
+def test_work_is_given_up_and_done_again_after_a_drag() -> None:
+    told = []
+    reins = Reins(
+        {"id": 1}, Task("drawing", "it.gif", lambda _: ({}, None)), lambda: bool(told) and told[-1] == "dragged", told.append
+    )
+
+    def work(progress: Any) -> str:
+        progress(0.1)
+        told.append("dragged" if "dragged" not in told else "drawn")
+        threading.Timer(0.05, told.append, ("let go",)).start()
+        progress(0.9)
+        return "picture"
+
+    assert reins.alone(work) == "picture"
+    assert told[:3] == ["dragged", "let go", "drawn"]
+    reins.ended.set()
+    with pytest.raises(Cancelled):
+        reins.alone(work)
+
+
 def test_a_failing_file_is_said_and_the_next_one_comes() -> None:
     def broken(_: Reins) -> Any:
         raise OptionError("nothing to write")

@@ -7,6 +7,7 @@ import re
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress
 from clvol.interfaces.mesh import MESHES, mesh
 from clvol.show.movies import FORMATS, packed, require_encoder
 from clvol.show.picture import to_bytes
@@ -25,7 +27,7 @@ from clvol.view.jobs import Answer, Cancelled, Reins, Task
 from clvol.view.panes import PaneSize, active_pane
 from clvol.view.protocol import Request
 from clvol.view.resident import Resident
-from clvol.view.state import name_of
+from clvol.view.state import State, name_of
 
 __all__ = ["FILES"]
 
@@ -84,14 +86,17 @@ def _movie(parts: Parts, request: Request) -> Task:
     def work(reins: Reins) -> Answer:
         shown = context.pinned(state)
         upright = replace(shown.camera, style="turntable")
-        pictures: list[NDArray[np.uint8]] = []
-        with resident.renderers.renderer(*resident.catalog.key(shown)) as renderer:
-            for i in range(frames):
-                reins.make_room()
-                camera = turned(upright, context, 2 * math.pi * i / frames, 0.0) if i else shown.camera
-                given = resident.arguments(replace(shown, camera=camera))
-                pictures.append(to_bytes(renderer.render(size=(width, height), **given)))
-                reins.progress(_DRAWN * (i + 1) / frames)
+        key = resident.catalog.key(shown)
+
+        def drawn(state: State, progress: Progress) -> NDArray[np.uint8]:
+            with resident.renderers.renderer(*key) as renderer:  # not longer: what is dragged may need its memory
+                return to_bytes(renderer.render(size=(width, height), progress=progress, **resident.arguments(state)))
+
+        pictures = []
+        for i in range(frames):
+            camera = turned(upright, context, 2 * math.pi * i / frames, 0.0) if i else shown.camera
+            pictures.append(reins.alone(partial(drawn, replace(shown, camera=camera))))
+            reins.progress(_DRAWN * (i + 1) / frames)
         return {"format": form, "frames": frames}, packed(pictures, form)
 
     return Task("drawing the movie", _named(resident, form), work)

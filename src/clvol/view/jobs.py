@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import logging
 import threading
 import time
@@ -10,13 +11,15 @@ import weakref
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from clvol.base.errors import OptionError
+from clvol.base.progress import Progress
 from clvol.view.protocol import Message
 
 __all__ = ["Answer", "Cancelled", "Done", "Jobs", "Reins", "Task"]
 
+Made = TypeVar("Made")
 _LOG = logging.getLogger("clvol.view")
 _MOST = 16  # files at once
 _EVERY = 0.1  # seconds between two messages of one file's progress
@@ -29,6 +32,10 @@ Answer: TypeAlias = tuple[dict[str, Any], bytes | None]
 
 class Cancelled(Exception):  # nothing went wrong
     """The file is no longer wanted."""
+
+
+class _Dragged(Exception):  # nothing went wrong
+    """Something is dragged, whose pictures come first."""
 
 
 class Task(NamedTuple):
@@ -72,10 +79,19 @@ class Reins:
         if self.stopped():
             raise Cancelled
 
-    def make_room(self) -> None:
-        """Wait while something is dragged; for work that holds nothing that a picture needs."""
-        while self.waits() and not self.stopped():
-            time.sleep(_TICK)
+    def alone(self, work: Callable[[Progress], Made]) -> Made:
+        """The result of work that is given up, and begun again, whenever something is dragged. Raises `Cancelled` as `progress`."""
+        while True:
+            while self.waits() and not self.stopped():
+                time.sleep(_TICK)
+            with contextlib.suppress(_Dragged):
+                return work(self._looked)
+
+    def _looked(self, share: float) -> None:  # noqa: ARG002  # of a part
+        if self.stopped():
+            raise Cancelled
+        if self.waits():
+            raise _Dragged
 
 
 class Jobs:

@@ -53,7 +53,7 @@ class Session:
         self._notices = Notices(post.tell)
         self._updates = Updates(resident, self._control, post.background, post.tell, self._notices, post.is_closed)
         self._parts = actions.Parts(resident, self._control, self._updates, post.jobs)
-        post.jobs.waits = lambda: self._control.moving
+        post.jobs.waits = lambda: post.busy() or self._control.moving  # what came may begin a drag
         self._pictures = Pictures(resident, self._control, self._drawer, self._updates, self._notices, post)
         self._pictures.meanwhile = self._tell_files
         self._readout = Readout(self._control, post)
