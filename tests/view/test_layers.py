@@ -67,12 +67,46 @@ def test_clients_see_them_at_once_and_their_undo_stays_right(view: View, client:
     client.wait(lambda m: m["type"] == "info" and len(m["media"]) == 2)
     assert names(client) == ["ball", "parts"]
     client.still()
-    assert client.session.state.json()["media"][1:] == [{"visible": None, "window": None, "cmap": None, "opacity": 0.25}]
+    assert client.session.state.json()["media"][1:] == [
+        {"name": "parts", "visible": None, "window": None, "cmap": None, "opacity": 0.25}
+    ]
     for _ in range(2):
         client.session.receive({"type": "do", "what": "undo", "id": 6})
     client.wait(lambda m: m["type"] == "state" and not m["state"]["media"])
     client.session.receive({"type": "do", "what": "remove_layer", "layer": 0, "id": 7})
     assert "must be" in client.wait(lambda m: m["type"] == "reply" and m["id"] == 7)[0]["error"]
+
+
+def test_a_state_of_other_layers_is_restored_as_far_as_it_fits(view: View, client: Client) -> None:
+    def restore(url: str, says: str) -> Any:
+        client.session.receive({"type": "do", "what": "restore", "url": url, "id": url})
+        assert "error" not in client.wait(lambda m: m["type"] == "reply" and m["id"] == url)[0]
+        client.wait(lambda m: m["type"] == "status" and m["text"] == says)
+        return client.session.state
+
+    for one in (SPOT, PARTS):
+        view.layers.add(one)
+    client.wait(lambda m: m["type"] == "info" and len(m["media"]) == 3)
+    client.set(mode="mip", media=[{"visible": False}, {"opacity": 0.5, "cmap": "green"}, {"opacity": 0.25}])
+    client.wait(lambda m: m["type"] == "state" and m["state"]["mode"] == "mip")
+    client.forget()
+    address = client.session.url()
+    view.layers.remove(1)
+    view.layers.add(clvol.Medium(SPOT, clvol.TransferFunction2D.automatic(SPOT)))
+    client.wait(lambda m: m["type"] == "info" and [one["name"] for one in m["media"]] == ["ball", "parts", "spot"])
+    client.set(mode="mean")
+    state = restore(address, "not restored: spot: cmap changes nothing of a medium with a TransferFunction2D; got 'green'")
+    assert (state.mode, state.media[0].visible) == ("mip", False)
+    assert [(one.name, one.opacity) for one in state.media[1:]] == [("parts", 0.25), ("spot", None)]
+    view.layers.remove(2)
+    client.set(mode="mean")
+    client.wait(lambda m: m["type"] == "status" and m["text"] == "")
+    view.layers.remove(1)
+    client.session.receive({"type": "set", "changes": state.json(), "whole": True})  # as a page that is connected again
+    client.wait(
+        lambda m: m["type"] == "status" and m["text"] == "not restored: ball is alone, and seen; no layer parts; no layer spot"
+    )
+    assert (client.session.state.mode, client.session.state.media) == ("mip", ())
 
 
 @pytest.mark.parametrize("pane", ["3d", "z"])

@@ -12,7 +12,7 @@ from typing import Any
 
 from clvol.march.slices import window_of_slices
 from clvol.scene.mode import as_mode
-from clvol.view import events, picking
+from clvol.view import events, media, picking
 from clvol.view.events import Context, Inputs
 from clvol.view.panes import PaneSize, SlicePane
 from clvol.view.protocol import Change
@@ -38,6 +38,8 @@ class Control:
         self.released: str | None = None
         """The pane in which a drag has just ended."""
         self.layers, self.followed = resident.layers, resident.layers.version
+        self.left_out = state, ""
+        """The last state that was given, and what it lacks of that, in words."""
         self._wheel_at = self._moved_at = self._gesture_at = -math.inf
 
     @property
@@ -108,10 +110,17 @@ class Control:
         return reduced.effects
 
     def change(self, change: Change) -> None:
-        """Apply changes of the panel; nothing has changed if they give no state, or none of this volume."""
-        given = change.changes
+        """Apply changes of the panel; nothing has changed if they give no state, or none of this volume.
+
+        A whole state, which may be from before layers came or went, is applied as far as it is of these: see `left_out`.
+        """
+        given, names, lost = change.changes, self.layers.names, ""
         state = given if isinstance(given, State) else State.from_json(given) if change.whole else self.state.changed(given)
+        if change.whole:
+            state, lost = media.fitted(self._resident.catalog.media, names, state)
+        state = media.named(names, state)
         self.history = self.history.with_state(self._accepted(state, whole=change.whole), change.step)
+        self.left_out = self.state, lost
         if change.live:
             self._wheel_at = time.monotonic()
         else:

@@ -54,8 +54,8 @@ class Layers:
         self._scene = Scene((first,)) if scene is None else scene
         self._sources: list[str | None] = [None] * len(self._scene.media)
         self._watchers: WeakSet[_Watcher] = WeakSet()
-        self.changes: list[int | None] = []
-        """What has changed, in this order: the number of a layer that was removed, or None for one that came last."""
+        self.changes: list[int | str] = []
+        """What has changed, in this order: the number of a layer that was removed, or the name of one that came last."""
 
     def __len__(self) -> int:
         return len(self._scene.media)
@@ -114,7 +114,7 @@ class Layers:
         media = self._made(data, name, words)
         with self._lock:
             told = [_source(source, medium) for medium in media] if len(media) == 1 else [None] * len(media)
-            self._put((*self._scene.media, *media), [*self._sources, *told], *[None] * len(media))
+            self._put((*self._scene.media, *media), [*self._sources, *told], *(one.volume.name for one in media))
         return media[-1]
 
     def remove(self, layer: Medium | int) -> None:
@@ -172,7 +172,7 @@ class Layers:
         free = [name for name in _COLOR_MAPS if name not in used] or list(_COLOR_MAPS)
         return {} if medium.volume.color is not None else {"cmap": free[more % len(free)]}
 
-    def _put(self, media: tuple[Medium, ...], sources: list[str | None], *changes: int | None) -> None:
+    def _put(self, media: tuple[Medium, ...], sources: list[str | None], *changes: int | str) -> None:
         resident, scene = self._resident, replace(self._scene, media=media)
         initial = _followed(resident.initial, changes)
         self._scene, self._sources = scene, sources  # from here on nothing fails
@@ -192,13 +192,13 @@ def follow(control: _Follower) -> None:
         control.history = control.history.mapped(lambda state: _followed(state, changes))
 
 
-def _followed(state: State, changes: Sequence[int | None]) -> State:
+def _followed(state: State, changes: Sequence[int | str]) -> State:
     media = list(state.media)
-    for number in changes if media else ():
-        if number is None:
-            media.append(MediumState())
+    for change in changes if media else ():
+        if isinstance(change, str):
+            media.append(MediumState(name=change or None))
         else:
-            del media[number]
+            del media[change]
     return replace(state, media=tuple(media if len(media) > 1 else ()))
 
 

@@ -16,7 +16,7 @@ from clvol.scene.scene import Medium
 from clvol.scene.transfer import FACTORS, TransferFunction, is_curve
 from clvol.view.state import MediumState, State
 
-__all__ = ["changes", "described", "of_state", "over_slices", "require", "slice_words", "ungraded"]
+__all__ = ["changes", "described", "fitted", "named", "of_state", "over_slices", "require", "slice_words", "ungraded"]
 
 _UNSEEN = TransferFunction(((0.0, (0.0, 0.0, 0.0)),), ((0.0, 0.0),))
 
@@ -58,7 +58,7 @@ def ungraded(transfer: TransferFunction | None) -> TransferFunction | None:
 
 def changes(medium: Medium, shown: MediumState) -> dict[str, Any]:
     """What a state changes of a medium, by the names of `Medium`."""
-    given = {name: value for name, value in vars(shown).items() if value is not None}
+    given = {name: value for name, value in vars(shown).items() if value is not None and name != "name"}
     transfer, opacity = medium.transfer, given.get("opacity")
     if transfer is None:
         if opacity is not None and is_curve(medium.opacity):
@@ -99,6 +99,37 @@ def require(media: Sequence[Medium], state: State) -> None:
     if state.media and any(getattr(state.media[0], name) is not None for name in looks):
         raise OptionError(f"media must have no {', '.join(looks)} for the first: those of the state are its own")
     of_state(media, state)
+
+
+def named(names: Sequence[str], state: State) -> State:
+    """A state of these media, each with its name."""
+    if len(state.media) != len(names):
+        return state
+    return replace(state, media=tuple(replace(one, name=name) for one, name in zip(state.media, names, strict=True)))
+
+
+def fitted(media: Sequence[Medium], names: Sequence[str], state: State) -> tuple[State, str]:
+    """A state that may be of other layers, as far as it is of these; and what is left out, in words.
+
+    The first is the first; others are found by their names, or, without, by their places.
+    """
+    found: dict[int, MediumState] = {}
+    lost: list[str] = []
+    for place, one in enumerate(state.media):
+        free = [k for k in range(min(place, 1), len(media)) if k not in found]
+        like = free if not place else [k for k in free if (k == place if one.name is None else names[k] == one.name)]
+        try:
+            if like:
+                changes(media[like[0]], one)
+                found[like[0]] = one
+            elif place:
+                lost.append(f"no layer {one.name or place + 1}")
+            elif one.visible is False:
+                lost.append(f"{names[0]} is alone, and seen")
+        except OptionError as error:
+            lost.append(f"{names[like[0]]}: {error}")
+    own = [found.get(k, MediumState()) for k in range(len(media))] if found else []
+    return named(names, replace(state, media=tuple(own))), "; ".join(lost) and f"not restored: {'; '.join(lost)}"
 
 
 def described(media: Sequence[Medium], names: Sequence[str]) -> list[dict[str, Any]]:

@@ -187,6 +187,8 @@ class Session:
             self._guarded(lambda: self._handle(_shows(given)))
         self._updates.forget_errors()
         follow(self._control)
+        restored, lost = self._control.left_out
+        self._notices.put("layers", lost if restored == self._control.state else "", "warning")
         self._guarded(self._updates.volume)  # once, however many steps along an axis came: only the last is drawn
         if self._control.inputs.drag is None and not self._control.moving:
             self._updates.state()

@@ -485,9 +485,11 @@ class LabelState(_Checked):
 class MediumState(_Checked):
     """What is changed of a medium of a scene; None leaves it as it was given.
 
-    `opacity` scales that of a transfer function, and `window`, (center, width), moves its values.
+    `opacity` scales that of a transfer function, and `window`, (center, width), moves its values. `name` is the medium's, by which
+    it is found among other layers when a state is restored; a view sets it.
     """
 
+    name: str | None = _of(_named, None, known=lambda name: name)
     visible: bool | None = _of(_switch, None)
     window: tuple[float, float] | None = _of(_window, None)
     cmap: str | None = _of(_named, None, known=partial(TransferFunction.from_cmap, value_range=(0.0, 1.0)))
