@@ -30,12 +30,12 @@ OF_8_BITS = """const set = WebGL2RenderingContext.prototype.shaderSource;
     };"""
 
 
-def drawn(browser: Browser, page: Path) -> np.ndarray:
+def drawn(browser: Browser, page: Path, width: int = SIZE) -> np.ndarray:
     """The whole picture of a page, in 0..1."""
     browser.open(page.as_uri())
-    browser.js(f"document.getElementById('picture').style.cssText = 'flex: none; width: {SIZE}px; height: {SIZE}px'")
+    browser.js(f"document.getElementById('picture').style.cssText = 'flex: none; width: {width}px; height: {SIZE}px'")
     canvas = "document.getElementById('picture')"
-    browser.wait(f"{canvas}.dataset.final === 'true' && {canvas}.width === {SIZE}", 120, "the whole picture")
+    browser.wait(f"{canvas}.dataset.final === 'true' && {canvas}.width === {width}", 120, "the whole picture")
     return browser.canvas("#picture") / 255
 
 
@@ -66,6 +66,18 @@ def test_the_page_draws_what_python_draws(device: Device, tmp_path: Path) -> Non
         assert len(np.unique(browser.canvas("#slice-canvas-0").reshape(-1, 4), axis=0)) == 4  # the labels of a slice
         assert [url for url in browser.requests() if not url.startswith("file:")] == []
         assert [line for line in browser.console() if "SEVERE" in line] == []
+
+
+def test_portraits_are_pythons(device: Device, tmp_path: Path) -> None:
+    if why := why_none():
+        pytest.skip(why)
+    cameras = clvol.Camera.orbit(10, 70), clvol.Camera.look_at((90, -60, 50)), clvol.Camera(projection="orthographic")
+    with open_browser(400, 400, SOFTWARE_GL) as browser:
+        for camera, width in zip(cameras, (90, 60, 60), strict=True):
+            page = clvol.save_html(BALL, tmp_path / "page.html", camera, "mip", device=device)
+            wanted = np.asarray(clvol.render(BALL, camera, "mip", size=(width, SIZE), rays=1, device=device))
+            assert np.mean(np.abs(drawn(browser, page, width) - wanted).max(-1) <= WITHIN) >= 0.998, camera
+            assert np.ptp(wanted[..., :3]) > 0.5, camera
 
 
 def test_eight_bits_of_a_sampler_do_not_show_at_rest(device: Device, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from clvol.base.checks import as_path, flag, instance, suggests_options, whole
 from clvol.base.errors import OptionError
 from clvol.base.files import require_folder, require_suffix, staged
 from clvol.base.html import escape, facts, static
-from clvol.interfaces.page.look import look_of, packed, reduced, require_drawable
+from clvol.interfaces.page.look import look_of, packed, portraits_of, reduced, require_drawable
 from clvol.march import recipe
 from clvol.march.choose import source_of
 from clvol.march.options import FieldOptions, Fineness, LookOptions, ModeOptions, chosen_mode
@@ -142,7 +142,8 @@ def save_html(
             field = source.function(stage.look.mode)
             assert isinstance(field, Field)  # or it was refused
             samples, scale = packed(field.coefficients)
-            look = look_of(stage.look, fine.step, field.coefficients, scale)
+            portraits = portraits_of(recipe.look_of(source, camera, chosen, given))
+            look = look_of(stage.look, fine.step, field.coefficients, scale, portraits)
             volume = source.scene.media[0].volume
     finally:
         source.lease.close()

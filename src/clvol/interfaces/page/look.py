@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from clvol.scene.mode import Mode
     from clvol.spline.coefficients import Coefficients
 
-__all__ = ["Scale", "look_of", "packed", "reduced", "require_drawable"]
+__all__ = ["Scale", "look_of", "packed", "portraits_of", "reduced", "require_drawable"]
 
 _MODES = ("composite", "isosurface", "surfaces", "mip", "minip")
 _KERNELS = {"bspline3-approx": 3, "linear": 1, "nearest": 0}
@@ -37,6 +37,7 @@ _HALO = 2
 _TOP = 65535
 _STEPS = 256  # of 16 bits, for what is shown
 _MOST_CUTS = 16
+_PORTRAITS = 16  # aspects below 1
 _EDGE = 1e-9  # of a piece of a transfer function: what counts as its very beginning or end
 _FAR = 1e30
 
@@ -140,8 +141,8 @@ def _kept(coefficients: Coefficients) -> tuple[slice, ...]:
     return tuple(slice(inside.start - past, inside.stop + past) for inside in coefficients.inner)
 
 
-def look_of(look: ResolvedLook, step: float, coefficients: Coefficients, scale: Scale) -> dict[str, Any]:
-    """The look of a page: all that it draws, beside the coefficients."""
+def look_of(look: ResolvedLook, step: float, coefficients: Coefficients, scale: Scale, portraits: list[list[float]]) -> dict[str, Any]:
+    """The look of a page: all that it draws, beside the coefficients; `portraits` are those of its camera."""
     scene, mode, transfer, medium = look.scene, look.mode, look.transfer, look.scene.media[0]
     if transfer.graded:
         _refuse(["gradient_opacity, curvature_opacity or a transfer function of two variables"])
@@ -192,6 +193,7 @@ def look_of(look: ResolvedLook, step: float, coefficients: Coefficients, scale: 
             "orthographic": view.orthographic,
             "target": list(map(float, volume.center if target is None else target)),
             "pole": [0, 0, -1 if volume.space == "image" else 1],
+            "portraits": portraits,
         },
         "lights": [[light.direction, light.color, light.frame == "camera"] for light in lights if light.direction is not None],
         "cuts": _cuts(cuts, volume),
@@ -217,6 +219,18 @@ def look_of(look: ResolvedLook, step: float, coefficients: Coefficients, scale: 
             "capColor": [0, 0, 0] if isinstance(cap, bool | np.bool_) or cap is None else list(cap),
         },
     }
+
+
+def portraits_of(look: ResolvedLook) -> list[list[float]]:
+    """How far an open camera moves back, and up, for pictures of k / 16 of their height in width, k = 1 to 16.
+
+    Their width must hold what is seen. The first number is times the aspect, by which it is nearly constant.
+    """
+    square, rows = look.view((1, 1)), []
+    for k in range(1, _PORTRAITS + 1):
+        by = look.view((k, _PORTRAITS)).eye - square.eye
+        rows.append([float(-by @ square.forward) * k / _PORTRAITS, float(by @ square.up)])
+    return rows
 
 
 def _step(mode: Mode, step: float) -> float:

@@ -28,11 +28,18 @@ class Camera {
   }
 
   /** Half of the height that is seen, in the world; in perspective at distance 1. */
-  halfHeight(aspect) { return this.half / this.zoom / Math.min(1, aspect); }
+  halfHeight(aspect) { return this.half / this.zoom / (this.orthographic ? Math.min(1, aspect) : 1); }
+
+  /** Where the eye is: in perspective further away from a portrait, whose width must hold what is seen. */
+  eyeFor(aspect) {
+    const rows = this.portraits, at = Math.max(0, Math.min(1, aspect) * rows.length - 1), k = Math.min(Math.floor(at), rows.length - 2);
+    const [back, up] = plus(rows[k], plus(rows[k + 1], rows[k], -1), at - k);
+    return plus(plus(this.eye, this.forward, -back / Math.min(1, aspect)), this.up, up);
+  }
 
   /** Moves by shares of the picture's height. */
   pan(x, y, aspect) {
-    const away = this.orthographic ? 1 : dot(plus(this.target, this.eye, -1), this.forward);
+    const away = this.orthographic ? 1 : dot(plus(this.target, this.eyeFor(aspect), -1), this.forward);
     const by = plus(times(this.right, -2 * x), this.up, 2 * y).map((v) => v * this.halfHeight(aspect) * away);
     this.eye = plus(this.eye, by);
     this.target = plus(this.target, by);
@@ -40,12 +47,12 @@ class Camera {
 
   /** Rays and the planes of samples for a picture: see clvol's scene/camera.py and march/planes.py. */
   rays(width, height) {
-    const { toIndex, origin, center, unit, size, step } = look, aspect = width / height, half = this.halfHeight(aspect);
-    const away = plus(center, this.eye, -1), distance = dot(away, this.forward);
+    const { toIndex, origin, center, unit, size, step } = look, aspect = width / height, half = this.halfHeight(aspect), eye = this.eyeFor(aspect);
+    const away = plus(center, eye, -1), distance = dot(away, this.forward);
     const right = times(this.right, half * aspect), up = times(this.up, half), corner = plus(up, right, -1);
     const perX = times(right, 2 / width), perY = times(up, -2 / height);
     const inside = (v) => apply(toIndex, v), spread = this.orthographic ? 1 : distance, fan = this.orthographic ? 0 : unit;
-    const start = inside(plus(plus(this.eye, this.forward, distance), origin, -1));
+    const start = inside(plus(plus(eye, this.forward, distance), origin, -1));
     const forward = inside(this.forward);
     const axis = [0, 1, 2].reduce((a, b) => (Math.abs(forward[b]) > Math.abs(forward[a]) ? b : a));
     let cosine = 1;
