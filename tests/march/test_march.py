@@ -74,6 +74,17 @@ def clear_of_knots(volume: Volume, camera: Camera, step: float) -> bool:
     return bool(np.abs(2 * places - np.round(2 * places)).min() > 1e-3)
 
 
+def test_no_plane_of_labels_lies_on_the_faces_of_voxels() -> None:
+    for n, elevation in product((1, 6, 7, 24, 96, 100), (5, 20, 37, 70)):
+        volume = Volume(np.zeros((n, n, n), np.uint8), labels=True)
+        planes = Planes(volume, Camera.orbit(10, elevation).view(volume), 1.0, 0.5)
+        block = planes.block()
+        places = block["first"] + np.arange(planes.count) * planes.spacing
+        assert np.abs(places % 1 - 0.5).min() > 0.49 / planes.count, (n, elevation)
+        assert places[-1] == pytest.approx(block["last"]), (n, elevation)
+        assert -0.5 < places[0] < places[-1] < n - 0.5 or n == 1, (n, elevation)
+
+
 def check(
     renderer: Renderer,
     camera: Camera,

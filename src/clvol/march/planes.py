@@ -6,6 +6,9 @@ it holds ``K`` planes at ``-1/2 + (k + 1/2) n / K``, with ``K`` the smallest num
 more than `step` voxels from one plane to the next. Rays that make an angle of more than 60° with the
 axis would need planes too close: they step `step` voxels along themselves, from half a step past their
 entry. A ray that meets no plane, or is shorter than half a step, has one sample in its middle.
+
+Where planes of labels would lie on faces between voxels, rounding would decide at each pixel which of two labels it shows: all
+planes then move by ``gcd(n, K) / (2 K)``, after which none is nearer to a face.
 `reference/march/march.py` samples the same planes.
 """
 
@@ -95,6 +98,8 @@ class Planes:
             raise OptionError(f"step must give no more than {_MAX_PLANES} samples a ray; got {step:g} for oblique rays")
         own = max(1, math.ceil(wanted - 1e-9))
         self.spacing = self._samples / own
+        shared = math.gcd(self._samples, own)
+        self._off = 0.5 * shared / own if volume.is_labels and self._samples // shared % 2 == 0 else 0.0
         low, high = (-0.5, self._samples - 0.5) if span is None else (float(corner[self.axis]) for corner in span)
         self._before = max(0, math.ceil((-0.5 - low) / self.spacing - 1e-9))
         self._behind = max(0, math.ceil((high - self._samples + 0.5) / self.spacing - 1e-9))
@@ -107,8 +112,8 @@ class Planes:
     def block(self) -> Values:
         """The kernels' parameters: the planes from both ends, and the samples of a segment."""
         return self.BLOCK(
-            first=-0.5 + (0.5 - self._before) * self.spacing,
-            last=self._samples - 0.5 + (self._behind - 0.5) * self.spacing,
+            first=-0.5 + (0.5 - self._before) * self.spacing + self._off,
+            last=self._samples - 0.5 + (self._behind - 0.5) * self.spacing + self._off,
             spacing=self.spacing,
             stride=self.step,
             count=self.count,

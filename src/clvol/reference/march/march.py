@@ -96,8 +96,8 @@ def _sample_distances(
 ) -> tuple[Array, Bools, Array]:
     """Distances of the samples in order, (N, M), which of them exist, and each ray's world step, (N,).
 
-    Along an axis of n samples, plane k lies at index ``-1/2 + (k + 1/2) n / K``. With `ends`, the points
-    where a ray enters and leaves are samples too, a thousandth of a step inside; then no other sample lies
+    Along an axis of n samples, plane k lies at index ``-1/2 + (k + 1/2) n / K``; of labels, off the faces of voxels. With
+    `ends`, the points where a ray enters and leaves are samples too, a thousandth of a step inside; then no other sample lies
     nearer to the edge. Without, a ray that meets no plane has one sample, halfway between where it enters and leaves. Rays too
     oblique to the axis step along themselves from `begin`, (N,).
     """
@@ -109,7 +109,11 @@ def _sample_distances(
     hit = rays.enter <= rays.leave
 
     along = np.where(steep, slope[:, axis], 1.0)
-    t = (-0.5 + (np.arange(planes) + 0.5) * n / planes - start[:, None]) / along[:, None]
+    odd = 2 * np.arange(planes) + 1
+    places = -0.5 + odd * n / (2 * planes)
+    if volume.is_labels and (odd * n % (2 * planes) == 0).any():
+        places += 0.5 * math.gcd(n, planes) / planes
+    t = (places - start[:, None]) / along[:, None]
     t = np.sort(t, axis=1)
     own = step / length
     span = np.where(hit & ~steep, rays.leave - begin, 0.0)

@@ -5,6 +5,7 @@ const plus = (a, b, k = 1) => a.map((v, i) => v + k * b[i]);
 const times = (a, k) => a.map((v) => v * k);
 const length = (a) => Math.hypot(...a);
 const apply = (m, v) => [dot(m.slice(0, 3), v), dot(m.slice(3, 6), v), dot(m.slice(6), v)];   // rows of a matrix
+const common = (a, b) => (b ? common(b, a % b) : a);   // divisor
 const turned = (v, axis, angle) => {
   const [x, y, z] = axis, c = Math.cos(angle), s = Math.sin(angle);
   const across = [y * v[2] - z * v[1], z * v[0] - x * v[2], x * v[1] - y * v[0]];
@@ -62,11 +63,12 @@ class Camera {
         cosine = Math.min(cosine, ray[axis] * forward[axis] < 0 ? 0 : Math.abs(ray[axis]) / length(ray));
       }
     const count = Math.max(1, Math.ceil(size[axis] / (step * Math.max(cosine, 0.5)) - 1e-9)), spacing = size[axis] / count;
+    const shared = common(size[axis], count), off = look.names && (size[axis] / shared) % 2 === 0 ? (0.5 * shared) / count : 0;
     return {
       origin: plus(start, inside(corner), spread), originU: times(inside(perX), spread), originV: times(inside(perY), spread),
       direction: plus(times(forward, unit), inside(corner), fan), directionU: times(inside(perX), fan), directionV: times(inside(perY), fan),
       eyeAt: distance / unit, orthographic: this.orthographic, planeCount: count, axis,
-      planes: [-0.5 + 0.5 * spacing, size[axis] - 0.5 - 0.5 * spacing, spacing, step],
+      planes: [-0.5 + 0.5 * spacing + off, size[axis] - 0.5 - 0.5 * spacing + off, spacing, step],
     };
   }
 
