@@ -141,7 +141,9 @@ def _kept(coefficients: Coefficients) -> tuple[slice, ...]:
     return tuple(slice(inside.start - past, inside.stop + past) for inside in coefficients.inner)
 
 
-def look_of(look: ResolvedLook, step: float, coefficients: Coefficients, scale: Scale, portraits: list[list[float]]) -> dict[str, Any]:
+def look_of(
+    look: ResolvedLook, step: float, coefficients: Coefficients, scale: Scale, portraits: list[list[float]]
+) -> dict[str, Any]:
     """The look of a page: all that it draws, beside the coefficients; `portraits` are those of its camera."""
     scene, mode, transfer, medium = look.scene, look.mode, look.transfer, look.scene.media[0]
     if transfer.graded:
