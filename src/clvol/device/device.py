@@ -24,7 +24,14 @@ from clvol.device.program import Defines, Program
 __all__ = ["Device"]
 
 _SAMPLER_POSITIONS = 4097
-_LIMITS = Limits()
+
+
+class _Limited(threading.local):
+    """The limits of each thread."""
+
+    limits = Limits()
+
+
 _KEPT = 128  # programs that stay built: PoCL holds a megabyte and more for each
 
 
@@ -113,7 +120,7 @@ class Device(Driver):
         self.programs = Programs(self, self.launches)
         self.plans: Plans[Any] = Plans()
         self.tables: Kept[Any] = Kept(64)
-        self._limited = threading.local()
+        self._limited = _Limited()
 
     @Once
     def has_images(self) -> bool:
@@ -153,7 +160,7 @@ class Device(Driver):
     @property
     def limits(self) -> Limits:
         """How this thread's work on the device is split."""
-        return getattr(self._limited, "limits", _LIMITS)
+        return self._limited.limits
 
     @contextlib.contextmanager
     def limited(self, **changes: Any) -> Iterator[None]:

@@ -32,9 +32,13 @@ class Plans(Generic[T]):
 
     def give(self, kind: Hashable, plan: T, nbytes: int = 0) -> None:
         """Keep a plan, of so many bytes if these count, for the next call."""
-        if (kind not in self._idle and len(self._idle) >= _KINDS) or (nbytes and nbytes + self._held() > _BYTES):
+        idle = self._idle.get(kind)
+        if (idle is None and len(self._idle) >= _KINDS) or (nbytes and nbytes + self._held() > _BYTES):
             self.clear()
-        self._idle.setdefault(kind, []).append((plan, nbytes))
+            idle = None
+        if idle is None:
+            idle = self._idle.setdefault(kind, [])
+        idle.append((plan, nbytes))
 
     def _held(self) -> int:
         """Bytes of all idle plans."""

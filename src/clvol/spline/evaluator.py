@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from clvol.base.checks import one_of
 from clvol.base.errors import DeviceError, OptionError
@@ -21,8 +20,7 @@ SAMPLE_BITS = 20.0
 _PAIRED = ("paired", "eight-fetch")
 
 
-@dataclass(frozen=True)
-class Evaluator:
+class Evaluator(NamedTuple):
     """How a kernel evaluates the function.
 
     Parameters
