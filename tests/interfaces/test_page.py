@@ -11,6 +11,7 @@ import pytest
 import clvol
 from clvol.base.errors import ClvolWarning, FormatError, OptionError
 from clvol.device import Device
+from clvol.interfaces.page.look import reduced
 from tests.view.browser import SOFTWARE_GL, Browser, open_browser, why_none
 
 SIZE = 128
@@ -158,3 +159,6 @@ def test_a_large_volume_is_reduced_if_asked(device: Device, tmp_path: Path) -> N
         for most in (16, None)
     ]
     assert sizes[0] < sizes[1]
+    thick = clvol.Volume(np.zeros((12, 40, 40), np.int16), spacing=(1, 1, 2.5))  # of slices as coarse as it becomes
+    assert reduced(thick, 16).shape == (12, 16, 16)
+    assert reduced(clvol.Volume(np.zeros((12, 40, 40), np.int16)), 16).shape == (5, 16, 16)

@@ -25,7 +25,7 @@ SIZE = 40, 30
 
 @pytest.fixture(scope="module")
 def view(device: Device) -> Iterator[View]:
-    made = View(clvol.phantoms.sphere(24), device=device, mode="isosurface", name="a sphere: n° 1/2")
+    made = View(clvol.phantoms.sphere(24), device=device, mode="isosurface", name="a sphere: n° 1/2.nii.gz")
     yield made
     made.close()
 

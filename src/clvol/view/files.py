@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -26,7 +25,7 @@ from clvol.view.events import turned
 from clvol.view.jobs import Answer, Cancelled, Reins, Task
 from clvol.view.panes import PaneSize, active_pane
 from clvol.view.protocol import Request
-from clvol.view.resident import Resident
+from clvol.view.resident import stem
 from clvol.view.state import State, name_of
 
 __all__ = ["FILES"]
@@ -36,13 +35,6 @@ _MOVIE = 16, 1920  # pixels along an edge of a movie
 _MOST_BYTES = 1 << 29  # of a movie before it is packed
 _MOST_FACES = 100_000_000
 _DRAWN = 0.9  # the share of a movie's time that it takes to draw it
-_LONGEST = 80  # characters of a name
-
-
-def _named(resident: Resident, suffix: str) -> str:
-    """A file's name: the volume's, with what names of files may have everywhere."""
-    stem = re.sub(r"[^\w.-]+", "-", resident.name).strip("-.")[:_LONGEST]
-    return f"{stem or 'clvol'}.{suffix}"
 
 
 def _picture(parts: Parts, request: Request) -> Task:
@@ -65,7 +57,7 @@ def _picture(parts: Parts, request: Request) -> Task:
             raise Cancelled
         return {"format": "png", "width": width, "height": height}, png(pixels)
 
-    return Task("drawing the picture", _named(parts.resident, "png"), work)
+    return Task("drawing the picture", f"{stem(parts.resident.name)}.png", work)
 
 
 def _movie(parts: Parts, request: Request) -> Task:
@@ -99,7 +91,7 @@ def _movie(parts: Parts, request: Request) -> Task:
             reins.progress(_DRAWN * (i + 1) / frames)
         return {"format": form, "frames": frames}, packed(pictures, form)
 
-    return Task("drawing the movie", _named(resident, form), work)
+    return Task("drawing the movie", f"{stem(resident.name)}.{form}", work)
 
 
 def _mesh(parts: Parts, request: Request) -> Task:
@@ -120,7 +112,7 @@ def _mesh(parts: Parts, request: Request) -> Task:
             data = made.save(Path(folder) / f"mesh.{form}").read_bytes()
         return {"format": form, "faces": len(made.faces)}, data
 
-    return Task("making the mesh", _named(resident, form), work)
+    return Task("making the mesh", f"{stem(resident.name)}.{form}", work)
 
 
 FILES: Mapping[str, Callable[[Parts, Request], Task]] = {"save_picture": _picture, "movie": _movie, "mesh": _mesh}

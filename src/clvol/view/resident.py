@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import threading
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -14,6 +15,7 @@ from clvol.base.errors import ClvolError, OptionError
 from clvol.device import Device
 from clvol.filter.boundary import boundaries
 from clvol.filter.table import filters
+from clvol.formats.table import FORMATS
 from clvol.march.options import ViewOptions, unheard
 from clvol.march.slices import window_of_slices
 from clvol.scene.camera import Camera
@@ -38,7 +40,7 @@ from clvol.view.state import MOST_POINTS, WORDS, State, plain
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.volume import Volume
 
-__all__ = ["Resident", "targeted"]
+__all__ = ["Resident", "stem", "targeted"]
 
 _BINS = 256
 _SAMPLED = 1 << 19  # samples of a histogram
@@ -57,6 +59,7 @@ _RANGES: Mapping[str, list[float]] = {
 }
 _SCALES: Mapping[str, dict[str, Any]] = {"virtual": {"step": 1}, "tolerance": {"scale": "log"}, "mu_water": {"scale": "log"}}
 _KEPT = 64  # descriptions of volumes
+_LONGEST = 80  # characters of a name of files
 _BESIDE = ("gradient", "rays", "pixel_filter", "skipping")  # passed on, and in no state
 
 
@@ -286,11 +289,19 @@ class Resident:
                 volume = self.catalog.volume_at(Which(place))
                 described = _description(volume, self.name, self.catalog.axes(), self.catalog.labels(state))
                 described["media"] = media.described(self.catalog.media, self.layers.names)
+                described["stem"] = stem(self.name)
                 described["stops_light"] = not (self._others_graded or self._smooth)
                 while len(self._descriptions) >= _KEPT:
                     del self._descriptions[next(iter(self._descriptions))]
                 self._descriptions[key] = described
             return self._descriptions[key]
+
+
+def stem(name: str) -> str:
+    """How names of saved files begin: as the volume's, without a file's suffix, of characters that files may have."""
+    ends = [suffix for row in FORMATS for suffix in row.suffixes if name.lower().endswith(suffix)]
+    name = name[: len(name) - max(map(len, ends), default=0)]
+    return re.sub(r"[^\w.-]+", "-", name).strip("-.")[:_LONGEST] or "clvol"
 
 
 def targeted(camera: Camera, volume: Volume) -> Camera:

@@ -441,6 +441,9 @@ def test_a_file_that_is_being_made_can_be_cancelled(page: Page) -> None:
     page.type("Step", "0.02")  # so that it takes long
     page.press("Save picture")
     page.wait("document.querySelector('.clvol-files progress')?.value > 0", what="its progress")
+    assert page.js("const said = document.querySelector('.clvol-files span'); return said.scrollWidth <= said.clientWidth"), (
+        "cut off"
+    )
     page.browser.drag((60, 0), PANE)
     page.becomes(lambda state: state.camera.target is not None)  # meanwhile
     page.press("Cancel")

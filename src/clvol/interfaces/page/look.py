@@ -62,8 +62,11 @@ def reduced(scene: Any, most: int) -> Any:
     volume = medium.volume
     if is_in_parts(volume) or max(volume.shape) <= most:
         return scene
-    share = most / max(volume.shape)
-    shape = [max(1, round(n * share)) for n in volume.shape]
+    lengths = [n * apart for n, apart in zip(volume.shape, volume.spacing[::-1], strict=True)]
+    apart = max(length / min(n, most) for n, length in zip(volume.shape, lengths, strict=True) if n > most)
+    shape = [
+        min(n, most, max(1, round(length / apart))) for n, length in zip(volume.shape, lengths, strict=True)
+    ]  # thick slices stay
     how: dict[str, Any] = {"filter": "nearest"} if volume.is_labels else {"anti_aliasing": True}
     small = resample(volume, shape, dtype=volume.data.dtype if volume.is_labels else None, **how)
     kept = {name: getattr(volume, name) for name in ("clim", "color", "name", "header")}

@@ -82,6 +82,6 @@ class Measures {
 
   async save() {
     const answer = await this.viewer.ask("measures_csv").catch(() => null); // the error is shown already
-    if (answer) this.viewer.download(new Blob([answer.message.text], { type: "text/csv" }), "measures.csv");
+    if (answer) this.viewer.download(new Blob([answer.message.text], { type: "text/csv" }), `${this.viewer.info.stem}-measures.csv`);
   }
 }

@@ -251,7 +251,7 @@ class Panel {
   }
 
   save() {
-    this.viewer.download(new Blob([JSON.stringify(this.colored)], { type: "application/json" }), "colours.json");
+    this.viewer.download(new Blob([JSON.stringify(this.colored)], { type: "application/json" }), `${this.viewer.info.stem}-colours.json`);
   }
 
   async load(file) {
@@ -382,7 +382,7 @@ class Panel {
   tell(info) {
     const names = (found) => (Array.isArray(found) ? found.map((f) => f.name ?? f) : Object.keys(found ?? {}));
     this.mode.fill(names(info.modes));
-    this.filter.fill([["", "the mode's"], ...names(info.filters)]);
+    this.filter.fill([["", "automatic"], ...names(info.filters)]);
     this.other.fill(names(info.filters));
     this.other.show("linear");
     this.boundary.fill(names(info.boundaries).length ? names(info.boundaries) : ["mirror"]);
@@ -440,7 +440,7 @@ class Panel {
     this.step.show(state.step);
     this.compare.show(state.wiper);
     this.other.element.hidden = this.errors.hidden = !state.wiper;
-    this.filter.list.options[0].textContent = state.filter || !viewer.effective.filter ? "the mode's" : `the mode's: ${viewer.effective.filter}`;
+    this.filter.list.options[0].textContent = state.filter || !viewer.effective.filter ? "automatic" : `auto: ${viewer.effective.filter}`;
     if (state.wiper) this.other.show(state.wiper.filter);
     this.plane.show(state.active === "3d" ? "z" : state.active);
     (state.crosshair ?? viewer.info.volume.center).forEach((value, i) => this.crosshair[i].show(value));
