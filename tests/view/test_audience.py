@@ -122,11 +122,15 @@ def test_an_assigned_state_is_shown_also_if_too_many_messages_wait(opened: Opene
     wanted = view.state.changed({"mode": "minip"})
     view.state = wanted
     end()
+    time.sleep(0.1)
+    assert 0.1 <= client.session.working < 20  # it does not get on
     enough.set()
     client.wait(lambda m: m["type"] == "state" and m["state"]["mode"] == "minip")
     client.set(step=0.9)
     client.wait(lambda m: m["type"] == "state" and m["state"]["step"] == 0.9)
     assert view.state == wanted.changed({"step": 0.9})
+    client.still()
+    assert client.session.working < 0.1
 
 
 def test_a_double_click_calls_back_with_position_and_value(opened: Opened) -> None:

@@ -80,6 +80,7 @@ class Pictures:
 
         def stop() -> bool:
             """The first picture comes in any case, or a drag without a pause would show none; but not when that ends."""
+            post.pulse.beat()
             if len(post.jobs):
                 self.meanwhile()  # a picture may take longer than a file
             return post.closed or (post.busy() if sent > 0 or not first or at_once else moving and post.drag_ends())

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from clvol.view.background import Background
@@ -21,6 +22,32 @@ class Gone(Exception):  # nothing went wrong
     """The client is no longer there, or the session was closed."""
 
 
+class Pulse:
+    """Whether a thread gets on with its work."""
+
+    def __init__(self) -> None:
+        self._beat_at: float | None = time.monotonic()  # None while it rests
+
+    def beat(self) -> None:
+        """It gets on."""
+        self._beat_at = time.monotonic()
+
+    @contextmanager
+    def resting(self) -> Iterator[None]:
+        """It has nothing to do in the block, and waits."""
+        self._beat_at = None
+        try:
+            yield
+        finally:
+            self.beat()
+
+    @property
+    def pause(self) -> float:
+        """Seconds for which it has worked and shown no progress."""
+        since = self._beat_at
+        return 0.0 if since is None else time.monotonic() - since
+
+
 class Post:
     """Guarded by its condition, which says that something came."""
 
@@ -34,6 +61,8 @@ class Post:
         """Whether what is viewed has changed, which no message says."""
         self.hover: Mapping[str, Any] | None = None
         """The last message that says where the pointer is."""
+        self.pulse = Pulse()
+        """That of the session's thread."""
 
     def put(self, message: Mapping[str, Any]) -> None:
         """Take a client's message."""
@@ -102,7 +131,8 @@ class Post:
     def may_send(self) -> bool:
         """Whether the client has room for a frame; waits for it, until something else comes."""
         with self.condition:
-            self.condition.wait_for(lambda: self.busy() or not self.throttle.full, _PATIENCE)
+            with self.pulse.resting():
+                self.condition.wait_for(lambda: self.busy() or not self.throttle.full, _PATIENCE)
             if self.throttle.full and not self.busy():
                 self.throttle.give_up()
             return not self.throttle.full

@@ -18,7 +18,8 @@ From the client:
 - `{"type": "hover", "pane", "x", "y"}`: the pointer rests or moves there, in CSS pixels; without "pane" it has left. Only the last
   counts, it interrupts no picture, and is answered by a `readout`.
 - `{"type": "ack", "frame": number}`: the client has shown a frame.
-- `{"type": "ping"}`: the page's server answers with `{"type": "pong"}`.
+- `{"type": "ping"}`: the page's server answers with `{"type": "pong", "working"}`, the seconds for which the session has shown no
+  progress.
 
 To the client:
 

@@ -72,6 +72,11 @@ class Session:
         return self._given or self._control.state
 
     @property
+    def working(self) -> float:
+        """Seconds for which its thread has worked and shown no progress: it may hang."""
+        return self._post.pulse.pause
+
+    @property
     def closed(self) -> bool:
         """Whether it has ended."""
         return self._post.closed
@@ -148,11 +153,12 @@ class Session:
                     job = self._pictures.next_job(self._readout.due_in())
                     if not isinstance(job, Wait):
                         break
-                    post.condition.wait(job.seconds)
+                    with post.pulse.resting():
+                        post.condition.wait(job.seconds)
                 return not post.closed
         except Exception as error:
             self._fail(error)
-        with post.condition:  # what is shown cannot be drawn: until something arrives
+        with post.condition, post.pulse.resting():  # what is shown cannot be drawn: until something arrives
             post.condition.wait_for(post.came)
             return not post.closed
 
@@ -211,6 +217,7 @@ class Session:
             self._notices.put("doing", jobs.doing, "busy")
 
     def _handle(self, received: Mapping[str, Any]) -> None:
+        self._post.pulse.beat()
         follow(self._control)
         message = protocol.parse(received)
         via = message.via if isinstance(message, Change) else None

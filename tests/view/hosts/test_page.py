@@ -481,6 +481,12 @@ def test_a_server_that_hangs_is_said_within_a_second(page: Page, shared: tuple[B
     page.wait(lambda: page.told() == "")
 
 
+def test_a_session_that_does_not_get_on_is_said(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    for seconds, says in ((3.0, "still computing"), (60.0, "no progress for a minute"), (0.0, "")):
+        monkeypatch.setattr(Session, "working", seconds)
+        page.wait(lambda says=says: says in page.told() and bool(says) == bool(page.told()))  # type: ignore[misc]  # bound at once
+
+
 def test_keys_are_listed_and_the_cube_turns_the_volume(page: Page) -> None:
     page.browser.key("?")
     page.wait("document.querySelector('dialog').open")

@@ -125,7 +125,7 @@ class _Client:
                 self._outbox.put(status(message, "error"))
                 continue
             if message["type"] == "ping":  # which is nothing that its user does
-                self._outbox.put({"type": "pong"})
+                self._outbox.put({"type": "pong", "working": round(getattr(self._session, "working", 0.0), 1)})
                 continue
             if message["type"] != "ack":
                 self._last = time.monotonic()

@@ -44,7 +44,7 @@ export function page(element) {
     if (how === "wait") element.addEventListener("pointerdown", () => socket.connect(), { once: true });
     if (how === "ended") addEventListener("focus", () => socket.connect(), { once: true }); // it may have been opened in another tab
   };
-  socket.onsilent = (silent) => viewer.status(silent ? "clvol does not answer" : "", silent ? "error" : "info");
+  socket.onsilent = (words, kind) => (words ? viewer.status(words, kind) : viewer.status(viewer.said.text, viewer.said.kind));
   socket.connect();
   return viewer;
 }

@@ -5,9 +5,13 @@ const DOUBTFUL = 4; // tries after which clvol may have ended
 const IDLE = 4000; // close code of an idle page, which keeps its state
 const LEFT_ALONE = [1008, 1009, 4001]; // close codes after which the page does not reconnect by itself
 const REFUSED = 4003; // close code of a page that the server does not know
-const BEAT = 250; // milliseconds between looks at whether clvol answers
+const BEAT = 100; // milliseconds between looks at whether clvol answers
+const STOOD = 500; // and that between two looks tell that the page itself stood still
 const UNHEARD = 350; // milliseconds of silence after which it is asked
-const SILENT = 900; // and after which it is said that it does not answer
+const SILENT = 850; // and after which it is said that it does not answer: with a look within a second
+const WORKING = 3; // seconds without progress after which it is said that clvol is computing
+const HANGING = 60; // and after which it may hang
+const STUCK = "clvol has shown no progress for a minute; if that goes on, end it, and start it again";
 const RENEWED = "open the address that clvol prints when it is started again";
 
 class Socket {
@@ -17,7 +21,7 @@ class Socket {
     this.onmessage = () => {};
     this.onopen = () => {};
     this.onlost = () => {}; // (words, how): "retry", "doubtful" while it tries on, "wait" for a click, "ended" or "final"
-    this.onsilent = () => {}; // with true if clvol does not answer, and with false once it does
+    this.onsilent = () => {}; // with words if clvol does not answer or get on, and with "" once it does; and their kind
     this.tries = 0;
     this.welcomed = false; // ever
     this.upload = Infinity;
@@ -25,23 +29,34 @@ class Socket {
     this.name = `clvol ${this.url.pathname}`;
     this.heard = this.looked = performance.now();
     this.silent = false;
+    this.working = 0;
     setInterval(() => this.look(), BEAT);
   }
 
   /** Asks whether clvol still answers: a server that hangs keeps its connection. */
   look() {
     const now = performance.now();
-    const stood = document.hidden || this.socket?.readyState !== WebSocket.OPEN || now - this.looked > 2 * BEAT; // the page itself
+    const stood = document.hidden || this.socket?.readyState !== WebSocket.OPEN || now - this.looked > STOOD; // the page itself
     this.looked = now;
     if (stood) this.heard = Math.max(this.heard, now - UNHEARD);
     if (this.socket?.readyState !== WebSocket.OPEN) this.silent = false; // that is said otherwise
     else if (now - this.heard >= UNHEARD) this.send({ type: "ping" });
-    if (!stood && now - this.heard >= SILENT && !this.silent) this.onsilent((this.silent = true));
+    if (stood || now - this.heard < SILENT || this.silent) return;
+    this.silent = true;
+    this.onsilent("clvol does not answer", "error");
   }
 
   hear() {
     this.heard = performance.now();
-    if (this.silent) this.onsilent((this.silent = false));
+    if (this.silent) this.onsilent("");
+    this.silent = false;
+  }
+
+  /** The server lives; its thread that draws may take long over one thing, or hang. */
+  answered({ working = 0 }) {
+    const level = (working >= WORKING) + (working >= HANGING);
+    if (level !== this.working) this.onsilent(...[[""], ["still computing", "busy"], [STUCK, "warning"]][level]);
+    this.working = level;
   }
 
   /** What proves that this page may look: kept by the browser for the page's origin, as cookies are for all ports of a machine. */
@@ -92,8 +107,8 @@ class Socket {
         return;
       }
       const message = JSON.parse(data);
-      if (message.type === "pong") return;
-      if (message.type === "welcome") this.welcome(message);
+      if (message.type === "pong") this.answered(message);
+      else if (message.type === "welcome") this.welcome(message);
       else if (message.bytes !== undefined) header = message;
       else this.onmessage(message, null);
     };

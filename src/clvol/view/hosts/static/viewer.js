@@ -17,6 +17,7 @@ class Viewer {
     this.lastId = 0;
     this.gesture = 0; // number of the gesture, which is one step of undo
     this.picture = NOTHING;
+    this.said = { text: "", kind: "info" }; // by the session
     this.noted = ""; // a line that stays until something is done
     this.onConfirmed = () => {};
     this.grid = make("div", { class: "clvol-panes" });
@@ -177,6 +178,7 @@ class Viewer {
 
   /** A status of the session; after an error, which may concern a change made here, its last state is shown. */
   report({ text, kind }) {
+    this.said = { text, kind };
     this.status(text, kind);
     if (kind !== "error" || !this.confirmed) return;
     this.unheard = [];
