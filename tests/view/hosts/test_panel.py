@@ -279,6 +279,9 @@ def test_on_a_phone_rows_fit_and_are_readable(browser: Browser, organs: Watched,
         light = [luminance(color) for color in (ink, back)]
         assert (light[0] > light[1]) == dark
         assert (max(light) + 0.05) / (min(light) + 0.05) >= 7  # WCAG's contrast, AAA
+        bar, text = "document.querySelector('.clvol-scale')", "getBoundingClientRect().right"
+        browser.js(f"{bar}.style.width = '5px'; {bar}.firstChild.textContent = '0.002 mm'")
+        assert browser.js(f"return {bar}.{text} - {bar}.firstChild.{text}") >= 0  # what is longer than the bar is not cut off
     finally:
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
         driver.execute_cdp_cmd(

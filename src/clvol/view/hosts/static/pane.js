@@ -296,7 +296,8 @@ class Pane {
     const wanted = (this.element.clientWidth / 5) * worldPerPixel;
     const power = 10 ** Math.floor(Math.log10(wanted));
     const length = [5, 2, 1].find((n) => n * power <= wanted) * power;
-    const bar = make("span", { class: "clvol-scale" }, `${short(length)} ${this.viewer.info?.volume?.units ?? ""}`.trim());
+    const text = make("span", { dir: "ltr" }, `${short(length)} ${this.viewer.info?.volume?.units ?? ""}`.trim());
+    const bar = make("span", { class: "clvol-scale" }, text);
     bar.style.width = `${length / worldPerPixel}px`;
     return bar;
   }
