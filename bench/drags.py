@@ -151,6 +151,9 @@ def path(size: tuple[int, int], seconds: float) -> Any:
 def report(mode: str, frames: list[tuple[float, Message, int]], beside: tuple[float, float]) -> None:
     """A line of the table; the first half second does not count."""
     kept = [one for one in frames if one[0] - frames[0][0] > 0.5 and not one[1]["final"]]
+    if len(kept) < 2:
+        print(f"{mode:12} {len(kept)} of {len(frames)} pictures count: too few, so drag for longer", flush=True)
+        return
     widths = [message["width"] for _, message, _ in kept]
     steps = [message.get("step") or math.nan for _, message, _ in kept]
     rate = (len(kept) - 1) / (kept[-1][0] - kept[0][0])

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import clvol
-from bench import cases, machine, ndimage, parity, runtimes, scene, soak
+from bench import cases, drags, machine, ndimage, parity, runtimes, scene, soak
 from bench.deeds import DEEDS, NOT_DONE
 from clvol.base.errors import DeviceError
 from clvol.device import as_device
@@ -131,6 +131,35 @@ def test_ndimage_is_measured_beside_scipy_which_agrees(tmp_path: Path) -> None:
         theirs, difference = next(iter(row["differs_by"].items()))
         assert row["times_as_fast_as"][theirs] == pytest.approx(row["seconds"][theirs] / row["seconds"]["clvol"])
         assert difference < (1e-12 if "float64" in row["name"] else 1e-5)
+
+
+def test_small_calls_are_measured_beside_scipy() -> None:
+    done = command("bench.small", "--quick", "--only", "shift", "--markdown")
+    assert done.returncode == 0, done.stderr
+    *table, last = done.stdout.splitlines()
+    rows = [line.strip("| ").split(" | ") for line in table[2:]]
+    assert len({row[1] for row in rows}) == len(rows) == 9
+    assert all(row[0] == "shift" and float(row[2]) > 0 for row in rows)
+    assert re.match(r"\d+ calls below 0.9; the lowest: ", last)
+
+
+def test_drags_of_a_session_are_measured(tmp_path: Path) -> None:
+    file = tmp_path / "volume.nrrd"
+    clvol.write(clvol.phantoms.marschner_lobb(12), file)
+    done = command("bench.drags", str(file), "--size", "64x48", "--seconds", "1", "--modes", "mip")
+    assert done.returncode == 0, done.stderr
+    _, head, row = done.stdout.splitlines()
+    assert head.split()[:4] == ["mode", "width", "least", "step"]
+    assert row.startswith("mip ")  # a busy machine may show too few pictures
+
+
+def test_the_first_half_second_of_a_drag_does_not_count(capsys: pytest.CaptureFixture[str]) -> None:
+    frames = [(0.1 * i, {"width": 64 if i > 5 else 32, "step": 2, "seconds": 0.01, "final": i == 20}, 2048) for i in range(21)]
+    drags.report("mip", frames, (0.004, 0.005))
+    drags.report("mean", frames[:6], (0.004, 0.005))
+    counted, few = capsys.readouterr().out.splitlines()
+    assert counted.split() == ["mip", "64", "64", "2", "10.0", "10.0", "2", "4", "5"]
+    assert "0 of 6 pictures count" in few
 
 
 @pytest.mark.parametrize(
