@@ -85,6 +85,43 @@ def test_portraits_are_pythons(device: Device, tmp_path: Path) -> None:
             assert np.ptp(wanted[..., :3]) > 0.5, camera
 
 
+def test_the_page_fits_phones_and_fingers(device: Device, tmp_path: Path) -> None:
+    if why := why_none():
+        pytest.skip(why)
+    page = clvol.save_html(BALL, tmp_path / "page.html", mode="mip", device=device, title="A ball", metadata=True)
+    with open_browser(375, 667, SOFTWARE_GL) as browser:
+        cdp = browser.driver.execute_cdp_cmd
+        cdp("Emulation.setDeviceMetricsOverride", {"width": 375, "height": 667, "deviceScaleFactor": 1, "mobile": True})
+        cdp("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
+        first = drawn(browser, page)
+
+        def touch(kind: str, *places: tuple[float, float]) -> None:
+            points = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(places)]
+            cdp("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+        def shown(other: np.ndarray, *, same: bool) -> np.ndarray:
+            still = "document.getElementById('picture').dataset.final === 'true'"
+            browser.wait(lambda: browser.js(f"return {still}") and np.array_equal(browser.canvas("#picture") / 255, other) == same)
+            return browser.canvas("#picture") / 255
+
+        touch("touchStart", (50, 80), (80, 80))
+        touch("touchMove", (40, 80), (90, 80))
+        touch("touchEnd")
+        larger = shown(first, same=False)
+        assert (larger[..., 0] > 0).sum() > (first[..., 0] > 0).sum()
+        for _ in range(2):
+            touch("touchStart", (60, 80))
+            touch("touchEnd")
+        shown(first, same=True)
+        browser.js("document.getElementById('slices-button').click()")
+        small = """return [...document.querySelectorAll("button, input, summary")].filter((one) => one.offsetParent)
+            .map((one) => one.getBoundingClientRect())
+            .filter((box) => box.height < 24 || box.width < 24 || box.right > 375).length"""
+        assert browser.js(small) == 0
+        assert browser.js("return document.documentElement.scrollWidth") == 375
+        assert "finger" in browser.js("return document.getElementById('keys').innerText")
+
+
 def test_the_least_that_webgl_promises_is_enough(device: Device, tmp_path: Path) -> None:
     if why := why_none():
         pytest.skip(why)

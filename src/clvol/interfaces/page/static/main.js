@@ -80,6 +80,10 @@ class Page {
       this.move();
     });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("dblclick", () => {
+      this.camera.reset();
+      this.move();
+    });
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       this.camera.zoom *= Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015));
