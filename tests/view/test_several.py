@@ -65,6 +65,8 @@ def test_the_panel_gets_the_axes(view: View, client: Client) -> None:
         {"axis": "channel", "count": 2, "names": ["DAPI", "GFP"], "first": 0, "plays": False},
     ]
     assert info["labels"] is None
+    timed = Volumes(np.zeros((3, 4, 4, 4)), leading=Leading(("time",), (3,)), header={"time_step": 720.0, "time_unit": "msec"})
+    assert [one.get("seconds") for one in View(timed, device=view.resident.device).resident.catalog.axes()] == [0.72]
     client.set(index__channel=1)
     again, _ = client.wait(lambda m: m["type"] == "info")
     assert info["volume"]["range"][1] == pytest.approx(100, rel=0.02)

@@ -24,6 +24,7 @@ __all__ = ["Catalog", "Which", "labelled", "series_of"]
 _KEPT = 64  # volumes that were shown and are remembered
 _LISTED = 200  # labels that a client is sent at once
 _LONGEST = 200  # characters of a search
+_SECONDS = {"sec": 1.0, "msec": 1e-3, "usec": 1e-6}
 
 
 class Which(NamedTuple):
@@ -156,7 +157,10 @@ class Catalog:
         return {axis: at for axis, count, at in named if count > 1 or isinstance(at, str)}
 
     def axes(self) -> list[dict[str, Any]]:
-        """For a panel: the leading axes with more than one place, what each counts, names of its places, and which is played."""
+        """For a panel: the leading axes with more than one place, what each counts, names of its places, and which is played.
+
+        Of time also the seconds from one place to the next, where the file has them.
+        """
         if self.volumes is None:
             return []
         found: list[dict[str, Any]] = []
@@ -166,7 +170,14 @@ class Catalog:
             if count > 1 or first:
                 names = [name or str(i) for i, name in enumerate(self.volumes.leading.names.get(axis, ()))]
                 found.append({"axis": axis, "count": count, "names": names[:_LISTED], "first": first, "plays": axis == played})
+                if axis == "time" and (step := self._seconds()):
+                    found[-1]["seconds"] = step
         return found
+
+    def _seconds(self) -> float:
+        """From one time to the next; 0 if that is not known."""
+        about = self.volume.header
+        return float(about.get("time_step", 0.0)) * _SECONDS.get(about.get("time_unit", ""), 0.0)
 
     def volume_of(self, state: State) -> Volume:
         """The volume that a state shows, with the labels that are seen."""

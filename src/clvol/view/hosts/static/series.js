@@ -71,9 +71,11 @@ class Series {
     this.plot.replaceChildren(here, make("path", { class: "clvol-curve", d: line.join("") }));
     const value = values[this.place];
     const where = curve.position ? ` at (${curve.position.map((c) => short(c, 4)).join(", ")})` : "";
-    const text = curve.problem ?? `${this.about.axis} ${this.place}: ${short(value, 5)}; from ${short(low)} to ${short(high)}${where}`;
+    const { axis, seconds } = this.about;
+    const when = `${axis} ${this.place}${seconds ? ` (${short(this.place * seconds, 4)} s)` : ""}`;
+    const text = curve.problem ?? `${when}: ${short(value, 5)}; from ${short(low)} to ${short(high)}${where}`;
     this.caption.textContent = text;
-    this.plot.setAttribute("aria-label", `values along ${this.about.axis}; ${text}`);
+    this.plot.setAttribute("aria-label", `values along ${axis}; ${text}`);
   }
 
   /** Shows the volume whose value was clicked. */
