@@ -65,11 +65,12 @@ def test_pictures_come_while_a_file_is_made_and_it_can_be_cancelled(view: View) 
 @pytest.mark.skipif(find_spec("vtk") is None or find_spec("trimesh") is None, reason="needs vtk and trimesh")
 def test_a_mesh_is_that_of_the_picture(view: View) -> None:
     client = Client(view)
-    client.set(options__isovalue=0.4)
+    client.set(options__isovalue=0.4, clip={"low": [-1, -1, -1], "high": [1, 1, 0]})
     ask(client, "mesh", 1, format="stl")
     ask(client, "mesh", 2, format="stl", faces=100)
     message, data = reply(client, 1)
     assert message["name"].endswith(".stl")
+    assert message["note"] == "it is whole: clip planes cut no mesh"
     row = view.resident.filter_name(client.session.state, None)
     assert message["faces"] == len(clvol.mesh(view.volume, 0.4, filter=row, device=view.resident.device).faces)
     assert data is not None

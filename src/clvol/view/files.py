@@ -110,7 +110,8 @@ def _mesh(parts: Parts, request: Request) -> Task:
                 made = mesh(renderer.field, level, progress=reins.progress, **options)
         with tempfile.TemporaryDirectory() as folder:
             data = made.save(Path(folder) / f"mesh.{form}").read_bytes()
-        return {"format": form, "faces": len(made.faces)}, data
+        cut = {"note": "it is whole: clip planes cut no mesh"} if state.clip is not None or state.cuts else {}
+        return {"format": form, "faces": len(made.faces)} | cut, data
 
     return Task("making the mesh", f"{stem(resident.name)}.{form}", work)
 

@@ -207,14 +207,14 @@ class Session:
         """How far files are, and those that are ready."""
         jobs = self._post.jobs
         news, ready = jobs.take()
+        if news or ready:
+            self._notices.put("doing", jobs.doing, "busy")  # before replies: a page then says that it has saved a file
         for message in news:
             self._post.tell(message)
         for done in ready:
             self._post.tell(done.message, done.data)
             if done.error is not None:
                 self._fail(done.error)
-        if news or ready:
-            self._notices.put("doing", jobs.doing, "busy")
 
     def _handle(self, received: Mapping[str, Any]) -> None:
         self._post.pulse.beat()

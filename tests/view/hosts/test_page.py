@@ -21,7 +21,7 @@ from clvol.view.code import from_url
 from tests.view.browser import Browser, open_browser, why_none
 
 pytest.importorskip("aiohttp", reason="needs aiohttp")
-from clvol.view.hosts.server import Serving, serve
+from clvol.view.hosts.server import Limits, Serving, serve
 
 pytestmark = pytest.mark.skipif(bool(why_none()), reason=why_none())
 SIZE = 700, 700  # of the window: beside the panel a narrow picture, soon drawn
@@ -469,6 +469,23 @@ def test_a_movie_is_saved_in_the_chosen_format(page: Page, kind: str, head: byte
         return
     assert head in bytes(page.wait("window.saved", 30))
     assert page.js("return window.kind") == ("image/gif" if kind == "gif" else f"video/{kind}")
+
+
+def test_what_is_too_large_for_the_socket_is_saved(shared: tuple[Browser, Serving, Watched]) -> None:
+    browser, _, view = shared
+    with serve(view, limits=Limits(waiting=1 << 18)) as server:
+        page = Page(browser, server, view)
+        page.open()
+        page.js(
+            """const taken = (b, bytes) => { window.saved = [bytes.length, b.type, ...bytes.slice(0, 4)]; };
+            URL.createObjectURL = (b) => { b.arrayBuffer().then((a) => taken(b, new Uint8Array(a))); return 'data:,'; };
+            document.querySelector('[aria-label="size of the picture"]').value = 4;"""
+        )
+        page.press("Save picture")
+        length, kind, *head = page.wait("window.saved", 30)
+        page.wait(lambda: page.told().startswith("saved as"))
+    assert length > 1 << 17
+    assert (kind, bytes(head)) == ("image/png", b"\x89PNG")
 
 
 def test_a_server_that_hangs_is_said_within_a_second(page: Page, shared: tuple[Browser, Serving, Watched]) -> None:

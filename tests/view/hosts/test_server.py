@@ -7,10 +7,12 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
@@ -56,6 +58,8 @@ class Session:
         elif message["type"] == "frames":
             for number in range(message["count"]):
                 self.send({"type": "frame", "number": number, "pane": "3d"}, bytes(message["bytes"]))
+        elif message["type"] == "file":
+            self.send({"type": "reply", "id": 1, "what": "mesh"}, bytes(range(256)) * (message["bytes"] // 256))
         elif message["type"] == "fail":
             raise DeviceError("the device is lost")
 
@@ -582,9 +586,49 @@ def test_a_client_that_does_not_read_costs_no_memory() -> None:
         assert len(dropped) == len(set(dropped)) > 280
 
 
+def test_what_is_too_large_for_the_socket_is_fetched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    size = 3 << 20
+
+    async def work(visitor: Visitor) -> None:
+        async with await visitor.connect() as ws:
+            names = []
+            for _ in range(2):
+                await ws.send_json({"type": "file", "bytes": size})
+                message = await told(ws, "reply")
+                assert "bytes" not in message
+                names.append(message["download"])
+            first = f"download?name={names[0]}"
+            assert await visitor.status(first) == 403
+            visitor.http.headers[SECRET] = ws.secret
+            assert await visitor.status("download?name=../x") == 404
+            async with visitor.http.get(visitor.base + first) as answer:
+                assert (answer.status, await answer.read()) == (200, bytes(range(256)) * (size // 256))
+                assert "Content-Security-Policy" in answer.headers
+            assert await visitor.status(first) == 404
+            await ws.send_json({"type": "file", "bytes": 1 << 20})
+            assert (await told(ws, "reply"))["bytes"] == 1 << 20
+            assert len(list(tmp_path.iterdir())) == 1
+
+    with serving(limits=Limits(waiting=4 << 20)) as server:
+        visit(server, work)
+        wait_for(lambda: not list(tmp_path.iterdir()))  # with the page that did not fetch it
+        with monkeypatch.context() as patch:
+            patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=size))
+
+            async def without_room(visitor: Visitor) -> None:
+                async with await visitor.connect() as ws:
+                    await ws.send_json({"type": "file", "bytes": size})
+                    assert (await told(ws, "reply"))[
+                        "error"
+                    ] == "the file cannot be sent: there is no room for 3 MiB where clvol runs"
+
+            visit(server, without_room)
+
+
 def test_undroppable_messages_are_bounded() -> None:
     async def main() -> None:
-        outbox = Outbox(asyncio.get_running_loop(), Limits(waiting=10_000, messages=20))
+        outbox = Outbox(asyncio.get_running_loop(), Limits(waiting=10_000, messages=20), lambda _: "")
         for number in range(100):
             outbox.put({"type": "state", "n": number})
             outbox.put({"type": "frame", "number": number, "pane": "xyz"[number % 3]}, bytes(1000))

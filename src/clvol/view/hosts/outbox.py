@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from clvol.base.checks import number, whole
+from clvol.base.errors import ClvolError
 from clvol.view.protocol import Message
 
 __all__ = ["Limits", "Outbox", "Rate"]
@@ -64,10 +65,13 @@ class Limits:
 
 
 class Outbox:
-    """Messages on their way to one client, from any thread."""
+    """Messages on their way to one client, from any thread.
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, limits: Limits) -> None:
-        self._loop, self._limits = loop, limits
+    Bytes that take more than half of what may wait are not sent: `keep` takes them, and returns the name by which they are fetched.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, limits: Limits, keep: Callable[[bytes], str]) -> None:
+        self._loop, self._limits, self._keep = loop, limits, keep
         self._lock = threading.Lock()
         self._waiting: deque[tuple[Message, bytes | None]] = deque()
         self._bytes = 0
@@ -80,14 +84,16 @@ class Outbox:
     def put(self, message: Message, data: bytes | None = None) -> None:
         """Append a message; of two of a kind that show the same the older is dropped."""
         kind = message.get("type")
+        if data is not None and kind not in _NEWEST_WINS and len(data) > self._limits.waiting // 2 and not self.closed:
+            try:
+                message, data = {**message, "download": self._keep(data)}, None
+            except (ClvolError, OSError) as error:
+                message, data = {**message, "error": f"the file cannot be sent: {error}"}, None
         with self._lock:
             if self.closed:
                 return
             if kind in _NEWEST_WINS:
                 self._drop(lambda other: all(other.get(word) == message.get(word) for word in _ABOUT))
-            elif data is not None and len(data) > self._limits.waiting // 2:
-                size = f"{len(data) / 2**20:.0f} MiB, more than the {self._limits.waiting / 2**21:g} that a page may get at once"
-                message, data = {**message, "error": f"the file has {size}; make it smaller"}, None
             self._waiting.append((message, data))
             self._bytes += _size(message, data)
             if self._full():

@@ -38,6 +38,7 @@ from clvol.view.protocol import Message, Receiver, SessionFactory, status
 try:
     from aiohttp import WSCloseCode, WSMsgType, web
 
+    from clvol.view.hosts.downloads import Downloads, sent
     from clvol.view.hosts.greeting import Greeter
     from clvol.view.hosts.listener import Listener
 except ImportError as missing:
@@ -59,7 +60,8 @@ class _Client:
 
     def __init__(self, server: Server, socket: web.WebSocketResponse) -> None:
         self._server, self._socket, self._limits = server, socket, server.limits
-        self._outbox = Outbox(asyncio.get_running_loop(), server.limits)
+        self.downloads = Downloads()
+        self._outbox = Outbox(asyncio.get_running_loop(), server.limits, self.downloads.keep)
         self._session: Receiver | None = None
         self._making: asyncio.Future[Receiver] | None = None
         self._early: deque[Message] = deque(maxlen=64)  # sent before there was a session
@@ -73,6 +75,7 @@ class _Client:
             await asyncio.wait([tasks[0], tasks[1], tasks[3]], return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._outbox.close()
+            await in_thread(self.downloads.close, "deleting files")
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -360,6 +363,9 @@ class Server:
         if name == "files" or sends:
             self._access.check_secret(request)
             return await self._layered(request, name)
+        if name == "download" and request.method == "GET":
+            self._access.check_secret(request)
+            return await self._downloaded(request)
         found = self._files.get(name)
         if found is None:
             raise Refused(404, "there is no such page")
@@ -382,6 +388,13 @@ class Server:
         except Exception as error:
             raise Refused(422, said(error)) from error
         return self._response(json.dumps(answer).encode(), "application/json")
+
+    async def _downloaded(self, request: web.BaseRequest) -> web.StreamResponse:
+        """A client's result, once."""
+        for client in self._clients:
+            if (path := client.downloads.take(request.query.get("name", ""))) is not None:
+                return await sent(request, path, dict(self._headers), self.limits.stuck)
+        raise Refused(404, "there is no such file, or it was fetched already")
 
     def _redirect(self, request: web.BaseRequest) -> web.Response:
         response = self._response(b"", "text/plain", 303)

@@ -283,16 +283,25 @@ class Viewer {
   async save(what, more = {}) {
     const answer = await this.ask(what, more).catch(() => null); // the error is shown already
     if (!answer) return undefined;
-    const { message, data } = answer;
+    const { message } = answer;
     if (message.cancelled) return this.status("cancelled");
+    const data = message.download ? await this.fetched(message.download).catch((error) => this.status(error.message, "error")) : answer.data;
+    if (message.download && !data) return undefined; // the error is shown already
     if (!data) return this.status(message.text ?? "no result", "error");
-    return this.download(new Blob([data], { type: KINDS[message.format] ?? `image/${message.format}` }), message.name);
+    return this.download(new Blob([data], { type: KINDS[message.format] ?? `image/${message.format}` }), message.name, message.note);
   }
 
-  download(blob, name) {
+  /** What is too large for the socket. */
+  async fetched(name) {
+    const answer = await fetch(`download?name=${encodeURIComponent(name)}`, { headers: this.channel.headers });
+    if (!answer.ok) throw new Error((await answer.text()).replace(/^clvol: /, "").trim());
+    return answer.blob();
+  }
+
+  download(blob, name, note = "") {
     const url = URL.createObjectURL(blob);
     make("a", { href: url, download: name }).click();
     setTimeout(() => URL.revokeObjectURL(url), 60_000);
-    this.status(`saved as ${name}`);
+    this.status([`saved as ${name}`, note].filter(Boolean).join("; "), note ? "warning" : "info");
   }
 }
