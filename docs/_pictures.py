@@ -14,7 +14,7 @@ PAGES = Path(__file__).parent / "_static" / "gallery"
 _FRAME = """
 .. raw:: html
 
-   <iframe class="clvol-page" src="../_static/gallery/{name}" title="the same scene, drawn by this browser"></iframe>
+   <iframe class="clvol-page" src="../_static/gallery/{name}" title="the same scene, drawn by this browser" loading="lazy"></iframe>
 """
 
 

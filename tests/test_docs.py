@@ -90,6 +90,13 @@ def test_the_example_of_a_docstring_runs(name: str, tmp_path: Path, monkeypatch:
     assert device is not None
 
 
+def test_every_scene_of_the_gallery_has_its_page_or_a_reason() -> None:
+    scenes = {script.stem.removeprefix("plot_"): script.read_text("utf-8") for script in DOCS.glob("gallery/plot_*.py")}
+    table = re.findall(r"^\| (`.*?) \|", (DOCS / "how-to" / "pages.md").read_text("utf-8"), re.MULTILINE)
+    without = {name for row in table for name in re.findall(r"`(\w+)`", row)} & scenes.keys()
+    assert {name for name, text in scenes.items() if "save_html(" in text} == scenes.keys() - without
+
+
 def test_the_api_pages_list_all_public_names() -> None:
     listed = (DOCS / "api" / "index.rst").read_text(encoding="utf-8").split()
     assert [name for name in clvol.__all__ if name not in listed] == []

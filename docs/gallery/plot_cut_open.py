@@ -40,3 +40,7 @@ pictures = [
     ),
 ]
 picture = np.hstack(pictures)
+
+# %%
+# The half as one file, without a server, which browsers draw by WebGL2: drag to turn it.
+page = clvol.save_html(head, "cut_open.html", camera, "isosurface", isovalue=-300, color=skin, cap=True, transfer=gray, clip=half)

@@ -16,3 +16,7 @@ outputs = clvol.render(
 )
 pictures = [output.shown() for output in outputs.values()]
 picture = np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])
+
+# %%
+# The surface as one file, without a server, which browsers draw by WebGL2: drag to turn it.
+page = clvol.save_html(volume, "depth.html", mode="isosurface", isovalue=0.5)

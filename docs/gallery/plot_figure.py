@@ -17,3 +17,7 @@ transfer = clvol.TransferFunction.from_cmap("viridis", (0.6, 2.4), [(0.6, 0), (0
 camera = clvol.Camera.orbit(30, 25, projection="orthographic")
 around = {"color_bar": True, "scale_bar": True, "axes": True, "cube": True, "title": "Two poles", "theme": "print"}
 picture = clvol.render(volume, camera, size=(720, 560), transfer=transfer, **around)
+
+# %%
+# The poles as one file, without a server, which browsers draw by WebGL2, with nothing around them: drag to turn them.
+page = clvol.save_html(volume, "figure.html", camera, transfer=transfer)

@@ -17,3 +17,7 @@ pictures = [
     for name in ("linear", "mitchell", "catmull-rom", "bspline3")
 ]
 picture = np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])
+
+# %%
+# The last one as one file, without a server, which browsers draw by WebGL2: drag to turn it.
+page = clvol.save_html(volume, "filters.html", camera, "isosurface", filter="bspline3", isovalue=0.5)

@@ -16,3 +16,7 @@ print("labels:", labels.is_labels)
 camera = clvol.Camera.orbit(30, 20, fit="volume", zoom=1.8)
 one = clvol.render(labels.indicator(2), camera, "isosurface", isovalue=0.5, rays=4)
 picture = np.hstack([clvol.render(labels, camera, rays=4), one])
+
+# %%
+# The regions as one file, without a server, which browsers draw by WebGL2: drag to turn them.
+page = clvol.save_html(labels, "labels.html", camera)

@@ -22,3 +22,7 @@ looks = [{"mode": mode} for mode in ("composite", "isosurface", "mip", "attenuat
 looks.insert(1, {"mode": "composite", "shading": False})
 pictures = [clvol.render(volume, size=(256, 256), **look) for look in looks]
 picture = np.vstack([np.hstack(pictures[:3]), np.hstack(pictures[3:])])
+
+# %%
+# The first one as one file, without a server, which browsers draw by WebGL2: drag to turn it.
+page = clvol.save_html(volume, "modes.html")

@@ -17,3 +17,7 @@ for name in ("bspline3", "bspline3(auto)"):
         pictures.append(renderer.render(mode="isosurface", isovalue=0.5, size=(360, 360), rays=4))
         print(renderer.filter.name)
 picture = np.hstack(pictures)
+
+# %%
+# The smooth one as one file, without a server, which browsers draw by WebGL2: drag to turn it.
+page = clvol.save_html(noisy, "noise.html", mode="isosurface", filter="bspline3(auto)", isovalue=0.5)

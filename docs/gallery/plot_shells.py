@@ -22,3 +22,7 @@ whole = clvol.render(potential, camera, **look)
 corner = clvol.Corner((0, -np.inf, 0), (np.inf, 0, np.inf))
 cut = clvol.render(potential, camera, clip=corner, cap=True, cmap="viridis", **look)
 picture = np.hstack([whole, cut])
+
+# %%
+# The shells as one file, without a server, which browsers draw by WebGL2: drag to turn them.
+page = clvol.save_html(potential, "shells.html", camera, mode="surfaces", surfaces=shells, background="white")
