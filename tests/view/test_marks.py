@@ -63,6 +63,11 @@ def test_other_marks_are_refused(kind: str, points: Any, says: str) -> None:
         State().changed({"marks": [{"kind": kind, "points": points}]})
 
 
+def test_a_mark_without_points_is_refused() -> None:
+    with pytest.raises(OptionError, match="marks must each have kind and points"):
+        State().changed({"marks": [{"kind": "distance"}]})
+
+
 class Hand:
     """Draws on a slice."""
 

@@ -257,7 +257,11 @@ def _lights_of(what: str, value: object) -> tuple[Light, ...]:
 
 
 def _dataclass_of(what: str, value: object, kind: Callable[..., Any]) -> Any:
-    given = as_object(what, value, {each.name for each in fields(kind)})  # type: ignore[arg-type]  # of a dataclass
+    known = fields(kind)  # type: ignore[arg-type]  # of a dataclass
+    given = as_object(what, value, {each.name for each in known})
+    needed = [each.name for each in known if each.default is MISSING and each.default_factory is MISSING]
+    if not given.keys() >= set(needed):
+        raise OptionError(f"{what} must each have {' and '.join(needed)}; got {value!r:.200}")
     try:
         return kind(**given)
     except TypeError as error:

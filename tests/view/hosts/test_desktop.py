@@ -245,5 +245,5 @@ def test_a_missing_qt_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
     for name in ("PySide6", "PySide6.QtWidgets", "PyQt6", "PyQt6.QtWidgets"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(MissingDependencyError, match=r"pip install clvol\[desktop\]"):
+    with pytest.raises(MissingDependencyError, match=r'pip install "clvol\[desktop\]"'):
         desktop.show_on_desktop(View(box()))
