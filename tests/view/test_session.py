@@ -27,7 +27,7 @@ from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
 from clvol.show.picture import to_bytes
 from clvol.view import State, View, code, from_toml, from_url
-from clvol.view.drawing import Drawer, Order
+from clvol.view.drawing import Drawer, Order, Shot
 from clvol.view.panes import PaneSize
 from clvol.view.session import Session
 from tests import cases
@@ -639,6 +639,22 @@ def test_two_sessions_share_the_coefficients_not_the_state(view: View) -> None:
         time.sleep(0.05)
     assert len(view.resident.renderers._entries) == 2  # the last two, now that no other is in use
     assert not any(entry.users for entry in view.resident.renderers._entries.values())
+
+
+def test_pictures_at_rest_have_no_fewer_pixels_than_those_before(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What refines a picture begins with few pixels, which would flash between a drag and its end."""
+
+    def shots(_: Drawer, order: Order) -> Iterator[Shot]:
+        for size in (1,) if order.coarse else (8, 2, 1):
+            yield Shot(np.zeros((72 // size, 96 // size, 3), np.uint8), size == 1 and not order.coarse)
+
+    client.resize()
+    client.still()
+    monkeypatch.setattr(Drawer, "shots", shots)
+    client.forget()
+    client.session.receive({"type": "set", "changes": {"opacity": 0.5}, "live": True})
+    client.still()
+    assert [m["width"] for m in client.of("frame")] == [96, 96]
 
 
 def test_linked_panes_follow_the_crosshair(client: Client) -> None:

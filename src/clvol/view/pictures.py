@@ -41,6 +41,7 @@ class Pictures:
         self._began = time.monotonic()
         self._shown: dict[str, Shown] = {}
         self._took: dict[str, tuple[object, float]] = {}  # by pane: what its last final picture showed, and its seconds
+        self._sizes: dict[str, int] = {}  # of the last pictures
 
     def forget(self, pane: str = "") -> None:
         """Draw all of them again, or one."""
@@ -94,7 +95,8 @@ class Pictures:
                 if (shot.final or not sent) and not post.may_send():
                     self._drawer.forget_sketch()
                     break
-                if not throttle.full:  # pictures in between are left out if the client is slow
+                worse = not (first or shot.final) and shot.pixels.size < self._sizes.get(name, 0)  # than what was there before rest
+                if not (throttle.full or worse):  # pictures in between are left out if the client is slow
                     self._send(name, size, shot, time.perf_counter() - began)
                     sent, last = sent + 1, shot
                 if stop():
@@ -112,6 +114,7 @@ class Pictures:
         throttle = self._post.throttle
         data = png(shot.pixels) if shot.final else jpeg(shot.pixels, throttle.quality)
         self._notices.put(name)  # what hindered it is over
+        self._sizes[name] = shot.pixels.size
         with self._post.condition:
             number = throttle.send(time.monotonic())
         self._post.tell(_frame(number, name, size, shot, seconds), data)
