@@ -303,16 +303,19 @@ class Small:
     def rotate(self, angle: Any, axes: Any, reshape: Any) -> Array | None:
         """As `clvol.ndimage.rotate`: planes one after the other, as SciPy, or together where that has fewer operations."""
         data, plan, shape = self.data, self.plan, list(self.data.shape)
+        if data.ndim < 3:
+            if data.size > plan.most:
+                return None
+            _, matrix, start, size = turned(angle, axes, reshape, data.shape)
+            return self._by("affine_transform", matrix, start, size) if 0 < prod(size) <= plan.most else None
         plane, turn = plane_of(axes, data.ndim), finite("angle", angle)
         if flag("reshape", reshape):
             height, width = (shape[axis] for axis in plane)
             c, s = abs(cos(radians(turn))), abs(sin(radians(turn)))
             shape[plane[0]], shape[plane[1]] = round(c * height + s * width), round(s * height + c * width)
         count, taps = prod(shape), plan.order + 1
-        if data.ndim < 3:
-            return self._by("rotate", turn, plane, reshape) if max(data.size, count) <= plan.most else None
         left = 3 - sum(plane)
-        by_planes, together = count * taps**2 + _CALL * shape[left], count * taps**3
+        by_planes, together = count * taps**2 + _CALL * shape[left], count * taps**3 + _CALL
         if data.size * taps**2 > _OPERATIONS or by_planes >= _OPERATIONS:
             return None
         if plan.by_scipy:  # which filters the padding too
