@@ -13,6 +13,7 @@ from clvol.base.errors import ClvolWarning, FormatError, OptionError
 from clvol.device import Device
 from clvol.interfaces.page.look import reduced
 from tests.view.browser import SOFTWARE_GL, Browser, open_browser, why_none
+from tests.view.firefox import open_firefox, why_no_firefox
 
 SIZE = 128
 WITHIN = 0.002 + 0.5 / 255  # of the range: the samplers' weights, and the pixels' 8 bits
@@ -34,6 +35,15 @@ LEAST = """const of = WebGL2RenderingContext.prototype, ask = of.getParameter;
         const last = "precision highp sampler3D;";
         set.call(this, shader, text.replaceAll("texture(", "coarse(").replace(last, last + coarse));
     };"""
+
+# Actions of WebDriver: the arrow to the left, and a drag
+KEYS = {"type": "keyDown", "value": "\ue012"}, {"type": "keyUp", "value": "\ue012"}
+DRAG = (
+    {"type": "pointerMove", "x": 60, "y": 60},
+    {"type": "pointerDown", "button": 0},
+    {"type": "pointerMove", "x": 90, "y": 70, "duration": 100},
+    {"type": "pointerUp", "button": 0},
+)
 
 
 def drawn(browser: Browser, page: Path, width: int = SIZE) -> np.ndarray:
@@ -71,6 +81,25 @@ def test_the_page_draws_what_python_draws(device: Device, tmp_path: Path) -> Non
         assert len(np.unique(browser.canvas("#slice-canvas-0").reshape(-1, 4), axis=0)) == 4  # the labels of a slice
         assert [url for url in browser.requests() if not url.startswith("file:")] == []
         assert [line for line in browser.console() if "SEVERE" in line] == []
+
+
+def test_firefox_draws_and_turns_what_chromium_does(device: Device, tmp_path: Path) -> None:
+    if why := why_no_firefox():
+        pytest.skip(why)
+    volume = clvol.phantoms.marschner_lobb(32)
+    page = clvol.save_html(volume, tmp_path / "page.html", mode="mip", device=device)
+    wanted = np.asarray(clvol.render(volume, mode="mip", size=(SIZE, SIZE), rays=1, device=device))
+    with open_firefox(400, 400) as browser:
+        assert np.mean(np.abs(drawn(browser, page) - wanted).max(-1) <= WITHIN) >= 0.998
+        for kind, actions in (("key", KEYS), ("pointer", DRAG)):
+            before = browser.canvas("#picture")
+            browser.js("document.getElementById('picture').focus()")
+            browser.act(kind, *actions)
+            browser.wait(lambda before=before: not np.array_equal(browser.canvas("#picture"), before), 20, f"a turn by a {kind}")
+        browser.js("document.getElementById('slices-button').click()")
+        assert np.ptp(browser.canvas("#slice-canvas-0")[..., 0]) > 50
+        assert [url for url in browser.requests() if not url.startswith(("file:", "data:"))] == []
+        assert [line for line in browser.console() if line.startswith("ERROR")] == []
 
 
 def test_portraits_are_pythons(device: Device, tmp_path: Path) -> None:
