@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from clvol.view import Mark, State, View, measured
 from clvol.view.events import Context, Inputs, reduce
 from clvol.view.panes import SlicePane
 from clvol.view.resident import Resident
-from tests.view.clients import Client
+from tests.view.clients import Client, decoded
 
 Z, Y, X = np.mgrid[0:12, 0:16, 0:20].astype(np.float32)
 RAMP = clvol.Volume(X + 10 * Y, spacing=(1.0, 1.0, 2.0), units="mm", name="ramp")
@@ -164,3 +165,26 @@ def test_a_session_tells_copies_and_writes_what_is_drawn(client: Client) -> None
     client.session.receive({"type": "do", "what": "undo", "id": 5})
     assert client.wait(lambda m: m["type"] == "measures" and not m["rows"])
     assert len(client.of("frame")) <= frames + 4  # marks are drawn over pictures, which they do not change
+
+
+@pytest.mark.skipif(find_spec("matplotlib") is None, reason="needs matplotlib")
+def test_a_saved_picture_has_them_where_they_are(client: Client) -> None:
+    client.set(marks=[{"kind": "rectangle", "points": [[5.0, 5.0, 6.0], [12.0, 5.0, 6.0], [5.0, 10.0, 6.0]]}])
+    client.wait(lambda m: m["type"] == "overlay" and m["marks"])
+    saved = []
+    for number, measures in enumerate((False, True)):
+        client.session.receive(
+            {"type": "do", "what": "save_picture", "width": 480, "height": 360, "measures": measures, "id": number}
+        )
+        _, data = client.wait(lambda m, number=number: m["type"] == "reply" and m["id"] == number)
+        saved.append(decoded(data).astype(int))
+    plain, marked = saved
+    assert plain.shape == marked.shape
+    differs = np.abs(plain - marked).max(-1) > 0
+    overlay = client.of("overlay")[-1]
+    left, top = (4 * v for v in overlay["marks"][0]["points"][0])
+    right, bottom = 4 * overlay["marks"][0]["points"][1][0], 4 * overlay["marks"][0]["points"][2][1]
+    for x, y in (((left + right) / 2, top), ((left + right) / 2, bottom), (left, (top + bottom) / 2), (right, (top + bottom) / 2)):
+        assert differs[round(y) - 2 : round(y) + 2, round(x) - 2 : round(x) + 2].any()
+    assert not differs[round(top) + 8 : round(bottom) - 8, round(left) + 8 : round(right) - 8].any()
+    assert differs.mean() < 0.05

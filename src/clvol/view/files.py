@@ -17,12 +17,14 @@ from clvol.base.checks import whole
 from clvol.base.errors import OptionError
 from clvol.base.progress import Progress
 from clvol.interfaces.mesh import MESHES, mesh
+from clvol.show.furniture import require_matplotlib
 from clvol.show.movies import FORMATS, packed, require_encoder
 from clvol.show.picture import to_bytes
 from clvol.view.actions import Parts, pixels_of
 from clvol.view.drawing import Drawer, Order, png
 from clvol.view.events import turned
 from clvol.view.jobs import Answer, Cancelled, Reins, Task
+from clvol.view.marked import marked
 from clvol.view.panes import PaneSize, active_pane
 from clvol.view.protocol import Request
 from clvol.view.resident import stem
@@ -45,6 +47,9 @@ def _picture(parts: Parts, request: Request) -> Task:
     width, height = request.size(pixels_of(own), 1, _MOST_PICTURE)
     fitted = PaneSize(own.height * width / height, own.height, own.ratio)
     context = replace(context, sizes={**control.sizes, name: fitted})
+    measures = bool(request.arguments.get("measures") and state.marks and name != "3d")
+    if measures:
+        require_matplotlib("pictures with measures need")
 
     def work(reins: Reins) -> Answer:
         drawer = Drawer(parts.resident)
@@ -55,6 +60,8 @@ def _picture(parts: Parts, request: Request) -> Task:
             drawer.give_up()
         if pixels is None:
             raise Cancelled
+        if measures:
+            pixels = marked(pixels, parts.resident, context, state, name)
         return {"format": "png", "width": width, "height": height}, png(pixels)
 
     return Task("drawing the picture", f"{stem(parts.resident.name)}.png", work)

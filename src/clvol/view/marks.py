@@ -21,7 +21,7 @@ from clvol.view.panes import SlicePane, Vector, triple
 from clvol.view.state import MARKS, Mark, State
 from clvol.volume.volume import Volume
 
-__all__ = ["as_csv", "clicked", "continues", "dragged", "measured", "measures", "on_pane"]
+__all__ = ["as_csv", "clicked", "continues", "dragged", "measured", "measures", "on_pane", "shown_marks"]
 
 _CORNERED = ("rectangle", "ellipse")
 _BY_POINTS = ("angle", "area")  # whose points come one after the other
@@ -75,6 +75,13 @@ def _appended(state: State, point: Vector) -> State:
 def on_pane(mark: Mark, pane: SlicePane, thickness: float) -> bool:
     """Whether a mark lies on the slice, or at most half of a thickness away from it."""
     return bool((np.abs((np.array(mark.points) - pane.middle) @ pane.normal) <= thickness / 2 + 1e-9 * pane.per_pixel).all())
+
+
+def shown_marks(state: State, volume: Volume, pane: SlicePane) -> list[dict[str, Any]]:
+    """The marks that a slice shows: their number, kind and points in CSS pixels."""
+    thick = min(volume.spacing)
+    shown = [(number, mark) for number, mark in enumerate(state.marks) if on_pane(mark, pane, thick)]
+    return [{"number": k, "kind": mark.kind, "points": [list(pane.project(p)) for p in mark.points]} for k, mark in shown]
 
 
 # -- as numbers ----------------------------------------------------------------------------------------------------

@@ -11,11 +11,11 @@ From the client:
 - `{"type": "do", "what": "...", "id": ..., ...}`: answered by a `reply` with that id. `pick` (x, y, pane) what lies there;
   a double click gives such a reply without an id. `restore` (url) shows the state of an address. `curve` (on) has the values at the
   crosshair along a series sent whenever they change. `joint` gives a "transfer" of value and gradient to begin with.
-  Files take long: `save_picture` (width, height, pane) gives a PNG; `movie` (width, height, frames, format: "gif", "webp", "mp4",
-  "webm" or "zip" of PNG); `mesh` (format: "ply", "stl", "obj" or "glb", faces?) the isosurface, or the surfaces of labels. The
-  reply, with a "name", and a "note" if there is something to know of it, comes when one is ready, and pictures meanwhile; `cancel`
-  (file: the id of its request) gives it up, and the reply says "cancelled". One that is too large for a socket has a "download" in
-  place of bytes: the page's server gives it once at ``download?name=...``.
+  Files take long: `save_picture` (width, height, pane, measures: with those on a slice) gives a PNG; `movie` (width, height,
+  frames, format: "gif", "webp", "mp4", "webm" or "zip" of PNG); `mesh` (format: "ply", "stl", "obj" or "glb", faces?) the
+  isosurface, or the surfaces of labels. The reply, with a "name", and a "note" if there is something to know of it, comes when one
+  is ready, and pictures meanwhile; `cancel` (file: the id of its request) gives it up, and the reply says "cancelled". One that is
+  too large for a socket has a "download" in place of bytes: the page's server gives it once at ``download?name=...``.
 - `{"type": "hover", "pane", "x", "y"}`: the pointer rests or moves there, in CSS pixels; without "pane" it has left. Only the last
   counts, it interrupts no picture, and is answered by a `readout`.
 - `{"type": "ack", "frame": number}`: the client has shown a frame.

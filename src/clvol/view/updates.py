@@ -17,14 +17,13 @@ from clvol.view.catalog import Which
 from clvol.view.control import Control
 from clvol.view.curve import curve, what_curve
 from clvol.view.drawing import Shot, png, share_visited
-from clvol.view.marks import on_pane
+from clvol.view.marks import shown_marks
 from clvol.view.notices import Notices
-from clvol.view.panes import Pane3D, SlicePane, bounds, traces, visible
+from clvol.view.panes import Pane3D, bounds, traces, visible
 from clvol.view.picking import measured_all
 from clvol.view.protocol import Message, status
 from clvol.view.resident import Resident
 from clvol.view.state import State
-from clvol.volume.volume import Volume
 
 __all__ = ["Updates"]
 
@@ -115,7 +114,7 @@ class Updates:
             "lines": [] if isinstance(pane, Pane3D) else traces(state, volume, name, pane),
             "box": box,
             "faces": faces,
-            "marks": [] if isinstance(pane, Pane3D) else _on_pane(state, volume, pane),
+            "marks": [] if isinstance(pane, Pane3D) else shown_marks(state, volume, pane),
             "unit_pixels": pane.unit_pixels,
             "right": pane.right.tolist(),
             "down": pane.down.tolist(),
@@ -210,10 +209,3 @@ def _joint(resident: Resident, key: tuple[str | None, str, Which]) -> Message:
     pixels[..., 3] = np.round(often * (255 / often.max()))
     image = "data:image/png;base64," + base64.b64encode(png(pixels)).decode()
     return {"type": "joint", "values": values[[0, -1]].tolist(), "steepest": float(gradients[-1]), "image": image}
-
-
-def _on_pane(state: State, volume: Volume, pane: SlicePane) -> list[dict[str, Any]]:
-    """The marks that a slice shows: their number, kind and points in CSS pixels."""
-    thick = min(volume.spacing)
-    shown = [(number, mark) for number, mark in enumerate(state.marks) if on_pane(mark, pane, thick)]
-    return [{"number": k, "kind": mark.kind, "points": [list(pane.project(p)) for p in mark.points]} for k, mark in shown]

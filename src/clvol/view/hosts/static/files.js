@@ -10,6 +10,8 @@ class Files {
     this.rows = new Map(); // by the id of the request
     const list = (label, ...options) => make("select", { "aria-label": label }, ...options.map(([text, value]) => new Option(text, value)));
     const size = list("size of the picture", ["as shown", 1], ["2 × as large", 2], ["4 × as large", 4]);
+    const marks = toggle("with measures", () => {}, "with those on a slice");
+    marks.show(true);
     const movie = list("movie format", ["GIF", "gif"], ["MP4", "mp4"], ["WebM", "webm"], ["WebP", "webp"], ["PNGs in a zip", "zip"]);
     const mesh = list("mesh format", ["PLY", "ply"], ["STL", "stl"], ["OBJ", "obj"], ["glTF", "glb"]);
     const faces = list("number of triangles", ["all triangles", ""], ["1,000,000", 1e6], ["100,000", 1e5], ["10,000", 1e4]);
@@ -18,7 +20,7 @@ class Files {
     this.element = make(
       "div",
       {},
-      row("Save picture", "the final picture, lossless", () => viewer.save("save_picture", this.larger(Number(size.value))), size),
+      row("Save picture", "the final picture, lossless", () => viewer.save("save_picture", { ...this.larger(Number(size.value)), measures: marks.box.checked }), size, marks.element),
       row("Save movie", "one turn", () => viewer.save("movie", { format: movie.value }), movie),
       row("Save mesh", "the isosurface, or the surfaces of labels", () => viewer.save("mesh", { format: mesh.value, ...(faces.value && { faces: Number(faces.value) }) }), mesh, faces),
       this.list,
