@@ -66,6 +66,13 @@ def resample(
         An unknown filter or boundary, or a number outside its bounds.
     DeviceError
         No usable device, or it failed; `OutOfMemoryError` if the result does not fit.
+
+    Examples
+    --------
+    >>> import clvol, numpy as np
+    >>> photograph = np.zeros((40, 60, 3), np.uint8)
+    >>> clvol.images.resample(photograph, (100, 150)).shape
+    (100, 150, 3)
     """
     pixels = _pixels(image)
     height, width = _size(shape)
@@ -134,6 +141,12 @@ def rotate(
         An unknown filter or boundary, or a number outside its bounds.
     DeviceError
         No usable device, or it failed; `OutOfMemoryError` if the result does not fit.
+
+    Examples
+    --------
+    >>> import clvol, numpy as np
+    >>> clvol.images.rotate(np.zeros((40, 60)), 30, shape=(70, 70)).shape
+    (70, 70)
     """
     pixels, angle, step = _pixels(image), number("degrees", degrees), 1 / number("zoom", zoom, above=0)
     height, width = pixels.shape[:2] if shape is None else _size(shape)

@@ -101,6 +101,13 @@ def leave_out(
         NaN or infinite samples.
     OutOfMemoryError
         The volume does not fit into memory as float64.
+
+    Examples
+    --------
+    >>> from clvol import analysis, phantoms
+    >>> table = analysis.leave_out(phantoms.marschner_lobb(32), ["linear", "bspline3"])
+    >>> [row.filter for row in table]
+    ['linear', 'bspline3']
     """
     chosen, volume, rule = as_compared(filters), as_volume(volume), as_boundary(boundary)
     margin = number("margin", margin, minimum=0)

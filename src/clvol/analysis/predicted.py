@@ -243,6 +243,13 @@ def predict(
         NaN or infinite samples.
     OutOfMemoryError
         The blocks do not fit into memory.
+
+    Examples
+    --------
+    >>> from clvol import analysis, phantoms
+    >>> table = analysis.predict(phantoms.marschner_lobb(32), ["linear", "bspline3"], noise=0.01)
+    >>> [row.filter for row in table]
+    ['linear', 'bspline3']
     """
     chosen, volume = as_compared(filters), as_volume(volume)
     count, seed = whole("blocks", blocks, 1), whole("seed", seed, 0)

@@ -16,7 +16,7 @@ time.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clvol.base.errors import MissingDependencyError
 
@@ -29,15 +29,38 @@ from clvol.dask.pyramids import pyramid
 from clvol.filter.margin import reach
 from clvol.spline.field import magnify, prefilter, resample
 
-_SCIPY = (
-    "affine_transform", "geometric_transform", "map_coordinates", "rotate", "shift", "spline_filter", "spline_filter1d", "zoom",
-)  # fmt: skip
-__all__ = ["magnify", "prefilter", "pyramid", "reach", "resample", *_SCIPY]
+if TYPE_CHECKING:
+    from clvol.ndimage import (
+        affine_transform,
+        geometric_transform,
+        map_coordinates,
+        rotate,
+        shift,
+        spline_filter,
+        spline_filter1d,
+        zoom,
+    )
+
+__all__ = [
+    "affine_transform",
+    "geometric_transform",
+    "magnify",
+    "map_coordinates",
+    "prefilter",
+    "pyramid",
+    "reach",
+    "resample",
+    "rotate",
+    "shift",
+    "spline_filter",
+    "spline_filter1d",
+    "zoom",
+]
 
 
 def __getattr__(name: str) -> Any:
-    """SciPy's functions, which `clvol.ndimage` defines for all arrays."""
-    if name in _SCIPY:
+    """SciPy's functions, which `clvol.ndimage` defines for all arrays; it imports this package."""
+    if name in __all__:
         return getattr(import_module("clvol.ndimage"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

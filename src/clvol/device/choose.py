@@ -30,6 +30,12 @@ def devices() -> list[Device]:
 
     Of several runtimes for the processor PoCL comes first, which is the fastest. Mesa's llvmpipe comes after
     all others, and unusable devices come last.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> default = clvol.devices()[0]
+    >>> picture = clvol.render(clvol.phantoms.sphere(24), mode="mip", size=(48, 48), device=default)
     """
     global _process
     require_unforked(_process)

@@ -83,6 +83,14 @@ class Renderer:
         There is no device, or it cannot hold the volume (`OutOfMemoryError`).
     ClusterError
         No scheduler answers, it has no workers, or these have another version of clvol.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> with clvol.Renderer(clvol.phantoms.marschner_lobb(24)) as renderer:  # prefiltered once
+    ...     turn = [renderer.render(clvol.Camera.orbit(azimuth), "mip", size=(48, 48)) for azimuth in (0, 120, 240)]
+    >>> len(turn), turn[0].shape
+    (3, (48, 48, 4))
     """
 
     def __init__(

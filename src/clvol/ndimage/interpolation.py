@@ -66,6 +66,13 @@ def spline_filter1d(
         `input` has no such axis.
     DtypeError
         `input` holds objects, strings, dates or long doubles.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clvol import ndimage
+    >>> ndimage.spline_filter1d(np.ones(5)).round(6)  # B-splines sum to one
+    array([1., 1., 1., 1., 1.])
     """
     how = small, nan, precision, device, progress, None
     if (done := coefficients(input, output, order, mode, axis, how)) is not None:
@@ -100,6 +107,19 @@ def spline_filter(
     ------
     RefusedError, DtypeError
         As for `spline_filter1d`; `order` is from 2 to 5.
+
+    References
+    ----------
+    - M. Unser, A. Aldroubi and M. Eden, "B-spline signal processing", IEEE Transactions on Signal Processing 41(2), 1993,
+      821–848.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clvol import ndimage
+    >>> array = np.random.default_rng(0).normal(size=(20, 20))
+    >>> coefficients = ndimage.spline_filter(array)  # once, for any number of calls
+    >>> turned = [ndimage.rotate(coefficients, angle, prefilter=False) for angle in (10, 20)]
     """
     how = small, nan, precision, device, progress, None
     if (done := coefficients(input, output, order, mode, ALL, how)) is not None:
@@ -145,6 +165,16 @@ def geometric_transform(
     Notes
     -----
     A position that is not finite has the value `cval`, in every mode.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clvol import ndimage
+    >>> ndimage.geometric_transform(np.arange(12.0).reshape(4, 3), lambda at: (at[0] - 0.5, at[1] - 0.5), order=1)
+    array([[0., 0., 0.],
+           [0., 2., 3.],
+           [0., 5., 6.],
+           [0., 8., 9.]])
     """
     if not isinstance(extra_arguments, tuple):
         raise RefusedError(f"extra_arguments must be a tuple; got {extra_arguments!r}")
@@ -221,6 +251,18 @@ def map_coordinates(
     A point with a coordinate that is not finite has the value `cval`, in every mode. A few points in a large array cost no more
     than the samples around them: samples too far away to count in float64 (23 to 47, depending on the order, where `input` is
     filtered) are not read, and a NaN there does not spread.
+
+    References
+    ----------
+    - P. Thévenaz, T. Blu and M. Unser, "Interpolation revisited", IEEE Transactions on Medical Imaging 19(7), 2000,
+      739–758.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clvol import ndimage
+    >>> ndimage.map_coordinates(np.arange(12.0).reshape(4, 3), [[0.5, 2], [0.5, 1]], order=1)  # at (0.5, 0.5) and (2, 1)
+    array([2., 7.])
     """
     how = small, nan, precision, device, progress, chunks if axes is None else axes
     little = Small.of(input, output, order, mode, cval, prefilter, how)
@@ -280,6 +322,14 @@ def affine_transform(
     -----
     A zero in a matrix of one axis means what SciPy's documentation says, the position `offset` along this axis; SciPy divides by it
     and gives `cval` everywhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clvol import ndimage
+    >>> image = np.arange(12.0).reshape(4, 3)
+    >>> ndimage.affine_transform(image, [[0, 1], [1, 0]], output_shape=(3, 4)).round(6).tolist() == image.T.tolist()
+    True
     """
     how = small, nan, precision, device, progress, chunks
     little = Small.of(input, output, order, mode, cval, prefilter, how)
@@ -323,6 +373,13 @@ def shift(
         `shift` is not finite. (SciPy gives `cval` everywhere.)
     RefusedError, OptionTypeError, DtypeError
         As for `map_coordinates`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clvol import ndimage
+    >>> ndimage.shift(np.array([0.0, 1, 2, 3]), 0.5, order=1, mode="nearest")
+    array([0. , 0.5, 1.5, 2.5])
     """
     how = small, nan, precision, device, progress, chunks
     little = Small.of(input, output, order, mode, cval, prefilter, how)
@@ -372,6 +429,20 @@ def zoom(
     -----
     UserWarning
         `grid_mode` is used with a mode whose period or edge is at the centres of the outermost samples.
+
+    References
+    ----------
+    - M. Unser, A. Aldroubi and M. Eden, "Enlargement or reduction of digital images with minimum loss of information", IEEE
+      Transactions on Image Processing 4(3), 1995, 247–258: "least-squares".
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clvol import ndimage
+    >>> ndimage.zoom(np.zeros((20, 30, 40), np.float32), 1.5).shape
+    (30, 45, 60)
+    >>> ndimage.zoom(np.zeros((64, 64)), 0.5, anti_aliasing="least-squares").shape
+    (32, 32)
     """
     how = small, nan, precision, device, progress, anti_aliasing or chunks
     little = Small.of(input, output, order, mode, cval, prefilter, how)
@@ -419,6 +490,15 @@ def rotate(
         `angle` is not finite.
     RefusedError, OptionTypeError, DtypeError
         As for `map_coordinates`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clvol import ndimage
+    >>> ndimage.rotate(np.zeros((40, 60)), 90).shape
+    (60, 40)
+    >>> ndimage.rotate(np.zeros((40, 60)), 30, reshape=False).shape
+    (40, 60)
     """
     how = small, nan, precision, device, progress, chunks
     little = Small.of(input, output, order, mode, cval, prefilter, how)

@@ -81,6 +81,16 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
         bit.
     spacing : (float, float) or None
         World units per pixel along rows and columns, of slices; None of other pictures, and of parts.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> picture = clvol.render(clvol.phantoms.sphere(24), mode="mip", size=(48, 32))
+    >>> picture.shape, picture.kind  # rows first
+    ((32, 48, 4), 'rgba')
+    >>> again = clvol.render(picture.scene, picture.camera, **picture.options)
+    >>> bool((again == picture).all())
+    True
     """
 
     kind: str = "rgba"

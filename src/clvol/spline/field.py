@@ -162,11 +162,19 @@ class Field(ContinuousFunction):
     otherwise far from zero also prevents the offset. Integers with a range of more than 2²⁴ are rounded to 2⁻²⁴ of it. See
     `clvol.volume.stored`.
 
+    References
+    ----------
+    - P. Thévenaz, T. Blu and M. Unser, "Interpolation revisited", IEEE Transactions on Medical Imaging 19(7), 2000,
+      739–758.
+
     Examples
     --------
-    >>> with clvol.Field(volume) as field:
-    ...     values = field(points)
-    ...     gradients = field.gradient(points)
+    >>> import clvol
+    >>> points = [(0.1, 0.2, 0.3), (0.2, 0.2, 0.3)]  # (x, y, z)
+    >>> with clvol.Field(clvol.phantoms.marschner_lobb(24)) as field:
+    ...     values, gradients = field(points), field.gradient(points)
+    >>> values.shape, gradients.shape
+    ((2,), (2, 3))
     """
 
     @suggests_options
@@ -675,6 +683,11 @@ def resample(
     in memory. Where the filter has no prefilter the result is bit for bit that in one piece; where it has one, coefficients differ
     as those of `prefilter` do. With "least-squares" no bit differs either, but where samples lie so far from zero that single
     precision would lose digits of some blocks and not of others: there sums differ by rounding.
+
+    References
+    ----------
+    - M. Unser, A. Aldroubi and M. Eden, "Enlargement or reduction of digital images with minimum loss of information", IEEE
+      Transactions on Image Processing 4(3), 1995, 247–258: "least-squares".
 
     Examples
     --------

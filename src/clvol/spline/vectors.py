@@ -126,6 +126,11 @@ class VectorField(Leased):
     A VectorField is a context manager: on exit it frees the device's memory, as `close` does. Several threads may share one. It
     samples by direct taps from buffers.
 
+    References
+    ----------
+    - J. R. Dormand and P. J. Prince, "A family of embedded Runge-Kutta formulae", Journal of Computational and Applied
+      Mathematics 6(1), 1980, 19–26: `streamlines`.
+
     Examples
     --------
     A rigid rotation, its curl, and a streamline, which is a circle:
