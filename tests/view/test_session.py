@@ -655,6 +655,10 @@ def test_pictures_at_rest_have_no_fewer_pixels_than_those_before(client: Client,
     client.session.receive({"type": "set", "changes": {"opacity": 0.5}, "live": True})
     client.still()
     assert [m["width"] for m in client.of("frame")] == [96, 96]
+    client.forget()
+    client.set(mode="mip")
+    client.still()
+    assert client.of("frame")[0]["width"] == 96  # as good as those of a drag
 
 
 def test_linked_panes_follow_the_crosshair(client: Client) -> None:

@@ -77,6 +77,7 @@ class Pictures:
         if name == control.released:
             control.released = None
         budget = WHOLE if at_once else _BUDGET if first else _STILL
+        coarse = moving or (first and name == "3d" and not (at_once or control.state.heat))  # as good as those of a drag
         sent = 0
 
         def stop() -> bool:
@@ -86,8 +87,8 @@ class Pictures:
                 self.meanwhile()  # a picture may take longer than a file
             return post.closed or (post.busy() if sent > 0 or not first or at_once else moving and post.drag_ends())
 
-        wanted = pixels_of(size, _MOVING_PIXELS * throttle.scale if moving else MOST_PIXELS)
-        order = Order(context, control.state, name, wanted, budget, stop, moving, post.has_results)
+        wanted = pixels_of(size, _MOVING_PIXELS * throttle.scale if coarse else MOST_PIXELS)
+        order = Order(context, control.state, name, wanted, budget, stop, coarse, post.has_results)
         began, last = time.perf_counter(), None
         warned: list[str] = []
         with heard_by(warned.append), closing(self._drawer.shots(order)) as shots:
